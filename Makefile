@@ -1,0 +1,30 @@
+# Two commands set everything up on a fresh machine with Python 3.11: `make demo` and `make test`.
+PYTHON ?= python3.11
+BIN := .venv/bin
+
+.PHONY: demo test check sitl docs clean
+.DEFAULT_GOAL := demo
+
+.venv/installed: requirements.lock pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+demo: .venv/installed  ## fly the paper's three maneuvers on the built-in vehicle, fit, report
+	$(BIN)/flighttest run thrust roll_pitch yaw_rate --connect sim --yes
+
+test: .venv/installed check  ## the checks and the default test suite
+	$(BIN)/python -m pytest -n 2
+
+check: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+sitl: .venv/installed  ## fly the demo on a real ArduPilot SITL
+	$(BIN)/python sitl/launch.py --fly
+
+clean:
+	rm -rf .venv build dist *.egg-info

@@ -1,0 +1,8 @@
+"""Fly a multirotor's test maneuvers, identify its dynamics, and name the physics the model left out."""
+
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    __version__ = version("flighttest")
+except PackageNotFoundError:  # a source tree that was never installed
+    __version__ = "0+unknown"

@@ -1,0 +1,118 @@
+"""Frames, quaternions and angles: the only place that knows NED from NWU.
+
+Inside the package the world is North-West-Up (NWU) and the body Forward-Left-Up (FLU); R = R_psi R_theta R_phi maps body to
+world (paper Eq. 2). MAVLink and ArduPilot speak NED and FRD. Both conversions are the same half turn about x, hence each
+function here is its own inverse: quaternion (w, x, -y, -z); roll kept, pitch and yaw negated; vectors (x, -y, -z).
+
+Quaternions are (w, x, y, z), Hamilton, body to world. All functions take arrays with the components on the last axis.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+_FLIP_VECTOR = np.array([1.0, -1.0, -1.0])
+_FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
+
+
+def flip_vector(vector: ArrayLike) -> FloatArray:
+    """NED to NWU, FRD to FLU, and back: (..., 3) positions, velocities, accelerations or rates."""
+    return np.asarray(vector, dtype=float) * _FLIP_VECTOR
+
+
+def flip_quaternion(q: ArrayLike) -> FloatArray:
+    """Attitude FRD-to-NED as FLU-to-NWU, and back: (..., 4)."""
+    return np.asarray(q, dtype=float) * _FLIP_QUATERNION
+
+
+def flip_euler(rpy: ArrayLike) -> FloatArray:
+    """Roll, pitch, yaw (rad) of FRD in NED as those of FLU in NWU, and back: (..., 3)."""
+    return np.asarray(rpy, dtype=float) * _FLIP_VECTOR
+
+
+def enu_to_nwu(vector: ArrayLike) -> FloatArray:
+    """World vector from East-North-Up: north = y, west = -x. Shape (..., 3)."""
+    v = np.asarray(vector, dtype=float)
+    return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)
+
+
+_ENU_TO_NWU_QUATERNION = np.array([math.cos(-math.pi / 4), 0.0, 0.0, math.sin(-math.pi / 4)])
+
+
+def quaternion_enu_to_nwu(q: ArrayLike) -> FloatArray:
+    """Attitude given against East-North-Up as one against NWU (yaw_NWU = yaw_ENU - 90 deg): (..., 4)."""
+    return quaternion_multiply(_ENU_TO_NWU_QUATERNION, q)
+
+
+def quaternion_multiply(p: ArrayLike, q: ArrayLike) -> FloatArray:
+    """Hamilton product p q: (..., 4)."""
+    pw, px, py, pz = np.moveaxis(np.asarray(p, dtype=float), -1, 0)
+    qw, qx, qy, qz = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def euler_from_quaternion(q: ArrayLike) -> FloatArray:
+    """Roll, pitch, yaw (rad, ZYX) of a unit quaternion: (..., 4) to (..., 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def quaternion_from_euler(rpy: ArrayLike) -> FloatArray:
+    """Unit quaternion of roll, pitch, yaw (rad, ZYX): (..., 3) to (..., 4)."""
+    half = 0.5 * np.asarray(rpy, dtype=float)
+    cr, cp, cy = np.moveaxis(np.cos(half), -1, 0)
+    sr, sp, sy = np.moveaxis(np.sin(half), -1, 0)
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=-1,
+    )
+
+
+def rotation_from_euler(rpy: ArrayLike) -> FloatArray:
+    """R, body to world (paper Eq. 2), of roll, pitch, yaw (rad): (..., 3) to (..., 3, 3)."""
+    rpy = np.asarray(rpy, dtype=float)
+    cr, cp, cy = np.moveaxis(np.cos(rpy), -1, 0)
+    sr, sp, sy = np.moveaxis(np.sin(rpy), -1, 0)
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def wrap_angle(angle_rad: Any) -> Any:
+    """The same angle in [-pi, pi): float to float, array to array."""
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def yaw_from_compass(heading_deg: float) -> float:
+    """NWU yaw (rad, counter-clockwise from north) of a compass heading (deg, clockwise from north)."""
+    return float(wrap_angle(-math.radians(heading_deg)))
+
+
+def compass_from_yaw(yaw_rad: float) -> float:
+    """Compass heading (deg, clockwise from north, [0, 360)) of an NWU yaw (rad)."""
+    return float(-math.degrees(yaw_rad) % 360.0)

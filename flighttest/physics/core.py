@@ -1,0 +1,164 @@
+"""The declarations physics is made of: `Param`, `State`, `Port`, `Signals`, `Term`.
+
+A term plugs into one port. Ports are evaluated in the order of `Port`, so a term sees what the ports before its own
+have made of the signals (the wind-relative velocity, the boosted throttle, the sagged voltage, ...): composition is acyclic.
+CasADi expressions are not Python numbers: no `if`, `max`, `and` or `==` on them; use `casadi.if_else`, `fmax`, smooth forms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal
+
+Expr = Any  # casadi.SX or float; casadi carries no types
+
+Family = Literal["body", "aerodynamics", "propulsion", "payload", "autopilot", "sensor", "link"]
+ParamKind = Literal["base", "amplitude", "shape"]
+
+
+class Port(Enum):
+    """Where a term acts: (unit, how contributions combine, block). Declared in evaluation order.
+
+    block 'attitude': roll, pitch and yaw rate loops; 'translation': thrust, forces, velocity and what is measured of them.
+    """
+
+    WIND = ("m/s", "sum of (3,) world vectors; air-relative velocity is v minus it", "translation")
+    DELAY = ("s", "sum per channel: attitude, yaw_rate, thrust", "both")
+    REFERENCE = ("1", "composition: maps the attitude, yaw rate or throttle reference", "both")
+    VOLTAGE = ("V", "sum on the voltage that acts", "translation")
+    MOTOR_GAIN = ("1", "product on the commanded thrust, before the lag", "translation")
+    THRUST_LAG = ("m/s^3", "composition: maps the rate of a_t", "translation")
+    AERO_GAIN = ("1", "product on a_t, after the lag", "translation")
+    FORCE = ("m/s^2", "sum of (3,) specific forces in body axes", "translation")
+    ANGULAR = ("rad/s^2", "sum on roll, pitch and yaw acceleration, or a map of the rates", "attitude")
+    MEASUREMENT = ("as measured", "maps specific force, velocity or attitude as the sensors report them", "both")
+
+    @property
+    def unit(self) -> str:
+        """Unit of what a term contributes here."""
+        return str(self.value[0])
+
+    @property
+    def block(self) -> str:
+        """'attitude', 'translation' or 'both'."""
+        return str(self.value[2])
+
+
+@dataclass(frozen=True)
+class Param:
+    """One parameter of a term.
+
+    kind: 'base' (always estimated), 'amplitude' (vanishes exactly at `off`, with a slope there that is not zero) or 'shape' (a
+    limit, pole, width, length: without meaning at off; screened on `screen`, three to five declared values). scale: a
+    typical size, used to normalise.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    scale: float
+    doc: str
+    source: str
+    kind: ParamKind = "amplitude"
+    off: float | None = 0.0
+    screen: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class State:
+    """A state a term owns: name, unit, doc, and whether its initial value is free (estimated per segment) or `initial`."""
+
+    name: str
+    unit: str
+    doc: str
+    free: bool = False
+    initial: float = 0.0
+
+
+@dataclass
+class Signals:
+    """What a term may read, as CasADi expressions; `physics.model` fills it port by port.
+
+    References are the delayed ones. v_air_body: (3,) air-relative velocity in body axes; rates, angular_acceleration: (3,)
+    body; rotation: (3, 3) body to world; height_m: above ground; time_s: since take-off; a_t: thrust acceleration after
+    the lag (before aero gain), a_t_total after it; command: commanded thrust acceleration K (U/U_n)^alpha T times motor gains; force: specific
+    force so far; target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
+    """
+
+    roll_ref: Expr = 0.0
+    pitch_ref: Expr = 0.0
+    yaw_rate_ref: Expr = 0.0
+    throttle: Expr = 0.0
+    target_roll: Expr = 0.0
+    target_pitch: Expr = 0.0
+    voltage: Expr = 0.0
+    nominal_voltage: Expr = 1.0
+    roll: Expr = 0.0
+    pitch: Expr = 0.0
+    yaw: Expr = 0.0
+    roll_rate: Expr = 0.0
+    pitch_rate: Expr = 0.0
+    yaw_rate: Expr = 0.0
+    rates: Expr = None
+    angular_acceleration: Expr = None
+    rotation: Expr = None
+    v_world: Expr = None
+    v_dot_world: Expr = None
+    v_air_body: Expr = None
+    height_m: Expr = 0.0
+    time_s: Expr = 0.0
+    a_t: Expr = 0.0
+    a_t_total: Expr = 0.0
+    command: Expr = 0.0
+    sigma_t: Expr = 0.0
+    force: Expr = None
+    g: Expr = 9.81
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What a term adds at its port (see `Port` for shape and rule), and the rates of the states it owns."""
+
+    value: Any
+    state_rates: Mapping[str, Expr] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Term:
+    """One piece of physics.
+
+    id: as in the catalogue; equation: one line of plain text; plain: the sentence an operator reads; hides_in: base parameters
+    that absorb it; told_apart_by: what separates it from rivals; reveals: the shipped maneuver script that shows it; needs:
+    channels without which it cannot be seen; build(signals, params, states) gives its contribution.
+    """
+
+    id: str
+    title: str
+    family: Family
+    port: Port
+    params: tuple[Param, ...]
+    build: Callable[[Signals, Mapping[str, Expr], Mapping[str, Expr]], Contribution]
+    equation: str
+    plain: str
+    source: str
+    doubt: str
+    hides_in: tuple[str, ...]
+    told_apart_by: str
+    reveals: str
+    needs: tuple[str, ...]
+    states: tuple[State, ...] = ()
+
+    @property
+    def amplitudes(self) -> tuple[Param, ...]:
+        """Parameters with an off value."""
+        return tuple(p for p in self.params if p.kind == "amplitude")
+
+    @property
+    def shapes(self) -> tuple[Param, ...]:
+        """Parameters without meaning at off."""
+        return tuple(p for p in self.params if p.kind == "shape")

@@ -1,0 +1,121 @@
+"""`Recording`: groups of channels, each on its own time base, with the marks of the flight and where it all came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.channels import CHANNELS
+from flighttest.errors import RecordingError
+
+FloatArray = NDArray[np.float64]
+
+
+def _frozen(values: Any) -> FloatArray:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Series:
+    """Channels sampled together.
+
+    t_s: (n,) s on the vehicle's clock, strictly increasing. columns: channel name to (n,) values in the unit of
+    `channels.CHANNELS`; NaN marks a sample that is missing. Both are read-only.
+    """
+
+    t_s: FloatArray
+    columns: Mapping[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_s", _frozen(self.t_s))
+        object.__setattr__(self, "columns", {name: _frozen(values) for name, values in self.columns.items()})
+        for name, values in self.columns.items():
+            if name not in CHANNELS:
+                raise RecordingError(f"unknown channel {name!r}", "see the channel table in docs/formats.md")
+            if values.shape != self.t_s.shape:
+                raise RecordingError(f"channel {name} has {values.size} samples, its time base {self.t_s.size}")
+        if self.t_s.size > 1 and not bool(np.all(np.diff(self.t_s) > 0)):
+            raise RecordingError("time does not increase", "sort the samples and drop repeated time stamps first")
+
+    def __len__(self) -> int:
+        return int(self.t_s.size)
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sample rate, Hz; 0 for fewer than two samples."""
+        return float(1.0 / np.median(np.diff(self.t_s))) if self.t_s.size > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A mark on the vehicle's clock. kind: leg, phase, abort, take_over, link_lost, mode, note."""
+
+    t_s: float
+    kind: str
+    label: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a recording came from, and what was lost on the way.
+
+    source: path or URL; importer: ardupilot_bin, tlog, ulg, table, flight; sha256 of the raw file; firmware: full version
+    string; parameters: every vehicle parameter that is known; components: as declared in vehicle.yaml;
+    clock: offset_s, error_s and method of the ground-to-vehicle clock; losses: sentences, each naming what and where;
+    filters: known measurement filters as channel group to cut-off frequency, Hz (second-order Butterworth low-pass, as
+    ArduPilot's INS_ACCEL_FILTER); derived: channel name to the sentence that says how it was derived.
+    reference_clock: 'vehicle' when the reference is stamped on its arrival at the vehicle, 'ground' when on its sending.
+    """
+
+    source: str
+    importer: str
+    sha256: str = ""
+    firmware: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    components: Mapping[str, Any] = field(default_factory=dict)
+    vehicle: Mapping[str, Any] = field(default_factory=dict)
+    clock: Mapping[str, Any] = field(default_factory=dict)
+    losses: tuple[str, ...] = ()
+    filters: Mapping[str, float] = field(default_factory=dict)
+    derived: Mapping[str, str] = field(default_factory=dict)
+    reference_clock: str = "vehicle"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One flight: series by group (see `channels.GROUPS`), markers in time order, provenance."""
+
+    name: str
+    series: Mapping[str, Series]
+    markers: tuple[Marker, ...]
+    provenance: Provenance
+
+    def has(self, *channel_names: str) -> bool:
+        """Whether every named channel is here with at least one finite sample."""
+        for name in channel_names:
+            series = self.series.get(CHANNELS[name].group)
+            if series is None or name not in series.columns or not bool(np.any(np.isfinite(series.columns[name]))):
+                return False
+        return True
+
+    def channel(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Time (n,) and values (n,) of one channel; RecordingError where it was not recorded."""
+        series = self.series.get(CHANNELS[name].group)
+        if series is None or name not in series.columns:
+            raise RecordingError(f"{self.name} has no channel {name}")
+        return series.t_s, series.columns[name]
+
+    @property
+    def t_span_s(self) -> tuple[float, float]:
+        """First and last time of any series, s."""
+        spans = [(float(s.t_s[0]), float(s.t_s[-1])) for s in self.series.values() if len(s)]
+        if not spans:
+            raise RecordingError(f"{self.name} is empty")
+        return min(a for a, _ in spans), max(b for _, b in spans)

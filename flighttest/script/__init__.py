@@ -1,0 +1,1 @@
+"""Maneuver scripts: model, loader, profiles. Must not know time, vehicles or physics."""

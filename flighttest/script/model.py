@@ -1,0 +1,76 @@
+"""`Script`: a maneuver script as frozen data. Knows nothing of time, vehicles or physics; SI and radians throughout."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+ResetBy = Literal["guided", "attitude", "pilot"]
+ThrottleUnit = Literal["absolute", "hover"]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What no target and no measurement may exceed.
+
+    tilt_target_max_rad bounds commanded tilt, tilt_abort_rad measured tilt (a 0.5 rad step peaks at 36 deg, its
+    counter-step at 41 deg, so the two differ). throttle and height_m are (low, high); voltage is a 2 s mean.
+    """
+
+    tilt_target_max_rad: float
+    tilt_abort_rad: float
+    throttle: tuple[float, float]
+    height_m: tuple[float, float]
+    speed_max_m_s: float
+    voltage_min_v: float
+    yaw_rate_max_rad_s: float = 3.5
+
+
+@dataclass(frozen=True)
+class Reset:
+    """How the vehicle is brought back between steps: to_m in the zone's frame, headings (NWU yaw, relative to the zone's
+    x axis, rad) rotate over the repeats."""
+
+    to_m: tuple[float, float, float]
+    heading_rad: tuple[float, ...]
+    by: ResetBy
+    settle_s: float
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """How often each cell is flown and in which order; over_voltage_v is the (high, low) span the repeats are spread over."""
+
+    each: int = 1
+    over_voltage_v: tuple[float, float] | None = None
+    order: Literal["interleaved", "sequential"] = "interleaved"
+
+
+@dataclass(frozen=True)
+class Maneuver:
+    """One entry of `steps`: a profile name (throttle_pair, attitude_step, ...) and its checked settings, SI."""
+
+    profile: str
+    settings: Mapping[str, Any]
+    line: int = 0
+
+
+@dataclass(frozen=True)
+class Script:
+    """A checked maneuver script. `sha256` is of the text, `text` the text itself: both go into every recording."""
+
+    name: str
+    doc: str
+    identifies: tuple[str, ...]
+    mode: str
+    rate_hz: float
+    throttle_unit: ThrottleUnit
+    limits: Limits
+    reset: Reset
+    steps: tuple[Maneuver, ...]
+    repeat: Repeat
+    text: str = field(repr=False)
+    sha256: str = ""
+    path: str = ""
+    extra: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,8 @@
+"""Cut recordings into step responses and windows, and say which of them can be used.
+
+Must not fit, and must not judge outliers or gusts (identify does).
+"""
+
+from flighttest.segments.model import Flaw, Segment
+
+__all__ = ["Flaw", "Segment"]

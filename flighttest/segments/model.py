@@ -1,0 +1,69 @@
+"""`Segment`: one step response or free-flight window on one regular or irregular time base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Flaw(Enum):
+    """Why a segment cannot be used. The value is the sentence shown to the reader."""
+
+    GAP = "samples are missing in the middle of the response"
+    NOT_SETTLED = "the vehicle had not settled before the step"
+    TAKE_OVER = "the pilot took over during the response"
+    CLIPPED = "a sensor or a command was at its limit"
+    WRONG_MODE = "the autopilot was not in the maneuver's mode"
+    LINK_LOST = "targets stopped arriving during the response"
+    TOO_SHORT = "less than 0.3 s was recorded after the step"
+    ABORTED = "the flight was aborted during the response"
+    NOT_A_NUMBER = "a recorded channel is not a number for most of the response"
+    REFERENCE_MOVED = "another reference moved during the response"
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One response, from before its step until its record ends.
+
+    kind: roll_step, pitch_step, yaw_rate_step, throttle_step, tilt_throttle or free (a window of free flight).
+    cell: what distinguishes it from other steps of its kind (amplitude_rad, rate_rad_s, throttle_0, throttle_1; signed);
+    repeats share a cell. group: the held-out unit (run, maneuver, repeat). t_step_s: the input step, as recorded.
+
+    t_s: (n,) s, vehicle clock, the sample times. y: channel name to (n,) samples at t_s; NaN where missing. References
+    are not sampled but kept as they changed: `u` maps each of `channels.INPUTS` that was recorded to (t_edge_s (m,), value (m,)), held from
+    each edge to the next; the first edge lies at or before t_s[0] - 0.5 s where the recording allows, so that delays can
+    reach back. flaws: empty when the segment may be fitted.
+    """
+
+    name: str
+    run: str
+    kind: str
+    cell: Mapping[str, float]
+    repeat: int
+    t_step_s: float
+    t_s: FloatArray
+    y: Mapping[str, FloatArray]
+    u: Mapping[str, tuple[FloatArray, FloatArray]]
+    flaws: tuple[Flaw, ...] = ()
+    notes: tuple[str, ...] = ()
+    maneuver: str = ""
+    heading_rad: float = float("nan")
+    time_since_takeoff_s: float = float("nan")
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def usable(self) -> bool:
+        """True when nothing speaks against fitting this segment."""
+        return not self.flaws
+
+    @property
+    def cell_key(self) -> tuple[str, tuple[tuple[str, float], ...]]:
+        """Hashable identity of the cell: repeats of one step share it."""
+        return self.kind, tuple(sorted((k, round(v, 4)) for k, v in self.cell.items()))

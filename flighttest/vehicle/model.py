@@ -1,0 +1,54 @@
+"""`Vehicle`: what a person declares about a vehicle and the place it flies in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Zone:
+    """The box that must not be left, m, in its own frame: x along `heading_rad` (NWU yaw), y to the left, z up from the ground.
+
+    origin: None for the home position, else (latitude, longitude) in degrees.
+    """
+
+    heading_rad: float = 0.0
+    x_m: tuple[float, float] = (-15.0, 15.0)
+    y_m: tuple[float, float] = (-7.5, 7.5)
+    z_m: tuple[float, float] = (1.0, 10.0)
+    margin_m: float = 1.5
+    origin: tuple[float, float] | None = None
+
+    def to_world(self, point: ArrayLike) -> NDArray[np.float64]:
+        """Zone coordinates to NWU about the zone's origin: (..., 3) m."""
+        p = np.asarray(point, dtype=float)
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return np.stack([c * p[..., 0] - s * p[..., 1], s * p[..., 0] + c * p[..., 1], p[..., 2]], axis=-1)
+
+    def from_world(self, point: ArrayLike) -> NDArray[np.float64]:
+        """NWU about the zone's origin to zone coordinates: (..., 3) m."""
+        p = np.asarray(point, dtype=float)
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return np.stack([c * p[..., 0] + s * p[..., 1], -s * p[..., 0] + c * p[..., 1], p[..., 2]], axis=-1)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle as declared in vehicle.yaml. `components` maps battery, propellers, motors, payload, ... to their fields."""
+
+    name: str
+    connect: str | None
+    firmware: str
+    nominal_voltage_v: float
+    hover_throttle: float
+    zone: Zone = field(default_factory=Zone)
+    mass_kg: float | None = None
+    rotor_height_m: float = 0.2
+    components: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    path: str = ""
