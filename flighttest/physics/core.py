@@ -86,8 +86,8 @@ class Signals:
 
     References are the delayed ones. v_air_body: (3,) air-relative velocity in body axes; rates, angular_acceleration: (3,)
     body; rotation: (3, 3) body to world; height_m: above ground; time_s: since take-off; a_t: thrust acceleration after
-    the lag (before aero gain), a_t_total after it; command: commanded thrust acceleration K (U/U_n)^alpha T times motor gains; force: specific
-    force so far; target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
+    the lag (before aero gain), a_t_total after it; command: commanded thrust acceleration K (U/U_n)^alpha T times motor
+    gains; force: specific force so far; target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
     """
 
     roll_ref: Expr = 0.0
