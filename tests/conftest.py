@@ -1,0 +1,59 @@
+"""What every test may ask for: the real recordings beside the repository, and a real ArduPilot SITL. Both skip with a reason."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def find_shared_data() -> Path | None:
+    """The folder of real recordings: FLIGHTTEST_DATA, or ../shared/data beside the repository."""
+    for candidate in (os.environ.get("FLIGHTTEST_DATA"), REPOSITORY.parent / "shared" / "data"):
+        if candidate and Path(candidate).is_dir():
+            return Path(candidate)
+    return None
+
+
+def find_arducopter() -> str | None:
+    """An `arducopter` binary, found as the launcher finds it: ARDUCOPTER, else PATH."""
+    named = os.environ.get("ARDUCOPTER")
+    if named:
+        return named if os.access(named, os.X_OK) else None
+    return shutil.which("arducopter")
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    """The root of the source tree."""
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Real recordings that may not be copied into the repository."""
+    folder = find_shared_data()
+    if folder is None:
+        pytest.skip("real recordings are not here: set FLIGHTTEST_DATA or place them in ../shared/data")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def arducopter() -> str:
+    """Path of a real ArduCopter SITL binary."""
+    binary = find_arducopter()
+    if binary is None:
+        pytest.skip("no arducopter found: set ARDUCOPTER or put it on PATH (see sitl/README.md)")
+    return binary
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests marked `sitl` are skipped with a reason where no arducopter is found."""
+    if find_arducopter() is not None:
+        return
+    skip = pytest.mark.skip(reason="no arducopter found: set ARDUCOPTER or put it on PATH (see sitl/README.md)")
+    for item in items:
+        if item.get_closest_marker("sitl"):
+            item.add_marker(skip)
