@@ -87,7 +87,10 @@ class Signals:
     References are the delayed ones. v_air_body: (3,) air-relative velocity in body axes; rates, angular_acceleration: (3,)
     body; rotation: (3, 3) body to world; height_m: above ground; time_s: since take-off; a_t: thrust acceleration after
     the lag (before aero gain), a_t_total after it; command: commanded thrust acceleration K (U/U_n)^alpha T times motor
-    gains; force: specific force so far; target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
+    gains; a_t_dot: rate of a_t so far (what THRUST_LAG maps); force: (3,) specific force so far; v_dot_world: (3,) once all
+    forces are known (MEASUREMENT only); target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
+    roll_acceleration, pitch_acceleration, yaw_acceleration: second Euler derivatives and r_dot so far (what ANGULAR adds to).
+    measured: what the sensors report so far, keys 'f' (3,) 'v' (3,) 'roll' 'pitch' 'r'. base: the body's own parameters by name.
     """
 
     roll_ref: Expr = 0.0
@@ -116,13 +119,25 @@ class Signals:
     a_t_total: Expr = 0.0
     command: Expr = 0.0
     sigma_t: Expr = 0.0
+    a_t_dot: Expr = 0.0
+    roll_acceleration: Expr = 0.0
+    pitch_acceleration: Expr = 0.0
+    yaw_acceleration: Expr = 0.0
     force: Expr = None
     g: Expr = 9.81
+    measured: dict[str, Expr] = field(default_factory=dict)
+    base: Mapping[str, Expr] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """What a term adds at its port (see `Port` for shape and rule), and the rates of the states it owns."""
+    """What a term adds at its port, and the rates of the states it owns.
+
+    value by port: WIND (3,) world m/s; DELAY a mapping of 'attitude', 'yaw_rate', 'thrust' to added seconds; REFERENCE a mapping
+    of 'roll_ref', 'pitch_ref', 'yaw_rate_ref', 'throttle' to their new expression (name only what changes; all of one block);
+    VOLTAGE added volts; MOTOR_GAIN and AERO_GAIN a factor; THRUST_LAG the new a_t_dot; FORCE (3,) m/s^2 in body axes; ANGULAR (3,)
+    added roll, pitch and yaw acceleration; MEASUREMENT a mapping of keys of `Signals.measured` to their new expression.
+    """
 
     value: Any
     state_rates: Mapping[str, Expr] = field(default_factory=dict)

@@ -1,0 +1,144 @@
+"""`Model`: terms composed into CasADi functions, one declaration for fit, simulation and export.
+
+    model = Model(("body", "linear_drag"))          # the paper's
+    model.with_terms("ground_effect").params        # what can be estimated
+    model.blocks                                    # what the fit integrates: roll, pitch, yaw, translation
+    model.system                                    # everything chained: x_dot, y = system.function(x, u, p)
+    model.simulate({...}, ...)                      # see physics.simulate
+
+A model without attitude loops (`attitude_loops=False`) takes the attitude as input and has neither omega, zeta nor sigma_r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from functools import cached_property
+from typing import Any
+
+from flighttest.errors import ModelError
+from flighttest.physics import body
+from flighttest.physics.blocks import Block, attitude_blocks, translation_block
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.compose import block_of
+from flighttest.physics.core import Param, Term
+from flighttest.physics.system import System, build_system
+
+G_M_S2 = 9.81
+NOMINAL_VOLTAGE_V = 22.2
+PAPER_TERMS = ("body", "linear_drag")
+
+
+@dataclass(frozen=True)
+class Model:
+    """Physics to be fitted, simulated or exported.
+
+    terms: ids, 'body' first; ids not in the catalogue come with their `Term` in `extra`. channel_delays: each channel (attitude, yaw
+    rate, thrust) has a delay of its own (T_d_attitude, T_d_yaw_rate, T_d_thrust; T_d is their mean), else one T_d.
+    Equal models compare equal and share their compiled functions only when they are the same object: keep it.
+    """
+
+    terms: tuple[str, ...] = PAPER_TERMS
+    nominal_voltage_v: float = NOMINAL_VOLTAGE_V
+    g_m_s2: float = G_M_S2
+    channel_delays: bool = True
+    attitude_loops: bool = True
+    extra: Mapping[str, Term] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        ids = tuple(dict.fromkeys(("body", *self.terms)))
+        object.__setattr__(self, "terms", ids)
+        known = {**catalogue(), **self.extra}
+        for i in ids:
+            if i != "body" and i not in known:
+                near = get_close_matches(i, [*known, "body"], 1)
+                raise ModelError(
+                    f"no term is called {i!r}", f"did you mean {near[0]!r}?" if near else "see `flighttest terms`"
+                )
+        names = [p.name for p in self.params] + [s.name for t in self.built_terms for s in t.states]
+        twice = {n for n in names if names.count(n) > 1}
+        if twice:
+            raise ModelError(
+                f"terms {', '.join(ids)} share the names {', '.join(sorted(twice))}", "rename them in one term"
+            )
+
+    @cached_property
+    def built_terms(self) -> tuple[Term, ...]:
+        """The terms besides the body; without attitude loops, those of the attitude block are left out."""
+        known = {**catalogue(), **self.extra}
+        found = tuple(known[i] for i in self.terms if i != "body")
+        return found if self.attitude_loops else tuple(t for t in found if block_of(t) != "attitude")
+
+    @cached_property
+    def params(self) -> tuple[Param, ...]:
+        """Every parameter, in the order of every vector and covariance: attitude, thrust, terms, delays."""
+        attitude = body.ATTITUDE_PARAMS if self.attitude_loops else ()
+        if not self.channel_delays:
+            delays: tuple[Param, ...] = (body.DELAY,)
+        else:
+            delays = body.CHANNEL_DELAYS if self.attitude_loops else body.CHANNEL_DELAYS[-1:]
+        return (*attitude, *body.THRUST_PARAMS, *(p for t in self.built_terms for p in t.params), *delays)
+
+    @cached_property
+    def param(self) -> dict[str, Param]:
+        """Parameters by name."""
+        return {p.name: p for p in self.params}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names in order."""
+        return tuple(p.name for p in self.params)
+
+    def term_of(self, name: str) -> str:
+        """Id of the term that owns a parameter ('body' for the base's)."""
+        return next((t.id for t in self.built_terms if any(p.name == name for p in t.params)), "body")
+
+    def start(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Start values: nominal for the body and the paper's drag, off for amplitudes, nominal for shapes; `values` override.
+
+        Values for T_d also set channel delays that are not given themselves, and the other way round.
+        """
+        paper = {p.name for t in self.built_terms if t.id == "linear_drag" for p in t.params}
+        found = {
+            p.name: p.off if p.kind == "amplitude" and p.off is not None and p.name not in paper else p.nominal
+            for p in self.params
+        }
+        given = dict(values or {})
+        channels = [given[n] for n in body.DELAY_PARAM.values() if n in given]
+        if "T_d" not in given and channels:
+            given["T_d"] = sum(channels) / len(channels)
+        for name in body.DELAY_PARAM.values():
+            if name not in given and "T_d" in given:
+                given[name] = given["T_d"]
+        found.update({k: float(v) for k, v in given.items() if k in found})
+        return found
+
+    def with_terms(self, *terms: str | Term) -> Model:
+        """This model with further terms (ids, or Terms that need not be in the catalogue)."""
+        extra = dict(self.extra) | {t.id: t for t in terms if isinstance(t, Term)}
+        ids = tuple(t.id if isinstance(t, Term) else t for t in terms)
+        return replace(self, terms=(*self.terms, *ids), extra=extra)
+
+    def without_terms(self, *ids: str) -> Model:
+        """This model without some of its terms."""
+        return replace(self, terms=tuple(t for t in self.terms if t not in ids))
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """The independent parts the fit integrates: attitude axes (joined where a term couples them) and translation.
+
+        The translation takes the measured attitude, rates, height and voltage as known signals.
+        """
+        loops = attitude_blocks(self.built_terms, self.params, self.constants) if self.attitude_loops else ()
+        return (*loops, translation_block(self.built_terms, self.params, self.constants))
+
+    @cached_property
+    def system(self) -> System:
+        """Everything chained, without the delays (inputs are the delayed ones): for simulation, validation and export."""
+        return build_system(self.built_terms, self.params, self.constants, self.attitude_loops)
+
+    @property
+    def constants(self) -> dict[str, Any]:
+        """As in model.yaml: g m/s^2, nominal_voltage_v."""
+        return {"g": self.g_m_s2, "nominal_voltage_v": self.nominal_voltage_v}

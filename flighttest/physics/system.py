@@ -1,0 +1,122 @@
+"""`System`: the whole model chained, for simulation, validation and export."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from flighttest.physics import body
+from flighttest.physics.compose import attitude, block_of, delays, translation
+from flighttest.physics.core import Param, Signals, Term
+
+POSITION = ("p_x_m", "p_y_m", "p_z_m")
+VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+LOOPS = ("roll_rad", "roll_rate_rad_s", "pitch_rad", "pitch_rate_rad_s", "r_rad_s", "yaw_rad")
+RATES = ("p_rad_s", "q_rad_s", "r_rad_s")
+UNITS = {"p": "m", "v": "m/s", "a": "m/s^2", "f": "m/s^2"}
+OUTPUTS = (
+    *POSITION, *VELOCITY, "roll_rad", "pitch_rad", "yaw_rad", *RATES,
+    "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "a_x_m_s2", "a_y_m_s2", "a_z_m_s2",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class System:
+    """x_dot, y = function(x, u, p), delays left out: inputs are the delayed ones.
+
+    states, inputs: name to unit, in order; outputs: channel names, as measured but before known filters; params: names. initial: of term
+    states (others start where the caller says). input_delay: input to its delay channel ('' where it has none);
+    delays_s(p): s, one per entry of `delay_channels`. Height above ground is p_z_m.
+    """
+
+    states: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: tuple[str, ...]
+    params: tuple[str, ...]
+    initial: Mapping[str, float]
+    input_delay: Mapping[str, str]
+    delay_channels: tuple[str, ...]
+    function: ca.Function
+    delays_s: ca.Function
+
+
+def build_system(
+    terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any], attitude_loops: bool
+) -> System:
+    """Chain the attitude loops (or attitude inputs) into thrust, forces, velocity and position."""
+    p = {q.name: ca.SX.sym(q.name) for q in params}
+    own = [s for t in terms if block_of(t) in ("attitude", "translation") for s in t.states]
+    state_units = dict.fromkeys(POSITION, "m") | dict.fromkeys(VELOCITY, "m/s")
+    if attitude_loops:
+        state_units |= dict(zip(LOOPS, ("rad", "rad/s", "rad", "rad/s", "rad/s", "rad"), strict=True))
+    state_units |= {"a_t_m_s2": "m/s^2"} | {s.name: s.unit for s in own}
+    x = {n: ca.SX.sym(n) for n in state_units}
+    if attitude_loops:
+        input_units = {"roll_ref_rad": "rad", "pitch_ref_rad": "rad", "yaw_rate_ref_rad_s": "rad/s"}
+    else:
+        input_units = dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "rad") | dict.fromkeys(RATES, "rad/s")
+    input_units |= {"throttle": "1", "voltage_v": "V", "time_s": "s"}
+    u = {n: ca.SX.sym(n) for n in input_units}
+
+    s = Signals(
+        throttle=u["throttle"], voltage=u["voltage_v"], time_s=u["time_s"], height_m=x["p_z_m"], a_t=x["a_t_m_s2"],
+        nominal_voltage=constants["nominal_voltage_v"], g=constants["g"], base=p, sigma_t=p["sigma_t"],
+    )  # fmt: skip
+    s.v_world = ca.vertcat(*(x[n] for n in VELOCITY))
+    term_states = {n.name: x[n.name] for n in own}
+    rates = {}
+    if attitude_loops:
+        s.roll, s.roll_rate, s.pitch, s.pitch_rate, s.yaw_rate, s.yaw = (x[n] for n in LOOPS)
+        s.roll_ref, s.pitch_ref, s.yaw_rate_ref = u["roll_ref_rad"], u["pitch_ref_rad"], u["yaw_rate_ref_rad_s"]
+        s.rotation = body.rotation(s.roll, s.pitch, s.yaw)
+        yaw_dot = body.yaw_kinematics(s)
+        s.rates = body.body_rates(s, yaw_dot)
+        rates |= attitude(terms, s, p, term_states)
+        loops = (s.roll_rate, s.roll_acceleration, s.pitch_rate, s.pitch_acceleration, s.yaw_acceleration, yaw_dot)
+        s.angular_acceleration = ca.jtimes(s.rates, ca.vertcat(*(x[n] for n in LOOPS)), ca.vertcat(*loops))
+        rates |= dict(zip(LOOPS, loops, strict=True))
+    else:
+        s.roll, s.pitch, s.yaw = u["roll_rad"], u["pitch_rad"], u["yaw_rad"]
+        s.target_roll, s.target_pitch = s.roll, s.pitch
+        s.rotation = body.rotation(s.roll, s.pitch, s.yaw)
+        s.rates = ca.vertcat(*(u[n] for n in RATES))
+        s.yaw_rate = s.rates[2]
+        s.roll_rate = s.rates[0] + ca.tan(s.pitch) * (ca.sin(s.roll) * s.rates[1] + ca.cos(s.roll) * s.rates[2])
+        s.pitch_rate = ca.cos(s.roll) * s.rates[1] - ca.sin(s.roll) * s.rates[2]
+        s.angular_acceleration = ca.SX.zeros(3)
+        s.measured.update(roll=s.roll, pitch=s.pitch, r=s.yaw_rate)
+    rates |= translation(terms, s, p, term_states, ca.SX.zeros(3))
+    rates |= dict(zip(POSITION, (x[n] for n in VELOCITY), strict=True))
+    rates |= dict(zip(VELOCITY, ca.vertsplit(s.v_dot_world), strict=True))
+    rates["a_t_m_s2"] = s.a_t_dot
+
+    x_dot = ca.vertcat(*(rates[n] for n in state_units))
+    f = s.measured["f"]
+    y = ca.vertcat(
+        *(x[n] for n in POSITION), s.measured["v"], s.measured["roll"], s.measured["pitch"], s.yaw, s.rates[:2],
+        s.measured["r"], f, s.rotation @ f - ca.vertcat(0, 0, s.g),
+    )  # fmt: skip
+    if not ca.depends_on(ca.vertcat(x_dot, y), u["time_s"]):
+        del input_units["time_s"]
+    channels = delays(terms, p)
+    by_input = {
+        "throttle": "thrust",
+        "roll_ref_rad": "attitude",
+        "pitch_ref_rad": "attitude",
+        "yaw_rate_ref_rad_s": "yaw_rate",
+    }
+    arguments = [ca.vertcat(*x.values()), ca.vertcat(*(u[n] for n in input_units)), ca.vertcat(*p.values())]
+    return System(
+        states=state_units,
+        inputs=input_units,
+        outputs=OUTPUTS,
+        params=tuple(p),
+        initial={n.name: n.initial for n in own},
+        input_delay={n: by_input.get(n, "") for n in input_units},
+        delay_channels=tuple(channels),
+        function=ca.Function("dynamics", arguments, [x_dot, y], ["x", "u", "p"], ["x_dot", "y"]),
+        delays_s=ca.Function("delays", [arguments[2]], [ca.vertcat(*channels.values())]),
+    )
