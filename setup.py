@@ -16,7 +16,7 @@ class BuildWithShipped(build_py):
     """`build_py` that also copies the shipped folders, except into an editable install."""
 
     def run(self) -> None:
-        """Build the package, then copy maneuvers/ and sitl/ beside its modules."""
+        """Build the package, then copy maneuvers/ and sitl/ into its data folder."""
         super().run()
         if self.editable_mode:
             return
@@ -24,7 +24,7 @@ class BuildWithShipped(build_py):
         for folder in SHIPPED:
             source = root / folder
             if source.is_dir():
-                target = Path(self.build_lib) / "flighttest" / folder
+                target = Path(self.build_lib) / "flighttest" / "data" / folder
                 ignore = shutil.ignore_patterns("__pycache__", "*.pyc", "runs")
                 shutil.copytree(source, target, dirs_exist_ok=True, ignore=ignore)
 

@@ -1,0 +1,113 @@
+"""Commands that work on recordings: import, segment, fit, diagnose, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
+from flighttest.cli.live import LiveProgress
+
+RUNS = click.argument("runs", nargs=-1, required=True, type=ANY, metavar="RUN...")
+COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
+
+
+@command("import")
+@click.argument("log", type=ANY)
+@COLUMNS
+@click.option("-o", "--output", type=FOLDER, required=True, metavar="RUN", help="Run folder to write.")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml whose components and zone join the recording.")
+def import_(context: Context, log: Path, columns: Path | None, output: Path, vehicle: Path | None) -> int:
+    """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv or .parquet."""
+    from flighttest.pipeline import sources
+
+    with LiveProgress(context.show) as progress:
+        result = sources.import_log(log, output, columns, vehicle, progress)
+    return context.finish(result)
+
+
+@command("segment")
+@RUNS
+@COLUMNS
+def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> int:
+    """Cut recordings into step responses: each accepted, or rejected with its reason."""
+    from flighttest.pipeline import analysis
+
+    with LiveProgress(context.show) as progress:
+        result = analysis.segment(runs, columns, progress)
+    return context.finish(result)
+
+
+@command("fit")
+@RUNS
+@click.option("-o", "--output", type=FILE, metavar="MODEL", help="model.yaml to write.")
+@COLUMNS
+@click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
+@click.option("--term", "terms", multiple=True, metavar="ID", help="Terms beside body and linear_drag (see `terms`).")
+@click.option("--freeze", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
+@click.option("--tie", multiple=True, metavar="A=B", help="Tie a parameter to another (omega_theta=omega_phi).")
+@click.option(
+    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for importing and fitting."
+)
+@click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
+def fit(
+    context: Context,
+    runs: tuple[Path, ...],
+    output: Path | None,
+    columns: Path | None,
+    vehicle: Path | None,
+    terms: tuple[str, ...],
+    freeze: tuple[str, ...],
+    tie: tuple[str, ...],
+    workers: int,
+    scheduler: str | None,
+) -> int:
+    """Estimate the model's parameters from one or several recordings, jointly."""
+    from flighttest.pipeline import analysis
+
+    options = analysis.FitOptions(terms=terms, freeze=freeze, tie=tie, workers=workers, scheduler=scheduler)
+    with LiveProgress(context.show) as progress:
+        result = analysis.fit(runs, output, columns, vehicle, options, progress)
+    return context.finish(result)
+
+
+@command("diagnose")
+@RUNS
+@click.option("--model", type=FILE, help="Model to start from; otherwise one is fitted to the recordings.")
+@click.option(
+    "-o", "--output", type=FOLDER, metavar="DIR", help="Folder for diagnosis.json, model.yaml, report.html, next.yaml."
+)
+@COLUMNS
+@click.option("--vehicle", type=FILE, help="vehicle.yaml: the zone the next flight must fit in.")
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
+def diagnose(
+    context: Context,
+    runs: tuple[Path, ...],
+    model: Path | None,
+    output: Path | None,
+    columns: Path | None,
+    vehicle: Path | None,
+    workers: int,
+) -> int:
+    """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
+    from flighttest.pipeline import diagnosis
+
+    with LiveProgress(context.show) as progress:
+        result = diagnosis.diagnose(runs, model, output, columns, vehicle, workers, progress)
+    return context.finish(result)
+
+
+@command("report")
+@click.argument("folder", type=ANY, metavar="RUN|DIR")
+@click.option("-o", "--output", type=FILE, metavar="HTML", help="File to write; otherwise report.html in the folder.")
+def report(context: Context, folder: Path, output: Path | None) -> int:
+    """Write one self-contained HTML page about a run, or about what `diagnose -o` wrote."""
+    from flighttest.pipeline import reporting
+
+    with LiveProgress(context.show) as progress:
+        result = reporting.report(folder, output, progress)
+    return context.finish(result)
+
+
+COMMANDS: tuple[click.Command, ...] = (import_, segment, fit, diagnose, report)

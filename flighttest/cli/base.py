@@ -1,0 +1,50 @@
+"""What every command shares: `--json`, the printer, and how a result becomes words and an exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from flighttest.cli.show import Show
+from flighttest.pipeline.results import Result, Status
+
+EXIT = {Status.DONE: 0, Status.UNUSABLE: 1, Status.BAD_INPUT: 2, Status.UNEXPLAINED: 3, Status.STALE: 4}
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
+ANY = click.Path(path_type=Path)
+
+
+@dataclass
+class Context:
+    """Passed to every command as `obj`."""
+
+    show: Show
+
+    def finish(self, result: Result) -> int:
+        """Show a result and give its exit code."""
+        self.show.result(result.document, result.data)
+        return EXIT[result.status]
+
+
+def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
+    """A click command called `name` whose function gets the `Context` first and which has `--json`."""
+
+    def wrap(function: Callable[..., int]) -> click.Command:
+        def body(context: Context, **options: Any) -> int:
+            options.pop("json")
+            return function(context, **options)
+
+        body.__doc__ = function.__doc__
+        body.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
+        body.__name__ = function.__name__
+        made = click.command(name)(click.pass_obj(body))
+        made.help = (function.__doc__ or "").strip()
+        made.params.append(click.Option(["--json"], is_flag=True, help="Print the result as JSON."))
+        return made
+
+    return wrap

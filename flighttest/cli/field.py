@@ -1,0 +1,144 @@
+"""Commands that fly, or rehearse flying: check, run, sim, fetch-log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
+from flighttest.cli.live import LiveProgress
+
+
+@command("check")
+@click.argument("scripts", nargs=-1, required=True, metavar="SCRIPT...")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml: flight zone, hover throttle, nominal voltage.")
+@click.option("--model", type=FILE, help="Prior model flown through the script; otherwise the paper's vehicle.")
+@click.option("-v", "--verbose", is_flag=True, help="Print the phases of every leg.")
+def check(context: Context, scripts: tuple[str, ...], vehicle: Path | None, model: Path | None, verbose: bool) -> int:
+    """Compile scripts without a vehicle: plan, duration, battery, predicted envelope against the zone."""
+    from flighttest.pipeline import flying
+
+    return context.finish(flying.check(scripts, vehicle, model, verbose=verbose))
+
+
+@command("run")
+@click.argument("scripts", nargs=-1, metavar="SCRIPT...")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml; without it the built-in simulated copter flies.")
+@click.option(
+    "--connect", metavar="URL", help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim."
+)
+@click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders go.")
+@click.option(
+    "--speed", type=click.FloatRange(min=0, min_open=True), help="Speed of the simulated vehicle, times real time."
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the built-in vehicle.")
+@click.option(
+    "--airframe",
+    type=click.Choice(["paper", "rotor"]),
+    default="paper",
+    show_default=True,
+    help="The built-in vehicle.",
+)
+@click.option("--hide", multiple=True, metavar="ID:key=value", help="Hide an effect in the built-in vehicle.")
+@click.option("--model", type=FILE, help="Model to compare with; otherwise the last one fitted in --out.")
+@click.option("--only", type=click.Choice(["fly"]), help="Stop after recording.")
+@click.option("--resume", type=FOLDER, metavar="RUN", help="Fly what is missing in an interrupted run.")
+@click.option("--set-params", is_flag=True, help="Set what the preflight asks for and restore it afterwards.")
+@click.option("--waive", multiple=True, metavar="CHECK", help="Waive one preflight check by name.")
+@click.option("--yes", is_flag=True, help="Do not ask before arming.")
+def run(
+    context: Context,
+    scripts: tuple[str, ...],
+    vehicle: Path | None,
+    connect: str | None,
+    out: Path,
+    speed: float | None,
+    seed: int,
+    airframe: str,
+    hide: tuple[str, ...],
+    model: Path | None,
+    only: str | None,
+    resume: Path | None,
+    set_params: bool,
+    waive: tuple[str, ...],
+    yes: bool,
+) -> int:
+    """Fly maneuver scripts, record, cut, fit, diagnose and report.
+
+    SCRIPT is a path or the name of a shipped maneuver. Without --vehicle or --connect it flies the built-in simulated
+    copter; it never reaches for a real vehicle by default.
+    """
+    from flighttest.pipeline import flying
+
+    if not scripts and resume is None:
+        raise click.UsageError("nothing to fly: name a SCRIPT, or a run with --resume")
+    request = flying.FlightRequest(
+        scripts=scripts,
+        vehicle=vehicle,
+        connect=connect,
+        out=out,
+        speed=speed,
+        seed=seed,
+        airframe=airframe,
+        hide=hide,
+        model=model,
+        fly_only=only == "fly",
+        resume=resume,
+        set_params=set_params,
+        waive=waive,
+    )
+    context.show.say(flying.announce(request))
+    if not yes and flying.needs_consent(request):
+        click.confirm("The vehicle will arm and take off. Area clear, pilot ready?", abort=True, err=True)
+    with LiveProgress(context.show) as progress:
+        result = flying.run(request, progress)
+    return context.finish(result)
+
+
+@command("sim")
+@click.option("--airframe", type=click.Choice(["paper", "rotor"]), default="paper", show_default=True)
+@click.option("--backend", type=click.Choice(["builtin", "sitl"]), default="builtin", show_default=True)
+@click.option("--hide", multiple=True, metavar="ID:key=value", help="Hide an effect, e.g. ground_effect:strength=0.1.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=5760, show_default=True, help="TCP port; 0 takes a free one."
+)
+@click.option(
+    "--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Times real time."
+)
+@click.option("--lockstep", is_flag=True, help="Wait for the client's clock (deterministic for a seed).")
+def sim(
+    context: Context,
+    airframe: str,
+    backend: str,
+    hide: tuple[str, ...],
+    seed: int,
+    port: int,
+    speed: float,
+    lockstep: bool,
+) -> int:
+    """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
+    from flighttest.pipeline import simulator
+
+    for line in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep):
+        context.show.say(line)
+    return 0
+
+
+@command("fetch-log")
+@click.option("--connect", metavar="URL", required=True, help="The vehicle.")
+@click.option(
+    "-o", "--output", "output", type=ANY, required=True, metavar="RUN", help="Run folder (or .bin file) to write."
+)
+@click.option("--log", "log_id", type=int, help="Number of the log; otherwise the newest.")
+def fetch_log(context: Context, connect: str, output: Path, log_id: int | None) -> int:
+    """Download the onboard log over MAVLink into a run folder."""
+    from flighttest.pipeline import flying
+
+    with LiveProgress(context.show) as progress:
+        result = flying.fetch_log(connect, output, log_id, progress)
+    return context.finish(result)
+
+
+COMMANDS: tuple[click.Command, ...] = (check, run, sim, fetch_log)

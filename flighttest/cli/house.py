@@ -1,0 +1,67 @@
+"""Commands about the tool itself: prove, terms, runs, doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from flighttest.cli.base import FOLDER, Context, command
+from flighttest.cli.live import LiveProgress
+
+
+@command("prove")
+@click.option("--trials", type=click.IntRange(min=1), default=20, show_default=True)
+@click.option("--generator", type=click.Choice(["rotor", "sitl"]), default="rotor", show_default=True)
+@click.option("--seed", type=int, help="First seed; otherwise new ones are drawn and printed.")
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
+@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for the sealed truths and the scoreboard.")
+def prove(
+    context: Context,
+    trials: int,
+    generator: str,
+    seed: int | None,
+    workers: int,
+    scheduler: str | None,
+    output: Path | None,
+) -> int:
+    """Hide effects in simulated flights, diagnose them blind, and print the scoreboard."""
+    from flighttest.pipeline import proving
+
+    with LiveProgress(context.show) as progress:
+        result = proving.prove(trials, generator, seed, workers, scheduler, output, progress)
+    return context.finish(result)
+
+
+@command("terms")
+@click.argument("ids", nargs=-1, metavar="[ID...]")
+def terms(context: Context, ids: tuple[str, ...]) -> int:
+    """The catalogue of physics: what each term is, what it hides in, and which maneuver shows it."""
+    from flighttest.pipeline import about
+
+    return context.finish(about.terms(ids))
+
+
+@command("runs")
+@click.argument("folder", type=FOLDER, default=Path("runs"), metavar="[DIR]")
+@click.option(
+    "--html", is_flag=True, help="Also write history.html: each parameter over runs, with the changes marked."
+)
+def runs(context: Context, folder: Path, html: bool) -> int:
+    """The runs on this machine: when, which script and vehicle, how they ended, what was fitted."""
+    from flighttest.pipeline import keeping
+
+    return context.finish(keeping.runs(folder, html=html))
+
+
+@command("doctor")
+@click.option("--connect", metavar="URL", help="Also try to reach a vehicle.")
+def doctor(context: Context, connect: str | None) -> int:
+    """What is installed and reachable, and what to do about what is not."""
+    from flighttest.pipeline import about
+
+    return context.finish(about.doctor(connect))
+
+
+COMMANDS: tuple[click.Command, ...] = (prove, terms, runs, doctor)

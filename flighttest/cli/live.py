@@ -1,0 +1,61 @@
+"""Progress while something goes on: a live picture on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+from rich.live import Live
+
+from flighttest.cli.show import Show
+from flighttest.report.flight_view import line, picture
+
+PLAIN_EVERY_S = 10.0
+
+
+class LiveProgress:
+    """Implements `pipeline.results.Progress`. Use as a context manager, so that the terminal is left as it was.
+
+    clock: seconds, injected by tests.
+    """
+
+    def __init__(self, show: Show, clock: Callable[[], float] = time.monotonic) -> None:
+        self._show = show
+        self._clock = clock
+        self._started_s = clock()
+        self._live: Live | None = None
+        self._last_line_s = -float("inf")
+        self._last_leg = ""
+
+    def __enter__(self) -> LiveProgress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    def stage(self, text: str) -> None:
+        """A new step of the pipeline begins: one line with the time since the start."""
+        self._stop()
+        self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
+
+    def flight(self, progress: Any) -> None:
+        """The flight went on: redraw the picture, or now and then a line."""
+        if self._show.live:
+            if self._live is None:
+                self._live = Live(console=self._show.side, refresh_per_second=8, transient=True)
+                self._live.start()
+            self._live.update(picture(progress))
+            return
+        now_s = self._clock()
+        if now_s - self._last_line_s >= PLAIN_EVERY_S:
+            self._last_line_s = now_s
+            self._show.say(f"{now_s - self._started_s:6.1f} s  {line(progress)}")
+
+    def _stop(self) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None

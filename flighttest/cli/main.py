@@ -1,0 +1,80 @@
+"""`flighttest`: the command line. Turns errors into one clear message and an exit code; a traceback means the fault is ours."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from flighttest import __version__
+from flighttest.cli import analyse, field, house, models
+from flighttest.cli.base import Context
+from flighttest.cli.show import Show
+from flighttest.errors import FlighttestError
+
+
+class InOrder(click.Group):
+    """Lists its commands in the order of work, not of the alphabet."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Command names as they were added."""
+        return list(self.commands)
+
+
+@click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="flighttest")
+def cli() -> None:
+    """Fly a multirotor's test maneuvers over MAVLink, identify its dynamics, and name the physics the model left out.
+
+    Start with `flighttest run thrust roll_pitch yaw_rate`: it flies the built-in simulated copter.
+
+    \b
+    Exit codes: 0 done, 1 flight aborted or unusable, 2 bad input or usage,
+    3 fit failed or a mismatch stays unexplained, 4 the model is stale.
+    """
+
+
+for module in (field, analyse, models, house):
+    for command in module.COMMANDS:
+        cli.add_command(command)
+
+
+def call(argv: Sequence[str]) -> int:
+    """Run one command line (without the program's name) and give its exit code."""
+    show = Show(as_json="--json" in argv)
+    try:
+        result = cli.main(args=list(argv), prog_name="flighttest", standalone_mode=False, obj=Context(show))
+        return int(result) if isinstance(result, int) else 0
+    except click.exceptions.NoArgsIsHelpError as error:
+        show.raw(error.format_message() + "\n")
+        return 0
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        hint = f"see: {context.command_path} --help" if context is not None else ""
+        show.usage(error.format_message(), hint)
+        return 2
+    except (click.Abort, KeyboardInterrupt):
+        show.say("stopped", style="warn")
+        return 1
+    except FlighttestError as error:
+        show.error(error)
+        return error.exit_code
+    except BrokenPipeError:
+        # The reader (head, less) went away: not worth a word, but Python would complain again while closing stdout.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        # A file that cannot be read or written is the typist's to mend: name it instead of a traceback.
+        if error.filename is None:
+            raise
+        show.error(
+            FlighttestError(f"{error.filename}: {error.strerror}", "check the path, its permissions and the free space")
+        )
+        return 2
+
+
+def main() -> None:
+    """Entry point of the `flighttest` program."""
+    sys.exit(call(sys.argv[1:]))

@@ -1,0 +1,106 @@
+"""`Document` to a rich renderable. Pure: width and colour belong to the console that draws it."""
+
+from __future__ import annotations
+
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.panel import Panel as Box
+from rich.syntax import Syntax
+from rich.table import Table as Grid
+from rich.text import Text
+
+from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Figure, Paragraph, Section, Table
+
+STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
+MARK = {"plain": "", "good": "OK", "warn": "!", "bad": "X", "quiet": ""}
+FOLDED_ROWS = 12
+
+
+def render(document: Document) -> RenderableType:
+    """The whole document: verdict in a box, facts, then the sections."""
+    verdict = Text(document.verdict, style=f"bold {STYLE[document.tone]}".strip())
+    parts: list[RenderableType] = [
+        Box(
+            verdict,
+            title=document.title,
+            title_align="left",
+            border_style=STYLE[document.tone] or "cyan",
+            padding=(0, 1),
+        )
+    ]
+    if document.facts:
+        parts.append(_facts(Facts(tuple(document.facts.items()))))
+    parts.extend(_section(section) for section in document.sections)
+    if document.footer:
+        parts.append(Padding(Text(document.footer, style="dim"), (1, 0, 0, 0)))
+    return Group(*parts)
+
+
+def _section(section: Section) -> RenderableType:
+    blocks = [drawn for block in section.blocks if (drawn := _block(block)) is not None]
+    head: list[RenderableType] = []
+    if section.title:
+        head.append(Text(section.title, style="bold cyan"))
+    if section.lead:
+        head.append(Text(section.lead))
+    if not head and not blocks:
+        return Text("")
+    return Padding(Group(*head, *blocks), (1, 0, 0, 0))
+
+
+def _block(block: Block) -> RenderableType | None:
+    if isinstance(block, Paragraph):
+        return Text(block.text, style=STYLE[block.tone])
+    if isinstance(block, Bullets):
+        grid = Grid.grid(padding=(0, 1))
+        grid.add_column(no_wrap=True)
+        grid.add_column()
+        for item in block.items:
+            grid.add_row("  -", item)
+        return grid
+    if isinstance(block, Facts):
+        return _facts(block)
+    if isinstance(block, Table):
+        return _table(block)
+    if isinstance(block, Code):
+        if "\n" in block.text:
+            return Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
+        return Text(f"  {block.text}", style="cyan")
+    if isinstance(block, Figure):
+        return None  # pictures are in the HTML report
+    return None
+
+
+def _facts(facts: Facts) -> RenderableType:
+    grid = Grid.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column()
+    for name, value in facts.pairs:
+        grid.add_row(name, value)
+    return grid
+
+
+def _table(table: Table) -> RenderableType:
+    grid = Grid(box=None, header_style="dim", padding=(0, 2, 0, 0), show_edge=False, title_justify="left")
+    for index, name in enumerate(table.columns):
+        align = table.align[index] if index < len(table.align) else "left"
+        grid.add_column(name, justify=align, overflow="fold", no_wrap=align == "right")
+    rows = table.rows[:FOLDED_ROWS] if table.fold else table.rows
+    for row in rows:
+        grid.add_row(*(_cell(cell) for cell in row))
+    parts: list[RenderableType] = [grid]
+    hidden = len(table.rows) - len(rows)
+    if hidden > 0:
+        parts.append(Text(f"... and {hidden} more (all of them in the HTML report and with --json)", style="dim"))
+    if table.caption:
+        parts.append(Text(table.caption, style="dim italic"))
+    return Group(*parts)
+
+
+def _cell(cell: Cell | str) -> Text:
+    if isinstance(cell, str):
+        return Text(cell)
+    text = Text(cell.text, style=STYLE[cell.tone])
+    if cell.note:
+        text.append(f" {cell.note}", style="dim")
+    return text
