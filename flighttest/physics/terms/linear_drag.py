@@ -10,7 +10,8 @@ from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, Te
 
 
 def _build(s: Signals, p: Mapping[str, Expr], _states: Mapping[str, Expr]) -> Contribution:
-    return Contribution(-ca.vertcat(p["d_x"], p["d_y"], p["d_z"]) * s.v_air_body)
+    d: Expr = ca.vertcat(p["d_x"], p["d_y"], p["d_z"])
+    return Contribution(-d * s.v_air_body)
 
 
 def _drag(axis: str, name: str, nominal: float) -> Param:
@@ -41,5 +42,5 @@ linear_drag = Term(
     hides_in=("K",),
     told_apart_by="speed at steady tilt",
     reveals="roll_pitch",
-    needs=("f_x_m_s2", "v_x_m_s"),
+    needs=("v_x_m_s",),
 )

@@ -1,0 +1,252 @@
+"""What the autopilot adds between the reference and the motors: this is no physics of the vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
+
+Values = Mapping[str, Expr]
+
+# Corner of the acceleration limit: the rate error over which it is reached is the limit times this, s.
+_CORNER_S = 0.02
+
+
+def _boost(s: Signals, p: Values, _x: Values) -> Contribution:
+    cosine = ca.fmax(ca.cos(s.target_roll) * ca.cos(s.target_pitch), 0.1)
+    return Contribution({"throttle": s.throttle * (1 + p["boost"] * (1 / cosine - 1))})
+
+
+angle_boost = Term(
+    id="angle_boost",
+    title="Angle boost",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param("boost", "b", "1", 1.0, -1.0, 3.0, 0.2, "1: throttle is divided by the cosine of the target tilt; 0: it is not",
+              "ArduPilot ATC_ANGLE_BOOST: 1"),
+    ),
+    build=_boost,
+    equation="T <- T (1 + b (1 / cos(target tilt) - 1))",
+    plain="the autopilot raises the throttle when it tilts, to hold the vertical part of the thrust; this is no physics of the vehicle",
+    source="ArduPilot AC_AttitudeControl_Multi::get_throttle_boosted",
+    doubt="on the target tilt, before the attitude loop; where the shaped target is not recorded, the reference stands for it",
+    hides_in=("K", "d_z"),
+    told_apart_by="tilt steps at rest and at speed",
+    reveals="roll_pitch",
+    needs=("throttle",),
+)  # fmt: skip
+
+
+def _softly(x: Expr, limit: Expr) -> Expr:
+    """x limited to +-limit: within 1 % of x below 0.55 limit."""
+    return x / (1 + (x / limit) ** 6) ** (1 / 6)
+
+
+def _rate_limit(s: Signals, p: Values, _x: Values) -> Contribution:
+    b, limit = s.base, p["rate_max"]
+
+    def lost(reference: Expr, angle: Expr, omega: Expr, zeta: Expr) -> Expr:
+        wanted = omega / (2 * zeta) * (reference - angle)
+        return 2 * zeta * omega * (_softly(wanted, limit) - wanted)
+
+    roll = lost(s.roll_ref, s.roll, b["omega_phi"], b["zeta_phi"])
+    pitch = lost(s.pitch_ref, s.pitch, b["omega_theta"], b["zeta_theta"])
+    return Contribution(ca.vertcat(roll, pitch, 0))
+
+
+rate_limit = Term(
+    id="rate_limit",
+    title="Attitude rate limit",
+    family="autopilot",
+    port=Port.ANGULAR,
+    params=(
+        Param(
+            "rate_max", "ω_max", "rad/s", 4.0, 0.3, 20.0, 1.0, "greatest roll and pitch rate the autopilot asks for",
+            "ATC_RATE_R_MAX, ATC_RATE_P_MAX; 60 to 360 deg/s", "shape", None, (1.5, 3.0, 5.0, 8.0),
+        ),
+    ),
+    build=_rate_limit,
+    equation="phi_dd = 2 zeta w (sat(w / (2 zeta) (phi_r - phi), rate_max) - phi_d)",
+    plain="the autopilot limits how fast it turns: large steps take longer than small ones",
+    source="ArduPilot ATC_RATE_R_MAX; paper, section 4 (limitations)",
+    doubt="cascade of an angle and a rate loop is assumed; the corner is soft",
+    hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta"),
+    told_apart_by="two amplitudes",
+    reveals="roll_pitch",
+    needs=("roll_ref_rad", "roll_rad"),
+)  # fmt: skip
+
+
+def _square_root(error: Expr, p: Expr, acceleration: Expr) -> Expr:
+    """ArduPilot's sqrt_controller: proportional near zero, constant deceleration beyond `acceleration / p^2`."""
+    linear = acceleration / p**2
+    size = ca.fabs(error)
+    far = ca.sqrt(2 * acceleration * ca.fmax(size - linear / 2, linear / 2))
+    return ca.if_else(size > linear, ca.sign(error) * far, p * error)
+
+
+def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
+    acceleration, tc = p["shaping_accel"], p["shaping_tc"]
+    rates: dict[str, Expr] = {}
+    targets = {}
+    for axis, reference, angle, rate in (
+        ("roll", s.roll_ref, s.roll, s.roll_rate),
+        ("pitch", s.pitch_ref, s.pitch, s.pitch_rate),
+    ):
+        target = angle + x[f"{axis}_target_ahead_rad"]
+        target_rate = x[f"{axis}_target_rate_rad_s"]
+        wanted = _square_root(reference - target, 1 / tc, acceleration)
+        rates[f"{axis}_target_ahead_rad"] = target_rate - rate
+        rates[f"{axis}_target_rate_rad_s"] = acceleration * ca.tanh((wanted - target_rate) / (acceleration * _CORNER_S))
+        targets[f"{axis}_ref"] = target
+    return Contribution(targets, rates)
+
+
+reference_shaping = Term(
+    id="reference_shaping",
+    title="Reference shaping",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param(
+            "shaping_accel", "a_s", "rad/s^2", 19.2, 0.5, 400.0, 5.0, "greatest angular acceleration of the shaped target",
+            "ATC_ACC_R_MAX, 1100 deg/s^2 by default", "shape", None, (5.0, 10.0, 19.2, 40.0),
+        ),
+        Param(
+            "shaping_tc", "t_c", "s", 0.15, 0.02, 0.6, 0.03, "time constant of the shaping near the target",
+            "ATC_INPUT_TC, 0.15 s by default", "shape", None, (0.08, 0.15, 0.3),
+        ),
+    ),
+    build=_shaping,
+    equation="target rate -> sqrt_controller(phi_r - target, 1 / t_c, a_s), with |target acceleration| <= a_s; the loop follows the target",
+    plain="the autopilot rounds off the reference before it follows it: large steps answer in another shape than small ones; this is "
+    "no physics of the vehicle",
+    source="ArduPilot AC_AttitudeControl::input_shaping_angle, sqrt_controller",
+    doubt="the feed-forward of the shaped rate is left to w and zeta; the target starts where the vehicle is",
+    hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "T_d"),
+    told_apart_by="two amplitudes",
+    reveals="roll_pitch",
+    needs=("roll_ref_rad", "roll_rad"),
+    states=(
+        State("roll_target_ahead_rad", "rad", "shaped roll target ahead of roll"),
+        State("roll_target_rate_rad_s", "rad/s", "rate of the shaped roll target"),
+        State("pitch_target_ahead_rad", "rad", "shaped pitch target ahead of pitch"),
+        State("pitch_target_rate_rad_s", "rad/s", "rate of the shaped pitch target"),
+    ),
+)  # fmt: skip
+
+
+def _yaw_shaping(s: Signals, p: Values, x: Values) -> Contribution:
+    ahead, acceleration = x["yaw_rate_target_ahead_rad_s"], p["shaping_yaw_accel"]
+    target = s.yaw_rate + ahead
+    target_dot = acceleration * ca.tanh((s.yaw_rate_ref - target) / (acceleration * _CORNER_S))
+    # The rate loop then answers the shaped target: yaw_rate_dot = sigma_r ahead.
+    return Contribution(
+        {"yaw_rate_ref": target}, {"yaw_rate_target_ahead_rad_s": target_dot - s.base["sigma_r"] * ahead}
+    )
+
+
+yaw_rate_shaping = Term(
+    id="yaw_rate_shaping",
+    title="Yaw rate shaping",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param(
+            "shaping_yaw_accel", "a_r", "rad/s^2", 4.7, 0.2, 200.0, 2.0, "greatest acceleration of the yaw rate target",
+            "ATC_ACC_Y_MAX, 270 deg/s^2 by default", "shape", None, (2.0, 4.7, 10.0, 20.0),
+        ),
+    ),
+    build=_yaw_shaping,
+    equation="|d/dt yaw rate target| <= a_r; the loop follows the target",
+    plain="the autopilot ramps the yaw rate instead of stepping it; this is no physics of the vehicle",
+    source="ArduPilot AC_AttitudeControl::input_shaping_ang_vel",
+    doubt="the heading error that the ramp leaves, and its catching up, are not in it",
+    hides_in=("sigma_r", "T_d"),
+    told_apart_by="two amplitudes",
+    reveals="yaw_rate",
+    needs=("yaw_rate_ref_rad_s", "r_rad_s"),
+    states=(State("yaw_rate_target_ahead_rad_s", "rad/s", "shaped yaw rate target ahead of the yaw rate"),),
+)  # fmt: skip
+
+
+def _extra_pole(s: Signals, p: Values, x: Values) -> Contribution:
+    tau, share = p["attitude_pole_tau"], p["attitude_pole_share"]
+    rates: dict[str, Expr] = {}
+    targets = {}
+    for axis, reference, angle, rate in (
+        ("roll", s.roll_ref, s.roll, s.roll_rate),
+        ("pitch", s.pitch_ref, s.pitch, s.pitch_rate),
+    ):
+        filtered = angle + x[f"{axis}_filtered_ahead_rad"]
+        rates[f"{axis}_filtered_ahead_rad"] = (reference - filtered) / tau - rate
+        targets[f"{axis}_ref"] = reference + share * (filtered - reference)
+    return Contribution(targets, rates)
+
+
+attitude_extra_pole = Term(
+    id="attitude_extra_pole",
+    title="A third pole in the attitude loop",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param(
+            "attitude_pole_share", "b", "1", 1.0, -2.0, 1.0, 0.2, "1: a pure pole; between 0 and 1: a pole and a zero; 0: none",
+            "filters and motors inside the attitude loop: 1",
+        ),
+        Param(
+            "attitude_pole_tau", "τ_3", "s", 0.04, 0.012, 0.5, 0.02, "time constant of the pole",
+            "rate loop filters and motors: 0.02 to 0.1", "shape", None, (0.03, 0.07, 0.15),
+        ),
+    ),
+    build=_extra_pole,
+    equation="reference <- (1 - b) reference + b x, x_dot = (reference - x) / tau_3",
+    plain="the attitude loop has more inside than a second order: filters and motors add a pole or a zero",
+    source="ArduPilot rate PID filters, INS_GYRO_FILTER, motor lag",
+    doubt="close to a longer attitude delay (cosine 0.90 after the base refit)",
+    hides_in=("T_d", "zeta_phi", "zeta_theta"),
+    told_apart_by="shape",
+    reveals="roll_pitch",
+    needs=("roll_ref_rad", "roll_rad"),
+    states=(
+        State("roll_filtered_ahead_rad", "rad", "filtered roll reference ahead of roll"),
+        State("pitch_filtered_ahead_rad", "rad", "filtered pitch reference ahead of pitch"),
+    ),
+)  # fmt: skip
+
+
+def _coupling(s: Signals, p: Values, _x: Values) -> Contribution:
+    return Contribution(
+        {
+            "roll_ref": s.roll_ref + p["pitch_to_roll"] * s.pitch_ref,
+            "pitch_ref": s.pitch_ref + p["roll_to_pitch"] * s.roll_ref,
+        }
+    )
+
+
+def _coupling_param(name: str, what: str) -> Param:
+    return Param(name, name, "1", 0.05, -0.5, 0.5, 0.03, what, "frame asymmetry, IMU turned by a few degrees: 0 to 0.1")
+
+
+roll_pitch_coupling = Term(
+    id="roll_pitch_coupling",
+    title="Roll and pitch answer each other",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        _coupling_param("pitch_to_roll", "share of the pitch reference that appears in roll"),
+        _coupling_param("roll_to_pitch", "share of the roll reference that appears in pitch"),
+    ),
+    build=_coupling,
+    equation="roll_ref <- roll_ref + c_pr pitch_ref;  pitch_ref <- pitch_ref + c_rp roll_ref",
+    plain="a roll command also moves pitch, or the other way round: the autopilot is turned against the frame, or the mixer is off",
+    source="rotation of the autopilot about the vertical: c_pr = -c_rp",
+    doubt="static coupling only",
+    hides_in=(),
+    told_apart_by="single-axis steps",
+    reveals="roll_pitch",
+    needs=("roll_ref_rad", "roll_rad"),
+)
