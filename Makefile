@@ -23,6 +23,9 @@ check: .venv/installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: .venv/installed  ## write the generated parts of docs/
+	$(BIN)/python docs/generate.py
+
 sitl: .venv/installed  ## fly the demo on a real ArduPilot SITL
 	$(BIN)/python sitl/launch.py --fly
 

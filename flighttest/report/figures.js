@@ -41,7 +41,7 @@
           return trace;
         });
         const layout = Object.assign(paint(panel.layout, colours), { height: item.spec.height, font: { family: getComputedStyle(document.body).fontFamily, size: 11, color: colours.ink } });
-        Plotly.react(item.plots[index], data, layout, { displaylogo: false, responsive: true, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d"] });
+        Plotly.react(item.plots[index], data, layout, { displayModeBar: false, responsive: true });
       });
     }
   }

@@ -1,0 +1,82 @@
+"""Writes what can be computed into the docs: `python docs/generate.py` (or `make docs`); `--check` only compares.
+
+docs/cli.md is wholly generated. In the others, the text between `<!-- generated: NAME -->` and `<!-- end -->` is.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from flighttest.channels import CHANNELS
+from flighttest.cli.main import cli
+from flighttest.physics.catalogue import catalogue
+
+DOCS = Path(__file__).resolve().parent
+BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def commands() -> str:
+    """docs/cli.md: the help page of every command."""
+    parts = ["# The command line", "", "Generated from the program's own help by `make docs`; a test keeps it current.", ""]
+    context = click.Context(cli, info_name="flighttest", terminal_width=100, help_option_names=["-h", "--help"])
+    parts += ["```", cli.get_help(context), "```", ""]
+    for name, command in cli.commands.items():
+        child = click.Context(command, info_name=name, parent=context, terminal_width=100)
+        parts += [f"## flighttest {name}", "", "```", command.get_help(child), "```", ""]
+    return "\n".join(parts)
+
+
+def channels() -> str:
+    """The table of measured quantities."""
+    rows = [f"| `{c.name}` | {c.unit} | {c.frame} | {c.group} | {c.doc} |" for c in CHANNELS.values()]
+    return "\n".join(["| name | unit | frame | group | meaning |", "|---|---|---|---|---|", *rows]) + "\n"
+
+
+def terms() -> str:
+    """The catalogue of physics."""
+    rows = [
+        f"| `{t.id}` | {t.family} | {t.title} | {', '.join(f'{p.name} ({p.unit})' for p in t.params)} "
+        f"| {', '.join(t.hides_in) or 'nothing'} | {t.told_apart_by} | {t.reveals} |"
+        for t in catalogue().values()
+    ]
+    head = ["| id | family | what | parameters | hides in | told apart by | shown by |", "|---|---|---|---|---|---|---|"]
+    return "\n".join([*head, *rows]) + "\n"
+
+
+BLOCKS: dict[str, Callable[[], str]] = {"channels": channels, "terms": terms}
+
+
+def pages() -> dict[Path, str]:
+    """Every page with generated parts, as it should be."""
+    wanted = {DOCS / "cli.md": commands()}
+    for page in sorted(DOCS.glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if BLOCK.search(text):
+            wanted[page] = BLOCK.sub(lambda m: m.group(1) + BLOCKS[m.group(2)]() + m.group(3), text)
+    return wanted
+
+
+def stale() -> list[str]:
+    """Names of pages that are not as they should be."""
+    return [p.name for p, text in pages().items() if not p.is_file() or p.read_text(encoding="utf-8") != text]
+
+
+def main() -> int:
+    """Write the pages, or with --check say which are stale."""
+    if "--check" in sys.argv[1:]:
+        names = stale()
+        if names:
+            print(f"stale: {', '.join(names)}; run make docs")
+        return 1 if names else 0
+    for page, text in pages().items():
+        page.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
