@@ -22,7 +22,12 @@ BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 def commands() -> str:
     """docs/cli.md: the help page of every command."""
-    parts = ["# The command line", "", "Generated from the program's own help by `make docs`; a test keeps it current.", ""]
+    parts = [
+        "# The command line",
+        "",
+        "Generated from the program's own help by `make docs`; a test keeps it current.",
+        "",
+    ]
     context = click.Context(cli, info_name="flighttest", terminal_width=100, help_option_names=["-h", "--help"])
     parts += ["```", cli.get_help(context), "```", ""]
     for name, command in cli.commands.items():
@@ -44,7 +49,10 @@ def terms() -> str:
         f"| {', '.join(t.hides_in) or 'nothing'} | {t.told_apart_by} | {t.reveals} |"
         for t in catalogue().values()
     ]
-    head = ["| id | family | what | parameters | hides in | told apart by | shown by |", "|---|---|---|---|---|---|---|"]
+    head = [
+        "| id | family | what | parameters | hides in | told apart by | shown by |",
+        "|---|---|---|---|---|---|---|",
+    ]
     return "\n".join([*head, *rows]) + "\n"
 
 

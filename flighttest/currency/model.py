@@ -1,0 +1,115 @@
+"""What the currency room answers with: verdict, changes, tests, and what to fly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Parameter subsets of the paper (section 3) and the shipped script that identifies each.
+SUBSETS: dict[str, tuple[str, ...]] = {
+    "attitude": ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta"),
+    "yaw": ("sigma_r",),
+    "thrust": ("sigma_t", "K", "alpha"),
+    "drag": ("d_x", "d_y", "d_z"),
+}
+SCRIPTS: dict[str, tuple[str, ...]] = {
+    "attitude": ("roll_pitch",),
+    "yaw": ("yaw_rate",),
+    "thrust": ("thrust",),
+    "drag": ("roll_pitch",),
+}
+ALL_SCRIPTS: tuple[str, ...] = ("roll_pitch", "yaw_rate", "thrust")
+
+
+class Verdict(Enum):
+    """Whether the model still holds. The value is the sentence shown to the reader."""
+
+    CURRENT = "the model still holds for this vehicle"
+    STALE = "the model is stale: fly the named scripts again"
+    UNKNOWN = "nothing here can tell whether the model still holds"
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something declared that differs between the model's vehicle and today's.
+
+    kind: component, firmware, parameter, voltage or frame. touches: subsets of `SUBSETS`; scripts: the paper's rule (all of
+    them); narrower: scripts that would do, with the reason in `because`.
+    """
+
+    kind: str
+    name: str
+    before: str
+    after: str
+    touches: tuple[str, ...]
+    scripts: tuple[str, ...]
+    narrower: tuple[str, ...]
+    because: str
+    since: str = ""
+
+
+@dataclass(frozen=True)
+class SubsetTest:
+    """One parameter subset of a new recording against the stored model.
+
+    statistic: squared Mahalanobis distance over `dof` parameters, p_value under "nothing changed", alarm when below `level`.
+    shifts: parameter to (relative change, z). sentence: what an operator reads.
+    """
+
+    subset: str
+    statistic: float
+    dof: int
+    p_value: float
+    level: float
+    alarm: bool
+    shifts: Mapping[str, tuple[float, float]]
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A CUSUM over runs of one parameter: its largest excursion against the limit.
+
+    false_alarm_every: mean number of unchanged runs between false alarms. crossed_at: name of the run, or empty.
+    """
+
+    parameter: str
+    excursion: float
+    limit: float
+    false_alarm_every: float
+    crossed_at: str
+    change: float
+
+
+@dataclass(frozen=True)
+class BatteryCheck:
+    """Internal resistance from voltage against current. resistance_ohm: (value, std); None where it cannot be told, and why."""
+
+    resistance_ohm: tuple[float, float] | None
+    reference_ohm: tuple[float, float] | None
+    alarm: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Currency:
+    """The whole answer. fly: script names, in order; because: why the verdict is what it is, one sentence each."""
+
+    verdict: Verdict
+    sentence: str
+    changes: tuple[Change, ...] = ()
+    tests: tuple[SubsetTest, ...] = ()
+    drifts: tuple[Drift, ...] = ()
+    battery: BatteryCheck | None = None
+    fly: tuple[str, ...] = ()
+    fly_narrow: tuple[str, ...] = ()
+    could_also_be: tuple[str, ...] = ()
+    cannot_tell: tuple[str, ...] = ()
+    minutes: float | None = None
+    evidence: Mapping[str, object] = field(default_factory=dict)
