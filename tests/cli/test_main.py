@@ -1,0 +1,116 @@
+"""Words to exit code: mistakes give one clear message and a number, in both languages; a fault of ours gives a traceback."""
+
+import json
+
+import click
+import pytest
+
+from flighttest.cli import main as cli_main
+from flighttest.errors import FitError, InputError, LinkError, PreflightError, Problem
+from flighttest.pipeline import about
+
+
+def call(capsys, *argv):
+    code = cli_main.call(list(argv))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def raising(monkeypatch, error):
+    def fail(ids):
+        raise error
+
+    monkeypatch.setattr(about, "terms", fail)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (InputError("bad file", "mend it"), 2),
+        (LinkError("silent", "plug it in"), 1),
+        (FitError("no data", "fly more"), 3),
+    ],
+)
+def test_an_error_is_one_message_with_its_remedy(capsys, monkeypatch, error, code):
+    raising(monkeypatch, error)
+    got, out, err = call(capsys, "terms")
+    assert got == code
+    assert out == ""
+    assert error.message in err
+    assert error.hint in err
+    assert "Traceback" not in err
+    got, out, err = call(capsys, "terms", "--json")
+    assert got == code
+    assert json.loads(out)["error"]["message"] == error.message
+    assert err == ""
+
+
+def test_all_problems_and_refusals_reach_json(capsys, monkeypatch):
+    raising(
+        monkeypatch,
+        InputError.of([Problem("a.yaml", 3, "limits", "too high", "lower it"), Problem("a.yaml", 9, "", "odd")]),
+    )
+    _, out, _ = call(capsys, "terms", "--json")
+    assert [p["line"] for p in json.loads(out)["error"]["problems"]] == [3, 9]
+    raising(monkeypatch, PreflightError([("no fence", "set FENCE_ENABLE 1")]))
+    code, out, _ = call(capsys, "terms", "--json")
+    assert code == 1
+    assert json.loads(out)["error"]["refusals"] == [{"what": "no fence", "remedy": "set FENCE_ENABLE 1"}]
+
+
+def test_our_own_faults_are_tracebacks(capsys, monkeypatch):
+    raising(monkeypatch, RuntimeError("a bug"))
+    with pytest.raises(RuntimeError):
+        call(capsys, "terms")
+
+
+def test_files_that_cannot_be_written_are_no_traceback(capsys, monkeypatch):
+    raising(monkeypatch, PermissionError(13, "Permission denied", "/root/x"))
+    code, _, err = call(capsys, "terms")
+    assert code == 2
+    assert "/root/x: Permission denied" in err
+
+
+@pytest.mark.parametrize(
+    "argv", [("bogus",), ("fit",), ("fit", "--nope", "x"), ("run",), ("export", "m.yaml", "--to", "fortran")]
+)
+def test_usage_mistakes(capsys, argv):
+    code, _, err = call(capsys, *argv)
+    assert code == 2
+    assert "error:" in err
+    code, out, _ = call(capsys, *argv, "--json")
+    assert code == 2
+    assert json.loads(out)["error"]["kind"] == "usage"
+
+
+def test_no_arguments_print_the_help(capsys):
+    code, out, _ = call(capsys)
+    assert code == 0
+    assert "Commands:" in out
+
+
+@pytest.mark.parametrize("name", sorted(cli_main.cli.commands))
+def test_every_command_explains_itself(capsys, name):
+    code, out, _ = call(capsys, name, "--help")
+    assert code == 0
+    assert "--json" in out
+
+
+def test_ctrl_c_is_not_a_traceback(capsys, monkeypatch):
+    raising(monkeypatch, click.Abort())
+    assert call(capsys, "terms")[0] == 1
+
+
+def test_terms_in_both_languages(capsys):
+    code, out, _ = call(capsys, "terms", "--json")
+    assert code == 0
+    listed = {t["id"]: t for t in json.loads(out)["terms"]}
+    assert listed["linear_drag"]["parameters"][0]["unit"] == "1/s"
+    code, out, _ = call(capsys, "terms", "ground_efect")
+    assert code == 2
+
+
+def test_doctor_says_what_is_here(capsys):
+    _, out, _ = call(capsys, "doctor", "--json")
+    checks = {c["what"]: c for c in json.loads(out)["checks"]}
+    assert checks["casadi"]["ok"]

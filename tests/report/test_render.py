@@ -1,0 +1,140 @@
+"""One document, three renderings: a page that needs nothing else, a terminal of any width, plain JSON."""
+
+import io
+import json
+import re
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from rich.console import Console
+
+from flighttest.report import figures, html, terminal
+from flighttest.report.document import (
+    Bullets,
+    Cell,
+    Code,
+    Document,
+    Facts,
+    Figure,
+    Panel,
+    Paragraph,
+    Section,
+    Table,
+    Trace,
+)
+from flighttest.report.plain import plain
+
+T = np.linspace(0.0, 1.0, 30)
+
+
+def traces():
+    y = np.sin(T)
+    y[3] = np.nan
+    return (
+        Trace(T, y, "measured", "measured", "markers"),
+        Trace(T, y, "simulated", "simulated"),
+        Trace(T, y, "command", "reference", "steps"),
+        Trace(T, y, "with bars", "other", "errorbars", spread=np.full(30, 0.1)),
+        Trace(T, y, "hidden", "no_drag", shown=False),
+    )
+
+
+def document():
+    heat = Trace([1.0, 2.0], ["a_x", "a_z"], "share", "other", "heat", z=[[0.1, np.nan], [0.4, 0.2]])
+    path = Trace(T, T, "path", "model", "lines3d", z=T)
+    figure = Figure(
+        "f",
+        (
+            Panel("roll </script>", "s", "rad", traces()),
+            Panel("map", "m", "", (heat,)),
+            Panel("path", "x", "y", (path,), "z"),
+        ),
+        "caption",
+    )
+    table = Table(
+        ("name", "value"), (("K", Cell("54.6", "good", "m/s^2")), ("<b>", "1")), ("left", "right"), "a caption"
+    )
+    long = Table(("n",), tuple((str(i),) for i in range(40)), fold=True)
+    blocks = (
+        Paragraph("prose"),
+        Bullets(("one", "two")),
+        Facts((("a", "b"),)),
+        table,
+        long,
+        Code("x: 1\ny: 2"),
+        figure,
+    )
+    return Document(
+        "title & more", "the verdict", "warn", (Section("s", "Section", blocks, "lead"),), {"vehicle": "hexa"}, "foot"
+    )
+
+
+def test_the_page_is_self_contained():
+    page = html.render(document())
+    outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", outside)
+    assert "@import" not in outside
+    assert page.count("plotly.js v") == 1
+
+
+def test_a_page_without_figures_carries_no_script():
+    page = html.render(Document("t", "v", sections=(Section("s", "S", (Paragraph("p"),)),)))
+    assert "<script" not in page
+    assert len(page) < 20_000
+
+
+def test_text_is_escaped_and_specs_survive_the_script_element():
+    page = html.render(document())
+    assert "&lt;b&gt;" in page
+    assert "title &amp; more" in page
+    specs = re.findall(r'<script type="application/json" id="[^"]+">(.*?)</script>', page, flags=re.DOTALL)
+    assert len(specs) == 1
+    assert json.loads(specs[0])["panels"][0]["layout"]["title"]["text"] == "roll </script>"
+
+
+def test_plotly_accepts_every_panel():
+    colours = re.compile(r'"@heat"')
+    for panel in figures.specification(document().sections[0].blocks[-1])["panels"]:
+        text = colours.sub('[[0,"#fff"],[1,"#000"]]', json.dumps(panel))
+        go.Figure(json.loads(re.sub(r'"@\w+"', '"#123456"', text)))
+
+
+def test_the_page_knows_a_colour_for_every_role():
+    script = (Path(figures.__file__).parent / "figures.js").read_text()
+    from typing import get_args
+
+    from flighttest.report.document import Role
+
+    for role in get_args(Role):
+        assert len(re.findall(rf"\b{role}: \"#", script)) == 2, role  # light and dark
+
+
+@pytest.mark.parametrize("width", [50, 80, 140])
+def test_the_terminal_keeps_its_width(width):
+    out = io.StringIO()
+    Console(file=out, width=width, color_system=None).print(terminal.render(document()))
+    lines = out.getvalue().splitlines()
+    assert max(len(line.rstrip()) for line in lines) <= width
+    text = out.getvalue()
+    assert "the verdict" in text
+    assert "... and 28 more" in text
+
+
+def test_plain_json_has_no_nan_and_keeps_enum_names():
+    class Colour(Enum):
+        RED = "is a sentence"
+
+    @dataclass
+    class Thing:
+        a: float
+        b: np.ndarray
+        c: Colour
+        f: object = print
+
+    data = plain(Thing(float("nan"), np.array([1.0, np.inf]), Colour.RED))
+    assert data == {"a": None, "b": [1.0, None], "c": "RED"}
+    json.dumps(data, allow_nan=False)
