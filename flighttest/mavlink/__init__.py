@@ -1,0 +1,25 @@
+"""MAVLink messages to channels and targets, and back: one place with degE7, centimetres and signs. Knows no maneuvers."""
+
+from flighttest.mavlink.clock import ClockEstimate, estimate_clock
+from flighttest.mavlink.decode import WANTED, Decoded, decode_stream
+from flighttest.mavlink.marks import mark_message, mark_text, parse_mark
+from flighttest.mavlink.modes import CopterMode, mode_name
+from flighttest.mavlink.targets import target_message
+from flighttest.mavlink.telemetry import RULES, columns_of, offset_m
+
+__all__ = [
+    "RULES",
+    "WANTED",
+    "ClockEstimate",
+    "CopterMode",
+    "Decoded",
+    "columns_of",
+    "decode_stream",
+    "estimate_clock",
+    "mark_message",
+    "mark_text",
+    "mode_name",
+    "offset_m",
+    "parse_mark",
+    "target_message",
+]

@@ -1,0 +1,306 @@
+"""A stream of recorded MAVLink messages to channels on the vehicle's clock: what both the recorder and the tlog importer use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.errors import RecordingError
+from flighttest.mavlink.clock import ClockEstimate, estimate_clock
+from flighttest.mavlink.dialect import book, firmware_version, is_vehicle
+from flighttest.mavlink.marks import Text, markers_from_texts
+from flighttest.mavlink.modes import mode_name
+from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
+from flighttest.mavlink.telemetry import RULES, STAMP_SCALE, Rule
+from flighttest.recording import Marker, Series
+
+FloatArray = NDArray[np.float64]
+
+_GROUPS = tuple(dict.fromkeys(rule.group for rule in RULES))
+_REBOOT_S = 1.0  # the vehicle's time going back by more than this is a reboot, by less a reordered datagram
+_STAMP_TRUST_S = 30.0
+_HALF_MS = 0.5e-3  # time_boot_ms is rounded down
+_STAMP_AGREEMENT_S = 0.2  # a sender whose stamps stay this near to the vehicle's time stamps on the vehicle's clock
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What a message stream holds. See `Recording` and `Provenance` for the meaning of the fields.
+
+    series: group to Series on the vehicle's clock. origin: (latitude, longitude) deg of the local frame, or None. counts: message
+    name to number received. vehicle_system: the system id that was taken as the vehicle.
+    """
+
+    series: Mapping[str, Series]
+    markers: tuple[Marker, ...]
+    clock: ClockEstimate
+    parameters: Mapping[str, float]
+    firmware: str
+    losses: tuple[str, ...]
+    derived: Mapping[str, str]
+    reference_clock: str
+    vehicle_system: int
+    origin: tuple[float, float] | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+
+class _Rows:
+    """Ground times and field values of one message type of one system."""
+
+    def __init__(self, fields: tuple[str, ...]) -> None:
+        self.fields = fields
+        self.get: Callable[[Any], Any] = attrgetter(*fields)
+        self.ground_s: list[float] = []
+        self.values: list[Any] = []
+
+    def add(self, t_s: float, message: Any) -> None:
+        self.ground_s.append(t_s)
+        self.values.append(self.get(message))
+
+    def raw(self) -> dict[str, FloatArray]:
+        columns = zip(*self.values, strict=True) if len(self.fields) > 1 else [self.values]
+        return {name: np.asarray(column, dtype=float) for name, column in zip(self.fields, columns, strict=True)}
+
+
+def _fields_of(message: str) -> tuple[str, ...]:
+    wanted = {f for rule in RULES if rule.message == message for f in rule.fields}
+    wanted |= {rule.stamp for rule in RULES if rule.message == message and rule.stamp}
+    return tuple(sorted(wanted))
+
+
+_FIELDS: dict[str, tuple[str, ...]] = {rule.message: _fields_of(rule.message) for rule in RULES}
+_FIELDS["SET_ATTITUDE_TARGET"] = ("time_boot_ms", *REFERENCE_FIELDS)
+_FIELDS["HEARTBEAT"] = ("type", "autopilot", "base_mode", "custom_mode")
+_FIELDS["ATTITUDE_TARGET"] = (*_FIELDS["ATTITUDE_TARGET"], "thrust")
+
+WANTED: frozenset[str] = frozenset(_FIELDS) | {
+    "STATUSTEXT", "TIMESYNC", "PARAM_VALUE", "AUTOPILOT_VERSION", "GPS_GLOBAL_ORIGIN", "HOME_POSITION",
+}  # fmt: skip
+"""The messages `decode_stream` reads; an importer may skip the rest."""
+
+
+class _Collector:
+    """One pass over the stream: rows by (system, message), and the few messages that are read one by one."""
+
+    def __init__(self) -> None:
+        self.rows: dict[tuple[int, str], _Rows] = {}
+        self.autopilots: dict[int, int] = {}
+        self.texts: list[Text] = []
+        self.parameters: dict[int, dict[str, float]] = {}
+        self.firmware: dict[int, str] = {}
+        self.origins: dict[int, tuple[float, float]] = {}
+        self.asked: dict[int, float] = {}
+        self.round_trips: dict[int, list[tuple[float, float, float]]] = {}
+
+    def add(self, t_s: float, message: Any) -> None:
+        kind = message.get_type()
+        if kind not in WANTED:
+            return
+        system = message.get_srcSystem()
+        fields = _FIELDS.get(kind)
+        if fields is not None:
+            if kind == "HEARTBEAT":
+                if not is_vehicle(message):
+                    return
+                self.autopilots[system] = self.autopilots.get(system, 0) + 1
+            rows = self.rows.get((system, kind))
+            if rows is None:
+                rows = self.rows[system, kind] = _Rows(fields)
+            rows.add(t_s, message)
+        elif kind == "STATUSTEXT":
+            self.texts.append(
+                Text(t_s, system, int(message.severity), message.text, int(message.id), int(message.chunk_seq))
+            )
+        elif kind == "TIMESYNC":
+            self._timesync(t_s, system, message)
+        elif kind == "PARAM_VALUE":
+            self.parameters.setdefault(system, {})[message.param_id] = float(message.param_value)
+        elif kind == "AUTOPILOT_VERSION":
+            self.firmware[system] = firmware_version(message)
+        elif message.latitude or message.longitude:
+            self.origins.setdefault(system, (message.latitude * 1e-7, message.longitude * 1e-7))
+
+    def _timesync(self, t_s: float, system: int, message: Any) -> None:
+        if message.tc1 == 0:
+            self.asked[message.ts1] = t_s
+        elif message.ts1 in self.asked:
+            trip = (self.asked.pop(message.ts1), message.tc1 * 1e-9, t_s)
+            self.round_trips.setdefault(system, []).append(trip)
+
+
+def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | None = None) -> Decoded:
+    """Decode messages in the order received or sent.
+
+    stream: (ground time s, pymavlink message), both directions. vehicle_system: the vehicle's system id; None takes the one with most
+    autopilot heartbeats. RecordingError when no vehicle, or no message with the vehicle's time, is in the stream.
+    """
+    collected = _Collector()
+    for t_s, message in stream:
+        collected.add(t_s, message)
+    if vehicle_system is None:
+        if not collected.autopilots:
+            raise RecordingError("no autopilot HEARTBEAT in the MAVLink stream", "is this the log of a vehicle's link?")
+        vehicle_system = max(collected.autopilots, key=lambda s: collected.autopilots[s])
+    return _assemble(collected, vehicle_system)
+
+
+def _assemble(collected: _Collector, system: int) -> Decoded:
+    raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == system}
+    ground = {kind: np.asarray(collected.rows[system, kind].ground_s) for kind in raw}
+    losses: list[str] = []
+    span = _last_boot(raw, ground, losses)
+    for kind in raw:
+        inside = (ground[kind] >= span[0]) & (ground[kind] <= span[1])
+        if not inside.all():
+            raw[kind] = {name: values[inside] for name, values in raw[kind].items()}
+            ground[kind] = ground[kind][inside]
+    stamped = [(ground[r.message], _stamps(r, raw[r.message])) for r in _stamped_rules(raw)]
+    if not stamped and system not in collected.round_trips:
+        raise RecordingError(
+            "no message carries the vehicle's time",
+            "record ATTITUDE, HIGHRES_IMU or LOCAL_POSITION_NED with the flight",
+        )
+    trips = [t for t in collected.round_trips.get(system, []) if span[0] <= t[0] <= span[1]]
+    clock = estimate_clock(
+        np.concatenate([g for g, _ in stamped]) if stamped else [],
+        np.concatenate([v for _, v in stamped]) if stamped else [],
+        trips,
+    )
+    series, derived = _series(raw, ground, clock, losses)
+    reference, reference_clock, clock = _reference(collected, system, span, clock, losses)
+    if reference is not None:
+        series["reference"] = reference
+    elif "ATTITUDE_TARGET" in raw:
+        t_s = raw["ATTITUDE_TARGET"]["time_boot_ms"] * 1e-3
+        series["reference"] = _ordered(t_s, {"throttle": raw["ATTITUDE_TARGET"]["thrust"]}, "ATTITUDE_TARGET", losses)
+        derived["throttle"] = "the vehicle's ATTITUDE_TARGET.thrust: no SET_ATTITUDE_TARGET was recorded"
+        reference_clock = "vehicle"
+    beats = raw.get("HEARTBEAT", {})
+    markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
+    if beats:
+        t_s = clock.to_vehicle(ground["HEARTBEAT"])
+        armed = (beats["base_mode"].astype(int) & book.MAV_MODE_FLAG_SAFETY_ARMED) != 0
+        series["state"] = _ordered(
+            t_s, {"mode": beats["custom_mode"], "armed": armed.astype(float)}, "HEARTBEAT", losses
+        )
+        markers += _mode_markers(series["state"])
+    return Decoded(
+        series=series,
+        markers=tuple(sorted(markers, key=lambda m: m.t_s)),
+        clock=clock,
+        parameters=collected.parameters.get(system, {}),
+        firmware=collected.firmware.get(system, ""),
+        losses=tuple(losses),
+        derived=derived,
+        reference_clock=reference_clock,
+        vehicle_system=system,
+        origin=collected.origins.get(system),
+        counts={kind: int(times.size) for kind, times in ground.items()},
+    )
+
+
+def _stamped_rules(raw: Mapping[str, Any]) -> list[Rule]:
+    seen = {rule.message: rule for rule in RULES if rule.stamp and rule.message in raw}
+    return list(seen.values())
+
+
+def _stamps(rule: Rule, raw: Mapping[str, FloatArray]) -> FloatArray:
+    """The vehicle's time stamps, s, of a rule that has them."""
+    assert rule.stamp is not None
+    return raw[rule.stamp] * STAMP_SCALE[rule.stamp]
+
+
+def _last_boot(
+    raw: Mapping[str, dict[str, FloatArray]], ground: Mapping[str, FloatArray], losses: list[str]
+) -> tuple[float, float]:
+    """The span of ground time, s, of the longest time the vehicle ran without a reboot."""
+    best: Rule | None = max(_stamped_rules(raw), key=lambda r: ground[r.message].size, default=None)
+    if best is None:
+        return -np.inf, np.inf
+    v = _stamps(best, raw[best.message])
+    back = np.flatnonzero(np.diff(v) < -_REBOOT_S) + 1
+    if back.size == 0:
+        return -np.inf, np.inf
+    edges = np.concatenate([[0], back, [v.size]])
+    longest = int(np.argmax(np.diff(edges)))
+    start, end = int(edges[longest]), int(edges[longest + 1])
+    losses.append(f"the vehicle's clock restarted {back.size} times (a reboot); only its longest run was read")
+    g = ground[best.message]
+    return float(g[start]), float(g[end - 1])
+
+
+def _series(
+    raw: Mapping[str, dict[str, FloatArray]], ground: Mapping[str, FloatArray], clock: ClockEstimate, losses: list[str]
+) -> tuple[dict[str, Series], dict[str, str]]:
+    series: dict[str, Series] = {}
+    derived: dict[str, str] = {}
+    for group in _GROUPS:
+        found: list[tuple[Rule, Series]] = []
+        for rule in (r for r in RULES if r.group == group and r.message in raw):
+            fields = raw[rule.message]
+            t_s = _stamps(rule, fields) if rule.stamp else clock.to_vehicle(ground[rule.message])
+            if rule.keep is not None:
+                kept = rule.keep(fields)
+                fields, t_s = {n: v[kept] for n, v in fields.items()}, t_s[kept]
+            if t_s.size:
+                found.append((rule, _ordered(t_s, rule.convert(fields), rule.message, losses)))
+        # A better message that came at a trickle is not better: it must have at least a fifth of the samples of the densest.
+        most = max((len(s) for _, s in found), default=0)
+        for rule, candidate in found:
+            if len(candidate) >= 0.2 * most:
+                series[group] = candidate
+                if rule.note:
+                    derived.update(dict.fromkeys(candidate.columns, rule.note))
+                break
+    return series, derived
+
+
+def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, losses: list[str]) -> Series:
+    """Sorted by time; of samples with one time stamp the last is kept, and the loss is said."""
+    order = np.argsort(t_s, kind="stable")
+    t = t_s[order]
+    last = np.concatenate([np.diff(t) > 0, [True]]) if t.size else np.zeros(0, dtype=bool)
+    doubled = int(t.size - np.count_nonzero(last))
+    if doubled > 0.01 * t.size:
+        sentence = f"{message}: {doubled} of {t.size} samples repeat a time stamp; the last of each was kept"
+        if sentence not in losses:
+            losses.append(sentence)
+    return Series(t[last], {name: np.asarray(values)[order][last] for name, values in columns.items()})
+
+
+def _reference(
+    collected: _Collector, system: int, span: tuple[float, float], clock: ClockEstimate, losses: list[str]
+) -> tuple[Series | None, str, ClockEstimate]:
+    """Targets sent to the vehicle, at their sending time on the vehicle's clock; and the clock, if their stamps pin it better."""
+    senders = [rows for (s, kind), rows in collected.rows.items() if kind == "SET_ATTITUDE_TARGET" and s != system]
+    if not senders:
+        return None, "vehicle", clock
+    raws = [rows.raw() for rows in senders]
+    raw = {name: np.concatenate([r[name] for r in raws]) for name in raws[0]}
+    g = np.concatenate([np.asarray(rows.ground_s) for rows in senders])
+    inside = (g >= span[0]) & (g <= span[1])
+    if not inside.any():
+        return None, "vehicle", clock
+    raw = {name: values[inside] for name, values in raw.items()}
+    g = g[inside]
+    t_s = clock.to_vehicle(g)
+    late = raw["time_boot_ms"] * 1e-3 - t_s
+    if clock.method == "one-way" and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S:
+        # The sender stamped its targets on the vehicle's clock: it knew the offset better than one-way delays can tell. Its
+        # first half minute counts, since some senders look at the vehicle's clock only once.
+        early = late[g < g.min() + _STAMP_TRUST_S]
+        error = 0.5 * float(np.percentile(early, 90) - np.percentile(early, 10)) + 1e-3
+        clock = clock.shifted(float(np.median(early)) + _HALF_MS, error, "target stamps")
+        t_s = clock.to_vehicle(g)
+    return _ordered(t_s, reference_columns(raw), "SET_ATTITUDE_TARGET", losses), "ground", clock
+
+
+def _mode_markers(state: Series) -> list[Marker]:
+    modes = state.columns["mode"]
+    changed = np.flatnonzero(np.diff(modes, prepend=np.nan) != 0)
+    return [Marker(float(state.t_s[i]), "mode", mode_name(int(modes[i])), {"mode": int(modes[i])}) for i in changed]

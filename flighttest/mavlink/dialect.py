@@ -1,0 +1,41 @@
+"""The MAVLink book this package speaks: version 2, ArduPilot's dialect. The only module that imports pymavlink's messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as book
+
+__all__ = ["COMPONENT_AUTOPILOT", "Message", "book", "firmware_version", "is_armed", "is_vehicle", "parser"]
+
+Message = Any
+"""One decoded MAVLink message, as pymavlink makes them: fields are attributes, `get_type()` names it."""
+
+COMPONENT_AUTOPILOT = 1
+
+
+def parser(system: int, component: int) -> Any:
+    """A fresh encoder and decoder for one end of a link: it never raises on bad bytes, they come out as BAD_DATA."""
+    mav = book.MAVLink(None, srcSystem=system, srcComponent=component)
+    mav.robust_parsing = True
+    return mav
+
+
+def is_vehicle(heartbeat: Message) -> bool:
+    """Whether a HEARTBEAT comes from an autopilot, not from a ground station, a gimbal or a companion computer."""
+    return bool(heartbeat.autopilot != book.MAV_AUTOPILOT_INVALID and heartbeat.type != book.MAV_TYPE_GCS)
+
+
+def is_armed(heartbeat: Message) -> bool:
+    """Whether a HEARTBEAT says that the motors are armed."""
+    return bool(heartbeat.base_mode & book.MAV_MODE_FLAG_SAFETY_ARMED)
+
+
+def firmware_version(version: Message) -> str:
+    """AUTOPILOT_VERSION as text, such as `4.7.0-dev (97009754)`."""
+    number = int(version.flight_sw_version)
+    kinds = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc", 255: ""}
+    text = f"{number >> 24 & 255}.{number >> 16 & 255}.{number >> 8 & 255}{kinds.get(number & 255, '')}"
+    raw = bytes(int(b) & 255 for b in version.flight_custom_version).rstrip(b"\0")
+    commit = raw.decode("ascii") if raw and all(48 <= b < 123 for b in raw) else raw.hex()
+    return f"{text} ({commit})" if commit else text

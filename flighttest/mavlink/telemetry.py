@@ -1,0 +1,209 @@
+"""What each telemetry message measures: the one table from MAVLink fields to channels, with degE7, centimetres and signs.
+
+A `Rule` names a message, the fields it needs, where its time stamp is, and how n messages become channels. Rules of one group
+stand in order of preference: a recording takes the first that was received well, the live state takes whatever came last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest import frames
+from flighttest.mavlink.targets import attitude_columns
+
+FloatArray = NDArray[np.float64]
+Raw = Mapping[str, FloatArray]
+Columns = dict[str, FloatArray]
+
+STANDARD_GRAVITY = 9.80665  # m/s^2 in one g, as ArduPilot's milli-g are made
+EARTH_RADIUS_M = 6378137.0  # WGS84 equatorial, as in ArduPilot (LOCATION_SCALING_FACTOR)
+_FACING_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
+_UNKNOWN_CELL_MV = 65535
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How one kind of message becomes channels of one group.
+
+    stamp: the field with the vehicle's time (`time_boot_ms`, `time_usec`), or None where only the receive time is known.
+    fields become arrays (n,) or (n, k) in `raw`; `convert` returns channel name to (n,) SI values in NWU/FLU. keep: which
+    samples belong to this group at all. note: a sentence for the reader where the channel is derived, else empty.
+    """
+
+    group: str
+    message: str
+    stamp: Literal["time_boot_ms", "time_usec"] | None
+    fields: tuple[str, ...]
+    convert: Callable[[Raw], Columns]
+    keep: Callable[[Raw], NDArray[np.bool_]] | None = None
+    note: str = ""
+
+
+def _vector(raw: Raw, names: tuple[str, str, str], scale: float = 1.0) -> FloatArray:
+    return frames.flip_vector(np.stack([raw[n] for n in names], axis=-1)) * scale
+
+
+def _named(values: FloatArray, *names: str) -> Columns:
+    return {name: values[..., i] for i, name in enumerate(names)}
+
+
+def _attitude(raw: Raw) -> Columns:
+    return _named(
+        frames.flip_euler(np.stack([raw["roll"], raw["pitch"], raw["yaw"]], axis=-1)),
+        "roll_rad",
+        "pitch_rad",
+        "yaw_rad",
+    )
+
+
+def _attitude_quaternion(raw: Raw) -> Columns:
+    roll, pitch, yaw = attitude_columns(np.stack([raw[f"q{i}"] for i in (1, 2, 3, 4)], axis=-1))
+    return {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
+
+
+def _rates(raw: Raw) -> Columns:
+    return _named(_vector(raw, ("rollspeed", "pitchspeed", "yawspeed")), "p_rad_s", "q_rad_s", "r_rad_s")
+
+
+def _specific_force(scale: float) -> Callable[[Raw], Columns]:
+    def convert(raw: Raw) -> Columns:
+        return _named(_vector(raw, ("xacc", "yacc", "zacc"), scale), "f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+
+    return convert
+
+
+def _velocity(scale: float) -> Callable[[Raw], Columns]:
+    def convert(raw: Raw) -> Columns:
+        return _named(_vector(raw, ("vx", "vy", "vz"), scale), "v_x_m_s", "v_y_m_s", "v_z_m_s")
+
+    return convert
+
+
+def _local_position(raw: Raw) -> Columns:
+    return _named(_vector(raw, ("x", "y", "z")), "p_x_m", "p_y_m", "p_z_m")
+
+
+def _global_position(raw: Raw) -> Columns:
+    """Relative to the first fix: good for a flight of some hundred metres."""
+    north, west = offset_m(raw["lat"][0] * 1e-7, raw["lon"][0] * 1e-7, raw["lat"] * 1e-7, raw["lon"] * 1e-7)
+    return {"p_x_m": north, "p_y_m": west, "p_z_m": raw["relative_alt"] * 1e-3}
+
+
+def offset_m(lat0_deg: float, lon0_deg: float, lat_deg: Any, lon_deg: Any) -> tuple[Any, Any]:
+    """North and west offset, m, of a position from an origin, both in degrees; flat earth, as ArduPilot does it."""
+    metres_per_deg = math.radians(1.0) * EARTH_RADIUS_M
+    north = (np.asarray(lat_deg) - lat0_deg) * metres_per_deg
+    east = (np.asarray(lon_deg) - lon0_deg) * metres_per_deg * math.cos(math.radians(lat0_deg))
+    return north, -east
+
+
+def _shaped(raw: Raw) -> Columns:
+    roll, pitch, _ = attitude_columns(raw["q"])
+    rates = frames.flip_vector(np.stack([raw["body_yaw_rate"]] * 3, axis=-1))
+    return {"roll_shaped_rad": roll, "pitch_shaped_rad": pitch, "yaw_rate_shaped_rad_s": rates[..., 2]}
+
+
+def _battery(raw: Raw) -> Columns:
+    cells = np.asarray(raw["voltages"], dtype=float)
+    known = cells != _UNKNOWN_CELL_MV
+    total = np.where(known, cells, 0.0).sum(axis=-1) * 1e-3
+    current = raw["current_battery"]
+    return {
+        "voltage_v": np.where(known.any(axis=-1), total, np.nan),
+        "current_a": np.where(current < 0, np.nan, current * 1e-2),
+    }
+
+
+def _system_status(raw: Raw) -> Columns:
+    voltage, current = raw["voltage_battery"], raw["current_battery"]
+    return {
+        "voltage_v": np.where(voltage == _UNKNOWN_CELL_MV, np.nan, voltage * 1e-3),
+        "current_a": np.where(current < 0, np.nan, current * 1e-2),
+    }
+
+
+def _first_battery(raw: Raw) -> NDArray[np.bool_]:
+    return np.asarray(raw["id"] == 0)
+
+
+def _looking_down(raw: Raw) -> NDArray[np.bool_]:
+    inside = (raw["current_distance"] > raw["min_distance"]) & (raw["current_distance"] < raw["max_distance"])
+    return np.asarray((raw["orientation"] == _FACING_DOWN) & inside)
+
+
+_XYZ = ("xacc", "yacc", "zacc")
+_V = ("vx", "vy", "vz")
+_RPY = ("roll", "pitch", "yaw")
+_BODY_RATES = ("rollspeed", "pitchspeed", "yawspeed")
+_Q = ("q1", "q2", "q3", "q4")
+
+RULES: tuple[Rule, ...] = (
+    Rule("attitude", "ATTITUDE", "time_boot_ms", _RPY, _attitude),
+    Rule("attitude", "ATTITUDE_QUATERNION", "time_boot_ms", _Q, _attitude_quaternion),
+    Rule("rates", "ATTITUDE", "time_boot_ms", _BODY_RATES, _rates),
+    Rule("rates", "ATTITUDE_QUATERNION", "time_boot_ms", _BODY_RATES, _rates),
+    Rule("specific_force", "HIGHRES_IMU", "time_usec", _XYZ, _specific_force(1.0)),
+    Rule("specific_force", "SCALED_IMU", "time_boot_ms", _XYZ, _specific_force(1e-3 * STANDARD_GRAVITY)),
+    Rule("specific_force", "RAW_IMU", "time_usec", _XYZ, _specific_force(1e-3 * STANDARD_GRAVITY)),
+    Rule("velocity", "LOCAL_POSITION_NED", "time_boot_ms", _V, _velocity(1.0)),
+    Rule("velocity", "GLOBAL_POSITION_INT", "time_boot_ms", _V, _velocity(1e-2)),
+    Rule("position", "LOCAL_POSITION_NED", "time_boot_ms", ("x", "y", "z"), _local_position),
+    Rule(
+        "position",
+        "GLOBAL_POSITION_INT",
+        "time_boot_ms",
+        ("lat", "lon", "relative_alt"),
+        _global_position,
+        keep=lambda raw: np.asarray((raw["lat"] != 0) | (raw["lon"] != 0)),
+        note="position relative to the first fix, from GLOBAL_POSITION_INT",
+    ),
+    Rule("height", "RANGEFINDER", None, ("distance",), lambda raw: {"height_m": raw["distance"]}),
+    Rule(
+        "height",
+        "DISTANCE_SENSOR",
+        "time_boot_ms",
+        ("current_distance", "min_distance", "max_distance", "orientation"),
+        lambda raw: {"height_m": raw["current_distance"] * 1e-2},
+        keep=_looking_down,
+    ),
+    Rule(
+        "height",
+        "LOCAL_POSITION_NED",
+        "time_boot_ms",
+        ("z",),
+        lambda raw: {"height_m": -raw["z"]},
+        note="height above the local origin (LOCAL_POSITION_NED), taken as level ground",
+    ),
+    Rule(
+        "height",
+        "GLOBAL_POSITION_INT",
+        "time_boot_ms",
+        ("relative_alt",),
+        lambda raw: {"height_m": raw["relative_alt"] * 1e-3},
+        note="height above home (GLOBAL_POSITION_INT), taken as level ground",
+    ),
+    Rule("battery", "BATTERY_STATUS", None, ("id", "voltages", "current_battery"), _battery, keep=_first_battery),
+    Rule("battery", "SYS_STATUS", None, ("voltage_battery", "current_battery"), _system_status),
+    Rule("shaped", "ATTITUDE_TARGET", "time_boot_ms", ("q", "body_yaw_rate"), _shaped),
+)
+
+STAMP_SCALE: dict[str, float] = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
+
+
+def rules_of(group: str) -> tuple[Rule, ...]:
+    """The rules of one group, best first."""
+    return tuple(rule for rule in RULES if rule.group == group)
+
+
+def columns_of(rule: Rule, message: Any) -> dict[str, float] | None:
+    """Channels of one message under a rule, for the live state; None where the message does not belong to the group."""
+    raw = {name: np.asarray([getattr(message, name)], dtype=float) for name in rule.fields}
+    if rule.keep is not None and not bool(rule.keep(raw)[0]):
+        return None
+    return {name: float(values[0]) for name, values in rule.convert(raw).items()}
