@@ -67,7 +67,7 @@ def build_system(
     )  # fmt: skip
     s.v_world = ca.vertcat(*(x[n] for n in VELOCITY))
     term_states = {n.name: x[n.name] for n in own}
-    rates = {}
+    rates: dict[str, Any] = {}
     if attitude_loops:
         s.roll, s.roll_rate, s.pitch, s.pitch_rate, s.yaw_rate, s.yaw = (x[n] for n in LOOPS)
         s.roll_ref, s.pitch_ref, s.yaw_rate_ref = u["roll_ref_rad"], u["pitch_ref_rad"], u["yaw_rate_ref_rad_s"]

@@ -1,0 +1,350 @@
+"""`Problem`: segments x model to residuals and Jacobians.
+
+    problem = Problem.build(segments, model)                     # which data feeds what: as in the paper
+    fit = solve(problem)                                         # identify.solve
+    rows = problem.linearise(values, free=[*problem.names, "R2_m2"], local=fit.local)    # for screening candidates
+
+A `Part` is one block of the model with the responses that feed it. Parameters not in `names` stay at their value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.channels import CHANNELS
+from flighttest.errors import FitError
+from flighttest.identify.kernel import Kernel, node_bucket
+from flighttest.identify.responses import Response, nodes_of, prepare
+from flighttest.physics.blocks import Block
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Select = Literal["paper", "all"]
+
+STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
+ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
+DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
+
+
+@dataclass(frozen=True)
+class Part:
+    """One block with its responses. outputs: channels compared; mask: (m, n, n_outputs), n the longest response's samples."""
+
+    block: Block
+    outputs: tuple[str, ...]
+    responses: tuple[Response, ...]
+    y: FloatArray
+    mask: BoolArray
+    start: FloatArray
+    start_std: FloatArray
+
+    @property
+    def n_free_states(self) -> int:
+        """Locals are the free initial states, then the disturbances."""
+        return len(self.block.free_states)
+
+    @property
+    def locals(self) -> tuple[str, ...]:
+        """Names of the per-response unknowns."""
+        return (*(f"{n}(0)" for n in self.block.free_states), *self.block.disturbances)
+
+    def start_local(self) -> FloatArray:
+        """(m, n_locals): measured initial states, no disturbance."""
+        return np.concatenate([self.start, np.zeros((len(self.responses), len(self.block.disturbances)))], axis=1)
+
+
+@dataclass(frozen=True)
+class PartEvaluation:
+    """residual: (m, n, n_outputs) measured minus simulated, 0 where masked; jacobian: (m, n, n_outputs, n_columns) of the simulated
+    output by `columns` (parameters, then locals), 0 where masked; empty last axis when not asked for."""
+
+    residual: FloatArray
+    jacobian: FloatArray
+    columns: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A linearised problem, one row per measured sample: whitened and with the local unknowns projected out.
+
+    residual: (n,); jacobian: (n, n_free) of the simulated output (a parameter step d lowers the residual by jacobian @ d); raw:
+    (n,) neither whitened nor projected; segment, sample: (n,) positions in problem.segments and in their t_s; channel: (n,) names.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    raw: FloatArray
+    segment: NDArray[np.intp]
+    sample: NDArray[np.intp]
+    channel: NDArray[np.str_]
+    free: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What residuals are measured against: std per channel, and per disturbance (constant over a response)."""
+
+    channel: Mapping[str, float]
+    disturbance: Mapping[str, float]
+
+
+@dataclass
+class Problem:
+    """Segments, model, what is free. Build with `Problem.build`."""
+
+    segments: tuple[Segment, ...]
+    model: Model
+    parts: tuple[Part, ...]
+    names: tuple[str, ...]
+    values: dict[str, float]
+    ties: Mapping[str, str]
+    filters_hz: Mapping[str, float]
+    _kernels: dict[Any, Kernel] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def build(
+        cls,
+        segments: Sequence[Segment],
+        model: Model,
+        *,
+        filters: Mapping[str, float] | None = None,
+        select: Select = "paper",
+        values: Mapping[str, float] | None = None,
+        fixed: Sequence[str] = (),
+        ties: Mapping[str, str] | None = None,
+    ) -> Problem:
+        """Assign segments to blocks.
+
+        filters: as `Provenance.filters`, channel group to cut-off in Hz; None takes each segment's context['filters'].
+        select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
+        'all' (every block on every segment in which its references move). values: start values by name; fixed: names that stay
+        there; ties: name to the name it equals. FitError when no segment feeds any block.
+        """
+        usable = tuple(s for s in segments if s.usable)
+        start = model.start(values)
+        found = []
+        for block in model.blocks:
+            members = [i for i, s in enumerate(usable) if _feeds(s, block)]
+            if select == "paper":
+                members = _as_in_the_paper(usable, members, block)
+            outputs = _outputs(usable, members, block)
+            if members and outputs:
+                found.append(_part(usable, members, block, outputs, model, start))
+        if not found:
+            raise FitError(
+                "no usable segment excites any part of the model", "see `flighttest segment` for why each was rejected"
+            )
+        tied = {k: v for k, v in (ties or {}).items() if k in start and v in start}
+        reached = {n for part in found for n in part.block.params}
+        names = tuple(n for n in model.names if n in reached and n not in fixed and n not in tied)
+        if filters is None:
+            filters = next((dict(s.context["filters"]) for s in usable if s.context.get("filters")), {})
+        return cls(usable, model, tuple(found), names, start, tied, dict(filters))
+
+    def full_values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Every parameter of the model: given values, ties followed, the rest as at the start."""
+        full = {**self.values, **{k: float(v) for k, v in values.items() if k in self.values}}
+        for name, source in self.ties.items():
+            full[name] = full[source]
+        return full
+
+    def evaluate(
+        self,
+        values: Mapping[str, float],
+        local: Sequence[FloatArray] | None = None,
+        free: Sequence[str] | None = None,
+    ) -> list[PartEvaluation]:
+        """Residuals of every part, and Jacobians by `free` (and the locals) unless it is None.
+
+        values: parameters by name; local: per part (m, n_locals), measured initial states where None.
+        """
+        full = self.full_values(values)
+        return [
+            self._evaluate_part(i, full, part.start_local() if local is None else local[i], free)
+            for i, part in enumerate(self.parts)
+        ]
+
+    def _evaluate_part(
+        self, i: int, full: Mapping[str, float], local: FloatArray, free: Sequence[str] | None
+    ) -> PartEvaluation:
+        part = self.parts[i]
+        sensitivities = free is not None
+        # A tied parameter moves with its source: both columns are needed, and added up.
+        wanted = [] if free is None else [*free, *(k for k, v in self.ties.items() if v in free)]
+        kernel = self._kernel(i, tuple(n for n in part.block.params if n in wanted))
+        p = np.array([full[n] for n in part.block.params])
+        delay = float(part.block.delay_s(p))
+        rows = [nodes_of(r, delay) for r in part.responses]
+        m, n, n_y = part.y.shape
+        y = np.zeros((m, n, n_y))
+        dy = np.zeros((m, n, n_y, kernel.n_columns if sensitivities else 0))
+        by_bucket: dict[int, list[int]] = {}
+        for j, (nodes, _) in enumerate(rows):
+            by_bucket.setdefault(node_bucket(len(nodes)), []).append(j)
+        for bucket, members in by_bucket.items():
+            stacked = np.zeros((len(members), bucket, kernel.n_data))
+            for at, j in enumerate(members):
+                nodes = rows[j][0]
+                stacked[at, : len(nodes)] = nodes
+                stacked[at, len(nodes) :] = nodes[-1]
+                stacked[at, len(nodes) :, :2] = 0.0
+            made, slopes = kernel.run(p, local[members], stacked, sensitivities)
+            for at, j in enumerate(members):
+                sample = rows[j][1]
+                y[j, : sample.size] = made[at, sample]
+                if sensitivities:
+                    dy[j, : sample.size] = slopes[at, sample]
+        residual = np.where(part.mask, part.y - y, 0.0)
+        if not sensitivities:
+            return PartEvaluation(residual, dy, ())
+        dy *= part.mask[..., None]
+        columns = list(kernel.free)
+        for name in [c for c in columns if c in self.ties]:
+            source, at = self.ties[name], columns.index(name)
+            if source in columns:
+                dy[..., columns.index(source)] += dy[..., at]
+                dy = np.delete(dy, at, axis=-1)
+                columns.pop(at)
+            else:
+                columns[at] = source
+        return PartEvaluation(residual, dy, (*columns, *part.locals))
+
+    def _kernel(self, i: int, free: tuple[str, ...]) -> Kernel:
+        key = (i, free)
+        if key not in self._kernels:
+            part = self.parts[i]
+            cutoffs = {c: hz for c in part.outputs if (hz := self.filters_hz.get(CHANNELS[c].group, 0.0)) > 0.0}
+            self._kernels[key] = Kernel(part.block, part.outputs, free, cutoffs)
+        return self._kernels[key]
+
+    def linearise(
+        self,
+        values: Mapping[str, float],
+        noise: Noise,
+        free: Sequence[str],
+        local: Sequence[FloatArray],
+        response_weight: FloatArray | None = None,
+    ) -> Rows:
+        """Whitened residual and Jacobian by `free` with each response's locals projected out (their priors respected).
+
+        free may name candidates' amplitudes at their off value. response_weight: (n_segments,), 1 where None.
+        """
+        parts: list[tuple[NDArray[Any], ...]] = []
+        channels: list[NDArray[np.str_]] = []
+        for part, made, at in zip(self.parts, self.evaluate(values, local, free), local, strict=True):
+            n_p = len(made.columns) - len(part.locals)
+            std = np.array([noise.channel[c] for c in part.outputs])
+            prior = prior_std(part, noise)
+            centre = part.start_local()
+            for j, response in enumerate(part.responses):
+                mask = part.mask[j]
+                sample, channel = np.nonzero(mask)
+                root = 1.0 / std[channel]
+                if response_weight is not None:
+                    root = root * np.sqrt(response_weight[response.index])
+                raw = made.residual[j][mask]
+                r = np.concatenate([raw * root, (centre[j] - at[j]) / prior[j]])
+                jac = made.jacobian[j][mask] * root[:, None]
+                j_l = np.concatenate([jac[:, n_p:], np.diag(1.0 / prior[j])])
+                j_p = np.zeros((r.size, len(free)))
+                for k, name in enumerate(made.columns[:n_p]):
+                    j_p[: raw.size, list(free).index(name)] = jac[:, k]
+                basis = np.linalg.qr(j_l)[0]
+                r, j_p = r - basis @ (basis.T @ r), j_p - basis @ (basis.T @ j_p)
+                parts.append((r[: raw.size], j_p[: raw.size], raw, np.full(raw.size, response.index), sample))
+                channels.append(np.array(part.outputs)[channel])
+        cat = [np.concatenate([p[k] for p in parts]) for k in range(5)]
+        return Rows(
+            cat[0],
+            cat[1],
+            cat[2],
+            cat[3].astype(np.intp),
+            cat[4].astype(np.intp),
+            np.concatenate(channels),
+            tuple(free),
+        )
+
+
+def prior_std(part: Part, noise: Noise) -> FloatArray:
+    """(m, n_locals) prior standard deviations of the locals about `part.start_local()`."""
+    extra = np.array([noise.disturbance[n] for n in part.block.disturbances])
+    return np.concatenate([part.start_std, np.tile(extra, (len(part.responses), 1))], axis=1)
+
+
+def _part(
+    segments: Sequence[Segment],
+    members: Sequence[int],
+    block: Block,
+    outputs: tuple[str, ...],
+    model: Model,
+    start: Mapping[str, float],
+) -> Part:
+    delay = start.get("T_d_attitude", start.get("T_d", 0.1))
+    made = tuple(prepare(segments[i], i, block, outputs, model.nominal_voltage_v, delay, start["K"]) for i in members)
+    n = max(r.t_s.size for r in made)
+    y = np.full((len(made), n, len(outputs)), np.nan)
+    for j, r in enumerate(made):
+        y[j, : r.t_s.size] = r.y
+    mask = np.isfinite(y)
+    return Part(
+        block,
+        outputs,
+        made,
+        np.where(mask, y, 0.0),
+        mask,
+        np.stack([r.start for r in made]),
+        np.stack([r.start_std for r in made]),
+    )
+
+
+def _moves(segment: Segment, name: str) -> float:
+    """Largest change of a reference within what the segment's samples can show."""
+    if name not in segment.u:
+        return 0.0
+    times, values = segment.u[name]
+    seen = values[(times > segment.t_s[0] - 0.3) & (times < segment.t_s[-1])]
+    before = values[times <= segment.t_s[0] - 0.3][-1:]
+    both = np.concatenate([before, seen])
+    return float(np.ptp(both)) if both.size else 0.0
+
+
+def _feeds(segment: Segment, block: Block) -> bool:
+    if block.name == "translation":
+        return "throttle" in segment.u
+    return all(n in segment.u for n in block.inputs) and any(_moves(segment, n) > 0.02 for n in block.inputs)
+
+
+def _outputs(segments: Sequence[Segment], members: Sequence[int], block: Block) -> tuple[str, ...]:
+    """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
+    seen = {c for i in members for c in block.outputs if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
+    if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
+        seen = {c for c in seen if not c.startswith("a_")}
+    return tuple(c for c in block.outputs if c in seen)
+
+
+def _amplitude(segment: Segment) -> float:
+    return abs(float(segment.cell.get("amplitude_rad", np.nan)))
+
+
+def _as_in_the_paper(segments: Sequence[Segment], members: list[int], block: Block) -> list[int]:
+    """Which of the segments that could feed a block do, by the paper's rules; none is left without data if any exists."""
+    if block.name == "translation":
+        tilt = ("roll_step", "pitch_step")
+        chosen = [
+            i for i in members
+            if segments[i].kind in ("throttle_step", "tilt_throttle")
+            or (segments[i].kind in tilt and not _amplitude(segments[i]) < DRAG_STEP_MIN_RAD)
+        ]  # fmt: skip
+        steps = chosen or [i for i in members if segments[i].kind in tilt]
+    else:
+        kinds = {kind for axis, kind in STEP_KIND.items() if axis in block.name}
+        every = [i for i in members if segments[i].kind in kinds]
+        steps = [i for i in every if not _amplitude(segments[i]) > ATTITUDE_STEP_MAX_RAD] or every
+    return steps or [i for i in members if segments[i].kind == "free"] or members

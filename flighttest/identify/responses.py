@@ -1,0 +1,185 @@
+"""Segments made ready for a block: measured signals filled in, references as edges, nodes merged for a given delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.physics.blocks import Block
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+
+MAX_STEP_S = 0.0251  # longer pieces are split: five steps of the slowest usual recording, RK4 error far below any noise
+NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
+_ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
+# How far an initial state may lie from its measurement, and from zero where it is not measured.
+_START_STD = {
+    "v_x_m_s": (0.5, 3.0), "v_y_m_s": (0.5, 3.0), "v_z_m_s": (0.5, 3.0), "a_t_m_s2": (5.0, 10.0), "roll_rad": (0.1, 0.3),
+    "pitch_rad": (0.1, 0.3), "roll_rate_rad_s": (1.0, 1.0), "pitch_rate_rad_s": (1.0, 1.0), "r_rad_s": (0.5, 1.0),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Response:
+    """One segment as one block sees it.
+
+    index: position in the problem's segments; t_s: (n,); y: (n, n_outputs), NaN where not measured; edges_s: (m,) times of
+    changes, values: (m, n_inputs) from each edge on; e: (n, n_exogenous); start, start_std: of the free initial states.
+    """
+
+    index: int
+    t_s: FloatArray
+    y: FloatArray
+    edges_s: FloatArray
+    values: FloatArray
+    e: FloatArray
+    start: FloatArray
+    start_std: FloatArray
+
+
+def filled(t: FloatArray, values: FloatArray | None, default: float) -> FloatArray:
+    """A measured signal without holes: linear across gaps, held at the ends, `default` where nothing was measured."""
+    if values is None:
+        return np.full(t.shape, default)
+    good = np.isfinite(values)
+    if good.all():
+        return values
+    return np.interp(t, t[good], values[good]) if good.any() else np.full(t.shape, default)
+
+
+def held(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: float = 0.0) -> FloatArray:
+    """A reference at times `t`; its first value before its first edge."""
+    if edges is None or not len(edges[0]):
+        return np.full(t.shape, default)
+    times, values = edges
+    at = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
+    return np.asarray(values[at], dtype=float)
+
+
+def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
+    """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
+    t, y = segment.t_s, segment.y
+    if name == "voltage_v":
+        return filled(t, y.get(name), nominal_voltage_v)
+    if name == "height_m":
+        return filled(t, y.get("height_m", y.get("p_z_m")), NO_GROUND_M)
+    if name == "time_s":
+        since = segment.time_since_takeoff_s
+        return t - t[0] + (since if np.isfinite(since) else 0.0)
+    if name.startswith("target_"):
+        axis = name.split("_")[1]
+        shaped = y.get(f"{axis}_shaped_rad")
+        if shaped is not None and np.isfinite(shaped).any():
+            return filled(t, shaped, 0.0)
+        if f"{axis}_ref_rad" in segment.u:
+            return held(segment.u[f"{axis}_ref_rad"], t - attitude_delay_s)
+        return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
+    if name.endswith("_dot_rad_s2"):
+        rate = filled(t, y.get(name.replace("_dot_rad_s2", "_rad_s")), 0.0)
+        return np.gradient(rate, t) if t.size > 1 else np.zeros_like(t)
+    values = filled(t, y.get(name), 0.0)
+    return np.unwrap(values) if name in _ANGLES else values
+
+
+def merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Times at which any of the inputs changes (m,), and all inputs from then on (m, n)."""
+    parts = [segment.u[n][0] for n in inputs if n in segment.u]
+    times = np.unique(np.concatenate(parts)) if parts else np.array([segment.t_s[0] - 1.0])
+    values = np.stack([held(segment.u.get(n), times) for n in inputs], axis=1) if inputs else np.empty((times.size, 0))
+    keep = np.ones(times.size, dtype=bool)
+    keep[1:] = np.any(np.diff(values, axis=0) != 0.0, axis=1)
+    return times[keep], values[keep]
+
+
+def prepare(
+    segment: Segment,
+    index: int,
+    block: Block,
+    outputs: Sequence[str],
+    nominal_voltage_v: float,
+    attitude_delay_s: float,
+    hover_throttle_gain: float,
+) -> Response:
+    """One segment for one block. hover_throttle_gain: m/s^2 per throttle, for a_t(0) where f_z was not measured."""
+    t, n = segment.t_s, segment.t_s.size
+    missing = np.full(n, np.nan)
+    y = np.stack([segment.y.get(name, missing) for name in outputs], axis=1).astype(float)
+    has_force = any(np.isfinite(segment.y.get(c, missing)).any() for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"))
+    for i, name in enumerate(outputs):
+        if has_force and name.startswith("a_"):  # world acceleration is derived from f: the same sample twice
+            y[:, i] = np.nan
+    start, std = _start(segment, block, hover_throttle_gain)
+    edges_s, values = merged_edges(segment, block.inputs)
+    e = np.stack([exogenous(segment, name, nominal_voltage_v, attitude_delay_s) for name in block.exogenous], axis=1) \
+        if block.exogenous else np.empty((n, 0))  # fmt: skip
+    return Response(index, t, y, edges_s, values, e, start, std)
+
+
+def _start(segment: Segment, block: Block, gain: float) -> tuple[FloatArray, FloatArray]:
+    """Measured initial states and how far the truth may lie from them."""
+    start, std = np.zeros(len(block.free_states)), np.zeros(len(block.free_states))
+    for i, name in enumerate(block.free_states):
+        channel = "f_z_m_s2" if name == "a_t_m_s2" else name
+        first = segment.y.get(channel, np.empty(0))[:4]
+        first = first[np.isfinite(first)]
+        known, unknown = _START_STD.get(name, (1.0, 1.0))
+        if first.size:
+            start[i], std[i] = float(first.mean()), known
+        elif name == "a_t_m_s2":
+            start[i], std[i] = gain * float(held(segment.u.get("throttle"), segment.t_s[:1])[0]), unknown
+        else:
+            start[i], std[i] = 0.0, unknown
+    return start, std
+
+
+def nodes_of(response: Response, delay_s: float) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Nodes of one response for a delay: rows [h0, hd, u, e start, e end] (k, n_data), and the node of each sample (n,).
+
+    The piece of a row ends at its node: h = h0 + hd * delay exactly, also for derivatives by the delay.
+    """
+    t, edges = response.t_s, response.edges_s
+    moved = edges + delay_s
+    inside = (moved > t[0]) & (moved < t[-1])
+    times = np.concatenate([t, moved[inside]])
+    order = np.argsort(times, kind="stable")
+    times = times[order]
+    constant = np.concatenate([t, edges[inside]])[order]
+    moves = np.concatenate([np.zeros(t.size), np.ones(int(inside.sum()))])[order]
+    sample = np.empty(times.size, dtype=np.intp)
+    sample[order] = np.arange(times.size)
+    sample = sample[: t.size]
+
+    h, h0, hd = np.diff(times), np.diff(constant), np.diff(moves)
+    middle = 0.5 * (times[1:] + times[:-1])
+    e = _interpolated(response, times, inside)
+    pieces = np.maximum(1, np.ceil(h / MAX_STEP_S)).astype(int)
+    if pieces.max(initial=1) > 1:
+        which = np.repeat(np.arange(h.size), pieces)
+        ends = np.cumsum(pieces)
+        part = np.arange(which.size) - np.repeat(ends - pieces, pieces)
+        a, b = (part / pieces[which])[:, None], ((part + 1) / pieces[which])[:, None]
+        e0, e1 = e[:-1][which] * (1 - a) + e[1:][which] * a, e[:-1][which] * (1 - b) + e[1:][which] * b
+        h0, hd, middle = (h0 / pieces)[which], (hd / pieces)[which], middle[which]
+        sample = np.concatenate([[0], ends])[sample]
+    else:
+        e0, e1 = e[:-1], e[1:]
+    at = np.clip(np.searchsorted(moved, middle, side="right") - 1, 0, None)
+    rows = np.concatenate([h0[:, None], hd[:, None], response.values[at], e0, e1], axis=1)
+    first_u = response.values[max(int(np.searchsorted(moved, t[0], side="right")) - 1, 0)]
+    first = np.concatenate([[0.0, 0.0], first_u, e[0], e[0]])
+    return np.concatenate([first[None], rows]), sample
+
+
+def _interpolated(response: Response, times: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+    if not inside.any():
+        return response.e
+    if not response.e.shape[1]:
+        return np.empty((times.size, 0))
+    t = response.t_s
+    left = np.clip(np.searchsorted(t, times, side="right") - 1, 0, t.size - 2)
+    share = ((times - t[left]) / (t[left + 1] - t[left]))[:, None]
+    return response.e[left] * (1 - share) + response.e[left + 1] * share
