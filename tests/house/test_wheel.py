@@ -1,0 +1,54 @@
+"""The wheel carries what a user needs: the shipped maneuvers and the SITL folder, found from any folder."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def unpacked(repository, tmp_path_factory):
+    """A built wheel, unpacked, from a copy of the sources (so that no build folder appears in the tree)."""
+    root = tmp_path_factory.mktemp("wheel")
+    ignore = shutil.ignore_patterns("__pycache__", "*.pyc")
+    for folder in ("flighttest", "maneuvers", "sitl"):
+        if (repository / folder).is_dir():
+            shutil.copytree(repository / folder, root / "source" / folder, ignore=ignore)
+    for file in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
+        if (repository / file).is_file():
+            shutil.copy(repository / file, root / "source" / file)
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(root), str(root / "source")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = root.glob("*.whl")
+    zipfile.ZipFile(wheel).extractall(root / "site")
+    return root / "site"
+
+
+def test_shipped_folders_and_page_assets_are_inside(repository, unpacked):
+    for folder in ("maneuvers", "sitl"):
+        source = repository / folder
+        wanted = {
+            p.relative_to(source).as_posix() for p in source.rglob("*") if p.is_file() and "__pycache__" not in p.parts
+        }
+        got = {
+            p.relative_to(unpacked / "flighttest/data" / folder).as_posix()
+            for p in (unpacked / "flighttest/data" / folder).rglob("*")
+            if p.is_file()
+        }
+        assert wanted <= got, folder
+    assert (unpacked / "flighttest/report/style.css").is_file()
+    assert (unpacked / "flighttest/report/figures.js").is_file()
+
+
+def test_a_shipped_script_is_found_from_any_folder(unpacked, tmp_path):
+    code = "from flighttest.script.shipped import resolve; print(resolve('thrust.yaml'))"
+    environment = {**os.environ, "PYTHONPATH": str(unpacked)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(unpacked / "flighttest/data/maneuvers/thrust.yaml")
