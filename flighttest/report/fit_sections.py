@@ -1,0 +1,210 @@
+"""Sections about a fit: parameters, Figure 4 of the paper for these runs, segments, correlations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from flighttest.report.document import Block, Bullets, Cell, Facts, Figure, Panel, Paragraph, Section, Table, Trace
+from flighttest.report.numbers import interval, join, number, to_error, unit
+from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
+
+TONE = {"known": "good", "weak": "warn", "not identifiable": "bad", "held": "quiet"}
+KIND_WORDS = {
+    "roll_step": "roll step",
+    "pitch_step": "pitch step",
+    "yaw_rate_step": "yaw rate step",
+    "throttle_step": "throttle step",
+    "tilt_throttle": "throttle step while tilted",
+    "free": "free flight",
+}
+
+
+def cell_words(cell: Mapping[str, float]) -> str:
+    """'0.10 to 0.35' for a throttle step, '+0.30 rad' for a tilt step."""
+    if "throttle_0" in cell and "throttle_1" in cell:
+        return f"{cell['throttle_0']:.2f} to {cell['throttle_1']:.2f}"
+    if "amplitude_rad" in cell:
+        return f"{cell['amplitude_rad']:+.2f} rad"
+    if "rate_rad_s" in cell:
+        return f"{cell['rate_rad_s']:+.1f} rad/s"
+    return ", ".join(f"{k} {v:g}" for k, v in cell.items())
+
+
+def parameters(view: FitView) -> Section:
+    """The parameter table."""
+    changed = any(p.before is not None for p in view.parameters)
+    columns: tuple[str, ...] = ("parameter", "value", "unit", "95 % interval", "", "what it is")
+    columns = (*columns[:1], "before", *columns[1:]) if changed else columns
+    align = ("left", "right", "left", "right", "left", "left")
+    rows = tuple(_parameter_row(p, changed) for p in view.parameters)
+    blocks: list[Block] = [Table(columns, rows, ("left", "right", *align[1:]) if changed else align)]  # type: ignore[arg-type]
+    strong = [(a, b, c) for a, b, c in view.correlations if abs(c) >= view.correlation_above]
+    if strong:
+        words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong)
+        blocks.append(
+            Paragraph(f"Estimates that move together (correlation above {view.correlation_above:g}): {words}.", "quiet")
+        )
+    if view.warnings:
+        blocks.append(Bullets(view.warnings))
+    if view.notes:
+        blocks.append(Bullets(view.notes))
+    if view.quality:
+        blocks.append(Facts(view.quality))
+    return Section("parameters", "Parameters", tuple(blocks))
+
+
+def _parameter_row(p: ParameterView, changed: bool) -> tuple[Cell | str, ...]:
+    tone = TONE.get(p.word, "plain")
+    row: tuple[Cell | str, ...] = (
+        p.name,
+        to_error(p.value, p.std),
+        unit(p.unit),
+        interval(p.low, p.high, p.std),
+        Cell(p.word, tone, p.remedy),  # type: ignore[arg-type]
+        p.doc,
+    )
+    if not changed:
+        return row
+    return (row[0], "-" if p.before is None else to_error(p.before, p.std), *row[1:])
+
+
+def figure4(view: FitView) -> Section | None:
+    """Roll, pitch, yaw rate and throttle responses, measured against simulated; acceleration over time and over voltage."""
+    panels = [
+        panel
+        for kind, channel, title, label in (
+            ("roll_step", "roll_rad", "Roll", "roll, rad"),
+            ("pitch_step", "pitch_rad", "Pitch", "pitch, rad"),
+            ("yaw_rate_step", "r_rad_s", "Yaw rate", "yaw rate, rad/s"),
+            ("throttle_step", "", "Throttle", "vertical acceleration, m/s²"),
+        )
+        if (panel := _responses(view.overlays, kind, channel, title, label)) is not None
+    ]
+    if view.thrust_points:
+        panels.append(_over_voltage(view.thrust_points))
+    free = _responses(view.overlays, "free", "", "Free flight", "vertical acceleration, m/s²")
+    if free is not None:
+        panels.append(free)
+    if not panels:
+        return None
+    caption = (
+        "Each recorded response (grey) and the fitted model driven by the recorded commands (colour), from the step on. "
+        "Settled acceleration against battery voltage: one point per response, the model's value joined per throttle pair."
+    )
+    return Section(
+        "responses", "Measured and simulated responses", (Figure("figure4", tuple(panels), caption, 2, 330),)
+    )
+
+
+def _responses(overlays: Sequence[Overlay], kind: str, channel: str, title: str, label: str) -> Panel | None:
+    chosen = [o for o in overlays if o.kind == kind and (not channel or o.channel == channel)]
+    if not channel:
+        vertical = [o for o in chosen if o.channel in ("a_z_m_s2", "f_z_m_s2")]
+        first = vertical[0].channel if vertical else ""
+        chosen = [o for o in vertical if o.channel == first]
+        if first == "f_z_m_s2":
+            label = "specific force up, m/s²"
+    if not chosen:
+        return None
+    traces = []
+    for o in chosen:
+        name = f"{KIND_WORDS.get(o.kind, o.kind)} {cell_words(o.cell)} ({o.segment})"
+        traces.append(Trace(o.t_s, o.measured, name, "measured", group="measured"))
+        if o.before is not None:
+            traces.append(Trace(o.t_s, o.before, name, "before", group="before"))
+    traces += [
+        Trace(o.t_s, o.simulated, f"model, {cell_words(o.cell)}", "simulated", group="simulated") for o in chosen
+    ]
+    return Panel(f"{title} ({len(chosen)} responses)", "time since the step, s", label, tuple(traces))
+
+
+def _over_voltage(points: Sequence[ThrustPoint]) -> Panel:
+    cells = sorted({tuple(sorted(p.cell.items())) for p in points})
+    traces = []
+    for cell in cells:
+        mine = sorted((p for p in points if tuple(sorted(p.cell.items())) == cell), key=lambda p: p.voltage_v)
+        words = cell_words(dict(cell))
+        volts = [p.voltage_v for p in mine]
+        traces.append(Trace(volts, [p.measured for p in mine], words, "measured", "markers", group="measured"))
+        traces.append(Trace(volts, [p.simulated for p in mine], f"model, {words}", "simulated", group="simulated"))
+    return Panel(
+        "Acceleration over battery voltage", "battery voltage, V", "settled vertical acceleration, m/s²", tuple(traces)
+    )
+
+
+def segments(views: Sequence[SegmentView]) -> Section:
+    """Every segment: accepted, or rejected with its reason; the rejected ones first in words."""
+    rejected = [s for s in views if s.flaws]
+    used = len(views) - len(rejected)
+    counts: dict[str, int] = {}
+    for s in views:
+        if not s.flaws:
+            counts[s.kind] = counts.get(s.kind, 0) + 1
+    words = join(
+        [f"{n} {KIND_WORDS.get(kind, kind)}{'s' if n != 1 and kind != 'free' else ''}" for kind, n in counts.items()]
+    )
+    lead = f"{used} of {len(views)} responses are used" + (f": {words}." if words else ".")
+    metric_names = [
+        m
+        for m in ("delay_s", "rise_s", "overshoot", "settling_s", "steady_error")
+        if any(m in s.metrics for s in views)
+    ]
+    titles = {
+        "delay_s": "delay s",
+        "rise_s": "rise s",
+        "overshoot": "overshoot",
+        "settling_s": "settling s",
+        "steady_error": "steady error",
+    }
+    columns = ("response", "kind", "step", "repeat", *(titles[m] for m in metric_names), "")
+    align = ("left", "left", "left", "right", *("right" for _ in metric_names), "left")
+    ordered = [*rejected, *(s for s in views if not s.flaws)]
+    rows = tuple(
+        (
+            s.name,
+            KIND_WORDS.get(s.kind, s.kind),
+            cell_words(s.cell),
+            str(s.repeat + 1),
+            *(_metric(s.metrics.get(m)) for m in metric_names),
+            _state(s),
+        )
+        for s in ordered
+    )
+    blocks: list[Block] = []
+    reasons: dict[str, int] = {}
+    for s in rejected:
+        for flaw in s.flaws:
+            reasons[flaw] = reasons.get(flaw, 0) + 1
+    if reasons:
+        blocks.append(
+            Bullets(tuple(f"{n} rejected: {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1])))
+        )
+    outliers = [s for s in views if s.outlier]
+    if outliers:
+        blocks.append(Bullets(tuple(f"{s.name}: {s.outlier}" for s in outliers)))
+    blocks.append(Table(columns, rows, align, fold=len(rows) > 12))  # type: ignore[arg-type]
+    return Section("segments", "Responses", tuple(blocks), lead)
+
+
+def _metric(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else number(value, 3)
+
+
+def _state(s: SegmentView) -> Cell:
+    if s.flaws:
+        return Cell("rejected", "bad", "; ".join(s.flaws))
+    if s.outlier:
+        return Cell("used, outlying", "warn", s.outlier)
+    return Cell("used", "good", "; ".join(s.notes))
+
+
+def fit_sections(view: FitView) -> tuple[Section, ...]:
+    """All of them."""
+    found = [parameters(view)]
+    figure = figure4(view)
+    if figure is not None:
+        found.append(figure)
+    if view.segments:
+        found.append(segments(view.segments))
+    return tuple(found)

@@ -1,0 +1,85 @@
+"""What the pages about a fit show, as plain values; `pipeline` fills them from whatever computed them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ParameterView:
+    """One parameter. known: identifiable; word: 'known', 'weak', 'not identifiable', 'held'; remedy: what would make it known."""
+
+    name: str
+    unit: str
+    value: float
+    std: float | None
+    low: float | None
+    high: float | None
+    known: bool
+    word: str
+    remedy: str = ""
+    source: str = "fit"
+    doc: str = ""
+    before: float | None = None
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One response, measured and simulated. t_s counts from the step. before: by a model without the accepted terms."""
+
+    segment: str
+    kind: str
+    cell: Mapping[str, float]
+    channel: str
+    t_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    before: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class ThrustPoint:
+    """The settled vertical acceleration of one throttle response against the battery's voltage."""
+
+    cell: Mapping[str, float]
+    voltage_v: float
+    measured: float
+    simulated: float
+
+
+@dataclass(frozen=True)
+class SegmentView:
+    """One row of the segment table."""
+
+    name: str
+    run: str
+    kind: str
+    cell: Mapping[str, float]
+    repeat: int
+    flaws: tuple[str, ...]
+    notes: tuple[str, ...]
+    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    outlier: str = ""
+
+
+@dataclass(frozen=True)
+class FitView:
+    """A fit as it is shown."""
+
+    verdict: str
+    good: bool
+    parameters: tuple[ParameterView, ...]
+    overlays: tuple[Overlay, ...] = ()
+    thrust_points: tuple[ThrustPoint, ...] = ()
+    segments: tuple[SegmentView, ...] = ()
+    correlations: tuple[tuple[str, str, float], ...] = ()
+    correlation_above: float = 0.9
+    quality: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
