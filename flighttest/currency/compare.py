@@ -115,10 +115,9 @@ def in_words(parameter: str, change: float) -> str:
 def _sentence(subset: str, alarm: bool, shifts: Mapping[str, tuple[float, float]], p_value: float) -> str:
     if not alarm:
         return f"{subset}: as before"
-    moved = sorted(((n, c, z) for n, (c, z) in shifts.items() if abs(z) > 2.0), key=lambda item: -abs(item[2]))
-    if not moved:
-        moved = [max(((n, c, z) for n, (c, z) in shifts.items()), key=lambda item: abs(item[2]))]
-    words = ", ".join(in_words(n, c) for n, c, _ in moved)
+    ordered = sorted(((abs(z), n, c) for n, (c, z) in shifts.items()), reverse=True)
+    moved = [(n, c) for size, n, c in ordered if size > 2.0] or [(n, c) for _, n, c in ordered[:1]]
+    words = ", ".join(in_words(n, c) for n, c in moved)
     return f"{words} (chance of this without a change: {p_value:.1g})"
 
 

@@ -1,0 +1,194 @@
+"""Declared change: the fingerprint a model carries against the vehicle's of today."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from fnmatch import fnmatch
+from typing import Any
+
+from flighttest.currency.model import ALL_SCRIPTS, SCRIPTS, SUBSETS, Change
+
+EVERYTHING = tuple(SUBSETS)
+# What a component acts on, and why that is all; anything not named here touches everything.
+_COMPONENTS: dict[str, tuple[tuple[str, ...], str]] = {
+    "battery": (
+        ("thrust",),
+        "a battery changes what a throttle gives at a voltage, and not what the attitude loops do with it",
+    ),
+    "propellers": (
+        ("thrust", "drag", "attitude"),
+        "propellers carry thrust and rotor drag, and the attitude loops act through them",
+    ),
+    "motors": (("thrust", "attitude"), "motors carry thrust and its lag, and the attitude loops act through them"),
+    "esc": (("thrust", "attitude"), "speed controllers carry the thrust lag, and the attitude loops act through them"),
+    "payload": (EVERYTHING, "a payload changes mass, inertia and drag"),
+}
+# Parameter patterns, first match wins (the list of what shapes the response: ArduPilot's source, PX4's parameter reference).
+_PARAMETERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("ATC_ANGLE_BOOST", ("thrust", "drag")),
+    ("ATC_THR_MIX_*", ("thrust",)),
+    ("ATC_ANG_YAW_*", ("yaw",)),
+    ("ATC_RAT_YAW_*", ("yaw",)),
+    ("ATC_ACC*_Y_MAX", ("yaw",)),
+    ("ATC_RATE_Y_MAX", ("yaw",)),
+    ("ATC_SLEW_YAW", ("yaw",)),
+    ("ATC_ANG_*", ("attitude",)),
+    ("ATC_RAT_RLL_*", ("attitude",)),
+    ("ATC_RAT_PIT_*", ("attitude",)),
+    ("ATC_ACC*_[RP]_MAX", ("attitude",)),
+    ("ATC_RATE_[RP]_MAX", ("attitude",)),
+    ("ATC_*", ("attitude", "yaw")),
+    ("INS_GYRO_FILTER", ("attitude", "yaw")),
+    ("INS_HNT*", ("attitude", "yaw")),
+    ("SCHED_LOOP_RATE", ("attitude", "yaw")),
+    ("MOT_THST_EXPO", ("thrust", "attitude", "yaw")),
+    ("MOT_YAW_HEADROOM", ("yaw",)),
+    ("MOT_*", ("thrust",)),
+    ("INS_ACCEL_FILTER", ("thrust", "drag")),
+    ("PILOT_THR_FILT", ("thrust",)),
+    ("BATT*", ("thrust",)),
+    ("THR_MDL_FAC", ("thrust", "attitude", "yaw")),
+    ("MC_BAT_SCALE_EN", ("thrust",)),
+    ("MC_YAW*", ("yaw",)),
+    ("MC_*", ("attitude",)),
+    ("IMU_GYRO*", ("attitude", "yaw")),
+    ("IMU_ACCEL*", ("thrust", "drag")),
+)
+# Copter 4.7 renamed these; a renamed parameter is a change of firmware, which is reported once by itself.
+_RENAMED = {
+    "ANGLE_MAX": "ATC_ANGLE_MAX",
+    "ATC_ACCEL_R_MAX": "ATC_ACC_R_MAX",
+    "ATC_ACCEL_P_MAX": "ATC_ACC_P_MAX",
+    "ATC_ACCEL_Y_MAX": "ATC_ACC_Y_MAX",
+}
+_ALIASES = {**_RENAMED, **{new: old for old, new in _RENAMED.items()}}
+_UNTELLING_FIELDS = frozenset({"installed", "note", "notes", "comment", "url"})
+
+
+def declared_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[tuple[Change, ...], tuple[str, ...]]:
+    """Changes between two fingerprints (as in model.yaml), and what could not be compared, one sentence each.
+
+    Only what both sides know is compared: something one side never declared is unknown, not changed.
+    """
+    changes: list[Change] = []
+    unknown: list[str] = []
+    changes += _components(before.get("components") or {}, after.get("components") or {}, unknown)
+    changes += _firmware(before, after, unknown)
+    for key, kind, words in (("nominal_voltage_v", "voltage", "nominal voltage"), ("frame", "frame", "frame")):
+        old, new = before.get(key), after.get(key)
+        if old is not None and new is not None and not same(old, new):
+            changes.append(_everything(kind, words, old, new))
+    changes += _parameters(before.get("shaping_parameters") or {}, after.get("shaping_parameters") or {}, unknown)
+    return tuple(changes), tuple(unknown)
+
+
+def touched(parameter: str) -> tuple[str, ...]:
+    """Subsets a vehicle parameter acts on."""
+    return next((subsets for pattern, subsets in _PARAMETERS if fnmatch(parameter, pattern)), EVERYTHING)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal as declared; numbers to the single precision a vehicle keeps them in."""
+    if (
+        isinstance(a, int | float)
+        and isinstance(b, int | float)
+        and not isinstance(a, bool)
+        and not isinstance(b, bool)
+    ):
+        return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)
+    return bool(str(a).strip() == str(b).strip())
+
+
+def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
+    if not before:
+        unknown.append("the model does not say which components it was flown with")
+        return []
+    if not after:
+        unknown.append("the vehicle's components are not declared; list them in vehicle.yaml")
+        return []
+    found = []
+    for name in sorted({*before, *after}):
+        if name not in before or name not in after:
+            where = "the model's vehicle" if name not in before else "today's vehicle file"
+            unknown.append(f"{name} is not declared in {where}")
+            continue
+        old, new = dict(before[name] or {}), dict(after[name] or {})
+        differing = [k for k in sorted({*old, *new}) if k not in _UNTELLING_FIELDS and not same(old.get(k), new.get(k))]
+        if not differing:
+            continue
+        subsets, because = _COMPONENTS.get(name, (EVERYTHING, "nothing is known about what this component touches"))
+        found.append(
+            Change(
+                "component",
+                name,
+                _describe(old),
+                _describe(new),
+                subsets,
+                ALL_SCRIPTS,
+                scripts_for(subsets),
+                because,
+                str(new.get("installed", "")),
+            )
+        )
+    return found
+
+
+def _firmware(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
+    old, new = before.get("firmware"), after.get("firmware")
+    if not old or not new:
+        unknown.append("the firmware of " + ("the model's flight" if not old else "today's vehicle") + " is not known")
+        return []
+    # A vehicle file says only 'ardupilot'; the vehicle itself says its version. The shorter is a prefix where they agree.
+    a, b = str(old).lower().strip(), str(new).lower().strip()
+    if a == b or {a, b} & {"ardupilot", "px4"}:
+        return []
+    return [_everything("firmware", "firmware", old, new)]
+
+
+def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
+    if not before or not after:
+        if before:
+            unknown.append("the vehicle's parameters are not known; connect it, or give a run of today")
+        else:
+            unknown.append("the model does not carry the parameters it was flown with")
+        return []
+    found = []
+    for name in sorted({*before, *after}):
+        if name in before and name in after:
+            if same(before[name], after[name]):
+                continue
+            old, new = before[name], after[name]
+        else:
+            here, there = (before, after) if name in before else (after, before)
+            if _ALIASES.get(name) in there:
+                continue
+            old, new = (here[name], "absent") if here is before else ("absent", here[name])
+        subsets = touched(name)
+        because = (
+            f"{name} acts on {', '.join(subsets)} alone" if subsets != EVERYTHING else f"{name} may act on everything"
+        )
+        found.append(
+            Change("parameter", name, _plain(old), _plain(new), subsets, ALL_SCRIPTS, scripts_for(subsets), because)
+        )
+    return found
+
+
+def _everything(kind: str, name: str, old: Any, new: Any) -> Change:
+    because = f"a change of {name} may touch everything"
+    return Change(kind, name, _plain(old), _plain(new), EVERYTHING, ALL_SCRIPTS, ALL_SCRIPTS, because)
+
+
+def scripts_for(subsets: tuple[str, ...]) -> tuple[str, ...]:
+    """Shipped scripts that identify these subsets, in flying order."""
+    wanted = {s for subset in subsets for s in SCRIPTS[subset]}
+    return tuple(s for s in ALL_SCRIPTS if s in wanted)
+
+
+def _describe(component: Mapping[str, Any]) -> str:
+    telling = {k: v for k, v in component.items() if k not in _UNTELLING_FIELDS}
+    return ", ".join(_plain(v) if k in ("id", "model") else f"{k} {_plain(v)}" for k, v in telling.items()) or "none"
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

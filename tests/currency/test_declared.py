@@ -1,0 +1,114 @@
+"""Declared changes: every component and shaping parameter is flagged, harmless differences are not, the unknown is called unknown."""
+
+import copy
+
+import pytest
+
+from flighttest.currency.declared import declared_changes, touched
+from flighttest.currency.model import ALL_SCRIPTS
+
+FINGERPRINT = {
+    "components": {
+        "battery": {"id": "B07", "model": "6S 10 Ah", "installed": "2026-10-02"},
+        "propellers": {"id": "P03", "model": "15x5 CF"},
+        "motors": {"id": "M01"},
+        "payload": {"id": "none"},
+        "gimbal": {"id": "G1"},
+    },
+    "firmware": "ArduCopter V4.6.3 (abc123)",
+    "nominal_voltage_v": 22.2,
+    "frame": "hexa x",
+    "shaping_parameters": {
+        "ATC_RAT_RLL_P": 0.135,
+        "ATC_RAT_YAW_P": 0.18,
+        "MOT_SPIN_MIN": 0.15,
+        "INS_ACCEL_FILTER": 20.0,
+        "ATC_ANGLE_BOOST": 1.0,
+    },
+}
+
+
+def changed(path, value):
+    after = copy.deepcopy(FINGERPRINT)
+    place = after
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return after
+
+
+def test_the_same_vehicle_is_the_same():
+    assert declared_changes(FINGERPRINT, copy.deepcopy(FINGERPRINT)) == ((), ())
+
+
+@pytest.mark.parametrize("component", list(FINGERPRINT["components"]))
+def test_every_component_is_flagged_and_the_paper_s_rule_flies_all(component):
+    changes, _ = declared_changes(FINGERPRINT, changed(("components", component, "id"), "new"))
+    assert [c.name for c in changes] == [component]
+    assert changes[0].scripts == ALL_SCRIPTS
+    assert set(changes[0].narrower) <= set(ALL_SCRIPTS)
+
+
+@pytest.mark.parametrize("parameter", list(FINGERPRINT["shaping_parameters"]))
+def test_every_shaping_parameter_is_flagged(parameter):
+    value = FINGERPRINT["shaping_parameters"][parameter]
+    changes, _ = declared_changes(FINGERPRINT, changed(("shaping_parameters", parameter), value * 1.2))
+    assert [c.name for c in changes] == [parameter]
+
+
+def test_firmware_voltage_and_frame_touch_everything():
+    for path, value in ((("firmware",), "ArduCopter V4.7.0"), (("nominal_voltage_v",), 14.8), (("frame",), "quad x")):
+        (change,), _ = declared_changes(FINGERPRINT, changed(path, value))
+        assert change.narrower == ALL_SCRIPTS
+
+
+def test_a_battery_offers_the_thrust_script_alone_with_its_reason():
+    (change,), _ = declared_changes(FINGERPRINT, changed(("components", "battery", "id"), "B08"))
+    assert change.narrower == ("thrust",)
+    assert change.because
+
+
+def test_when_it_was_put_in_is_said_but_is_no_change_by_itself():
+    assert declared_changes(FINGERPRINT, changed(("components", "battery", "installed"), "2026-11-01"))[0] == ()
+    after = changed(("components", "battery", "id"), "B08")
+    after["components"]["battery"]["installed"] = "2026-11-01"
+    assert declared_changes(FINGERPRINT, after)[0][0].since == "2026-11-01"
+
+
+def test_single_precision_is_no_change():
+    assert declared_changes(FINGERPRINT, changed(("shaping_parameters", "ATC_RAT_RLL_P"), 0.13500000536441803))[0] == ()
+
+
+def test_what_is_not_declared_is_unknown_not_changed():
+    after = copy.deepcopy(FINGERPRINT)
+    del after["components"]["motors"]
+    changes, unknown = declared_changes(FINGERPRINT, after)
+    assert changes == ()
+    assert any("motors" in sentence for sentence in unknown)
+    changes, unknown = declared_changes({}, FINGERPRINT)
+    assert changes == ()
+    assert unknown
+
+
+def test_a_vehicle_file_that_names_only_the_autopilot_is_no_change_of_firmware():
+    assert declared_changes(FINGERPRINT, changed(("firmware",), "ardupilot"))[0] == ()
+
+
+def test_renamed_parameters_are_not_reported_twice():
+    before = {**FINGERPRINT, "shaping_parameters": {"ATC_ACCEL_R_MAX": 110000.0}}
+    after = {**FINGERPRINT, "shaping_parameters": {"ATC_ACC_R_MAX": 1100.0}}
+    assert declared_changes(before, after)[0] == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "subset"),
+    [
+        ("ATC_RAT_YAW_P", "yaw"),
+        ("ATC_RAT_RLL_D", "attitude"),
+        ("MOT_SPIN_MIN", "thrust"),
+        ("INS_ACCEL_FILTER", "thrust"),
+        ("FRAME_CLASS", "drag"),
+    ],
+)
+def test_what_a_parameter_touches(name, subset):
+    assert subset in touched(name)
