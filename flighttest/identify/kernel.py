@@ -73,8 +73,8 @@ class Kernel:
         buffer, run = function.buffer()
         arguments = [np.ascontiguousarray(np.tile(p, m)), np.ascontiguousarray(local), np.ascontiguousarray(nodes)]
         for i, argument in enumerate(arguments):
-            buffer.set_arg(i, memoryview(argument.reshape(-1)))
-        buffer.set_res(0, memoryview(out.reshape(-1)))
+            buffer.set_arg(i, memoryview(argument.reshape(-1).data))
+        buffer.set_res(0, memoryview(out.reshape(-1).data))
         run()
         return out
 

@@ -69,7 +69,7 @@ def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_de
         return filled(t, y.get("height_m", y.get("p_z_m")), NO_GROUND_M)
     if name == "time_s":
         since = segment.time_since_takeoff_s
-        return t - t[0] + (since if np.isfinite(since) else 0.0)
+        return np.asarray(t - t[0] + (since if np.isfinite(since) else 0.0))
     if name.startswith("target_"):
         axis = name.split("_")[1]
         shaped = y.get(f"{axis}_shaped_rad")

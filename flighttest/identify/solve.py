@@ -154,10 +154,12 @@ def solve(
         if not accepted:
             status = FitStatus.NO_DESCENT if not _small(step, h, active, 0.2) else FitStatus.CONVERGED
             break
+        still = _locals_settled(problem, now.local, trial.local, noise)
         now, theta = trial, target
         settled = _settled(previous, noise) or not estimate_noise
         if (
             damping <= 1e-2
+            and still
             and _small(moved, h, active, STEP_TOLERANCE)
             and settled
             and iteration > (3 if robust else 1)
@@ -197,6 +199,13 @@ def _small(step: FloatArray, h: FloatArray, active: NDArray[np.intp], tolerance:
     """Whether a step is small against what the data can resolve."""
     sub = h[np.ix_(active, active)]
     return bool(step[active] @ sub @ step[active] <= tolerance**2 * max(active.size, 1))
+
+
+def _locals_settled(problem: Problem, before: Sequence[FloatArray], after: Sequence[FloatArray], noise: Noise) -> bool:
+    return all(
+        bool(np.all(np.abs(b - a) < 0.05 * prior_std(part, noise)))
+        for part, a, b in zip(problem.parts, before, after, strict=True)
+    )
 
 
 def _settled(before: Noise, after: Noise) -> bool:

@@ -1,0 +1,376 @@
+"""`fit`: segments in, parameters with intervals and a verdict on each out.
+
+found = fit(segments)                                  # the paper's model; attitude loops where there are attitude references
+found.estimates["K"].interval_95
+found = fit(segments, Model(("body", "linear_drag", "ground_effect")), ties={"d_y": "d_x"})
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from flighttest.errors import FitError
+from flighttest.identify.covariance import Covariance, cluster_covariance, inflation_of, interval_factor
+from flighttest.identify.identifiability import judge, voltage_spread_at_equal_throttle
+from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
+from flighttest.identify.problem import Noise, Problem, Select
+from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
+from flighttest.identify.solve import FitStatus, Solution, solve, start_noise
+from flighttest.physics.body import DELAY, DELAY_PARAM
+from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+
+_REPORTED_OUTLIER = 0.7  # responses weighted below this are named
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter. source: fit, frozen, tied, derived or assumed (nothing here depends on it); std and interval None where none was
+    estimated; why and fly: what speaks against it and the maneuver script that would make it known, empty where it is known."""
+
+    name: str
+    symbol: str
+    unit: str
+    value: float
+    std: float | None
+    interval_95: tuple[float, float] | None
+    source: str
+    identifiable: bool
+    why: str = ""
+    fly: str = ""
+
+
+@dataclass(frozen=True)
+class TieTest:
+    """Wald test of a tie: p_value under "the two are equal"."""
+
+    name: str
+    source: str
+    difference: float
+    std: float
+    p_value: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A response the fit weighted down: weight in 0..1 and the facts."""
+
+    segment: str
+    weight: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What identification found. estimates: by name, T_d included; covariance over `covariance.names` (those estimated).
+
+    delays_s: per channel (value, std); onset: the paper's estimate; quality: per channel; notes: what the reader must know.
+    """
+
+    model: Model
+    status: FitStatus
+    estimates: Mapping[str, Estimate]
+    covariance: Covariance
+    delays_s: Mapping[str, tuple[float, float]]
+    onset: OnsetDelay | None
+    noise: Noise
+    quality: Mapping[str, ChannelQuality]
+    valid: ValidRange
+    outliers: tuple[Outlier, ...]
+    ties: tuple[TieTest, ...]
+    notes: tuple[str, ...]
+    problem: Problem = field(repr=False)
+    solution: Solution = field(repr=False)
+    voltage_spread_v: float | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter of the model by name."""
+        return dict(self.solution.values)
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the recordings used."""
+        return tuple(dict.fromkeys(s.run for s in self.problem.segments))
+
+    def equations(self) -> tuple[str, ...]:
+        """The terms' equations, plain text."""
+        return tuple(t.equation for t in self.model.built_terms)
+
+
+def has_attitude_references(segments: Sequence[Segment]) -> bool:
+    """Whether roll and pitch loops can be told at all."""
+    return any("roll_ref_rad" in s.u or "pitch_ref_rad" in s.u for s in segments if s.usable)
+
+
+def default_model(
+    segments: Sequence[Segment], terms: Sequence[str] = PAPER_TERMS, nominal_voltage_v: float = NOMINAL_VOLTAGE_V
+) -> Model:
+    """The model the paper would fit to these segments."""
+    return Model(tuple(terms), nominal_voltage_v, attitude_loops=has_attitude_references(segments))
+
+
+def fit(
+    segments: Sequence[Segment],
+    model: Model | None = None,
+    *,
+    filters: Mapping[str, float] | None = None,
+    select: Select = "paper",
+    start: Mapping[str, float] | None = None,
+    frozen: Mapping[str, float] | None = None,
+    ties: Mapping[str, str] | None = None,
+    robust: bool = True,
+) -> Fit:
+    """Estimate the model's parameters from usable segments of one or several recordings, jointly.
+
+    filters: known measurement filters (channel group to Hz); start: values to start from; frozen: held there; ties: name to the
+    name it equals (each tie is tested). FitError where nothing can be estimated.
+    """
+    segments = tuple(s for s in segments if s.usable)
+    if not segments:
+        raise FitError("no segment can be used", "see `flighttest segment` for why each was rejected")
+    model = model or default_model(segments)
+    _check_names(model, [*(frozen or {}), *(ties or {}), *(ties or {}).values()])
+    onset = onset_delay(segments)
+    begin = {**start_values(segments, model, onset), **(start or {}), **(frozen or {})}
+    problem = Problem.build(
+        segments, model, filters=filters, select=select, values=begin, fixed=tuple(frozen or {}), ties=ties
+    )
+    solution = _best(problem, robust, model.start(start))
+    covariance = covariance_of(problem, solution)
+    spread = voltage_spread_at_equal_throttle(segments)
+    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread)
+    delays = {
+        c: (estimates[n].value, estimates[n].std or float("nan"))
+        for c, n in DELAY_PARAM.items()
+        if n in estimates and estimates[n].source in ("fit", "frozen")
+    }
+    return Fit(
+        model=model,
+        status=solution.status,
+        estimates=estimates,
+        covariance=covariance,
+        delays_s=delays,
+        onset=onset,
+        noise=solution.noise,
+        quality=channel_quality(problem, solution),
+        valid=valid_range(problem),
+        outliers=_outliers(problem, solution),
+        ties=_tie_tests(segments, model, filters, select, solution, ties or {}, tuple(frozen or {}), robust),
+        notes=_notes(problem, solution, model),
+        problem=problem,
+        solution=solution,
+        voltage_spread_v=spread,
+    )
+
+
+def covariance_of(problem: Problem, solution: Solution) -> Covariance:
+    """Cluster-robust covariance of the free parameters that have an effect and are not at a bound."""
+    active = tuple(n for n in solution.free if n not in solution.blind and n not in solution.at_bound)
+    residuals = [
+        made.residual[j, :, k] / solution.noise.channel[c]
+        for part, made in zip(problem.parts, solution.evaluations, strict=True)
+        for k, c in enumerate(part.outputs)
+        for j in range(len(part.responses))
+    ]
+    return cluster_covariance(solution.normal, active, inflation_of(residuals))
+
+
+def _check_names(model: Model, names: Sequence[str]) -> None:
+    for name in names:
+        if name not in model.names:
+            raise FitError(f"the model has no parameter {name!r}", f"it has {', '.join(model.names)}")
+
+
+def _best(problem: Problem, robust: bool, nominal: Mapping[str, float]) -> Solution:
+    """Solve from the shape-based start; from others too where that did not end well."""
+    first = solve(problem, robust=robust)
+    if first.status.good:
+        return first
+    others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
+    found = [first] + [solve(problem, start, robust=robust) for start in others]
+    good = [s for s in found if s.status.good] or found
+    return min(good, key=_misfit)
+
+
+def _misfit(solution: Solution) -> float:
+    """Log-likelihood's noise part: comparable between solutions, whose noise differs."""
+    counts = {}
+    for made in solution.evaluations:
+        counts[id(made)] = made.residual.size
+    return float(sum(np.log(v) for v in solution.noise.channel.values()))
+
+
+def _estimates(
+    model: Model,
+    problem: Problem,
+    solution: Solution,
+    covariance: Covariance,
+    frozen: tuple[str, ...],
+    spread: float | None,
+) -> dict[str, Estimate]:
+    reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
+    found: dict[str, Estimate] = {}
+    std = np.sqrt(np.diag(covariance.matrix))
+    correlation = covariance.matrix / np.outer(std, std) if std.size else covariance.matrix
+    for param in model.params:
+        name, value = param.name, solution.values[param.name]
+        source_name = problem.ties.get(name, name)
+        if name in frozen:
+            found[name] = Estimate(
+                name, param.symbol, param.unit, value, None, None, "frozen", False, "it was held at this value"
+            )
+            continue
+        known_std, interval, partner = None, None, None
+        if source_name in covariance.names:
+            i = covariance.names.index(source_name)
+            known_std = float(std[i])
+            half = interval_factor(float(covariance.dof[i])) * known_std
+            interval = (value - half, value + half)
+            other = np.abs(correlation[i]) * (np.arange(std.size) != i)
+            if std.size > 1:
+                j = int(np.argmax(other))
+                partner = (covariance.names[j], float(correlation[i, j]))
+        blind = source_name in solution.blind or source_name not in solution.free
+        known = judge(
+            param, value, known_std, blind, source_name in solution.at_bound, partner, spread, reveals.get(name, "")
+        )
+        source = "assumed" if blind else "tied" if name in problem.ties else "fit"
+        found[name] = Estimate(
+            name, param.symbol, param.unit, value, known_std, interval, source, known.identifiable, known.why, known.fly
+        )
+    if "T_d" not in found:
+        found["T_d"] = _mean_delay(found, covariance)
+    return found
+
+
+def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estimate:
+    """The paper's single delay: the mean of the channels' that were estimated."""
+    names = [n for n in DELAY_PARAM.values() if n in found and found[n].source == "fit" and n in covariance.names]
+    if not names:
+        held = [n for n in DELAY_PARAM.values() if n in found]
+        value = float(np.mean([found[n].value for n in held])) if held else DELAY.nominal
+        return Estimate(
+            "T_d",
+            DELAY.symbol,
+            "s",
+            value,
+            None,
+            None,
+            "assumed",
+            False,
+            "no channel's delay could be estimated",
+            "thrust",
+        )
+    weights = np.array([1.0 / len(names) if n in names else 0.0 for n in covariance.names])
+    std, dof = covariance.of(weights)
+    value = float(np.mean([found[n].value for n in names]))
+    half = interval_factor(dof) * std
+    missing = [n for n in DELAY_PARAM.values() if n in found and n not in names]
+    known = judge(DELAY, value, std, False, False, None, None, "")
+    why = known.why or (f"mean without {', '.join(missing)}" if missing else "")
+    return Estimate(
+        "T_d",
+        DELAY.symbol,
+        "s",
+        value,
+        std,
+        (value - half, value + half),
+        "derived",
+        known.identifiable,
+        why,
+        known.fly,
+    )
+
+
+def _tie_tests(
+    segments: Sequence[Segment],
+    model: Model,
+    filters: Mapping[str, float] | None,
+    select: Select,
+    tied: Solution,
+    ties: Mapping[str, str],
+    frozen: tuple[str, ...],
+    robust: bool,
+) -> tuple[TieTest, ...]:
+    """Fit once more without the ties and ask whether each pair differs."""
+    if not ties:
+        return ()
+    problem = Problem.build(segments, model, filters=filters, select=select, values=tied.values, fixed=frozen)
+    free = solve(problem, robust=robust)
+    covariance = covariance_of(problem, free)
+    tests = []
+    for name, source in ties.items():
+        if name not in covariance.names or source not in covariance.names:
+            continue
+        weights = np.array([(n == name) * 1.0 - (n == source) * 1.0 for n in covariance.names])
+        std, dof = covariance.of(weights)
+        difference = free.values[name] - free.values[source]
+        p = float(2 * stats.t.sf(abs(difference) / std, dof)) if std > 0 else 0.0
+        verdict = "the data supports the tie" if p > 0.05 else "the data speaks against the tie"
+        sentence = f"{name} - {source} = {difference:.3g} +- {std:.2g}: {verdict} (p = {p:.3f})"
+        tests.append(TieTest(name, source, difference, std, p, sentence))
+    return tuple(tests)
+
+
+def _outliers(problem: Problem, solution: Solution) -> tuple[Outlier, ...]:
+    found = []
+    for i in np.flatnonzero(solution.response_weight < _REPORTED_OUTLIER):
+        segment, weight = problem.segments[i], float(solution.response_weight[i])
+        ratio = 2.5 / np.sqrt(weight)
+        sentence = (
+            f"{segment.name}: its residual is {ratio:.1f} times that of its like; counted with weight {weight:.2f}"
+        )
+        found.append(Outlier(segment.name, weight, sentence))
+    return tuple(found)
+
+
+def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...]:
+    notes = []
+    if not model.attitude_loops:
+        notes.append(
+            "no attitude references were recorded: the attitude loops are left out, and the measured attitude drives thrust and drag"
+        )
+    outputs = {c for part in problem.parts for c in part.outputs}
+    fed = {part.block.name for part in problem.parts}
+    if "translation" in fed:
+        if not any(c.startswith("v_") for c in outputs):
+            notes.append(
+                "velocity was not recorded: drag rests on accelerations alone, and wind cannot be told from it"
+            )
+        if not any(c.startswith("f_") for c in outputs):
+            notes.append("specific force was not recorded: thrust and drag rest on velocity and its derivative")
+        if not any("voltage_v" in s.y for s in problem.segments):
+            notes.append(
+                "battery voltage was not recorded: alpha cannot be identified, and K is the gain at the voltage flown"
+            )
+    for block in model.blocks:
+        if block.name not in fed:
+            notes.append(
+                f"no segment moves the {block.name.replace('_', ' ')} reference: its parameters stay as assumed"
+            )
+    return tuple(notes)
+
+
+def refit(found: Fit, segments: Sequence[Segment], **options: object) -> Fit:
+    """The same model on other segments, started from a fit's values."""
+    return fit(segments, found.model, start=found.values, filters=found.problem.filters_hz, **options)  # type: ignore[arg-type]
+
+
+def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -> tuple[Problem, Solution]:
+    """A fit's parameters on segments it has not seen: only initial states and disturbances are estimated there."""
+    problem = Problem.build(segments, found.model, filters=found.problem.filters_hz, select=select, values=found.values)
+    noise = found.noise
+    missing = {c for part in problem.parts for c in part.outputs} - set(noise.channel)
+    if missing:
+        extra = start_noise(problem)
+        noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance})
+    return problem, solve(problem, free=(), robust=False, noise=noise, estimate_noise=False)

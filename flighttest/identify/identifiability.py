@@ -1,0 +1,107 @@
+"""Which parameters this data makes known, which not, and the maneuver that would."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flighttest.identify.responses import held
+from flighttest.physics.core import Param
+from flighttest.segments.model import Segment
+
+ALPHA_STD = 0.3
+ALPHA_SHARE = 0.2
+WEAK_SHARE = 0.25
+WEAK_DELAY_S = 0.01
+CORRELATED = 0.98
+
+_FLY = {
+    "omega_phi": "roll_pitch", "zeta_phi": "roll_pitch", "omega_theta": "roll_pitch", "zeta_theta": "roll_pitch",
+    "sigma_r": "yaw_rate", "sigma_t": "thrust", "K": "thrust", "alpha": "thrust", "d_x": "roll_pitch", "d_y": "roll_pitch",
+    "d_z": "thrust", "T_d_attitude": "roll_pitch", "T_d_yaw_rate": "yaw_rate", "T_d_thrust": "thrust", "T_d": "thrust",
+}  # fmt: skip
+_WHY_BLIND = {
+    "alpha": "the battery voltage was not recorded, or did not vary at equal throttle",
+    "d_z": "the vehicle did not move along its vertical axis while velocity was recorded",
+    "d_x": "the vehicle did not move along its forward axis while velocity was recorded",
+    "d_y": "the vehicle did not move along its left axis while velocity was recorded",
+}
+
+
+@dataclass(frozen=True)
+class Known:
+    """identifiable; why not, one sentence, empty where it is; fly: the maneuver script that would make it known."""
+
+    identifiable: bool
+    why: str = ""
+    fly: str = ""
+
+
+def maneuver_for(param: Param, reveals: str) -> str:
+    """The shipped script that excites a parameter."""
+    return _FLY.get(param.name, reveals or "thrust")
+
+
+def judge(
+    param: Param,
+    value: float,
+    std: float | None,
+    blind: bool,
+    at_bound: bool,
+    partner: tuple[str, float] | None,
+    voltage_spread_v: float | None,
+    reveals: str,
+) -> Known:
+    """Verdict on one parameter. std: None where none was estimated; partner: the parameter it is most correlated with."""
+    fly = maneuver_for(param, reveals)
+    if blind or std is None:
+        return Known(False, _WHY_BLIND.get(param.name, f"nothing in this data depends on {param.name}"), fly)
+    if at_bound:
+        return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
+    share = std / abs(value) if value else float("inf")
+    if param.name == "alpha":
+        spread = (
+            "" if voltage_spread_v is None else f"; at equal throttle the voltage spread over {voltage_spread_v:.1f} V"
+        )
+        # Near zero (a battery-compensated autopilot) a share of the value means nothing: a tight absolute bound stands in.
+        good = std < ALPHA_STD and (share < ALPHA_SHARE or std < 0.05)
+        return Known(
+            good,
+            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){spread}",
+            "" if good else fly,
+        )
+    if param.unit == "s" and param.name.startswith("T_d"):
+        good, limit = std < WEAK_DELAY_S, f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
+    else:
+        good = std < max(WEAK_SHARE * abs(value), 0.25 * param.scale)
+        limit = f"{std:.2g} {param.unit} on a value of {value:.3g}"
+    if good:
+        return Known(True)
+    with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
+    return Known(False, f"its standard error is {limit}{with_whom}", fly)
+
+
+def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | None:
+    """Spread (5 to 95 %) of battery voltage about its mean at equal throttle, V; None without voltage or throttle."""
+    throttle: list[float] = []
+    voltage: list[float] = []
+    for s in segments:
+        u = s.y.get("voltage_v")
+        if u is None or "throttle" not in s.u or not np.isfinite(u).any():
+            continue
+        level = np.round(held(s.u["throttle"], s.t_s), 2)
+        for value in np.unique(level):
+            some = (level == value) & np.isfinite(u)
+            if some.sum() >= 3:
+                throttle.append(float(value))
+                voltage.append(float(np.mean(u[some])))
+    if not throttle:
+        return None
+    levels, u_all = np.array(throttle), np.array(voltage)
+    off = [u_all[levels == v] - u_all[levels == v].mean() for v in np.unique(levels) if (levels == v).sum() > 1]
+    if not off:
+        return 0.0
+    low, high = np.percentile(np.concatenate(off), [5, 95])
+    return float(high - low)
