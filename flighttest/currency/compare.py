@@ -79,7 +79,7 @@ def _test(
     std = np.sqrt(np.diag(covariance))
     # Scaled before solving: the parameters differ by orders of magnitude.
     whitened = np.linalg.solve(covariance / np.outer(std, std), delta / std)
-    statistic = float(max(whitened @ (delta / std), 0.0))
+    statistic = max(float(np.dot(whitened, delta / std)), 0.0)
     p_value = float(stats.chi2.sf(statistic, len(delta)))
     shifts = {
         n: (float(d / abs(v)) if v else math.nan, float(d / s))

@@ -1,0 +1,133 @@
+"""The prior model as `plan` wants it: many vehicles flown at once through targets that may depend on where they are.
+
+The equations are those of `physics.model`; nothing is written twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.physics.model import Model
+from flighttest.plan.model import Motion, Policy, Snapshot
+
+FloatArray = NDArray[np.float64]
+
+_POSITION = ("p_x_m", "p_y_m", "p_z_m")
+_VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+_ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
+_TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
+_CHANNEL = {
+    "roll_ref_rad": "attitude",
+    "pitch_ref_rad": "attitude",
+    "yaw_rate_ref_rad_s": "yaw_rate",
+    "throttle": "thrust",
+}
+
+
+class ModelPredictor:
+    """`plan.Predictor` over a fitted or nominal `Model`. values: parameters by name; the rest at the model's start values."""
+
+    def __init__(self, model: Model | None = None, values: Mapping[str, float] | None = None) -> None:
+        self.model = model or Model()
+        self.values = self.model.start(values)
+        self._p = np.array([self.values[n] for n in self.model.system.params])
+        delays = np.asarray(self.model.system.delays_s(self._p)).ravel()
+        self._delays_s = dict(zip(self.model.system.delay_channels, delays.tolist(), strict=True))
+        self._steps: dict[int, ca.Function] = {}
+
+    @property
+    def delay_s(self) -> float:
+        """From sending a target to the first effect: the longest of the channels, s."""
+        return max(self._delays_s.values(), default=0.0)
+
+    @property
+    def attitude_lag_s(self) -> float:
+        """Mean age of the attitude behind its delayed reference, s."""
+        loops = [("zeta_phi", "omega_phi"), ("zeta_theta", "omega_theta")]
+        return max((2.0 * self.values[z] / self.values[w] for z, w in loops if w in self.values), default=0.0)
+
+    @property
+    def thrust_lag_s(self) -> float:
+        """Mean age of the thrust behind its delayed command, s."""
+        return 1.0 / self.values["sigma_t"]
+
+    def hover_throttle(self, voltage_v: FloatArray) -> FloatArray:
+        """Throttle (n,) that holds height at these voltages (n,)."""
+        ratio = np.asarray(voltage_v, dtype=float) / self.model.nominal_voltage_v
+        return np.asarray(self.model.g_m_s2 / (self.values["K"] * ratio ** self.values["alpha"]))
+
+    @cached_property
+    def _rk4(self) -> ca.Function:
+        system = self.model.system
+        x, u, p = (
+            ca.SX.sym(n, size)
+            for n, size in (("x", len(system.states)), ("u", len(system.inputs)), ("p", len(system.params)))
+        )
+        dt = ca.SX.sym("dt")
+
+        def rate(at: ca.SX) -> ca.SX:
+            return system.function(at, u, p)[0]
+
+        k1 = rate(x)
+        k2 = rate(x + dt / 2 * k1)
+        k3 = rate(x + dt / 2 * k2)
+        k4 = rate(x + dt * k3)
+        return ca.Function("step", [x, u, p, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+    def _step(self, n: int) -> ca.Function:
+        if n not in self._steps:
+            self._steps[n] = self._rk4.map(n)
+        return self._steps[n]
+
+    def fly(
+        self,
+        start_m: FloatArray,
+        yaw_rad: FloatArray,
+        voltage_v: FloatArray,
+        policy: Policy,
+        duration_s: float,
+        dt_s: float,
+    ) -> Motion:
+        """Fly n vehicles from rest at start_m (n, 3), yaw_rad (n,), voltage_v (n,), hovering until now, for duration_s."""
+        system = self.model.system
+        start, yaw, volts = np.atleast_2d(start_m), np.atleast_1d(yaw_rad), np.atleast_1d(voltage_v)
+        n, steps = len(start), max(round(duration_s / dt_s), 1)
+        states, inputs = list(system.states), list(system.inputs)
+        x = np.zeros((len(states), n))
+        for name, value in system.initial.items():
+            x[states.index(name)] = value
+        place = [states.index(s) for s in _POSITION]
+        speed = [states.index(s) for s in _VELOCITY]
+        angle = [states.index(s) for s in _ATTITUDE]
+        x[place] = start.T
+        x[angle[2]] = yaw
+        x[states.index("a_t_m_s2")] = self.model.g_m_s2
+        hover = np.zeros((n, 4))
+        hover[:, 3] = self.hover_throttle(volts)
+        lag = [round(self._delays_s[_CHANNEL[t]] / dt_s) for t in _TARGETS]
+        p = np.tile(self._p, (n, 1)).T
+        dt = np.full((1, n), dt_s)
+        step = self._step(n)
+        u = np.zeros((len(inputs), n))
+        u[inputs.index("voltage_v")] = volts
+        rows = [inputs.index(t) for t in _TARGETS]
+        history: list[FloatArray] = []
+        record = np.empty((steps + 1, len(states), n))
+        record[0] = x
+        for k in range(steps):
+            now = Snapshot(k * dt_s, x[place].T, x[speed].T, x[angle].T)
+            history.append(np.broadcast_to(np.asarray(policy(now), dtype=float), (n, 4)))
+            for column, (row, late) in enumerate(zip(rows, lag, strict=True)):
+                u[row] = (history[k - late] if k >= late else hover)[:, column]
+            if "time_s" in inputs:
+                u[inputs.index("time_s")] = k * dt_s
+            x = np.asarray(step(x, u, p, dt))
+            record[k + 1] = x
+        flown = record.transpose(2, 0, 1)
+        t_s = np.arange(steps + 1, dtype=float) * dt_s
+        return Motion(t_s, flown[:, :, place], flown[:, :, speed], flown[:, :, angle])
