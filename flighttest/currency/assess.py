@@ -1,0 +1,136 @@
+"""All the evidence to one answer: declared changes, tests on new data, drift over runs, the battery."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from flighttest.currency.battery import check
+from flighttest.currency.compare import Estimates, subset_tests, thrust_or_mass
+from flighttest.currency.declared import declared_changes, scripts_for
+from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, Change, Currency, Drift, SubsetTest, Verdict
+from flighttest.currency.sequence import drifts
+
+SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
+
+
+def assess(
+    *,
+    model_fingerprint: Mapping[str, Any],
+    vehicle_fingerprint: Mapping[str, Any] | None,
+    stored: Estimates,
+    runs: Sequence[Estimates] = (),
+    spread: Mapping[str, float] | None = None,
+    battery: tuple[float, float] | str | None = None,
+    battery_reference: tuple[float, float] | None = None,
+    untestable: Sequence[str] = (),
+) -> Currency:
+    """Is the model still valid?
+
+    model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's estimates;
+    runs: re-estimates of new runs, in time order, the last one the newest. battery: (Ohm, std) of the newest run or why it cannot
+    be told. untestable: what the caller could not test, one sentence each.
+    """
+    changes: tuple[Change, ...] = ()
+    cannot_tell = list(untestable)
+    if vehicle_fingerprint is not None:
+        changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
+        cannot_tell += unknown
+    tests = subset_tests(stored, runs[-1], spread=spread) if runs else ()
+    drift = drifts(stored, runs, spread) if len(runs) > 1 else ()
+    checked = check(battery, battery_reference) if battery is not None else None
+    alarms = [t for t in tests if t.alarm]
+    crossed = [d for d in drift if d.crossed_at]
+    stale = bool(changes or alarms or crossed)
+    compared = (
+        vehicle_fingerprint is not None and bool(model_fingerprint) and not (cannot_tell and not changes and not runs)
+    )
+    if stale:
+        verdict = Verdict.STALE
+    elif compared or tests:
+        verdict = Verdict.CURRENT
+    else:
+        verdict = Verdict.UNKNOWN
+    fly: tuple[str, ...] = ()
+    narrow: tuple[str, ...] = ()
+    if stale:
+        fly = ALL_SCRIPTS
+        subsets = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
+        subsets |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
+        narrow = scripts_for(tuple(s for s in SUBSETS if s in subsets)) or ALL_SCRIPTS
+    return Currency(
+        verdict=verdict,
+        sentence=_sentence(verdict, changes, alarms, crossed, tests, stored, runs),
+        changes=changes,
+        tests=tests,
+        drifts=drift,
+        battery=checked,
+        fly=fly,
+        fly_narrow=narrow,
+        could_also_be=_rivals(alarms),
+        cannot_tell=tuple(dict.fromkeys(cannot_tell)),
+    )
+
+
+def _sentence(
+    verdict: Verdict,
+    changes: Sequence[Change],
+    alarms: Sequence[SubsetTest],
+    crossed: Sequence[Drift],
+    tests: Sequence[SubsetTest],
+    stored: Estimates,
+    runs: Sequence[Estimates],
+) -> str:
+    if verdict is Verdict.UNKNOWN:
+        return "Unknown: nothing was given that could tell whether the model still holds; declare the components, or fly the spot check."
+    if verdict is Verdict.CURRENT:
+        if not tests:
+            return "Current: nothing that is declared has changed since the model was flown."
+        return f"Current: the new recording agrees with the model in {', '.join(t.subset for t in tests)}."
+    parts = []
+    if changes:
+        named = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:3]]
+        more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
+        parts.append(f"changed since the model was flown: {', '.join(named)}{more}")
+    if alarms:
+        still = [t.subset for t in tests if not t.alarm]
+        words = "; ".join(t.sentence for t in alarms)
+        words += f"; {', '.join(still)} as before" if still else ""
+        parts.append(words + _culprit(alarms, stored, runs))
+    elif crossed:
+        parts.append(
+            "slow drift: " + ", ".join(f"{d.parameter} {d.change * 100:+.1f} % by {d.crossed_at}" for d in crossed)
+        )
+    return f"Stale: {'. '.join(parts)}."
+
+
+def _culprit(alarms: Sequence[SubsetTest], stored: Estimates, runs: Sequence[Estimates]) -> str:
+    moved = {t.subset for t in alarms}
+    if "thrust" in moved and "attitude" not in moved:
+        what = thrust_or_mass(stored, runs[-1])
+        words = {
+            "thrust or mass": "less or more thrust (propellers, motors, battery), or another mass: this flight cannot tell which",
+            "thrust": "propellers, motors or battery, and not the mass",
+            "mass": "the mass, and not the propellers",
+        }[what]
+        return f": {words}"
+    if moved == {"attitude"}:
+        return ": the attitude loops (gains, filters, propellers' inertia), and not the thrust"
+    if moved == {"yaw"}:
+        return ": the yaw loop, and nothing else"
+    return ""
+
+
+def _rivals(alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
+    found = []
+    moved = {t.subset for t in alarms}
+    if "thrust" in moved:
+        found += [
+            "a change of mass looks like a change of thrust (both scale K); a scale settles it",
+            "air density: 10 degC or 300 m of height change thrust by about 3 %",
+        ]
+    if "drag" in moved:
+        found.append("steady wind looks like drag unless all headings were flown")
+    if "attitude" in moved:
+        found.append("a slower link looks like a slower attitude loop in part; compare the delay")
+    return tuple(found)
