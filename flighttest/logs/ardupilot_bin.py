@@ -75,7 +75,8 @@ class _Importer:
         times = Times(log)
         if not times.known:
             raise RecordingError(
-                f"{path}: no message with a time stamp was found in {log.size} bytes", "download the log from the vehicle again"
+                f"{path}: no message with a time stamp was found in {log.size} bytes",
+                "download the log from the vehicle again",
             )
         self.tables: dict[str, Stamped] = {}
         for name, table in log.tables.items():
@@ -180,7 +181,9 @@ class _Importer:
             return ordered(rate[1], _named(frames.flip_vector(values), *names), "RATE", self.losses)
         if imu is None:
             return None
-        return ordered(imu[1], _named(frames.flip_vector(_stack(imu[0], "GyrX", "GyrY", "GyrZ")), *names), "IMU", self.losses)
+        return ordered(
+            imu[1], _named(frames.flip_vector(_stack(imu[0], "GyrX", "GyrY", "GyrZ")), *names), "IMU", self.losses
+        )
 
     def _specific_force(self) -> Series | None:
         imu = self._instance("IMU", "I")

@@ -61,7 +61,11 @@ def state(tables: Mapping[str, Stamped]) -> Series | None:
     arming: list[tuple[float, float]] = []
     if "EV" in tables and "Id" in tables["EV"][0]:
         table, t_s = tables["EV"]
-        arming += [(float(t), float(i == _ARMED)) for t, i in zip(t_s, table.raw["Id"], strict=True) if i in (_ARMED, _DISARMED)]
+        arming += [
+            (float(t), float(i == _ARMED))
+            for t, i in zip(t_s, table.raw["Id"], strict=True)
+            if i in (_ARMED, _DISARMED)
+        ]
     if "ARM" in tables and "ArmState" in tables["ARM"][0]:
         table, t_s = tables["ARM"]
         arming += [(float(t), float(i > 0)) for t, i in zip(t_s, table.raw["ArmState"], strict=True)]

@@ -56,7 +56,9 @@ class LogFile:
                 return lzma.open(self.path, "rb")
             return self.path.open("rb", buffering=0)
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be read: {error.strerror}", "check the file's permissions") from error
+            raise RecordingError(
+                f"{self.path}: cannot be read: {error.strerror}", "check the file's permissions"
+            ) from error
 
     def head(self, size: int = 4096) -> bytes:
         """The first bytes, without counting as reading; empty where even they cannot be decompressed."""

@@ -103,7 +103,9 @@ class Times:
         t = nearby if stamps is None else stamps + self._wrap_s * np.searchsorted(self._wraps, table.at, side="right")
         damaged = keep & (np.abs(t - nearby) > _OUTLIER_S)
         if damaged.any():
-            self.losses.append(f"{name}: {int(np.count_nonzero(damaged))} messages with a damaged time stamp were dropped")
+            self.losses.append(
+                f"{name}: {int(np.count_nonzero(damaged))} messages with a damaged time stamp were dropped"
+            )
             keep &= ~damaged
         return (table, t) if keep.all() else (table.where(keep), t[keep])
 

@@ -3,6 +3,7 @@
 Must not fit, and must not judge outliers or gusts (identify does).
 """
 
+from flighttest.segments.cut import cut
 from flighttest.segments.model import Flaw, Segment
 
-__all__ = ["Flaw", "Segment"]
+__all__ = ["Flaw", "Segment", "cut"]

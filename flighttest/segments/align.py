@@ -1,0 +1,143 @@
+"""Channels of different rates on one time base, without moving any sample in time.
+
+The time base is that of the accelerometer (else attitude), thinned by centred averages to about 50 Hz. Fast channels are averaged the
+same way and read off linearly; slow ones (EKF, battery) linearly. Attitude or rates logged much slower than the time base keep their own
+sample times and are NaN elsewhere: a 10 Hz attitude read off in between would be a polygon, not a response.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.channels import HELD_GROUPS, names
+from flighttest.frames import rotation_from_euler
+from flighttest.recording import Recording, Series
+
+FloatArray = NDArray[np.float64]
+
+RATE_MAX_HZ = 62.0
+_WINDOW_S = 0.0101  # average no longer than this: longer would smear the first milliseconds of a response
+_GAP_PERIODS = 3.0
+_OWN_TIMES_BELOW = 0.6
+_FAST = ("attitude", "rates", "specific_force")
+_G = 9.81
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Series ready to be cut: t_s (n,) the time base; per group its averaged Series; own: groups that keep their own times."""
+
+    t_s: FloatArray
+    groups: dict[str, Series]
+    own: frozenset[str]
+
+
+def prepare(recording: Recording) -> Aligned | None:
+    """Average and choose the time base; None where the recording has no motion at all."""
+    moving = [
+        g
+        for g in ("specific_force", "attitude", "rates", "acceleration", "velocity", "position")
+        if g in recording.series
+    ]
+    moving = [g for g in moving if len(recording.series[g]) > 2]
+    if not moving:
+        return None
+    fastest = max(recording.series[g].rate_hz for g in moving[:2])
+    base_group = next(g for g in moving if recording.series[g].rate_hz >= _OWN_TIMES_BELOW * min(fastest, RATE_MAX_HZ))
+    base = recording.series[base_group]
+    groups: dict[str, Series] = {}
+    own: set[str] = set()
+    for group, series in recording.series.items():
+        if group in HELD_GROUPS or len(series) < 2:
+            continue
+        series = _unwrapped(series)
+        groups[group] = _averaged(series)
+        if group in _FAST and series.rate_hz < _OWN_TIMES_BELOW * min(base.rate_hz, RATE_MAX_HZ):
+            own.add(group)
+    t_s = base.t_s
+    if base.rate_hz > RATE_MAX_HZ:
+        thin = int(np.ceil(base.rate_hz / RATE_MAX_HZ))
+        t_s = groups[base_group].t_s[thin // 2 :: thin]
+    return Aligned(t_s, groups, frozenset(own))
+
+
+def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Sample times (n,) in [start_s, end_s] and every channel at them; world acceleration is added where it follows from f."""
+    t = aligned.t_s[np.searchsorted(aligned.t_s, start_s) : np.searchsorted(aligned.t_s, end_s, side="right")]
+    for group in aligned.own:
+        times = aligned.groups[group].t_s
+        t = np.union1d(t, times[np.searchsorted(times, start_s) : np.searchsorted(times, end_s, side="right")])
+    y: dict[str, FloatArray] = {}
+    for group, series in aligned.groups.items():
+        y.update(_at_own(series, t) if group in aligned.own else _linear(series, t))
+    if "a_x_m_s2" not in y and {"f_x_m_s2", "roll_rad", "pitch_rad", "yaw_rad"} <= set(y):
+        y.update(_world_acceleration(aligned, t, y))
+    return t, y
+
+
+def _unwrapped(series: Series) -> Series:
+    """Yaw without its jumps of a full turn, so that it can be averaged and read off."""
+    if "yaw_rad" not in series.columns:
+        return series
+    yaw = series.columns["yaw_rad"].copy()
+    finite = np.isfinite(yaw)
+    yaw[finite] = np.unwrap(yaw[finite])
+    return Series(series.t_s, {**series.columns, "yaw_rad": yaw})
+
+
+def _averaged(series: Series) -> Series:
+    """Centred running averages over at most _WINDOW_S; times are averaged alike, so that nothing is delayed."""
+    width = int(series.rate_hz * _WINDOW_S + 1e-6)
+    if width < 2 or len(series) < width:
+        return series
+    kernel = np.full(width, 1.0 / width)
+    steady = np.convolve(series.t_s - series.t_s[0], kernel, "valid") + series.t_s[0]
+    # A window across a gap would mix what lies on both sides of it.
+    inside = series.t_s[width - 1 :] - series.t_s[: len(series) - width + 1] < 2.0 * width / series.rate_hz
+    return Series(steady[inside], {n: np.convolve(v, kernel, "valid")[inside] for n, v in series.columns.items()})
+
+
+def _linear(series: Series, t: FloatArray) -> dict[str, FloatArray]:
+    """Values read off linearly; NaN outside the series and inside gaps of more than three sample periods."""
+    out: dict[str, FloatArray] = {}
+    allowed = _GAP_PERIODS / series.rate_hz
+    for name, column in series.columns.items():
+        finite = np.isfinite(column)
+        times, values = (series.t_s, column) if finite.all() else (series.t_s[finite], column[finite])
+        if times.size < 2 or t.size == 0:
+            out[name] = np.full(t.size, np.nan)
+            continue
+        right = np.clip(np.searchsorted(times, t), 1, times.size - 1)
+        found = np.interp(t, times, values)
+        bad = (times[right] - times[right - 1] > allowed) & (t != times[right]) & (t != times[right - 1])
+        # A slow channel may begin or end up to half a period beside the window.
+        bad |= (t < times[0] - 0.5 / series.rate_hz) | (t > times[-1] + 0.5 / series.rate_hz)
+        found[bad] = np.nan
+        out[name] = found
+    return out
+
+
+def _at_own(series: Series, t: FloatArray) -> dict[str, FloatArray]:
+    """Values at the series' own sample times, NaN elsewhere."""
+    index = np.searchsorted(series.t_s, t)
+    inside = index < len(series)
+    hit = np.zeros(t.size, dtype=bool)
+    hit[inside] = series.t_s[index[inside]] == t[inside]
+    out = {}
+    for name, column in series.columns.items():
+        values = np.full(t.size, np.nan)
+        values[hit] = column[index[hit]]
+        out[name] = values
+    return out
+
+
+def _world_acceleration(aligned: Aligned, t: FloatArray, y: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """a = R f - g e_z, with attitude read off linearly where it is slower than the accelerometer."""
+    attitude = _linear(aligned.groups["attitude"], t) if "attitude" in aligned.own else y
+    rotation = rotation_from_euler(np.stack([attitude[n] for n in names("attitude")], axis=-1))
+    f = np.stack([y[n] for n in names("specific_force")], axis=-1)
+    a = np.einsum("nij,nj->ni", rotation, f) - [0.0, 0.0, _G]
+    return {name: a[:, i] for i, name in enumerate(names("acceleration"))}

@@ -1,0 +1,235 @@
+"""Cut a recording into step responses and windows of free flight.
+
+The step is always where the recorded reference has its edge. Marks, where there are any, say which edges were meant and what they are
+called; a recording nobody marked is cut by its references alone, and flown without steps it becomes windows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.channels import INPUTS
+from flighttest.recording import Recording
+from flighttest.segments import edges as ed
+from flighttest.segments.align import Aligned, prepare, sample
+from flighttest.segments.edges import BY_HAND, EXACT, References, Response
+from flighttest.segments.marks import Marked, marked
+from flighttest.segments.model import Flaw, Segment
+from flighttest.segments.quality import flaws_of
+
+FloatArray = NDArray[np.float64]
+
+WINDOW_S = 2.5
+_SHORTEST_WINDOW_S = 1.2
+_REACH_BACK_S = 1.0  # inputs are kept this long before the first sample, so that delays can reach back
+_MARK_EARLY_S = 0.3  # a mark and the target that follows it leave in any order
+_MARK_LATE_S = 3.0
+_SAME_CELL = {"amplitude_rad": 0.012, "rate_rad_s": 0.03, "throttle_0": 0.004, "throttle_1": 0.004, "height_m": 0.2}
+_FEW_STEPS = 3  # a flight with fewer steps than this is a free flight that happens to hold still
+
+
+def cut(recording: Recording) -> tuple[Segment, ...]:
+    """All segments of a recording in order of time, usable or not (see `Segment.flaws`)."""
+    aligned = prepare(recording)
+    if aligned is None or aligned.t_s.size < 5:
+        return ()
+    references = ed.references_of(recording)
+    marks = marked(recording)
+    if marks:
+        found = _by_marks(references, marks)
+    else:
+        found = _by_references(recording, references)
+    cutter = _Cutter(recording, references, aligned)
+    return _named(cutter.segment(response, mark) for response, mark in found)
+
+
+def _responses(references: References | None) -> list[tuple[list[ed.Plateau], list[ed.Edge]]]:
+    if references is None:
+        return []
+    found = ed.chains(ed.plateaus(references, EXACT), EXACT, references.period_s)
+    if found:
+        return found
+    return ed.chains(ed.plateaus(references, BY_HAND), BY_HAND, references.period_s)
+
+
+def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tuple[Response, Marked]]:
+    rows = _responses(references)
+    every = [(r, row, edges) for row, edges in rows for r in ed.responses(row, edges)]
+    found: list[tuple[Response, Marked]] = []
+    for mark in marks:
+        if mark.t_step_s is not None:
+            response = _at_step(rows, mark)
+            found.append((response or _missed(references, mark, mark.t_step_s), mark))
+            continue
+        near = [
+            r for r, _, _ in every
+            if mark.start_s - _MARK_EARLY_S <= r.t_step_s < min(mark.start_s + _MARK_LATE_S, mark.end_s)
+            and (not mark.kinds or r.kind in mark.kinds)
+        ]  # fmt: skip
+        if near and mark.record_s is None:
+            found.append((near[0], mark))
+        elif mark.record_s is not None:
+            found += [(window, mark) for window in windows(*mark.record_s)]
+        elif mark.kinds:
+            found.append((_missed(references, mark, mark.start_s), mark))
+    return found
+
+
+def _at_step(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]], mark: Marked) -> Response | None:
+    """The response whose step is nearest to where a mark puts it, up to the end of its chain or of the mark."""
+    assert mark.t_step_s is not None
+    best: tuple[float, Response] | None = None
+    for row, edges in rows:
+        for k, edge in enumerate(edges):
+            distance = abs(edge.t_s - mark.t_step_s)
+            if distance > _MARK_EARLY_S or (best is not None and distance >= best[0]):
+                continue
+            if edge.channel == ed.THROTTLE:
+                response = ed.throttle_response(row, edges, k)
+            else:
+                last = max(
+                    j
+                    for j, e in enumerate(edges)
+                    if j == k or (e.channel == edge.channel and k < j and e.t_s < mark.end_s)
+                )
+                response = ed.step_response(row, edges, k, last)
+            if mark.kinds and response.kind not in mark.kinds:
+                continue
+            best = distance, replace(response, end_s=min(response.end_s, max(mark.end_s, response.t_step_s)))
+    return best[1] if best is not None else None
+
+
+def _missed(references: References | None, mark: Marked, t_s: float) -> Response:
+    """A marked step of which the references show nothing clean: kept, so that its absence is seen."""
+    end = min(mark.end_s, t_s + 1.5)
+    kind = mark.kinds[0] if mark.kinds else "free"
+    return Response(kind, {}, t_s, t_s - 0.3, max(end, t_s))
+
+
+def _by_references(recording: Recording, references: References | None) -> list[tuple[Response, None]]:
+    airborne = _airborne(recording)
+    steps = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
+    steps = [r for r in steps if airborne[0] <= r.start_s and r.end_s <= airborne[1]]
+    if len(steps) < _FEW_STEPS:
+        return [(window, None) for window in windows(*airborne)]
+    return [(r, None) for r in steps]
+
+
+def _airborne(recording: Recording) -> tuple[float, float]:
+    """From take-off to landing as far as the recording says; otherwise while armed; otherwise all of it."""
+    start, end = recording.t_span_s
+    if recording.has("armed"):
+        t, armed = recording.channel("armed")
+        on = t[armed > 0]
+        if on.size:
+            start = max(start, float(on[0]))
+            off = t[(armed == 0) & (t > on[-1])]
+            end = min(end, float(off[0])) if off.size else end
+    up = [m.t_s for m in recording.markers if m.label == "take-off" and m.t_s >= start]
+    down = [m.t_s for m in recording.markers if m.label == "landed" and m.t_s > (up[0] if up else start)]
+    return (up[0] + 1.0 if up else start), (down[-1] - 0.5 if down else end)
+
+
+def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[Response]:
+    """Consecutive windows of free flight; a short rest at the end joins the last one or is left."""
+    count = int((end_s - start_s) / length_s)
+    if count == 0:
+        return [Response("free", {}, start_s, start_s, end_s)] if end_s - start_s >= _SHORTEST_WINDOW_S else []
+    bounds = start_s + length_s * np.arange(count + 1)
+    if end_s - bounds[-1] >= _SHORTEST_WINDOW_S:
+        bounds = np.append(bounds, end_s)
+    return [Response("free", {}, float(a), float(a), float(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+class _Cutter:
+    """Makes segments of one recording."""
+
+    def __init__(self, recording: Recording, references: References | None, aligned: Aligned) -> None:
+        self.recording = recording
+        self.references = references
+        self.aligned = aligned
+        self.streamed = "roll_ref_rad" not in recording.provenance.derived
+        up = [m.t_s for m in recording.markers if m.label == "take-off"]
+        self.takeoff_s = up[0] if up else _airborne(recording)[0]
+
+    def segment(self, response: Response, mark: Marked | None) -> Segment:
+        t_s, y = sample(self.aligned, response.start_s, response.end_s)
+        flaws = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
+        if mark is not None and response.kind != "free" and not response.cell and Flaw.REFERENCE_MOVED not in flaws:
+            flaws = (*flaws, Flaw.REFERENCE_MOVED)
+        yaw = y["yaw_rad"] if "yaw_rad" in y else np.full(t_s.size, np.nan)
+        known = np.flatnonzero(np.isfinite(yaw))
+        heading = float(np.interp(response.t_step_s, t_s[known], yaw[known])) if known.size else float("nan")
+        return Segment(
+            name=mark.name if mark is not None else "",
+            run=self.recording.name,
+            kind=response.kind,
+            cell=dict(response.cell),
+            repeat=mark.repeat if mark is not None else 0,
+            t_step_s=response.t_step_s,
+            t_s=t_s,
+            y=y,
+            u=self._inputs(response),
+            flaws=flaws,
+            maneuver=(mark.maneuver if mark is not None and mark.maneuver else response.kind),
+            heading_rad=float((heading + np.pi) % (2 * np.pi) - np.pi),
+            time_since_takeoff_s=response.t_step_s - self.takeoff_s,
+            context={
+                "later_edges_s": response.later_edges_s,
+                "filters": dict(self.recording.provenance.filters),
+                "reference_clock": self.recording.provenance.reference_clock,
+            },
+        )
+
+    def _inputs(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """References as they changed, from the last change before the window's reach."""
+        references = self.references
+        if references is None:
+            return {}
+        a = max(int(np.searchsorted(references.t_s, response.start_s - _REACH_BACK_S, side="right")) - 1, 0)
+        b = int(np.searchsorted(references.t_s, response.end_s, side="right"))
+        out: dict[str, tuple[FloatArray, FloatArray]] = {}
+        for i, name in enumerate(INPUTS):
+            values = references.values[a:b, i]
+            if values.size and np.isfinite(values).any():
+                out[name] = ed.compressed(references.t_s[a:b], values)
+        return out
+
+
+def _named(segments: Iterable[Segment]) -> tuple[Segment, ...]:
+    """Repeats share a cell (the first one's numbers); names are unique; repeats are counted where no mark numbers them."""
+    cells: dict[str, list[dict[str, float]]] = {}
+    counted: Counter[object] = Counter()
+    used: Counter[str] = Counter()
+    out: list[Segment] = []
+    for segment in sorted(segments, key=lambda s: s.t_step_s):
+        known = cells.setdefault(segment.kind, [])
+        cell = next((c for c in known if _same(c, dict(segment.cell))), None)
+        if cell is None:
+            cell = {name: round(value, 4) for name, value in segment.cell.items()}
+            known.append(cell)
+        segment = replace(segment, cell=cell)
+        counted[segment.cell_key] += 1
+        label = segment.name or _label(segment)
+        used[label] += 1
+        name = label if used[label] == 1 else f"{label} #{used[label]}"
+        out.append(replace(segment, name=name, repeat=segment.repeat or counted[segment.cell_key]))
+    return tuple(out)
+
+
+def _same(a: dict[str, float], b: dict[str, float]) -> bool:
+    return a.keys() == b.keys() and all(abs(a[k] - b[k]) <= _SAME_CELL.get(k, 1e-3) for k in a)
+
+
+def _label(segment: Segment) -> str:
+    if segment.kind == "free":
+        return "free"
+    values = segment.cell
+    if "throttle_0" in values:
+        return f"{segment.kind} {values['throttle_0']:.2f}-{values['throttle_1']:.2f}"
+    return f"{segment.kind} {next(iter(values.values())):+.2f}"
