@@ -1,0 +1,276 @@
+"""ArduCopter over MAVLink: modes, arming, take-off, positions and attitude targets, each with its answer read back.
+
+Facts about the firmware and their sources: design notes in docs/ardupilot.md. Everything that can fail raises LinkError or says why it
+was refused; nothing is assumed to have worked.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from flighttest import frames
+from flighttest.errors import LinkError
+from flighttest.link.session import Session
+from flighttest.mavlink import CopterMode, mark_message, mode_name, offset_m, target_message
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, firmware_version, is_armed
+
+_ACK_S = 2.0
+_RESULTS = {
+    book.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
+    book.MAV_RESULT_DENIED: "denied",
+    book.MAV_RESULT_UNSUPPORTED: "not supported",
+    book.MAV_RESULT_FAILED: "failed",
+}
+_POSITION_AND_YAW = 0b100111111000  # SET_POSITION_TARGET type_mask: velocity, acceleration and yaw rate ignored
+_STREAM_TYPES: dict[str, int] = {
+    "HEARTBEAT": book.MAVLINK_MSG_ID_HEARTBEAT,
+    "ATTITUDE": book.MAVLINK_MSG_ID_ATTITUDE,
+    "HIGHRES_IMU": book.MAVLINK_MSG_ID_HIGHRES_IMU,
+    "RAW_IMU": book.MAVLINK_MSG_ID_RAW_IMU,
+    "LOCAL_POSITION_NED": book.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    "GLOBAL_POSITION_INT": book.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    "ATTITUDE_TARGET": book.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+    "BATTERY_STATUS": book.MAVLINK_MSG_ID_BATTERY_STATUS,
+    "SYS_STATUS": book.MAVLINK_MSG_ID_SYS_STATUS,
+    "VFR_HUD": book.MAVLINK_MSG_ID_VFR_HUD,
+    "SERVO_OUTPUT_RAW": book.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+    "EKF_STATUS_REPORT": book.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    "RC_CHANNELS": book.MAVLINK_MSG_ID_RC_CHANNELS,
+    "EXTENDED_SYS_STATE": book.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    "DISTANCE_SENSOR": book.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+}
+
+
+@dataclass(frozen=True)
+class Ack:
+    """The answer to a command. result: MAV_RESULT, None when none came. why: STATUSTEXT that came with it."""
+
+    result: int | None
+    why: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the vehicle said yes."""
+        return self.result in (book.MAV_RESULT_ACCEPTED, book.MAV_RESULT_IN_PROGRESS)
+
+    @property
+    def sentence(self) -> str:
+        """For the reader."""
+        if self.result is None:
+            return "no answer"
+        text = _RESULTS.get(self.result, "accepted" if self.accepted else f"result {self.result}")
+        return f"{text}: {self.why}" if self.why else text
+
+
+class ArduPilot:
+    """One ArduCopter in a session. The caller's clock is `session.now_s()`; every wait lets the session advance."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+
+    # -- questions -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> int:
+        """custom_mode of the last HEARTBEAT, -1 before one came."""
+        beat = self.session.latest.get("HEARTBEAT")
+        return int(beat.message.custom_mode) if beat else -1
+
+    @property
+    def armed(self) -> bool:
+        """Whether the last HEARTBEAT says armed."""
+        beat = self.session.latest.get("HEARTBEAT")
+        return beat is not None and is_armed(beat.message)
+
+    def command(self, command: int, *params: float, timeout_s: float = _ACK_S, tries: int = 3) -> Ack:
+        """Send a COMMAND_LONG until it is answered; what the vehicle says meanwhile comes with the answer."""
+        texts: list[str] = []
+
+        def note(message: Message, _t_s: float) -> None:
+            if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
+                texts.append(message.text.strip())
+
+        self.session.listen(note)
+        try:
+            for confirmation in range(tries):
+                self.session.send(self._command_long(command, params, confirmation))
+                answer = self.session.await_message(
+                    lambda m: m.get_type() == "COMMAND_ACK" and m.command == command,
+                    timeout_s * max(self.session.clock.pace, 1.0),
+                )
+                if answer is not None:
+                    if answer.result not in (book.MAV_RESULT_ACCEPTED, book.MAV_RESULT_IN_PROGRESS):
+                        self.session.advance(self.session.now_s() + 0.1)  # the reason may come after the answer
+                    return Ack(int(answer.result), "; ".join(dict.fromkeys(texts)))
+            return Ack(None, "; ".join(dict.fromkeys(texts)))
+        finally:
+            self.session.forget(note)
+
+    def _command_long(self, command: int, params: tuple[float, ...], confirmation: int) -> Message:
+        p = (*params, *([0.0] * (7 - len(params))))
+        return book.MAVLink_command_long_message(
+            self.session.vehicle_system, COMPONENT_AUTOPILOT, command, confirmation, *p
+        )
+
+    def request(self, name: str, message_id: int, timeout_s: float = 2.0) -> Message | None:
+        """Ask for one message once; None when it does not come."""
+        for _ in range(3):
+            self.session.send(self._command_long(book.MAV_CMD_REQUEST_MESSAGE, (message_id,), 0))
+            found = self.session.await_message(
+                lambda m: m.get_type() == name, timeout_s * max(self.session.clock.pace, 1.0)
+            )
+            if found is not None:
+                return found
+        return None
+
+    def firmware(self) -> str:
+        """Version and commit; empty when the vehicle does not say."""
+        version = self.request("AUTOPILOT_VERSION", book.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        return firmware_version(version) if version is not None else ""
+
+    def home_m(self) -> np.ndarray | None:
+        """Home in the local frame (NWU, m), None while the vehicle has none: ArduPilot's local frame starts at the EKF's origin."""
+        origin = self.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        home = self.request("HOME_POSITION", book.MAVLINK_MSG_ID_HOME_POSITION)
+        if origin is None or home is None:
+            return None
+        return self.local_m(
+            home.latitude * 1e-7, home.longitude * 1e-7, origin, (home.altitude - origin.altitude) * 1e-3
+        )
+
+    @staticmethod
+    def local_m(lat_deg: float, lon_deg: float, origin: Message, up_m: float) -> np.ndarray:
+        """A place in the local frame (NWU, m) whose origin is a GPS_GLOBAL_ORIGIN message."""
+        north, west = offset_m(origin.latitude * 1e-7, origin.longitude * 1e-7, lat_deg, lon_deg)
+        return np.array([float(north), float(west), up_m])
+
+    # -- streams -------------------------------------------------------------------------------------------------------------
+
+    def set_rates(self, rates_hz: dict[str, float]) -> dict[str, str]:
+        """Ask for message rates, Hz; the refused ones with what the vehicle said."""
+        refused: dict[str, str] = {}
+        for name, rate in rates_hz.items():
+            interval_us = 1e6 / rate if rate > 0 else -1.0
+            ack = self.command(book.MAV_CMD_SET_MESSAGE_INTERVAL, float(_STREAM_TYPES[name]), interval_us)
+            if not ack.accepted:
+                refused[name] = ack.sentence
+        return refused
+
+    def measure_rates(self, names: list[str], duration_s: float = 3.0) -> dict[str, float]:
+        """Rates really received, Hz of the vehicle's time, over duration_s: another ground station can override what was asked."""
+        before = {name: self.session.counts.get(name, 0) for name in names}
+        start = self.session.now_s()
+        self.session.advance(start + duration_s)
+        span = self.session.now_s() - start
+        return {name: (self.session.counts.get(name, 0) - before[name]) / span for name in names}
+
+    # -- deeds ---------------------------------------------------------------------------------------------------------------
+
+    def ask_mode(self, mode: CopterMode) -> None:
+        """Ask for a mode without waiting: the supervisor repeats it until HEARTBEAT shows it."""
+        self.session.send(
+            self._command_long(
+                book.MAV_CMD_DO_SET_MODE, (float(book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode)), 0
+            )
+        )
+
+    def set_mode(self, mode: CopterMode, timeout_s: float = 5.0) -> None:
+        """Enter a mode and read it back in HEARTBEAT. LinkError with the vehicle's reason where it does not hold."""
+        why = ""
+        deadline = self.session.now_s() + timeout_s
+        while self.session.now_s() < deadline:
+            ack = self.command(book.MAV_CMD_DO_SET_MODE, float(book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode))
+            why = ack.sentence
+            seen = self.session.await_message(lambda m: m.get_type() == "HEARTBEAT" and m.custom_mode == mode, 1.5)
+            if seen is not None:
+                return
+        raise LinkError(
+            f"the vehicle did not enter {mode.name} (it is in {mode_name(self.mode)}; {why})",
+            "check FLTMODE_GCSBLOCK and what the vehicle's messages say",
+        )
+
+    def arm(self, timeout_s: float = 60.0) -> None:
+        """Arm, once a second until accepted: after boot it is refused for 20 to 25 s. LinkError with the reasons."""
+        deadline = self.session.now_s() + timeout_s
+        why = ""
+        while True:
+            ack = self.command(book.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            if ack.accepted and self.session.await_message(_armed_beat, 3.0) is not None:
+                return
+            why = ack.sentence if not ack.accepted else why
+            if self.session.now_s() >= deadline:
+                raise LinkError(f"the vehicle does not arm ({why})", "mend what it says, then fly again")
+            self.session.advance(self.session.now_s() + 1.0)
+
+    def take_off(self, height_m: float) -> Ack:
+        """Ask for take-off to a height above home, in GUIDED."""
+        return self.command(book.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m)
+
+    def go_to(self, position_m: np.ndarray, yaw_rad: float) -> None:
+        """Ask for a position (local NWU, m) and heading (NWU, rad), in GUIDED."""
+        x, y, z = (float(v) for v in frames.flip_vector(position_m))
+        yaw = float(frames.flip_euler([0.0, 0.0, yaw_rad])[2])
+        self.session.send(
+            book.MAVLink_set_position_target_local_ned_message(
+                int(self.session.now_s() * 1e3) & 0xFFFFFFFF,
+                self.session.vehicle_system,
+                COMPONENT_AUTOPILOT,
+                book.MAV_FRAME_LOCAL_NED,
+                _POSITION_AND_YAW,
+                x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, yaw, 0.0,
+            )
+        )  # fmt: skip
+
+    def mark(self, leg_id: str, phase: str) -> None:
+        """Write a segment mark into the vehicle's onboard log."""
+        self.session.send(mark_message(leg_id, phase))
+
+    def disarm(self) -> Ack:
+        """Ask to disarm; ArduCopter refuses in the air."""
+        return self.command(book.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+
+    def steer(
+        self, roll_rad: float, pitch_rad: float, yaw_rad: float, yaw_rate_rad_s: float | None, throttle: float
+    ) -> None:
+        """Send one attitude target. Only the helm calls this: every target passes the gate first."""
+        self.session.send(
+            target_message(
+                t_vehicle_s=self.session.now_s(),
+                system=self.session.vehicle_system,
+                roll_rad=roll_rad,
+                pitch_rad=pitch_rad,
+                yaw_rad=yaw_rad,
+                yaw_rate_rad_s=yaw_rate_rad_s,
+                throttle=throttle,
+            )
+        )
+
+
+class LaggedYaw:
+    """The heading that goes into the quaternion during a yaw rate step: where the vehicle will be, not where a bare integral runs to.
+
+    The vehicle advances the quaternion by the rate itself, and turns up late; a bare integral of the rate makes it hurry after the
+    difference, half again as fast as asked. So the rate is followed at accel_max_rad_s2 (ATC_ACC_Y_MAX; 0 is unlimited) and with a lag.
+    """
+
+    def __init__(self, yaw_rad: float, accel_max_rad_s2: float, lag_s: float = 0.12) -> None:
+        self.yaw_rad = yaw_rad
+        self._rate = 0.0
+        self._accel_max = accel_max_rad_s2 if accel_max_rad_s2 > 0 else math.inf
+        self._lag_s = lag_s
+
+    def advance(self, yaw_rate_rad_s: float, dt_s: float) -> float:
+        """The heading after dt_s at this commanded rate, rad."""
+        wanted = (yaw_rate_rad_s - self._rate) * (1.0 - math.exp(-dt_s / self._lag_s))
+        bound = self._accel_max * dt_s
+        before = self._rate
+        self._rate += min(max(wanted, -bound), bound)
+        self.yaw_rad = float(frames.wrap_angle(self.yaw_rad + 0.5 * (before + self._rate) * dt_s))
+        return self.yaw_rad
+
+
+def _armed_beat(message: Message) -> bool:
+    return bool(message.get_type() == "HEARTBEAT" and is_armed(message))

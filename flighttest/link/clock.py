@@ -1,0 +1,155 @@
+"""The vehicle's clock, live. All waiting in flight uses it, so that a simulator may run at its own speed.
+
+A `FollowedClock` goes by the stamps that arrive and runs on between them at the pace they keep, on the host's clock; a
+`GrantedClock` belongs to a simulator in lock-step and moves only when the simulator says so.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+_PACE_WINDOW_S = 2.0  # host seconds over which the pace is read
+_PERIOD_S = 1.0  # the least delayed stamp is looked for over one to two of these
+_REAL_TIME_TOLERANCE = 0.05  # a vehicle nearer to real time than this is a real one, and its pace exactly 1
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """Ground minus vehicle time, s, from TIMESYNC; error_s is half the smallest round trip of `samples` answers."""
+
+    offset_s: float
+    error_s: float
+    samples: int
+
+
+class Clock(Protocol):
+    """Where the vehicle's time comes from."""
+
+    def now_s(self) -> float:
+        """The vehicle's time, s; never goes back."""
+
+    def ground_s(self) -> float:
+        """The time to write into the record, s since 1970 on the ground's clock."""
+
+    def heard(self, vehicle_s: float) -> None:
+        """A message with the vehicle's time stamp has arrived now."""
+
+    @property
+    def pace(self) -> float:
+        """Vehicle seconds per host second."""
+
+
+class FollowedClock:
+    """Follows the stamps of the vehicle's messages. host_s and wall_s are injected by tests."""
+
+    def __init__(self, host_s: Callable[[], float] = time.monotonic, wall_s: Callable[[], float] = time.time) -> None:
+        self._host_s = host_s
+        self._wall_s = wall_s
+        self._pace = 1.0
+        self._heard: deque[tuple[float, float]] = deque()
+        # The least delayed stamp, as (host, vehicle), of the present and of the last short period.
+        self._best: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+        self._period_end_s = 0.0
+        self._latest_s = 0.0
+        self._started_s = host_s()
+
+    @property
+    def pace(self) -> float:
+        """Vehicle seconds per host second, 1.0 for a vehicle in real time."""
+        return self._pace
+
+    def heard(self, vehicle_s: float) -> None:
+        """Follow a stamp: the least delayed of the last second or two sets the clock, since delays only ever add."""
+        host = self._host_s()
+        if self._heard and vehicle_s < self._heard[-1][1] - 5.0:  # a reboot: begin anew
+            self._heard.clear()
+            self._best, self._latest_s, self._pace = (None, None), 0.0, 1.0
+        self._heard.append((host, vehicle_s))
+        while host - self._heard[0][0] > _PACE_WINDOW_S:
+            self._heard.popleft()
+        span = host - self._heard[0][0]
+        if span > 0.5 * _PACE_WINDOW_S:
+            pace = (vehicle_s - self._heard[0][1]) / span
+            self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else max(pace, 0.0)
+        period = _PERIOD_S if self._pace == 1.0 else 0.1 * _PERIOD_S
+        if host >= self._period_end_s:
+            self._best = (None, self._best[0])
+            self._period_end_s = host + period
+        present = self._best[0]
+        if present is None or vehicle_s >= present[1] + (host - present[0]) * self._pace:
+            self._best = ((host, vehicle_s), self._best[1])
+
+    def _run_on(self, host: float) -> float:
+        known = [b[1] + (host - b[0]) * self._pace for b in self._best if b is not None]
+        return max(known) if known else host - self._started_s  # nothing heard yet: waiting still needs an end
+
+    def now_s(self) -> float:
+        """The vehicle's time; runs on at the last pace while nothing arrives, so that silence can be measured."""
+        self._latest_s = max(self._latest_s, self._run_on(self._host_s()))
+        return self._latest_s
+
+    def ground_s(self) -> float:
+        """Wall clock time."""
+        return self._wall_s()
+
+
+class GrantedClock:
+    """The time of a simulator in lock-step: exact, and standing still between grants."""
+
+    def __init__(self, wall_s: Callable[[], float] = time.time) -> None:
+        self._now_s = 0.0
+        self._wall_s = wall_s
+        self._epoch_s: float | None = None
+
+    @property
+    def pace(self) -> float:
+        """Always 1: the ground's clock is the vehicle's."""
+        return 1.0
+
+    def heard(self, vehicle_s: float) -> None:
+        """Stamps do not move this clock."""
+
+    def reach(self, vehicle_s: float) -> None:
+        """The simulator has come to this time."""
+        if self._epoch_s is None:
+            self._epoch_s = round(self._wall_s()) - vehicle_s
+        self._now_s = max(self._now_s, vehicle_s)
+
+    def now_s(self) -> float:
+        """The vehicle's time."""
+        return self._now_s
+
+    def ground_s(self) -> float:
+        """The vehicle's time, set forward to today: ground and vehicle share one clock in lock-step."""
+        return self._now_s + (self._epoch_s if self._epoch_s is not None else self._wall_s())
+
+
+class TimeSync:
+    """Our TIMESYNC questions and their answers. All in vehicle or ground seconds, as given."""
+
+    def __init__(self) -> None:
+        self._asked: dict[int, float] = {}
+        self._trips: list[tuple[float, float, float]] = []
+
+    def ask(self, ground_s: float) -> int:
+        """The ts1 (ns) of a new question at ground_s."""
+        ts1 = int(ground_s * 1e9)
+        self._asked[ts1] = ground_s
+        return ts1
+
+    def answer(self, tc1: int, ts1: int, ground_s: float) -> None:
+        """An answer; one to somebody else's question is not ours."""
+        asked = self._asked.pop(ts1, None)
+        if asked is not None and tc1:
+            self._trips.append((asked, tc1 * 1e-9, ground_s))
+
+    def offset(self) -> ClockOffset | None:
+        """The offset by the sample with the smallest round trip, not the mean; None before the first answer."""
+        if not self._trips:
+            return None
+        sent, vehicle, received = min(self._trips, key=lambda t: t[2] - t[0])
+        return ClockOffset(0.5 * (sent + received) - vehicle, 0.5 * (received - sent), len(self._trips))

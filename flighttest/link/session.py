@@ -1,0 +1,187 @@
+"""One vehicle on one port: what it said last, its time, and questions with answers. Does not interpret, does not swallow a timeout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from flighttest.errors import LinkError
+from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedClock, TimeSync
+from flighttest.link.lockstep import Grants
+from flighttest.link.port import Port
+from flighttest.mavlink.dialect import Message, book, is_vehicle
+
+HEARTBEAT_EVERY_S = 1.0
+TIMESYNC_EVERY_S = 1.0
+_POLL_S = 0.02  # host seconds one receive may block
+_SILENCE_MAX_S = 10.0  # host seconds a simulator in lock-step may think about a grant
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message with the vehicle's time of its arrival, s."""
+
+    message: Message
+    t_s: float
+
+
+class Session:
+    """The conversation with one vehicle. `advance` is the only place where time passes and messages come in.
+
+    vehicle_system is 0 until the first HEARTBEAT of an autopilot. latest: message name to the last one heard from the vehicle.
+    """
+
+    def __init__(self, port: Port, clock: Clock | None = None) -> None:
+        self.port = port
+        self.clock: Clock = clock or FollowedClock()
+        self.vehicle_system = 0
+        self.latest: dict[str, Heard] = {}
+        self.counts: dict[str, int] = {}
+        self._listeners: list[Callable[[Message, float], None]] = []
+        self._timesync = TimeSync()
+        self._grants: Grants | None = None
+        self._next_heartbeat_s = self._next_timesync_s = 0.0
+        self.last_heard_s = 0.0
+
+    def listen(self, listener: Callable[[Message, float], None]) -> None:
+        """Call `listener(message, vehicle time s)` for every message from the vehicle."""
+        self._listeners.append(listener)
+
+    def forget(self, listener: Callable[[Message, float], None]) -> None:
+        """Stop calling a listener."""
+        self._listeners.remove(listener)
+
+    @property
+    def lock_step(self) -> bool:
+        """Whether a simulator waits for our grants."""
+        return self._grants is not None
+
+    def enter_lock_step(self) -> None:
+        """Go on in lock-step with a simulator that has agreed to it: from now on its time is granted by `advance`."""
+        granted = GrantedClock()
+        granted.reach(self.clock.now_s())
+        self._grants = Grants(self.clock.now_s())
+        self.clock = granted
+        self._next_heartbeat_s = self._next_timesync_s = 0.0
+
+    def now_s(self) -> float:
+        """The vehicle's time, s."""
+        return self.clock.now_s()
+
+    def send(self, message: Message) -> bool:
+        """Send one message; False after `port.mute()`."""
+        return self.port.send(message)
+
+    def advance(self, until_s: float) -> None:
+        """Let time pass until the vehicle's clock shows until_s, taking in what arrives. Returns at once when it is past."""
+        while True:
+            self._keep_alive()
+            if self._grants is not None:
+                self._advance_granted(until_s)
+                return
+            remaining = until_s - self.clock.now_s()
+            self._take(min(max(remaining, 0.0) / max(self.clock.pace, 0.05), _POLL_S))
+            if until_s - self.clock.now_s() <= 0.0:
+                return
+
+    def _advance_granted(self, until_s: float) -> None:
+        assert self._grants is not None
+        assert isinstance(self.clock, GrantedClock)
+        clock = self.clock
+        for grant in self._grants.upto(until_s):
+            self.send(grant)
+            silent_s = 0.0
+            while not self._grants.reached:
+                before = self.port.frames_received
+                self._take(_POLL_S)
+                silent_s = 0.0 if self.port.frames_received > before else silent_s + _POLL_S
+                if silent_s > _SILENCE_MAX_S:
+                    raise LinkError("the simulator stopped answering in lock-step", "start it again")
+            clock.reach(self._grants.now_s)
+
+    def _keep_alive(self) -> None:
+        now = self.clock.now_s()
+        if now >= self._next_heartbeat_s:
+            self._next_heartbeat_s = now + HEARTBEAT_EVERY_S * max(self.clock.pace, 1.0)
+            self.send(
+                book.MAVLink_heartbeat_message(
+                    type=book.MAV_TYPE_ONBOARD_CONTROLLER,
+                    autopilot=book.MAV_AUTOPILOT_INVALID,
+                    base_mode=0,
+                    custom_mode=0,
+                    system_status=book.MAV_STATE_ACTIVE,
+                    mavlink_version=3,
+                )
+            )
+        if self.vehicle_system and now >= self._next_timesync_s:
+            self._next_timesync_s = now + TIMESYNC_EVERY_S * max(self.clock.pace, 1.0)
+            self.send(book.MAVLink_timesync_message(tc1=0, ts1=self._timesync.ask(self.clock.ground_s())))
+
+    def _take(self, timeout_s: float) -> None:
+        for message in self.port.receive(timeout_s):
+            self._dispatch(message)
+
+    def _dispatch(self, message: Message) -> None:
+        kind = message.get_type()
+        system = message.get_srcSystem()
+        if not self.vehicle_system and kind == "HEARTBEAT" and is_vehicle(message):
+            self.vehicle_system = system
+        if system != self.vehicle_system or system == 0:
+            return
+        if kind == "TIMESYNC":
+            self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
+            self.clock.heard(
+                (message.tc1 or message.ts1) * 1e-9
+            )  # an answer, or the vehicle's own question: both its time
+        if self._grants is not None:
+            self._grants.heard(message)
+        stamp = getattr(message, "time_boot_ms", None)
+        if stamp:
+            self.clock.heard(stamp * 1e-3)
+        t_s = self.clock.now_s()
+        self.last_heard_s = t_s
+        self.latest[kind] = Heard(message, t_s)
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        for listener in tuple(self._listeners):
+            listener(message, t_s)
+
+    @property
+    def silence_s(self) -> float:
+        """Vehicle seconds since anything was heard from the vehicle."""
+        return self.clock.now_s() - self.last_heard_s
+
+    @property
+    def offset(self) -> ClockOffset | None:
+        """Ground minus vehicle time by TIMESYNC, None before the first answer."""
+        return self._timesync.offset()
+
+    def await_message(self, wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
+        """The next message from the vehicle for which `wanted` is true, or None after timeout_s of the vehicle's time."""
+        found: list[Message] = []
+
+        def look(message: Message, _t_s: float) -> None:
+            if not found and wanted(message):
+                found.append(message)
+
+        self.listen(look)
+        try:
+            deadline = self.now_s() + timeout_s
+            while not found and self.now_s() < deadline:
+                self.advance(min(self.now_s() + 0.02, deadline))
+        finally:
+            self.forget(look)
+        return found[0] if found else None
+
+    def connect(self, timeout_s: float = 10.0) -> Message:
+        """The first HEARTBEAT of an autopilot, and the vehicle's time from TIMESYNC where it answers. LinkError without a HEARTBEAT.
+
+        timeout_s is in host seconds: there is no other clock yet.
+        """
+        beat = self.await_message(lambda m: m.get_type() == "HEARTBEAT", timeout_s)
+        if beat is None:
+            raise LinkError(
+                f"no HEARTBEAT of an autopilot within {timeout_s:.0f} s",
+                "check the URL, that the vehicle is on, and that it sends to this port",
+            )
+        self.await_message(lambda m: m.get_type() == "TIMESYNC" and m.tc1 != 0, 3.0)
+        return beat

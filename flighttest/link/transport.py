@@ -1,0 +1,205 @@
+"""Bytes to and from a vehicle: UDP, TCP and serial ports by URL. Knows nothing of MAVLink."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import select
+import socket
+import time
+from typing import Any, Protocol
+
+from flighttest.errors import InputError, LinkError
+
+URL_FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim"
+_CHUNK = 65536
+_CONNECT_TIMEOUT_S = 5.0
+_RECONNECT_EVERY_S = 1.0
+
+
+class Transport(Protocol):
+    """One end of a byte link. `receive` returns what has arrived, or b"" after timeout_s (host seconds); it never blocks longer."""
+
+    def send(self, data: bytes) -> None:
+        """Hand the bytes over; what cannot be sent now is lost, as on a radio."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Bytes that have arrived, b"" when none did within timeout_s."""
+
+    def close(self) -> None:
+        """Give the port back; harmless when done twice."""
+
+
+def open_transport(url: str) -> Transport:
+    """The transport of a URL (see `URL_FORMS`, with // or without). InputError for a bad URL, LinkError when it cannot be opened."""
+    kind, _, rest = url.strip().partition(":")
+    rest = rest.removeprefix("//")
+    try:
+        if kind in ("udpin", "udp", "udpout", "tcp", "tcpout"):
+            host, _, port_text = rest.rpartition(":")
+            port = int(port_text)
+            if not host or not 0 < port < 65536:
+                raise ValueError(port_text)
+            if kind in ("tcp", "tcpout"):
+                return TcpTransport(host, port)
+            return UdpTransport(host, port, listen=kind != "udpout")
+        if kind == "serial":
+            device, _, baud = rest.rpartition(":")
+            if not device:
+                raise ValueError(rest)
+            return _open_serial(device, int(baud))
+    except ValueError:
+        pass
+    except OSError as error:
+        raise LinkError(f"cannot open {url}: {error.strerror or error}", _hint(kind)) from error
+    raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
+
+
+def _hint(kind: str) -> str:
+    if kind in ("tcp", "tcpout"):
+        return "is the vehicle or simulator running and listening there?"
+    if kind == "serial":
+        return "check the device name, and that your user may open it (group dialout)"
+    return "is the port in use by another program, or the host name wrong?"
+
+
+class UdpTransport:
+    """UDP. listen: bind and answer whoever sends (udpin); otherwise send to the address (udpout)."""
+
+    def __init__(self, host: str, port: int, *, listen: bool) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        # Bursts of a fast simulator must not fall out of the kernel's default buffer.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        try:
+            address = (socket.gethostbyname(host), port)
+            self._peer: tuple[str, int] | None = None if listen else address
+            if listen:
+                self._socket.bind(address)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def send(self, data: bytes) -> None:
+        """Send one datagram; nobody heard yet, or a full buffer, loses it."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):  # unreachable now may be reachable later; loss shows as missing answers
+                self._socket.sendto(data, self._peer)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """All datagrams that are waiting."""
+        chunks: list[bytes] = []
+        if not select.select([self._socket], [], [], max(timeout_s, 0.0))[0]:
+            return b""
+        while True:
+            try:
+                data, self._peer = self._socket.recvfrom(_CHUNK)
+            except (BlockingIOError, ConnectionRefusedError):
+                break
+            chunks.append(data)
+        return b"".join(chunks)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class TcpTransport:
+    """A TCP client that connects again when the other side went away."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._address = (host, port)
+        self._socket: socket.socket | None = self._connect(_CONNECT_TIMEOUT_S)
+        self._next_try_s = 0.0
+
+    def _connect(self, timeout_s: float) -> socket.socket:
+        connected = socket.create_connection(self._address, timeout=timeout_s)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connected.setblocking(False)
+        return connected
+
+    def _lose(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+        self._next_try_s = time.monotonic() + _RECONNECT_EVERY_S
+
+    def send(self, data: bytes) -> None:
+        """Send all of it, or nothing while the other side is away."""
+        view = memoryview(data)
+        while self._socket is not None and view:
+            try:
+                view = view[self._socket.send(view) :]
+            except BlockingIOError:
+                # Half a frame would spoil the next one: wait for room, or treat a stuck peer as gone.
+                if not select.select([], [self._socket], [], 0.5)[1]:
+                    self._lose()
+            except OSError:
+                self._lose()
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has arrived; tries to connect again once a second while the other side is away."""
+        if self._socket is None:
+            if time.monotonic() < self._next_try_s:
+                time.sleep(min(max(timeout_s, 0.0), 0.05))
+                return b""
+            try:
+                self._socket = self._connect(0.5)
+            except OSError:
+                self._lose()
+                return b""
+        if not select.select([self._socket], [], [], max(timeout_s, 0.0))[0]:
+            return b""
+        try:
+            data = self._socket.recv(_CHUNK)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._lose()
+        return data
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+class SerialTransport:
+    """A serial port through pyserial; a device that was unplugged reads as silence until it is back."""
+
+    def __init__(self, port: Any) -> None:
+        self._port = port
+
+    def send(self, data: bytes) -> None:
+        """Write the bytes; a device that is gone loses them."""
+        with contextlib.suppress(OSError):  # pyserial's SerialException is an OSError
+            self._port.write(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has arrived within timeout_s."""
+        try:
+            self._port.timeout = max(timeout_s, 0.0)
+            first = self._port.read(1)
+            return bytes(first + self._port.read(self._port.in_waiting)) if first else b""
+        except OSError:
+            time.sleep(min(max(timeout_s, 0.0), 0.05))
+            with contextlib.suppress(OSError):
+                self._port.close()
+                self._port.open()
+            return b""
+
+    def close(self) -> None:
+        """Close the device."""
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+def _open_serial(device: str, baud: int) -> SerialTransport:
+    try:
+        serial = importlib.import_module("serial")
+    except ImportError as error:
+        raise LinkError("serial ports need the package pyserial", "pip install pyserial") from error
+    return SerialTransport(serial.Serial(device, baud, timeout=0, write_timeout=0.5))
