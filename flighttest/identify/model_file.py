@@ -1,0 +1,329 @@
+"""model.yaml: what a fit leaves for the next program (format model/1, see docs/formats.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from flighttest.documents import Document, Node, kind_of
+from flighttest.errors import ModelError
+from flighttest.identify.fit import Fit
+from flighttest.physics.body import DELAY_PARAM
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
+
+FloatArray = NDArray[np.float64]
+
+_TOP = (
+    "format", "terms", "parameters", "constants", "delays", "covariance", "valid", "fingerprint", "runs", "noise", "fit_quality",
+    "notes", "attitude_loops", "channel_delays", "onset_delay",
+)  # fmt: skip
+_PARAMETER = ("value", "unit", "std", "interval_95", "source", "identifiable", "why", "fly", "symbol", "dof")
+
+
+@dataclass(frozen=True)
+class StoredParameter:
+    """One entry of `parameters`."""
+
+    value: float
+    unit: str
+    std: float | None = None
+    interval_95: tuple[float, float] | None = None
+    source: str = "fit"
+    identifiable: bool = True
+    why: str = ""
+    fly: str = ""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A model.yaml, read. model: the physics; values: every parameter the model needs; covariance over `order`.
+
+    valid, fingerprint, noise, fit_quality: as written; runs: names of the recordings it was fitted to.
+    """
+
+    model: Model
+    parameters: Mapping[str, StoredParameter]
+    values: Mapping[str, float]
+    order: tuple[str, ...]
+    covariance: FloatArray
+    valid: Mapping[str, Any]
+    fingerprint: Mapping[str, Any] = field(default_factory=dict)
+    runs: tuple[Any, ...] = ()
+    noise: Mapping[str, Any] = field(default_factory=dict)
+    fit_quality: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    path: str = ""
+
+    @property
+    def delays_s(self) -> dict[str, float]:
+        """Delay per channel, s, added terms included."""
+        system = self.model.system
+        p = np.array([self.values[n] for n in system.params])
+        return dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
+
+    @property
+    def identified(self) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+        """Names, values and covariance of the parameters that are identifiable."""
+        names = tuple(n for n in self.order if n in self.parameters and self.parameters[n].identifiable)
+        pick = np.array([self.order.index(n) for n in names], dtype=np.intp)
+        return names, np.array([self.parameters[n].value for n in names]), self.covariance[np.ix_(pick, pick)]
+
+
+def as_data(
+    found: Fit,
+    *,
+    fingerprint: Mapping[str, Any] | None = None,
+    runs: Sequence[Any] | None = None,
+    extra_quality: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """A fit as the plain data of model.yaml."""
+    parameters = {}
+    for name, e in found.estimates.items():
+        entry: dict[str, Any] = {"value": _number(e.value), "unit": e.unit, "std": _number(e.std)}
+        entry["interval_95"] = None if e.interval_95 is None else [_number(v) for v in e.interval_95]
+        entry |= {"source": e.source, "identifiable": e.identifiable}
+        if e.why:
+            entry["why"] = e.why
+        if e.fly:
+            entry["fly"] = e.fly
+        parameters[name] = entry
+    order, matrix = covariance_with_mean_delay(found)
+    valid = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(found.valid).items() if v is not None}
+    quality: dict[str, Any] = {
+        "status": found.status.value,
+        "iterations": found.solution.iterations,
+        "responses": len(found.problem.segments),
+        "channels": {
+            c: {"rmse": _number(q.rmse), "noise_floor": _number(q.floor), "r2": _number(q.r2), "residual": q.sentence}
+            for c, q in found.quality.items()
+        },
+        "outliers": [o.sentence for o in found.outliers],
+        "ties": [t.sentence for t in found.ties],
+        "voltage_spread_at_equal_throttle_v": _number(found.voltage_spread_v),
+        **(extra_quality or {}),
+    }
+    data: dict[str, Any] = {
+        "format": "model/1",
+        "terms": list(found.model.terms),
+        "parameters": parameters,
+        "constants": dict(found.model.constants),
+        "attitude_loops": found.model.attitude_loops,
+        "channel_delays": found.model.channel_delays,
+        "delays": {c: {"value": _number(v), "unit": "s", "std": _number(s)} for c, (v, s) in found.delays_s.items()},
+    }
+    if found.onset is not None:
+        data["onset_delay"] = {
+            "mean_s": _number(found.onset.mean_s), "std_s": _number(found.onset.std_s), "count": found.onset.count,
+            "channels_s": {k: _number(v) for k, v in found.onset.channel_s.items()},
+        }  # fmt: skip
+    data |= {
+        "covariance": {"order": list(order), "matrix": [[_number(v) for v in row] for row in matrix]},
+        "valid": valid,
+        "fingerprint": dict(fingerprint or {}),
+        "runs": list(runs if runs is not None else found.runs),
+        "noise": {
+            "channels": {c: _number(v) for c, v in found.noise.channel.items()},
+            "disturbances": {c: _number(v) for c, v in found.noise.disturbance.items()},
+        },
+        "fit_quality": quality,
+        "notes": list(found.notes),
+    }
+    return data
+
+
+def covariance_with_mean_delay(found: Fit) -> tuple[tuple[str, ...], FloatArray]:
+    """The covariance with T_d, the mean of the channels' delays, as its last row."""
+    names, matrix = found.covariance.names, found.covariance.matrix
+    delays = [n for n in DELAY_PARAM.values() if n in names]
+    if not delays or "T_d" in names:
+        return names, matrix
+    mean = np.array([1.0 / len(delays) if n in delays else 0.0 for n in names])
+    expand = np.vstack([np.eye(len(names)), mean])
+    return (*names, "T_d"), expand @ matrix @ expand.T
+
+
+def write(path: Path, data: Mapping[str, Any]) -> None:
+    """Write model.yaml from `as_data`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    path.write_text(text, encoding="utf-8")
+
+
+def read(path: Path) -> ModelFile:
+    """Read model.yaml; ModelError lists everything wrong with it."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(
+            f"{path}: cannot be read: {error}", "give the path of a model.yaml that `flighttest fit` wrote"
+        ) from error
+    document = Document(str(path), text)
+    document.check_format("model")
+    root = document.mapping(document.root, _TOP) if document.root is not None else {}
+    terms = _terms(document, root.get("terms"))
+    parameters = _parameters(document, root.get("parameters"))
+    constants = _plain_mapping(document, root.get("constants"))
+    covariance = _plain_mapping(document, root.get("covariance"))
+    for key in ("parameters", "terms"):
+        if document.root is not None and key not in root:
+            document.problem(1, key, "is missing", "a model file names its terms and parameters")
+    order, matrix = _covariance(document, root.get("covariance"), covariance, parameters)
+    document.raise_problems(ModelError)
+
+    plain = {k: n.plain() for k, n in root.items()}
+    loops = plain.get("attitude_loops", any(n in parameters for n in ("omega_phi", "omega_theta", "sigma_r")))
+    channel_delays = plain.get("channel_delays", any(n in parameters for n in DELAY_PARAM.values()))
+    model = Model(
+        tuple(terms),
+        float(constants.get("nominal_voltage_v", 22.2)),
+        float(constants.get("g", 9.81)),
+        channel_delays=bool(channel_delays),
+        attitude_loops=bool(loops),
+    )
+    values = model.start({n: p.value for n, p in parameters.items()})
+    missing = [
+        n for n in model.names if n not in parameters and n not in DELAY_PARAM.values() and model.term_of(n) != "body"
+    ]
+    if missing:
+        raise ModelError(
+            f"{path}: parameters {', '.join(missing)} of its terms are missing",
+            "write the file again with `flighttest fit`",
+        )
+    return ModelFile(
+        model=model,
+        parameters=parameters,
+        values=values,
+        order=order,
+        covariance=matrix,
+        valid=plain.get("valid") or {},
+        fingerprint=plain.get("fingerprint") or {},
+        runs=tuple(plain.get("runs") or ()),
+        noise=plain.get("noise") or {},
+        fit_quality=plain.get("fit_quality") or {},
+        notes=tuple(plain.get("notes") or ()),
+        path=str(path),
+    )
+
+
+def from_fit(found: Fit) -> ModelFile:
+    """A fit as the model file it would be read back from, without the way over a disk."""
+    order, matrix = covariance_with_mean_delay(found)
+    parameters = {
+        n: StoredParameter(e.value, e.unit, e.std, e.interval_95, e.source, e.identifiable, e.why, e.fly)
+        for n, e in found.estimates.items()
+    }
+    data = as_data(found)
+    return ModelFile(
+        found.model, parameters, found.values, order, matrix, data["valid"], {}, tuple(data["runs"]), data["noise"],
+        data["fit_quality"], found.notes,
+    )  # fmt: skip
+
+
+class _Dumper(yaml.SafeDumper):
+    """Block style with short lists and small mappings on one line."""
+
+    def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> Any:
+        flat = all(not isinstance(v, dict | list | tuple) for v in sequence)
+        return super().represent_sequence(tag, sequence, flow_style=flat if flow_style is None else flow_style)
+
+    def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> Any:
+        short = len(mapping) <= 8 and not any(_deep(v) for v in mapping.values())
+        return super().represent_mapping(tag, mapping, flow_style=short if flow_style is None else flow_style)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _deep(value: Any) -> bool:
+    """Whether a value does not read well on one line."""
+    return isinstance(value, dict) or (isinstance(value, list) and any(isinstance(v, list | dict) for v in value))
+
+
+def _number(value: float | None) -> float | None:
+    """Seven digits: enough for any use, and a file that reads well. None for what is no number."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f"{value:.7g}")
+
+
+def _plain_mapping(document: Document, node: Node | None) -> dict[str, Any]:
+    if node is None:
+        return {}
+    if not isinstance(node.value, dict):
+        document.wrong(node, f"expected a block of keys, found {kind_of(node.value)}")
+        return {}
+    return dict(node.plain())
+
+
+def _terms(document: Document, node: Node | None) -> list[str]:
+    if node is None:
+        return ["body"]
+    if not isinstance(node.value, list):
+        document.wrong(
+            node, f"expected a list of terms, found {kind_of(node.value)}", "for example [body, linear_drag]"
+        )
+        return ["body"]
+    known = {"body", *catalogue()}
+    for child in node.value:
+        if child.value not in known:
+            document.wrong(child, f"no term is called {child.plain()!r}", "see `flighttest terms`")
+    return [str(child.plain()) for child in node.value]
+
+
+def _parameters(document: Document, node: Node | None) -> dict[str, StoredParameter]:
+    if node is None:
+        return {}
+    if not isinstance(node.value, dict):
+        document.wrong(node, f"expected a block of parameters, found {kind_of(node.value)}")
+        return {}
+    found = {}
+    for name, child in node.value.items():
+        entry = document.mapping(child, _PARAMETER)
+        if "value" not in entry:
+            document.wrong(child, f"parameter {name} has no value", "write `value:`")
+            continue
+        value = document.number(entry["value"], -1e9, 1e9)
+        std = None if "std" not in entry or entry["std"].value is None else document.number(entry["std"], 0.0, 1e9)
+        interval = entry["interval_95"].plain() if "interval_95" in entry else None
+        pair = None
+        if isinstance(interval, list):
+            if len(interval) == 2 and all(isinstance(v, int | float) for v in interval):
+                pair = (float(interval[0]), float(interval[1]))
+            else:
+                document.wrong(entry["interval_95"], "an interval is two numbers", "write [low, high]")
+
+        def text(key: str, default: str = "", entry: dict[str, Node] = entry) -> str:
+            return str(entry[key].plain()) if key in entry else default
+
+        identifiable = entry["identifiable"].plain() if "identifiable" in entry else True
+        if value is not None:
+            found[name] = StoredParameter(
+                value, text("unit"), std, pair, text("source", "fit"), bool(identifiable), text("why"), text("fly")
+            )
+    return found
+
+
+def _covariance(
+    document: Document, node: Node | None, plain: Mapping[str, Any], parameters: Mapping[str, StoredParameter]
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Order and matrix; from the standard errors alone where the file has no covariance."""
+    if node is None or not plain:
+        names = tuple(n for n, p in parameters.items() if p.std is not None)
+        return names, np.diag([float(parameters[n].std or 0.0) ** 2 for n in names])
+    names = tuple(str(n) for n in plain.get("order") or ())
+    try:
+        matrix = np.array(plain.get("matrix") or [], dtype=float).reshape(len(names), len(names))
+    except (ValueError, TypeError):
+        document.wrong(node, f"the matrix is not {len(names)} x {len(names)} numbers, as `order` says")
+        return (), np.zeros((0, 0))
+    if not np.isfinite(matrix).all():
+        document.wrong(node, "the matrix holds something that is not a finite number")
+    return names, matrix
