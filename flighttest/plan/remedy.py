@@ -1,0 +1,51 @@
+"""What would fit, for a step that leaves the zone: a start height when only the height asked for is wrong, else a duration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from flighttest.plan.fit_zone import Fitted, Setting, fit_cells
+from flighttest.plan.room import Placement, box, place
+
+SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
+
+
+def remedy(
+    f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float], placement: Placement
+) -> str:
+    """One sentence that tells the operator what to change."""
+    assert placement.excess is not None
+    if f.cell.waypoints:
+        return "move the waypoints inwards, or lower speed_m_s"
+    if f.cell.height_m is not None:
+        free = place(f.nominal, f.lost, setting.room, wish_m, headings_rad)
+        if free.excess is None:
+            step = f.cell.height_m + free.start_m[2] - placement.start_m[2]
+            return f"height_m {step:.1f} would fit"
+    fit = _durations(f, setting, wish_m, headings_rad)
+    if fit:
+        return fit
+    low, high = box(f.nominal)
+    need, have = high - low, setting.room.inner_high - setting.room.inner_low
+    axis = placement.excess.axis
+    if axis == 2:
+        return f"it needs {need[2]:.1f} m of height where {have[2]:.1f} m are free: make the step smaller"
+    return f"it needs {max(need[0], need[1]):.1f} m where {max(have[0], have[1]):.1f} m are free: make the step smaller"
+
+
+def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> str:
+    """The longest shorter duration that fits, as a sentence; empty when none does."""
+    wanted = next((piece.duration_s for piece in f.cell.lead if piece.record), 0.0)
+    shorter = []
+    for share in SHARES:
+        lead = tuple(replace(p, duration_s=round(p.duration_s * share, 1)) if p.record else p for p in f.cell.lead)
+        shorter.append(replace(f.cell, lead=lead, shortest_s={}))
+    for tried in fit_cells(shorter, setting):
+        if (
+            tried.complaint
+            or place(tried.nominal, tried.lost, setting.room, wish_m, headings_rad, f.cell.height_m).excess
+        ):
+            continue
+        seconds = next(piece.duration_s for piece in tried.lead if piece.record)
+        return f"{seconds:.1f} s instead of {wanted:.1f} s would fit"
+    return ""

@@ -1,0 +1,206 @@
+"""The room a step takes, and where in the zone it can start: boxes about the start, rotated by heading, with the link lost too."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from flighttest.plan.model import FloatArray
+from flighttest.script.model import Limits
+from flighttest.vehicle.model import Zone
+
+# What a fence's BRAKE can be relied on for, of ArduCopter's 7.5 m/s^2.
+BRAKE_M_S2 = 4.0
+AXIS_WORDS = ("along the zone", "across the zone", "in height")
+
+
+@dataclass(frozen=True)
+class Room:
+    """Where the vehicle may be: inner box for the flight as planned, outer for a lost link; (3,) low and high, zone frame."""
+
+    inner_low: FloatArray
+    inner_high: FloatArray
+    outer_low: FloatArray
+    outer_high: FloatArray
+
+    @classmethod
+    def of(cls, zone: Zone, limits: Limits) -> Room:
+        """The zone with its margin, cut to the script's heights; a script's own floor replaces the zone's."""
+        low = np.array([zone.x_m[0], zone.y_m[0], zone.z_m[0]])
+        high = np.array([zone.x_m[1], zone.y_m[1], zone.z_m[1]])
+        inner_low, inner_high = low + zone.margin_m, high - zone.margin_m
+        if limits.floor_m is not None:
+            inner_low[2], low[2] = limits.floor_m, 0.5 * limits.floor_m
+        inner_low[2] = max(inner_low[2], limits.height_m[0])
+        inner_high[2] = min(inner_high[2], limits.height_m[1])
+        return cls(inner_low, inner_high, low, high)
+
+
+@dataclass(frozen=True)
+class Track:
+    """A predicted flight relative to its start, vehicle's starting heading along x: p_m, v_m_s (m, 3), t_s (m,)."""
+
+    t_s: FloatArray
+    p_m: FloatArray
+    v_m_s: FloatArray
+
+    def turned(self, angle_rad: float) -> Track:
+        """The same flight with the vehicle turned by angle_rad."""
+        c, s = math.cos(angle_rad), math.sin(angle_rad)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return Track(self.t_s, self.p_m @ turn.T, self.v_m_s @ turn.T)
+
+
+@dataclass(frozen=True)
+class Excess:
+    """By how much a flight leaves its room: metres, seconds from the leg's start, which axis and side, with the link lost or not."""
+
+    metres: float
+    t_s: float
+    axis: int
+    high: bool
+    lost: bool
+
+    @property
+    def words(self) -> str:
+        """Where it leaves, as an operator would say it."""
+        side = ("below the floor", "above the ceiling")[self.high] if self.axis == 2 else AXIS_WORDS[self.axis]
+        lost = " with the link lost at the worst moment" if self.lost else ""
+        return f"{self.metres:.1f} m {side} at {self.t_s:.1f} s{lost}"
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A start in the zone, the heading it was found for, and the worst excess there (None: it fits)."""
+
+    start_m: tuple[float, float, float]
+    heading_rad: float
+    excess: Excess | None
+
+
+def box(tracks: list[Track]) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner of all tracks: two (3,)."""
+    return (
+        np.min([track.p_m.min(axis=0) for track in tracks], axis=0),
+        np.max([track.p_m.max(axis=0) for track in tracks], axis=0),
+    )
+
+
+def place(
+    nominal: list[Track],
+    lost: list[Track],
+    room: Room,
+    wish_m: tuple[float, float, float],
+    headings_rad: list[float],
+    height_m: float | None = None,
+) -> Placement:
+    """A start near the wish from which every flight stays in its room, under the first heading that allows one.
+
+    headings_rad: relative to the zone's x axis, in order of preference. height_m: start height, where it is not free.
+    """
+    best: Placement | None = None
+    # A heading under which even a lost link stays inside by itself goes before one that needs the fence.
+    for heading, fence in [(heading, fence) for fence in (False, True) for heading in headings_rad]:
+        found = _place(nominal, lost, room, wish_m, heading, height_m, fence)
+        if found.excess is None:
+            return found
+        if best is None or best.excess is None or found.excess.metres < best.excess.metres:
+            best = found
+    assert best is not None
+    return best
+
+
+def _place(
+    nominal: list[Track],
+    lost: list[Track],
+    room: Room,
+    wish_m: tuple[float, float, float],
+    heading: float,
+    height_m: float | None,
+    fence: bool,
+) -> Placement:
+    turned, turned_lost = [track.turned(heading) for track in nominal], [track.turned(heading) for track in lost]
+    low, high = box(turned)
+    lost_low, lost_high = box(turned_lost) if turned_lost else (low, high)
+    # Starts that keep the flight as planned inside, and those that contain a lost link without a fence as well.
+    from_inner, to_inner = room.inner_low - low, room.inner_high - high
+    from_outer, to_outer = (
+        np.maximum(from_inner, room.outer_low - lost_low),
+        np.minimum(to_inner, room.outer_high - lost_high),
+    )
+    candidates: list[list[float]] = []
+    for axis in range(3):
+        if axis == 2 and height_m is not None:
+            candidates.append([height_m])
+        elif from_outer[axis] <= to_outer[axis]:
+            candidates.append([float(np.clip(wish_m[axis], from_outer[axis], to_outer[axis]))])
+        elif fence and from_inner[axis] <= to_inner[axis] and axis < 2:
+            # The fence has to help: try the wish and both ends.
+            span = (float(from_inner[axis]), float(to_inner[axis]))
+            candidates.append([float(np.clip(wish_m[axis], *span)), *span])
+        else:
+            middle = 0.5 * (from_outer[axis] + to_outer[axis])
+            candidates.append([float(middle)])
+    best: Placement | None = None
+    for x in candidates[0]:
+        for y in candidates[1]:
+            start = np.array([x, y, candidates[2][0]])
+            excess = worst(turned, turned_lost, room, start, fence)
+            found = Placement((float(x), float(y), float(start[2])), heading, excess)
+            if excess is None:
+                return found
+            if best is None or best.excess is None or excess.metres < best.excess.metres:
+                best = found
+    assert best is not None
+    return best
+
+
+def worst(nominal: list[Track], lost: list[Track], room: Room, start: FloatArray, fence: bool) -> Excess | None:
+    """The largest excess of flights that start there (already turned), None when all stay in their room.
+
+    fence: sideways, a fence at the inner line may brake a vehicle whose link is lost.
+    """
+    found: Excess | None = None
+    for track in nominal:
+        over = _beyond(track.p_m + start, room.inner_low, room.inner_high)
+        found = _larger(found, _excess(track, over, lost=False))
+    for track in lost:
+        p = track.p_m + start
+        over = _beyond(p, room.outer_low, room.outer_high)
+        # Sideways the fence brakes at the inner line: what counts is where that stops the vehicle. Before it, nothing does.
+        stop = _beyond(p, room.inner_low, room.inner_high)
+        for axis in (0, 1) if fence else ():
+            for side in (0, 1):
+                crossed = stop[:, axis, side] > 0.0
+                if bool(np.any(crossed)):
+                    k = int(np.argmax(crossed))
+                    speed = max(0.0, float(track.v_m_s[k, axis]) * (1.0 if side else -1.0))
+                    margin = float(
+                        room.outer_high[axis] - room.inner_high[axis]
+                        if side
+                        else room.inner_low[axis] - room.outer_low[axis]
+                    )
+                    over[:, axis, side] = np.minimum(over[:, axis, side], speed**2 / (2.0 * BRAKE_M_S2) - margin)
+        found = _larger(found, _excess(track, over, lost=True))
+    return found
+
+
+def _beyond(p: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """How far each sample is beyond each side: (m, 3, 2) m, negative inside."""
+    return np.stack([low - p, p - high], axis=-1)
+
+
+def _excess(track: Track, over: FloatArray, lost: bool) -> Excess | None:
+    # A millimetre is what a start that just fits loses to rounding.
+    if float(over.max()) <= 1e-3:
+        return None
+    k, axis, side = np.unravel_index(int(np.argmax(over)), over.shape)
+    return Excess(float(over.max()), float(track.t_s[k]), int(axis), bool(side), lost)
+
+
+def _larger(a: Excess | None, b: Excess | None) -> Excess | None:
+    if a is None or b is None:
+        return a or b
+    return a if a.metres >= b.metres else b

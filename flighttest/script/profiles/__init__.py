@@ -1,0 +1,29 @@
+"""Profiles: the kinds of maneuver a script may ask for, one small file per family. Pure functions of time."""
+
+from __future__ import annotations
+
+from flighttest.script.profiles.attitude import ATTITUDE_STEP, DOUBLET, THREE_TWO_ONE_ONE
+from flighttest.script.profiles.declare import Cell, Duration, Field, Profile
+from flighttest.script.profiles.steady import FREE_FLIGHT, HOVER, REST
+from flighttest.script.profiles.sweeps import CHIRP, RAMP, YAW_RATE_STEP
+from flighttest.script.profiles.throttle import THROTTLE_PAIR, TILT_THROTTLE
+from flighttest.script.profiles.timeline import Chirp, Piece, Ramp, Timeline
+
+PROFILES: dict[str, Profile] = {
+    profile.name: profile
+    for profile in (
+        ATTITUDE_STEP,
+        YAW_RATE_STEP,
+        THROTTLE_PAIR,
+        TILT_THROTTLE,
+        DOUBLET,
+        THREE_TWO_ONE_ONE,
+        CHIRP,
+        RAMP,
+        FREE_FLIGHT,
+        HOVER,
+        REST,
+    )
+}
+
+__all__ = ["PROFILES", "Cell", "Chirp", "Duration", "Field", "Piece", "Profile", "Ramp", "Timeline"]
