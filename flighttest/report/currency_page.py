@@ -62,7 +62,7 @@ def status_document(
                 (
                     Table(
                         ("parameter", "now", "excursion", "limit", ""),
-                        rows,
+                        drift_rows,
                         ("left", "right", "right", "right", "left"),
                         caption,
                     ),
@@ -133,7 +133,7 @@ def _fly(found: Currency, scripts: Mapping[str, str], minutes: Mapping[str, floa
 
 @dataclass(frozen=True)
 class HistoryPoint:
-    """One run of the history: name, when, parameters as name to (value, half width of its 95 % interval), components in one line each, how it ended."""
+    """One run of the history. parameters: name to (value, half width of its 95 % interval); components in one line each."""
 
     run: str
     when: str

@@ -68,6 +68,7 @@ class Table:
     align: tuple[Align, ...] = ()
     caption: str = ""
     fold: bool = False  # long: folded away in HTML, shortened on a terminal
+    roomy: tuple[int, ...] = ()  # columns (by position) that a narrow terminal leaves out
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flighttest.report.document import Block, Bullets, Cell, Facts, Figure, Panel, Paragraph, Section, Table, Trace
+from flighttest.report.document import Align, Block, Bullets, Cell, Facts, Figure, Panel, Paragraph, Section, Table, Trace
 from flighttest.report.numbers import interval, join, number, to_error, unit
 from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
 
+MAX_CORRELATIONS = 6
 TONE = {"known": "good", "weak": "warn", "not identifiable": "bad", "held": "quiet"}
 KIND_WORDS = {
     "roll_step": "roll step",
@@ -36,12 +37,15 @@ def parameters(view: FitView) -> Section:
     changed = any(p.before is not None for p in view.parameters)
     columns: tuple[str, ...] = ("parameter", "value", "unit", "95 % interval", "", "what it is")
     columns = (*columns[:1], "before", *columns[1:]) if changed else columns
-    align = ("left", "right", "left", "right", "left", "left")
+    align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
     rows = tuple(_parameter_row(p, changed) for p in view.parameters)
-    blocks: list[Block] = [Table(columns, rows, ("left", "right", *align[1:]) if changed else align)]  # type: ignore[arg-type]
+    blocks: list[Block] = [
+        Table(columns, rows, ("left", "right", *align[1:]) if changed else align, roomy=(len(columns) - 1,))
+    ]
     strong = [(a, b, c) for a, b, c in view.correlations if abs(c) >= view.correlation_above]
     if strong:
-        words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong)
+        words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong[:MAX_CORRELATIONS])
+        words += f"; and {len(strong) - MAX_CORRELATIONS} more pairs" if len(strong) > MAX_CORRELATIONS else ""
         blocks.append(
             Paragraph(f"Estimates that move together (correlation above {view.correlation_above:g}): {words}.", "quiet")
         )

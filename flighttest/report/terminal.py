@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.padding import Padding
 from rich.panel import Panel as Box
 from rich.syntax import Syntax
@@ -14,6 +14,7 @@ from flighttest.report.document import Block, Bullets, Cell, Code, Document, Fac
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
 MARK = {"plain": "", "good": "OK", "warn": "!", "bad": "X", "quiet": ""}
 FOLDED_ROWS = 12
+ROOMY_WIDTH = 110  # columns of a terminal that has room for everything
 
 
 def render(document: Document) -> RenderableType:
@@ -30,21 +31,21 @@ def render(document: Document) -> RenderableType:
     ]
     if document.facts:
         parts.append(_facts(Facts(tuple(document.facts.items()))))
-    parts.extend(_section(section) for section in document.sections)
+    parts.extend(drawn for section in document.sections if (drawn := _section(section)) is not None)
     if document.footer:
         parts.append(Padding(Text(document.footer, style="dim"), (1, 0, 0, 0)))
     return Group(*parts)
 
 
-def _section(section: Section) -> RenderableType:
+def _section(section: Section) -> RenderableType | None:
     blocks = [drawn for block in section.blocks if (drawn := _block(block)) is not None]
     head: list[RenderableType] = []
     if section.title:
         head.append(Text(section.title, style="bold cyan"))
     if section.lead:
         head.append(Text(section.lead))
-    if not head and not blocks:
-        return Text("")
+    if not section.lead and not blocks:
+        return None  # nothing but pictures: they are in the HTML report
     return Padding(Group(*head, *blocks), (1, 0, 0, 0))
 
 
@@ -61,7 +62,7 @@ def _block(block: Block) -> RenderableType | None:
     if isinstance(block, Facts):
         return _facts(block)
     if isinstance(block, Table):
-        return _table(block)
+        return _Sized(block)
     if isinstance(block, Code):
         if "\n" in block.text:
             return Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
@@ -80,14 +81,26 @@ def _facts(facts: Facts) -> RenderableType:
     return grid
 
 
-def _table(table: Table) -> RenderableType:
+class _Sized:
+    """A table that leaves out its roomy columns where the terminal is narrow."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield _table(self._table, options.max_width >= ROOMY_WIDTH)
+
+
+def _table(table: Table, roomy: bool) -> RenderableType:
     grid = Grid(box=None, header_style="dim", padding=(0, 2, 0, 0), show_edge=False, title_justify="left")
-    for index, name in enumerate(table.columns):
+    shown = [i for i in range(len(table.columns)) if roomy or i not in table.roomy]
+    for index in shown:
+        name = table.columns[index]
         align = table.align[index] if index < len(table.align) else "left"
         grid.add_column(name, justify=align, overflow="fold", no_wrap=align == "right")
     rows = table.rows[:FOLDED_ROWS] if table.fold else table.rows
     for row in rows:
-        grid.add_row(*(_cell(cell) for cell in row))
+        grid.add_row(*(_cell(row[i]) for i in shown))
     parts: list[RenderableType] = [grid]
     hidden = len(table.rows) - len(rows)
     if hidden > 0:

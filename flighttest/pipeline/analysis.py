@@ -1,0 +1,198 @@
+"""Recordings to segments to a fit: the commands `segment` and `fit`, and what `run` does after landing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from flighttest.documents import nearest
+from flighttest.errors import FitError, InputError
+from flighttest.identify import model_file
+from flighttest.identify.fit import Fit, has_attitude_references
+from flighttest.identify.fit import fit as identify
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.views import fit_view, segment_views
+from flighttest.recording import Recording
+from flighttest.report import fit_sections
+from flighttest.report.document import Document, Tone
+from flighttest.report.numbers import join
+from flighttest.report.plain import plain
+from flighttest.segments import Segment, cut
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """As typed: terms beside the paper's, NAME=VALUE to hold, A=B to tie, how many processes."""
+
+    terms: tuple[str, ...] = ()
+    freeze: tuple[str, ...] = ()
+    tie: tuple[str, ...] = ()
+    workers: int = 1
+    scheduler: str | None = None
+
+
+def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tuple[Segment, ...]:
+    """Segments of all recordings, in order."""
+    progress.stage("cutting the responses")
+    return tuple(s for recording in recordings for s in cut(recording))
+
+
+def segment(runs: Sequence[Path], columns: Path | None = None, progress: Progress = SILENT) -> Result:
+    """Table of responses, each accepted or rejected with its reason."""
+    recordings = open_recordings(runs, columns, progress=progress)
+    segments = cut_all(recordings, progress)
+    views = segment_views(segments)
+    section = fit_sections.segments(views)
+    used = sum(s.usable for s in segments)
+    if not segments:
+        verdict, tone = (
+            "Nothing was found to cut: no references move in this recording, and there is no flight to window.",
+            "bad",
+        )
+    elif not used:
+        verdict, tone = f"None of the {len(segments)} responses can be used; the reasons are below.", "bad"
+    else:
+        verdict, tone = section.lead, "good" if used == len(segments) else "warn"
+    data = {"segments": [_segment_data(s) for s in segments], "used": used, "rejected": len(segments) - used}
+    document = Document("responses", verdict, tone, (replace(section, lead=""),))  # type: ignore[arg-type]
+    return Result(document, data, Status.DONE if used else Status.UNUSABLE, segments)
+
+
+def _segment_data(s: Segment) -> dict[str, Any]:
+    return {
+        "name": s.name,
+        "run": s.run,
+        "maneuver": s.maneuver,
+        "kind": s.kind,
+        "cell": dict(s.cell),
+        "repeat": s.repeat,
+        "t_step_s": s.t_step_s,
+        "duration_s": float(s.t_s[-1] - s.t_step_s) if s.t_s.size else 0.0,
+        "usable": s.usable,
+        "flaws": [{"name": f.name, "sentence": f.value} for f in s.flaws],
+        "notes": list(s.notes),
+        "channels": sorted(s.y),
+        "inputs": sorted(s.u),
+        "metrics": plain(s.context.get("metrics", {})),
+    }
+
+
+def nominal_voltage(recordings: Sequence[Recording], vehicle: Vehicle | None) -> float:
+    """U_n: the vehicle file's, else what the recordings carry, else the paper's."""
+    if vehicle is not None:
+        return vehicle.nominal_voltage_v
+    for recording in recordings:
+        stored = recording.provenance.vehicle.get("nominal_voltage_v")
+        if isinstance(stored, int | float) and stored > 0:
+            return float(stored)
+    return NOMINAL_VOLTAGE_V
+
+
+def fit_segments(
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None = None,
+    options: FitOptions | None = None,
+    progress: Progress = SILENT,
+) -> Fit:
+    """The paper's model, plus named terms, fitted jointly to all usable segments."""
+    options = options or FitOptions()
+    usable = [s for s in segments if s.usable]
+    if not usable:
+        raise FitError("no response can be used", "see `flighttest segment` for why each was rejected")
+    model = Model(
+        (*PAPER_TERMS, *_terms(options.terms)),
+        nominal_voltage(recordings, vehicle),
+        attitude_loops=has_attitude_references(usable),
+    )
+    progress.stage(f"fitting {len(usable)} responses")
+    return identify(usable, model, frozen=_pairs(options.freeze, "--freeze"), ties=_ties(options.tie))
+
+
+def _terms(ids: Sequence[str]) -> tuple[str, ...]:
+    known = catalogue()
+    for term_id in ids:
+        if term_id not in known:
+            guess = nearest(term_id, known)
+            raise InputError(
+                f"there is no term {term_id!r}", f"did you mean {guess}?" if guess else "see `flighttest terms`"
+            )
+    return tuple(i for i in ids if i not in PAPER_TERMS)
+
+
+def _pairs(words: Sequence[str], option: str) -> dict[str, float]:
+    found = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        try:
+            found[name.strip()] = float(text)
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise InputError(f"{option} {word!r} is not NAME=VALUE", f"as in {option} alpha=1.7")
+    return found
+
+
+def _ties(words: Sequence[str]) -> dict[str, str]:
+    found = {}
+    for word in words:
+        name, equals, source = (part.strip() for part in word.partition("="))
+        if not (name and equals and source):
+            raise InputError(f"--tie {word!r} is not A=B", "as in --tie d_y=d_x")
+        found[name] = source
+    return found
+
+
+def model_data(
+    found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None, battery: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The fit as model.yaml, with the fingerprint of the vehicle that was flown."""
+    from flighttest.pipeline.fingerprints import of_recordings
+
+    extra = {"battery": dict(battery)} if battery else None
+    return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
+
+
+def fit(
+    runs: Sequence[Path],
+    output: Path | None = None,
+    columns: Path | None = None,
+    vehicle: Path | None = None,
+    options: FitOptions | None = None,
+    progress: Progress = SILENT,
+) -> Result:
+    """Estimate the parameters of one or several recordings, jointly; write model.yaml where `output` says."""
+    options = options or FitOptions()
+    declared = load_vehicle(vehicle) if vehicle is not None else None
+    recordings = open_recordings(runs, columns, options.workers, progress)
+    segments = cut_all(recordings, progress)
+    found = fit_segments(segments, recordings, declared, options, progress)
+    return finish_fit(found, segments, recordings, declared, output, [str(r) for r in runs])
+
+
+def finish_fit(
+    found: Fit,
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    output: Path | None,
+    runs: Sequence[str],
+) -> Result:
+    """Write the model and say what was found."""
+    view = fit_view(found, segments)
+    data = model_data(found, recordings, vehicle)
+    facts = {"runs": join(list(runs)), "terms": ", ".join(found.model.terms)}
+    if output is not None:
+        model_file.write(output, data)
+        facts["model"] = str(output)
+    tone: Tone = "bad" if not found.status.good else "good" if all(p.known for p in view.parameters) else "warn"
+    document = Document("fit", view.verdict, tone, fit_sections.fit_sections(view), facts)
+    status = Status.DONE if found.status.good else Status.UNEXPLAINED
+    return Result(document, data, status, found)

@@ -1,0 +1,40 @@
+"""The built-in vehicle, or a real ArduPilot SITL, for whoever wants to connect to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from flighttest.errors import InputError
+from flighttest.sim import SimOptions, parse_hide, start_simulator
+
+
+def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
+    """The words of the command line as `SimOptions`."""
+    return SimOptions(airframe=airframe, hide=parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)  # type: ignore[arg-type]
+
+
+def serve(
+    airframe: str, backend: str, hide: Sequence[str], seed: int, port: int, speed: float, lockstep: bool
+) -> Iterator[str]:
+    """Serve until interrupted; yields lines for the person at the terminal."""
+    if backend == "sitl":
+        yield from _serve_sitl(hide, speed, port)
+        return
+    made = options(airframe, hide, seed, speed, lockstep)
+    with start_simulator(made, port=port) as simulation:
+        yield f"simulated copter ({airframe} airframe, seed {seed}) at {simulation.url}; Ctrl-C stops it"
+        yield f"fly it: flighttest run thrust --connect {simulation.url}"
+        simulation.wait()
+
+
+def _serve_sitl(hide: Sequence[str], speed: float, port: int) -> Iterator[str]:
+    from flighttest.sim.sitl_launcher import launch
+
+    if hide:
+        raise InputError(
+            "--hide needs the built-in vehicle",
+            "or `flighttest prove --generator sitl`, which hides effects in the JSON physics",
+        )
+    with launch(speedup=speed) as vehicle:
+        yield f"ArduPilot SITL at {vehicle.url}; Ctrl-C stops it"
+        vehicle.wait()
