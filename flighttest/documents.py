@@ -240,10 +240,9 @@ class Document:
     # From text to nodes.
 
     def _sane(self, text: str) -> bool:
-        depth = nodes = 0
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            nodes += 1
-            line = event.start_mark.line + 1
+        depth = 0
+        for nodes, event in enumerate(yaml.parse(text, Loader=yaml.SafeLoader)):
+            line = event.start_mark.line + 1 if event.start_mark else 1
             if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
                 self.problem(
                     line, "", "anchors and aliases (& and *) are not allowed", "write the value out where it is needed"
@@ -288,7 +287,7 @@ class Document:
             self.problem(line, path, f"the tag {node.tag[:40]} is not allowed", "write plain values")
             return str(node.value)
         try:
-            value = yaml.constructor.SafeConstructor().construct_object(node)  # type: ignore[no-untyped-call]
+            value = yaml.constructor.SafeConstructor().construct_object(node)
         except (ValueError, OverflowError, KeyError, AttributeError, yaml.YAMLError):
             # An impossible date or a number of thousands of digits.
             self.problem(line, path, f"cannot make sense of {str(node.value)[:40]!r}", "")

@@ -103,9 +103,10 @@ class _Policy:
         self.hover = np.asarray(predictor.hover_throttle(voltage), dtype=float)
         # A step longer than the grid of durations holds the mean of what is asked during it, so that no edge is rounded.
         fine = max(1, round(dt_s / GRID_S))
-        t = np.arange((round(duration_s / dt_s) + 1) * fine) * (dt_s / fine)
-        table = np.stack([sample(row.lead, hover, t) for row, hover in zip(rows, self.hover, strict=True)])
-        self.table = table.reshape(n, -1, fine, 4).mean(axis=2)
+        t: FloatArray = np.arange((round(duration_s / dt_s) + 1) * fine, dtype=float) * (dt_s / fine)
+        hovers: list[float] = self.hover.tolist()
+        table = np.stack([sample(row.lead, hover, t) for row, hover in zip(rows, hovers, strict=True)])
+        self.table: FloatArray = table.reshape(n, -1, fine, 4).mean(axis=2)
         self.lead_end = np.array([row.lead_s for row in rows])
         self.lost = np.array([row.lost_s for row in rows])
         self.floor = np.array([row.stop_throttle[0] for row in rows])
@@ -132,7 +133,7 @@ class _Policy:
 
     def __call__(self, now: Snapshot) -> FloatArray:
         k = min(round(now.t_s / self.dt_s), self.table.shape[1] - 1)
-        targets = self.table[:, k].copy()
+        targets: FloatArray = self.table[:, k].copy()
         if self.guided:
             self._steer(now, targets)
         a = np.zeros_like(now.v_m_s) if self.before is None else (now.v_m_s - self.before) / self.dt_s

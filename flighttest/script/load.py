@@ -112,7 +112,8 @@ class _Reader:
             path=file,
         )
 
-    def _get(self, fields: Mapping[str, Node], key: str, read: Callable[[Node], T | None], default: T) -> T:
+    @staticmethod
+    def _get(fields: Mapping[str, Node], key: str, read: Callable[[Node], T | None], default: T) -> T:
         if key not in fields:
             return default
         found = read(fields[key])
@@ -156,9 +157,11 @@ class _Reader:
         doc = self.document
         node = self.fields.get("reset")
         fields = doc.mapping(node, RESET_KEYS) if node is not None else {}
-        to = self._get(fields, "to", lambda n: doc.vector(n, 3, -2000.0, 2000.0, "m"), (0.0, 0.0, 5.0))
+        home: tuple[float, ...] = (0.0, 0.0, 5.0)
+        to = self._get(fields, "to", lambda n: doc.vector(n, 3, -2000.0, 2000.0, "m"), home)
+        around: tuple[float, ...] = (0.0, 90.0, 180.0, 270.0)
         headings = self._get(
-            fields, "heading_deg", lambda n: doc.numbers(n, -360.0, 360.0, "deg"), (0.0, 90.0, 180.0, 270.0)
+            fields, "heading_deg", lambda n: doc.numbers(n, -360.0, 360.0, "deg"), around
         )
         by = self._get(fields, "by", lambda n: doc.choice(n, ("guided", "attitude", "pilot")), "guided")
         return Reset(

@@ -38,7 +38,7 @@ class PaperPredictor:
         hover = np.zeros((n, 4))
         hover[:, 3] = G / gain
         lag = T_D / dt_s
-        whole, part = int(math.floor(lag + 1e-9)), lag - math.floor(lag + 1e-9)
+        whole, part = math.floor(lag + 1e-9), lag - math.floor(lag + 1e-9)
         past = [hover] * (whole + 2)
         history = [x]
         for k in range(m):
