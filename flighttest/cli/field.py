@@ -17,9 +17,9 @@ from flighttest.cli.live import LiveProgress
 @click.option("-v", "--verbose", is_flag=True, help="Print the phases of every leg.")
 def check(context: Context, scripts: tuple[str, ...], vehicle: Path | None, model: Path | None, verbose: bool) -> int:
     """Compile scripts without a vehicle: plan, duration, battery, predicted envelope against the zone."""
-    from flighttest.pipeline import flying
+    from flighttest.pipeline import checking
 
-    return context.finish(flying.check(scripts, vehicle, model, verbose=verbose))
+    return context.finish(checking.check(scripts, vehicle, model, verbose=verbose))
 
 
 @command("run")

@@ -6,13 +6,13 @@ The equations are those of `physics.model`; nothing is written twice.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.physics.model import Model
+from flighttest.physics.simulate import rk4_step
 from flighttest.plan.model import Motion, Policy, Snapshot
 
 FloatArray = NDArray[np.float64]
@@ -61,27 +61,9 @@ class ModelPredictor:
         ratio = np.asarray(voltage_v, dtype=float) / self.model.nominal_voltage_v
         return np.asarray(self.model.g_m_s2 / (self.values["K"] * ratio ** self.values["alpha"]))
 
-    @cached_property
-    def _rk4(self) -> ca.Function:
-        system = self.model.system
-        x, u, p = (
-            ca.SX.sym(n, size)
-            for n, size in (("x", len(system.states)), ("u", len(system.inputs)), ("p", len(system.params)))
-        )
-        dt = ca.SX.sym("dt")
-
-        def rate(at: ca.SX) -> ca.SX:
-            return system.function(at, u, p)[0]
-
-        k1 = rate(x)
-        k2 = rate(x + dt / 2 * k1)
-        k3 = rate(x + dt / 2 * k2)
-        k4 = rate(x + dt * k3)
-        return ca.Function("step", [x, u, p, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-
     def _step(self, n: int) -> ca.Function:
         if n not in self._steps:
-            self._steps[n] = self._rk4.map(n)
+            self._steps[n] = rk4_step(self.model.system).map(n)
         return self._steps[n]
 
     def fly(

@@ -5,7 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flighttest.report.document import Align, Block, Bullets, Cell, Facts, Figure, Panel, Paragraph, Section, Table, Trace
+from flighttest.report.document import (
+    Align,
+    Block,
+    Bullets,
+    Cell,
+    Facts,
+    Figure,
+    Panel,
+    Paragraph,
+    Section,
+    Table,
+    Trace,
+)
 from flighttest.report.numbers import interval, join, number, to_error, unit
 from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
 

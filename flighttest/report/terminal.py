@@ -14,6 +14,7 @@ from flighttest.report.document import Block, Bullets, Cell, Code, Document, Fac
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
 MARK = {"plain": "", "good": "OK", "warn": "!", "bad": "X", "quiet": ""}
 FOLDED_ROWS = 12
+LABEL_WIDTH = 28  # first columns up to this wide are never folded
 ROOMY_WIDTH = 110  # columns of a terminal that has room for everything
 
 
@@ -92,12 +93,13 @@ class _Sized:
 
 
 def _table(table: Table, roomy: bool) -> RenderableType:
-    grid = Grid(box=None, header_style="dim", padding=(0, 2, 0, 0), show_edge=False, title_justify="left")
+    grid = Grid(box=None, header_style="dim", padding=(0, 1, 0, 0), show_edge=False, title_justify="left")
     shown = [i for i in range(len(table.columns)) if roomy or i not in table.roomy]
     for index in shown:
         name = table.columns[index]
         align = table.align[index] if index < len(table.align) else "left"
-        grid.add_column(name, justify=align, overflow="fold", no_wrap=align == "right")
+        short = index == 0 and all(len(_cell(row[0]).plain) <= LABEL_WIDTH for row in table.rows)
+        grid.add_column(name, justify=align, overflow="fold", no_wrap=align == "right" or short)
     rows = table.rows[:FOLDED_ROWS] if table.fold else table.rows
     for row in rows:
         grid.add_row(*(_cell(row[i]) for i in shown))
