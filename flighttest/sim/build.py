@@ -3,36 +3,47 @@
 from __future__ import annotations
 
 from flighttest.sim.autopilot import Autopilot
-from flighttest.sim.battery import Battery, charge_at
+from flighttest.sim.battery import Battery
 from flighttest.sim.noise import Noise
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plant import Plant
 from flighttest.sim.plant_paper import PaperParameters, PaperPlant
+from flighttest.sim.plant_rotor import RotorPlant
+from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.safety import Boot
 from flighttest.sim.sensors import SensorNoise
 from flighttest.sim.weather import Air, Gusts
-
-_CELLS = 6
 
 
 def build_plant(options: SimOptions) -> Plant:
     """The moving vehicle of these options."""
     gusts = Gusts(options.gust_rms_m_s)
     air = Air(gusts, Noise(options.seed, "gusts")) if options.gust_rms_m_s > 0.0 else None
-    battery = Battery(cells=_CELLS, capacity_ah=options.capacity_ah or 5.0)
-    if options.voltage_v is not None:
-        battery.charge = charge_at(options.voltage_v / _CELLS)
-        battery.draw(0.0, 0.0)
+    if options.airframe == "rotor":
+        drawn = RotorVehicle() if options.vehicle_seed is None else random_rotor(options.vehicle_seed)
+        rotor = drawn.changed(options.vehicle)
+        capacity = options.capacity_ah or rotor.capacity_ah
+        battery = _battery(options, Battery(rotor.cells, capacity, rotor.resistance_ohm))
+        return RotorPlant(rotor, options.hide, battery, air)
+    battery = _battery(options, Battery(capacity_ah=options.capacity_ah or 5.0))
     return PaperPlant(PaperParameters().changed(options.vehicle), battery, air)
+
+
+def _battery(options: SimOptions, battery: Battery) -> Battery:
+    """The battery at the voltage that is asked for."""
+    if options.voltage_v is not None:
+        battery.replace(options.voltage_v)
+    return battery
 
 
 def build_vehicle(options: SimOptions) -> Autopilot:
     """The vehicle of these options, just switched on."""
+    plant = build_plant(options)
     return Autopilot(
-        build_plant(options),
+        plant,
         seed=options.seed,
         noise=SensorNoise().scaled(options.noise),
         boot=Boot(options.ready_s, options.gps_s, min(6.5, options.ready_s)),
         parameters=options.parameters,
-        capacity_ah=options.capacity_ah or 5.0,
+        capacity_ah=plant.battery.capacity_ah,
     )

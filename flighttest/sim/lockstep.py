@@ -30,7 +30,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot import Autopilot
+from flighttest.sim.telemetry import heartbeat
 from flighttest.sim.wire import Decoder
+
+_GRANT_MAX_MS = 60_000  # a longer grant runs this far; its end mark says so
 
 
 class Mail:
@@ -58,8 +61,6 @@ class Host:
 
     def greet(self) -> bytes:
         """What a new connection is sent first."""
-        from flighttest.sim.telemetry import heartbeat
-
         return heartbeat(self.vehicle)
 
     def serve(self, mail: Mail) -> None:
@@ -81,8 +82,9 @@ class Host:
 
     def _grant(self, until_ms: int) -> None:
         v = self.vehicle
+        until_ms = min(until_ms, int(v.time_s * 1e3) + _GRANT_MAX_MS)
+        now_ms = max(until_ms, int(v.time_s * 1e3 + 1e-6))
         self.run_to(until_ms * 1e-3)
-        now_ms = max(until_ms, int(v.time_s * 1e3)) if v.time_s * 1e3 < until_ms + 1 else int(v.time_s * 1e3)
         v.outbox.append(v.encoder.message(book.MAVLink_system_time_message(0, now_ms & 0xFFFFFFFF)))
 
     def run_to(self, t_s: float) -> None:

@@ -69,16 +69,16 @@ class Navigator:
 
     def _guided(self, seen: Measured) -> Setpoint:
         g, s = self.goal, self._store
-        limits = {"speed_max": s["WP_SPD"], "climb_max": s["WP_SPD_UP"], "descent_max": s["WP_SPD_DN"]}
+        limits = (s["WP_SPD"], s["WP_SPD_UP"], s["WP_SPD_DN"])
         if self.take_off_m is not None:
             if seen.pz > self.take_off_m - 0.3:
                 g.height = self.take_off_m
                 self.take_off_m = None
             else:
-                return Setpoint(position=g.position, height=self.take_off_m, yaw=g.yaw, **limits)
+                return Setpoint(g.position, None, self.take_off_m, 0.0, g.yaw, 0.0, *limits)
         if g.velocity is not None and seen.t_s - g.stamp_s > _POSITION_TARGET_TIMEOUT_S:
             g.velocity, g.climb, g.yaw_rate = (0.0, 0.0), 0.0, None
-        wanted = Setpoint(g.position, g.velocity, g.height, g.climb, g.yaw, g.yaw_rate or 0.0, **limits)
+        wanted = Setpoint(g.position, g.velocity, g.height, g.climb, g.yaw, g.yaw_rate or 0.0, *limits)
         if g.yaw_rate is not None:
             wanted.yaw = None
         return wanted

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from flighttest.sim.battery import Battery
+
 G_M_S2 = 9.81
 
 Hidden = Mapping[str, Mapping[str, float]]
@@ -73,6 +75,7 @@ class Plant(Protocol):
     """A vehicle in motion. tick_s: the autopilot's loop time with this plant; hover_throttle: at a full battery's voltage."""
 
     motion: Motion
+    battery: Battery
     tick_s: float
     delays: Delays
     hover_throttle: float

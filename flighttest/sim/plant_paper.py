@@ -50,7 +50,8 @@ class PaperParameters:
 
 def hover_throttle(parameters: PaperParameters, voltage_v: float) -> float:
     """Throttle that carries the weight at a voltage, V."""
-    return G_M_S2 / (parameters.K * (voltage_v / parameters.nominal_voltage_v) ** parameters.alpha)
+    gain: float = parameters.K * (voltage_v / parameters.nominal_voltage_v) ** parameters.alpha
+    return G_M_S2 / gain
 
 
 class PaperPlant:

@@ -57,7 +57,10 @@ class Vehicle(Protocol):
     armed: bool
     landed: bool
     capacity_ah: float
-    charge_used_ah: float
+
+    @property
+    def charge_used_ah(self) -> float:
+        """Charge drawn since the battery was last declared full, A h."""
 
     @property
     def time_s(self) -> float:
