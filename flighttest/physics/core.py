@@ -52,7 +52,8 @@ class Param:
 
     kind: 'base' (always estimated), 'amplitude' (vanishes exactly at `off`, with a slope there that is not zero) or 'shape' (a
     limit, pole, width, length: without meaning at off; screened on `screen`, three to five declared values). scale: a
-    typical size, used to normalise.
+    typical size, used to normalise. one_sided: physics allows only the side of `off` on which `nominal` lies (a drag cannot push): an
+    estimate well on the other side is another effect in disguise.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Param:
     kind: ParamKind = "amplitude"
     off: float | None = 0.0
     screen: tuple[float, ...] = ()
+    one_sided: bool = False
 
 
 @dataclass(frozen=True)

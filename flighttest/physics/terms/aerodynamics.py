@@ -29,8 +29,7 @@ def _quadratic(s: Signals, p: Values, _x: Values) -> Contribution:
 def _quadratic_param(axis: str, name: str) -> Param:
     return Param(
         f"k_{axis}", f"k_{axis}", "1/m", 0.02, -0.2, 0.5, 0.02, f"quadratic drag along the body's {name} axis",
-        "½ρ C_d A / m of a 1 to 10 kg multirotor: 0.005 to 0.05",
-    )  # fmt: skip
+        "½ρ C_d A / m of a 1 to 10 kg multirotor: 0.005 to 0.05", one_sided=True)  # fmt: skip
 
 
 quadratic_drag = Term(
@@ -64,8 +63,7 @@ thrust_scaled_drag = Term(
     params=(
         Param(
             "c_h", "c_H", "s/m", 0.03, -0.2, 0.5, 0.02, "in-plane rotor force per thrust and airspeed",
-            "Martin and Salaün, ICRA 2010; Faessler et al., RA-L 2018: 0.02 to 0.05",
-        ),
+            "Martin and Salaün, ICRA 2010; Faessler et al., RA-L 2018: 0.02 to 0.05", one_sided=True),
     ),
     build=_induced,
     equation="f = -c_H a_t (v_air_x, v_air_y, 0)",
@@ -92,8 +90,7 @@ translational_lift = Term(
     params=(
         Param(
             "k_lift", "k_l", "s^2/m^2", 0.002, -0.05, 0.1, 0.002, "relative thrust gain per squared in-plane airspeed",
-            "momentum theory at an induced velocity of 5 m/s: 0.001 to 0.005",
-        ),
+            "momentum theory at an induced velocity of 5 m/s: 0.001 to 0.005", one_sided=True),
     ),
     build=_lift,
     equation="a_t <- a_t (1 + k_l (v_air_x^2 + v_air_y^2))",
@@ -119,8 +116,7 @@ axial_inflow = Term(
     params=(
         Param(
             "k_inflow", "k_i", "s/m", 0.03, -0.2, 0.3, 0.02, "relative thrust loss per climb speed at hover thrust",
-            "blade element theory, 10 to 15 inch propellers: 0.01 to 0.06",
-        ),
+            "blade element theory, 10 to 15 inch propellers: 0.01 to 0.06", one_sided=True),
     ),
     build=_inflow,
     equation="a_t <- a_t (1 - k_i v_air_z sqrt(g / a_t)), since the loss is proportional to rotor speed times climb speed",
@@ -148,8 +144,7 @@ vortex_ring = Term(
     params=(
         Param(
             "vortex_depth", "s_v", "1", 0.15, -0.5, 0.7, 0.1, "share of thrust lost in the middle of the region",
-            "wind tunnel tests of small rotors in descent: 0.1 to 0.3",
-        ),
+            "wind tunnel tests of small rotors in descent: 0.1 to 0.3", one_sided=True),
         Param(
             "vortex_centre", "v_v", "m/s", 4.0, 1.5, 12.0, 1.0, "descent speed where the loss is greatest, 0.8 to 1.2 induced velocities",
             "Leishman, chapter 2; induced velocity of 3 to 6 m/s", "shape", None, (2.5, 4.0, 6.0),
@@ -184,8 +179,7 @@ ground_effect = Term(
     params=(
         Param(
             "R2_m2", "R²", "m^2", 0.1, -1.0, 8.0, 0.1, "effective rotor radius squared (a multirotor's is larger than one rotor's)",
-            "Cheeseman and Bennett, ARC R&M 3021, 1955; Sanchez-Cuevas et al. 2017 for several rotors",
-        ),
+            "Cheeseman and Bennett, ARC R&M 3021, 1955; Sanchez-Cuevas et al. 2017 for several rotors", one_sided=True),
     ),
     build=_ground,
     equation="a_t <- a_t / (1 - R^2 / (16 z^2)), z = height + rotor height; smoothly limited to a factor of 2",

@@ -26,7 +26,7 @@ angle_boost = Term(
     port=Port.REFERENCE,
     params=(
         Param("boost", "b", "1", 1.0, -1.0, 3.0, 0.2, "1: throttle is divided by the cosine of the target tilt; 0: it is not",
-              "ArduPilot ATC_ANGLE_BOOST: 1"),
+              "ArduPilot ATC_ANGLE_BOOST: 1", one_sided=True),
     ),
     build=_boost,
     equation="T <- T (1 + b (1 / cos(target tilt) - 1))",

@@ -25,6 +25,7 @@ def _drag(axis: str, name: str, nominal: float) -> Param:
         0.2,
         f"drag coefficient along the body's {name} axis",
         "paper, Table 2",
+        one_sided=True,
     )
 
 

@@ -41,8 +41,7 @@ slung_payload = Term(
     params=(
         Param(
             "payload_ratio", "μ", "1", 0.1, -0.3, 1.5, 0.05, "mass of the payload over mass of the vehicle",
-            "payloads that a multirotor lifts: 0 to 0.5",
-        ),
+            "payloads that a multirotor lifts: 0 to 0.5", one_sided=True),
         Param(
             "cable_m", "l", "m", 1.0, 0.1, 15.0, 0.3, "length of the cable, to the payload's centre",
             "usual cables: 0.3 to 5 m", "shape", None, (0.4, 0.8, 1.6, 3.2),

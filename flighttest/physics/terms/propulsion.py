@@ -150,8 +150,7 @@ rotor_speed_lag = Term(
     params=(
         Param(
             "rotor_lag", "b", "1", 1.0, -1.0, 2.0, 0.2, "0: the lag acts on thrust (paper); 1: on rotor speed, whose square is thrust",
-            "first-order motor with thrust proportional to squared speed: 1",
-        ),
+            "first-order motor with thrust proportional to squared speed: 1", one_sided=True),
     ),
     build=_rotor_lag,
     equation="a_t_dot <- a_t_dot (1 - b + b 2 sqrt(a_t) / (sqrt(a_t) + sqrt(a_cmd)))",
@@ -205,8 +204,8 @@ thrust_fade = Term(
     port=Port.MOTOR_GAIN,
     params=(
         Param(
-            "fade_depth", "s_f", "1", 0.05, -0.4, 0.6, 0.03, "share of the gain lost in the end", "motor heat: 0.02 to 0.1"
-        ),
+            "fade_depth", "s_f", "1", 0.05, -0.4, 0.6, 0.03, "share of the gain lost in the end",
+            "motor heat: 0.02 to 0.1", one_sided=True),
         Param(
             "fade_tau", "τ_f", "s", 150.0, 15.0, 2000.0, 50.0, "time constant since take-off",
             "thermal time constants of motors: 60 to 300 s", "shape", None, (40.0, 120.0, 400.0),
@@ -238,8 +237,7 @@ voltage_sag = Term(
     params=(
         Param(
             "sag_v", "ΔU", "V", 2.0, -12.0, 25.0, 1.0, "voltage lost at full throttle before the log shows it",
-            "internal resistance of a 6S pack: 1 to 4 V at full current",
-        ),
+            "internal resistance of a 6S pack: 1 to 4 V at full current", one_sided=True),
         Param(
             "sag_tau", "τ_U", "s", 0.6, 0.05, 8.0, 0.2, "time the logged voltage takes to follow",
             "filters of battery monitors, battery polarisation: 0.2 to 5 s", "shape", None, (0.25, 0.6, 1.5),

@@ -113,7 +113,7 @@ velocity_latency = Term(
     port=Port.MEASUREMENT,
     params=(
         Param("velocity_latency", "τ_v", "s", 0.1, -0.2, 0.6, 0.05, "how late the reported velocity is",
-              "satellite receivers and their filters: 0.05 to 0.25 s"),
+              "satellite receivers and their filters: 0.05 to 0.25 s", one_sided=True),
     ),
     build=_latency,
     equation="v_measured = v - tau_v v_dot",

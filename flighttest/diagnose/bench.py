@@ -1,0 +1,387 @@
+"""`Bench`: one set of segments, many models. Fits them, and hands out whitened rows with everything local projected out.
+
+A response's initial state and its constant disturbance are local unknowns with priors; projecting them out (together with their prior rows)
+turns inner products of rows into those of a generalised least squares problem, so that candidates can be compared by plain linear algebra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.identify.problem import Noise, Problem, prior_std
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+# Residuals below these cannot be told from the resolution of the recording.
+RESOLUTION = {
+    "roll_rad": 3e-4, "pitch_rad": 3e-4, "r_rad_s": 1e-3, "f_x_m_s2": 5e-3, "f_y_m_s2": 5e-3, "f_z_m_s2": 5e-3,
+    "a_x_m_s2": 5e-3, "a_y_m_s2": 5e-3, "a_z_m_s2": 5e-3, "v_x_m_s": 3e-3, "v_y_m_s": 3e-3, "v_z_m_s": 3e-3,
+}  # fmt: skip
+FIRST_NOISE = {"roll_rad": 0.02, "pitch_rad": 0.02, "r_rad_s": 0.1} | {
+    f"{k}_{axis}_{unit}": std
+    for k, unit, std in (("f", "m_s2", 0.5), ("a", "m_s2", 0.5), ("v", "m_s", 0.2))
+    for axis in "xyz"
+}
+FIRST_DISTURBANCE = {"roll_d_rad": 0.01, "pitch_d_rad": 0.01, "yaw_rate_d_rad_s": 0.02} | {
+    f"a_d_{axis}_m_s2": 0.3 for axis in "xyz"
+}
+LEAST_DISTURBANCE = 0.05  # of the first guess: a prior never shrinks to nothing
+
+
+@dataclass(frozen=True)
+class State:
+    """A fitted model: parameters, locals by name ((n_segments,), NaN where a segment has none), noise, objective.
+
+    objective: whitened sum of squares, priors of the locals included.
+    """
+
+    values: dict[str, float]
+    local: dict[str, FloatArray]
+    noise: Noise
+    objective: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Linearised residuals, one row per sample and channel (and one per prior of a local, with sample -1).
+
+    residual (n,), jacobian (n, p): whitened, locals projected out (a step d of the parameters lowers the residual by jacobian @ d);
+    open_residual, open_jacobian: in units of the channel, with only initial states projected out: what the model predicts of a response
+    without knowing its disturbance. scale (n,): by which rows were whitened; segment, sample (n,): positions in the bench's segments
+    and in their t_s; channel (n,): index into `channels`, -1 for priors.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    open_residual: FloatArray
+    open_jacobian: FloatArray
+    scale: FloatArray
+    segment: IntArray
+    sample: IntArray
+    channel: IntArray
+    channels: tuple[str, ...]
+    names: tuple[str, ...]
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """(n, k) columns by name."""
+        return self.jacobian[:, [self.names.index(n) for n in names]]
+
+    def open_columns(self, names: Sequence[str]) -> FloatArray:
+        """(n, k) columns of `open_jacobian` by name."""
+        return self.open_jacobian[:, [self.names.index(n) for n in names]]
+
+
+@dataclass
+class Bench:
+    """Usable segments of one vehicle and the models tried on them. block: 'attitude' or 'translation': which parts are compared."""
+
+    segments: tuple[Segment, ...]
+    block: str
+    filters_hz: Mapping[str, float] | None = None
+    _problems: dict[Any, Problem] = field(default_factory=dict, repr=False)
+    _bases: list[tuple[FloatArray, NDArray[np.bool_]]] = field(default_factory=list, repr=False)
+
+    def problem(self, model: Model) -> Problem:
+        """The problem of one model, parts of this block only; kept."""
+        key = (model.terms, tuple(model.extra))
+        if key not in self._problems:
+            made = Problem.build(self.segments, model, filters=self.filters_hz, select="all")
+            parts = tuple(p for p in made.parts if (p.block.name == "translation") == (self.block == "translation"))
+            reached = {n for part in parts for n in part.block.params}
+            self._problems[key] = replace(
+                made, parts=parts, names=tuple(n for n in made.names if n in reached), _kernels={}
+            )
+        return self._problems[key]
+
+    def start(self, model: Model, values: Mapping[str, float] | None = None) -> State:
+        """Where a first fit begins."""
+        problem = self.problem(model)
+        noise = Noise(
+            {c: FIRST_NOISE[c] for p in problem.parts for c in p.outputs},
+            {d: FIRST_DISTURBANCE[d] for p in problem.parts for d in p.block.disturbances},
+        )
+        state = State(problem.full_values(model.start(values)), {}, noise, np.inf)
+        return replace(state, objective=self.objective(model, state))
+
+    def moved(self, model: Model, state: State, values: Mapping[str, float] | None = None) -> State:
+        """The same state under another model (or other values): what both know is kept."""
+        full = self.problem(model).full_values(model.start())
+        full |= {k: v for k, v in state.values.items() if k in full} | dict(values or {})
+        made = replace(state, values=full)
+        return replace(made, objective=self.objective(model, made))
+
+    def locals(self, problem: Problem, state: State) -> list[FloatArray]:
+        """Locals as the problem wants them: per part (m, n_locals)."""
+        found = []
+        for part in problem.parts:
+            at = part.start_local()
+            index = [r.index for r in part.responses]
+            for k, name in enumerate(part.locals):
+                if name in state.local:
+                    mine = state.local[name][index]
+                    at[:, k] = np.where(np.isfinite(mine), mine, at[:, k])
+            found.append(at)
+        return found
+
+    def objective(self, model: Model, state: State) -> float:
+        """Whitened sum of squares at a state; infinite where the simulation is not finite."""
+        problem = self.problem(model)
+        local = self.locals(problem, state)
+        total = 0.0
+        for part, made, at in zip(problem.parts, problem.evaluate(state.values, local), local, strict=True):
+            std = np.array([state.noise.channel[c] for c in part.outputs])
+            total += float(np.sum((made.residual / std) ** 2))
+            total += float(np.sum(((at - part.start_local()) / prior_std(part, state.noise)) ** 2))
+        return total if np.isfinite(total) else np.inf
+
+    def fit(
+        self,
+        model: Model,
+        state: State,
+        names: Sequence[str],
+        *,
+        iterations: int = 8,
+        reweigh: bool = True,
+        tolerance: float = 1e-4,
+    ) -> State:
+        """Damped Gauss-Newton over `names` and all locals, inside the parameters' bounds; noise estimated on the way if `reweigh`.
+
+        A Jacobian serves up to three steps, since residuals cost a tenth of it.
+        """
+        damping = 1e-3
+        for _ in range(iterations):
+            before = state
+            linear = self._linear(model, state, names)
+            for _ in range(3):
+                step = self._step(model, state, names, linear, damping)
+                if step.objective < state.objective:
+                    gain = state.objective - step.objective
+                    state, damping = step, max(damping / 5, 1e-7)
+                    if gain < tolerance * state.objective / 10:
+                        break
+                    linear = self._residuals_anew(model, state, linear)
+                else:
+                    damping = min(damping * 10, 1e4)
+                    if damping > 1e3:
+                        break
+            old = state.objective
+            if reweigh:
+                state = self._reweighed(model, state)
+            settled = before.objective - old < tolerance * old
+            if settled and all(
+                abs(np.log(state.noise.channel[c] / before.noise.channel[c])) < 0.02 for c in state.noise.channel
+            ):
+                break
+        return state
+
+    def rows(self, model: Model, state: State, names: Sequence[str]) -> Rows:
+        """Whitened, projected rows at a state, with Jacobian columns for `names` (amplitudes at off included)."""
+        problem = self.problem(model)
+        linear = self._linear(model, state, names)
+        channels = tuple(dict.fromkeys(c for part in problem.parts for c in part.outputs))
+        out: list[tuple[FloatArray, ...]] = []
+        bases = []
+        for part, piece, at in zip(problem.parts, linear, self.locals(problem, state), strict=True):
+            m, n, n_y = part.y.shape
+            n_l, n_f = piece.j_l.shape[2], part.n_free_states
+            std = np.array([state.noise.channel[c] for c in part.outputs])
+            zeros = np.zeros((m, n_l, piece.j_p.shape[2]))
+            j = np.concatenate([piece.j_p, zeros], axis=1)
+            stacked = np.concatenate([piece.j_l, np.broadcast_to(_diagonal(piece.prior), (m, n_l, n_l))], axis=1)
+            basis = np.linalg.qr(stacked)[0]
+            r = _project(basis, np.concatenate([piece.r, piece.r_prior], axis=1)[..., None])[..., 0]
+            # Without the disturbance: what it explained goes back into the residual.
+            given = piece.r + np.einsum("mij,mj->mi", piece.j_l[..., n_f:], at[:, n_f:])
+            start = np.linalg.qr(stacked[..., :n_f])[0] if n_f else np.zeros((m, n * n_y + n_l, 0))
+            given = np.concatenate([given, piece.r_prior], axis=1)
+            given[:, n * n_y + n_f :] = 0.0
+            scale = np.concatenate([np.broadcast_to(std, (m, n, n_y)).reshape(m, -1), np.ones((m, n_l))], axis=1)
+            sample = np.concatenate([np.repeat(np.arange(n), n_y), np.full(n_l, -1)])
+            code = np.concatenate([np.tile([channels.index(c) for c in part.outputs], n), np.full(n_l, -1)])
+            measured = np.concatenate([np.ones(n * n_y), np.zeros(n_l)])
+            keep = np.concatenate([part.mask.reshape(m, -1), np.ones((m, n_l), dtype=bool)], axis=1)
+            index = np.array([response.index for response in part.responses])
+            bases.append((basis, keep))
+            out.append(
+                (
+                    r[keep],
+                    _project(basis, j)[keep],
+                    (_project(start, given[..., None])[..., 0] * scale * measured)[keep],
+                    (_project(start, j) * (scale * measured)[..., None])[keep],
+                    scale[keep],
+                    np.broadcast_to(index[:, None], keep.shape)[keep],
+                    np.broadcast_to(sample, keep.shape)[keep],
+                    np.broadcast_to(code, keep.shape)[keep],
+                )
+            )
+        cat = [np.concatenate([o[k] for o in out]) for k in range(8)]
+        segment, sample, channel = (cat[k].astype(np.intp) for k in (5, 6, 7))
+        self._bases = bases
+        return Rows(cat[0], cat[1], cat[2], cat[3], cat[4], segment, sample, channel, channels, tuple(names))
+
+    def secant(self, model: Model, state: State, changed: Model, there: State) -> FloatArray:
+        """(n,) whitened change of the simulation from one model to another, locals projected out as in the last call of `rows`.
+
+        Both models must have the same parts; the locals are `state`'s.
+        """
+        first, second = self.problem(model), self.problem(changed)
+        made = []
+        for part, a, b, (basis, keep) in zip(
+            first.parts,
+            first.evaluate(state.values, self.locals(first, state)),
+            second.evaluate(there.values, self.locals(second, there)),
+            self._bases,
+            strict=True,
+        ):
+            m = part.y.shape[0]
+            std = np.array([state.noise.channel[c] for c in part.outputs])
+            change = ((a.residual - b.residual) / std).reshape(m, -1)
+            change = np.concatenate([change, np.zeros((m, basis.shape[2]))], axis=1)
+            made.append(_project(basis, change[..., None])[..., 0][keep])
+        return np.concatenate(made)
+
+    # Inside one fit.
+
+    def _linear(self, model: Model, state: State, names: Sequence[str]) -> list[_Piece]:
+        problem = self.problem(model)
+        local = self.locals(problem, state)
+        pieces = []
+        for part, made, at in zip(
+            problem.parts, problem.evaluate(state.values, local, list(names)), local, strict=True
+        ):
+            m, n, n_y = part.y.shape
+            n_l = len(part.locals)
+            std = np.array([state.noise.channel[c] for c in part.outputs])
+            jac = (made.jacobian / std[:, None]).reshape(m, n * n_y, -1)
+            n_p = jac.shape[2] - n_l
+            j_p = np.zeros((m, n * n_y, len(names)))
+            for k, name in enumerate(made.columns[:n_p]):
+                j_p[..., list(names).index(name)] = jac[..., k]
+            prior = 1.0 / prior_std(part, state.noise)
+            pieces.append(
+                _Piece(
+                    r=(made.residual / std).reshape(m, -1),
+                    j_p=j_p,
+                    j_l=jac[..., n_p:],
+                    r_prior=(part.start_local() - at) * prior,
+                    prior=prior,
+                )
+            )
+        return pieces
+
+    def _residuals_anew(self, model: Model, state: State, linear: list[_Piece]) -> list[_Piece]:
+        problem = self.problem(model)
+        local = self.locals(problem, state)
+        found = []
+        for part, made, at, old in zip(
+            problem.parts, problem.evaluate(state.values, local), local, linear, strict=True
+        ):
+            std = np.array([state.noise.channel[c] for c in part.outputs])
+            m = part.y.shape[0]
+            found.append(
+                replace(
+                    old,
+                    r=(made.residual / std).reshape(m, -1),
+                    r_prior=(part.start_local() - at) * old.prior,
+                )
+            )
+        return found
+
+    def _step(self, model: Model, state: State, names: Sequence[str], linear: list[_Piece], damping: float) -> State:
+        problem = self.problem(model)
+        n_p = len(names)
+        h, g = np.zeros((n_p, n_p)), np.zeros(n_p)
+        solved = []
+        for piece in linear:
+            h_ll = np.matmul(piece.j_l.transpose(0, 2, 1), piece.j_l) + _diagonal(piece.prior**2)
+            g_l = np.einsum("mij,mi->mj", piece.j_l, piece.r) + piece.r_prior * piece.prior
+            h_lp = np.matmul(piece.j_l.transpose(0, 2, 1), piece.j_p)
+            both = np.linalg.solve(h_ll, np.concatenate([h_lp, g_l[..., None]], axis=2))
+            by_p, by_r = both[..., :n_p], both[..., n_p]
+            h += np.einsum("mij,mik->jk", piece.j_p, piece.j_p) - np.einsum("mlj,mlk->jk", h_lp, by_p)
+            g += np.einsum("mij,mi->j", piece.j_p, piece.r) - np.einsum("mlj,ml->j", h_lp, by_r)
+            solved.append((by_p, by_r))
+        param = model.param
+        at = np.array([state.values[n] for n in names])
+        size = np.sqrt(np.maximum(np.diag(h), 1e-12)) if n_p else np.ones(0)
+        free = np.ones(n_p, dtype=bool)
+        step = np.zeros(n_p)
+        # A parameter at its bound that wants to leave is held there and the rest solved again.
+        for _ in range(1 + n_p):
+            active = np.flatnonzero(free)
+            if not active.size:
+                break
+            hs = h[np.ix_(active, active)] / np.outer(size[active], size[active])
+            hs = hs + (damping + 1e-9) * np.eye(active.size)
+            step[:] = 0.0
+            step[active] = np.linalg.solve(hs, g[active] / size[active]) / size[active]
+            low = np.array([param[n].lower for n in names])
+            high = np.array([param[n].upper for n in names])
+            out = free & (((at + step < low) & (at <= low)) | ((at + step > high) & (at >= high)))
+            if not out.any():
+                break
+            free &= ~out
+        new = np.clip(at + step, [param[n].lower for n in names], [param[n].upper for n in names]) if n_p else at
+        step = new - at
+        local = dict(state.local)
+        n_segments = len(self.segments)
+        for part, (by_p, by_r), old in zip(problem.parts, solved, self.locals(problem, state), strict=True):
+            moved = old + by_r - np.einsum("mlj,j->ml", by_p, step)
+            index = [r.index for r in part.responses]
+            for k, name in enumerate(part.locals):
+                column = local.get(name, np.full(n_segments, np.nan)).copy()
+                column[index] = moved[:, k]
+                local[name] = column
+        values = {**state.values, **dict(zip(names, new.tolist(), strict=True))}
+        made = State(values, local, state.noise, np.inf)
+        return replace(made, objective=self.objective(model, made))
+
+    def _reweighed(self, model: Model, state: State) -> State:
+        """Noise as the residuals show it; the disturbances' spread as the locals do."""
+        problem = self.problem(model)
+        local = self.locals(problem, state)
+        squares: dict[str, list[float]] = {}
+        spread: dict[str, list[float]] = {}
+        for part, made, at in zip(problem.parts, problem.evaluate(state.values, local), local, strict=True):
+            for k, c in enumerate(part.outputs):
+                mask = part.mask[..., k]
+                squares.setdefault(c, []).extend((np.sum(made.residual[..., k] ** 2), float(mask.sum())))
+            for k, d in enumerate(part.block.disturbances):
+                spread.setdefault(d, []).extend(at[:, part.n_free_states + k] ** 2)
+        channel = {
+            c: max(float(np.sqrt(sum(v[::2]) / max(sum(v[1::2]), 1.0))), RESOLUTION[c]) for c, v in squares.items()
+        }
+        disturbance = {
+            d: max(float(np.sqrt(np.mean(v))), LEAST_DISTURBANCE * FIRST_DISTURBANCE[d]) for d, v in spread.items()
+        }
+        fresh = replace(state, noise=Noise(channel, disturbance))
+        return replace(fresh, objective=self.objective(model, fresh))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One part, linearised: whitened residual (m, n), columns (m, n, p) and (m, n, l), residual and root precision of the priors (m, l)."""
+
+    r: FloatArray
+    j_p: FloatArray
+    j_l: FloatArray
+    r_prior: FloatArray
+    prior: FloatArray
+
+
+def _diagonal(values: FloatArray) -> FloatArray:
+    """(m, l) to (m, l, l)."""
+    return values[..., None] * np.eye(values.shape[-1])
+
+
+def _project(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """(m, n, k) columns without what (m, n, l) orthonormal bases span."""
+    return np.asarray(columns - np.matmul(basis, np.matmul(basis.transpose(0, 2, 1), columns)))

@@ -1,0 +1,168 @@
+"""What cannot be explained by anybody: the noise floor of each channel, and how many samples of a correlated residual count."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.bench import Rows
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+
+BIN_S = 0.1  # responses of one cell are compared in bins of this width after the step
+EQUATIONS_PER_COVARIATE = 4
+SMALL_CORRELATION = 0.05
+
+
+@dataclass(frozen=True)
+class Floor:
+    """std: channel to the spread (in its unit) no model of the recorded inputs explains; from_repeats: channels for which repeats say so,
+    the others' floor is their high-frequency residual, which is weaker since it misses slow disturbances.
+
+    mean_square: channel to (lack of fit, pure error) mean squares and their degrees of freedom, where repeats exist.
+    """
+
+    std: Mapping[str, float]
+    from_repeats: frozenset[str]
+    lack_of_fit: Mapping[str, tuple[float, float, float, float]]
+
+    def of(self, channel: str) -> float:
+        """The floor of one channel."""
+        return self.std[channel]
+
+
+def inflation(rows: Rows, residual: FloatArray | None = None) -> dict[int, float]:
+    """Channel index to 1 + 2 sum of autocorrelations within responses: n divided by it is the effective sample size."""
+    r = rows.residual if residual is None else residual
+    found = {}
+    for c in range(len(rows.channels)):
+        at = np.flatnonzero(rows.channel == c)
+        order = at[np.lexsort((rows.sample[at], rows.segment[at]))]
+        x, segment, sample = r[order], rows.segment[order], rows.sample[order]
+        power = float(x @ x) / max(x.size, 1)
+        total = 1.0
+        if power > 0:
+            for lag in range(1, 200):
+                same = (segment[lag:] == segment[:-lag]) & (sample[lag:] - sample[:-lag] == lag)
+                if same.sum() < 20:
+                    break
+                rho = float(np.mean(x[lag:][same] * x[:-lag][same])) / power
+                if rho < SMALL_CORRELATION:
+                    break
+                total += 2 * rho
+        found[c] = total
+    return found
+
+
+def high_frequency(rows: Rows) -> dict[str, float]:
+    """Channel to the std of white noise that would give the residual's second differences."""
+    raw = rows.open_residual
+    found = {}
+    for c, name in enumerate(rows.channels):
+        at = np.flatnonzero(rows.channel == c)
+        order = at[np.lexsort((rows.sample[at], rows.segment[at]))]
+        x, segment = raw[order], rows.segment[order]
+        same = segment[2:] == segment[:-2]
+        second = (x[2:] - 2 * x[1:-1] + x[:-2])[same]
+        # The median keeps the few samples around steps from counting.
+        found[name] = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if second.size else 0.0
+    return found
+
+
+def covariates(segment: Segment) -> FloatArray:
+    """What differs between repeats of one step: ln U, initial velocity, heading, height; 0 where not recorded."""
+
+    def first(name: str) -> float:
+        values = np.asarray(segment.y.get(name, np.empty(0)))[:5]
+        values = values[np.isfinite(values)]
+        return float(values.mean()) if values.size else 0.0
+
+    volts = first("voltage_v")
+    heading = first("yaw_rad") if "yaw_rad" in segment.y else 0.0
+    return np.array(
+        [
+            np.log(volts) if volts > 0 else 0.0,
+            first("v_x_m_s"),
+            first("v_y_m_s"),
+            first("v_z_m_s"),
+            np.cos(heading),
+            np.sin(heading),
+            first("height_m"),
+        ]
+    )
+
+
+def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, float]) -> Floor:
+    """Pure error of repeats, covariates regressed out; the high-frequency residual where there are no repeats."""
+    fast = high_frequency(rows)
+    cells: dict[object, list[int]] = {}
+    for i, s in enumerate(segments):
+        if s.kind != "free":
+            cells.setdefault(s.cell_key, []).append(i)
+    cells = {k: v for k, v in cells.items() if len(v) >= 2}
+    std, repeated, lack = {}, set(), {}
+    for c, name in enumerate(rows.channels):
+        pure = _pure_error(rows, segments, cells, c) if cells else None
+        if pure is None:
+            std[name] = max(fast[name], resolution.get(name, 0.0))
+            continue
+        pure_ms, pure_dof, lack_ms, lack_dof = pure
+        pure_ms += fast[name] ** 2  # what moves within a bin
+        std[name] = max(float(np.sqrt(pure_ms)), resolution.get(name, 0.0))
+        repeated.add(name)
+        lack[name] = (lack_ms, lack_dof, pure_ms, pure_dof)
+    return Floor(std, frozenset(repeated), lack)
+
+
+def _pure_error(
+    rows: Rows, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
+) -> tuple[float, float, float, float] | None:
+    """(pure error mean square of bin means, its degrees of freedom, lack-of-fit mean square of bin means, its degrees)."""
+    raw = rows.open_residual
+    at = rows.channel == c
+    by_segment = {i: np.flatnonzero(at & (rows.segment == i)) for members in cells.values() for i in members}
+    square, dof, lack, lack_dof = 0.0, 0.0, 0.0, 0.0
+    bins: dict[tuple[str, int], list[tuple[FloatArray, float, float]]] = {}
+    for key, members in cells.items():
+        table: dict[int, list[tuple[int, float]]] = {}
+        for i in members:
+            rows_i = by_segment[i]
+            if not rows_i.size:
+                continue
+            since = segments[i].t_s[rows.sample[rows_i]] - segments[i].t_step_s
+            which = np.floor(since / BIN_S).astype(int)
+            x = raw[rows_i]
+            for b in np.unique(which):
+                table.setdefault(int(b), []).append((i, float(x[which == b].mean())))
+        for b, entries in table.items():
+            if len(entries) < 2:
+                continue
+            means = np.array([e[1] for e in entries])
+            covs = np.array([covariates(segments[e[0]]) for e in entries])
+            covs = covs - covs.mean(axis=0)
+            spread = means - means.mean()
+            for z, d in zip(covs, spread, strict=True):
+                bins.setdefault((str(key[0]) if isinstance(key, tuple) else "", b), []).append(
+                    (z, d, 1 - 1 / len(entries))
+                )
+            lack += len(entries) * means.mean() ** 2
+            lack_dof += 1
+    for same in bins.values():
+        z = np.stack([e[0] for e in same])
+        d = np.array([e[1] for e in same])
+        free = sum(e[2] for e in same)
+        moving = z.std(axis=0) > 1e-9
+        z = z[:, moving]
+        if z.shape[1] and free >= EQUATIONS_PER_COVARIATE * z.shape[1]:
+            scaled = z / z.std(axis=0)
+            d = d - scaled @ np.linalg.lstsq(scaled, d, rcond=1e-6)[0]
+            free -= float(np.linalg.matrix_rank(scaled, tol=1e-6))
+        square += float(d @ d)
+        dof += max(free, 0.0)
+    if dof < 3:
+        return None
+    return square / dof, dof, lack / lack_dof, lack_dof

@@ -1,0 +1,226 @@
+"""Every candidate at once: sensitivities at off (shapes on their declared values), what the present model absorbs taken out.
+
+The order of candidates is by an information criterion with the effective sample size. Whether the best of many could be chance is
+asked of the data themselves: flipping the sign of whole responses keeps everything about the residual but its consistency with the
+candidate, and the largest score among all candidates is compared with its own distribution, so that the false alarm rate holds for
+the catalogue as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.bench import Bench, Rows, State
+from flighttest.diagnose.noise import inflation
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+
+FloatArray = NDArray[np.float64]
+
+FLIPS = 1999
+FALSE_ALARM_RATE = 0.01  # for the whole catalogue, not per candidate
+ABSORBED = 1e-3  # a candidate of which less than this is left beside the present model has no column of its own
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A candidate with its shapes fixed. columns: (n, q) whitened sensitivities to `names`; a secant (one column, no name) where the term
+    has no amplitude: the whole change it makes."""
+
+    term: Term
+    shapes: Mapping[str, float]
+    names: tuple[str, ...]
+    columns: FloatArray
+
+
+@dataclass(frozen=True)
+class Score:
+    """A variant judged on the residual of the present model.
+
+    own: (n, q) what of its columns the present model cannot copy, left: their largest share; estimate, std: (q,); bic: change of the
+    information criterion (negative: better); flip: robust score; p_value: that the catalogue's largest score is as high by chance.
+    """
+
+    variant: Variant
+    own: FloatArray
+    estimate: FloatArray
+    std: FloatArray
+    left: float
+    bic: float
+    flip: float
+    p_value: float = 1.0
+
+    @property
+    def effect(self) -> FloatArray:
+        """(n,) whitened, what it would change beyond what the present model can do."""
+        return self.own @ self.estimate
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The present model, linearised: rows at its optimum, an orthonormal basis of its own columns, residual orthogonal to it."""
+
+    rows: Rows
+    basis: FloatArray
+    residual: FloatArray
+    inflation: Mapping[int, float]
+
+    @classmethod
+    def at(cls, rows: Rows, names: Sequence[str]) -> Ground:
+        """names: parameters of the present model."""
+        basis = orthonormal(rows.columns(names))
+        residual = rows.residual - basis @ (basis.T @ rows.residual)
+        return cls(rows, basis, residual, inflation(rows, residual))
+
+    @property
+    def weight(self) -> FloatArray:
+        """(n,): 1 / inflation of the row's channel."""
+        table = np.array([1.0 / self.inflation[c] for c in range(len(self.rows.channels))] + [1.0])
+        return table[self.rows.channel]
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Basis of the column space; columns without length or of almost no length of their own are left out."""
+    length = np.sqrt(np.sum(columns**2, axis=0))
+    columns = columns[:, length > 0] / length[length > 0]
+    if not columns.shape[1]:
+        return np.zeros((columns.shape[0], 0))
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return u[:, s > 1e-7 * s[0]]
+
+
+def amplitude_variants(rows: Rows, terms: Sequence[Term]) -> list[Variant]:
+    """Candidates without shapes, from the columns of one Jacobian that holds them all."""
+    found = []
+    for term in terms:
+        names = tuple(p.name for p in term.amplitudes if p.name in rows.names)
+        if names and not term.shapes:
+            found.append(Variant(term, {}, names, rows.columns(names)))
+    return found
+
+
+def shape_settings(term: Term) -> list[dict[str, float]]:
+    """Declared values of each shape, the others at nominal."""
+    nominal = {p.name: p.nominal for p in term.shapes}
+    found: list[dict[str, float]] = []
+    for p in term.shapes:
+        for value in p.screen:
+            setting = {**nominal, p.name: value}
+            if setting not in found:
+                found.append(setting)
+    return found
+
+
+def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Term], base: Rows) -> list[Variant]:
+    """Candidates with shapes: each setting by a Jacobian (amplitudes) or as the change it makes (none).
+
+    At their off values candidates do not see each other, so one evaluation serves a setting of every term. `base`: the last rows taken.
+    """
+    found = []
+    without = [t for t in terms if not t.amplitudes]
+    for term in without:
+        changed = model.with_terms(term)
+        for setting in shape_settings(term):
+            there = bench.moved(changed, state, setting)
+            columns = bench.secant(model, state, changed, there)[:, None]
+            if np.isfinite(columns).all():
+                found.append(Variant(term, setting, (), columns))
+    scaled = [t for t in terms if t.amplitudes]
+    if not scaled:
+        return found
+    everything = model.with_terms(*scaled)
+    names = tuple(p.name for t in scaled for p in t.amplitudes)
+    settings = {t.id: shape_settings(t) for t in scaled}
+    for k in range(max(len(s) for s in settings.values())):
+        values = {p.name: float(p.off or 0.0) for t in scaled for p in t.amplitudes}
+        for t in scaled:
+            values |= settings[t.id][k % len(settings[t.id])]
+        rows = bench.rows(everything, bench.moved(everything, state, values), names)
+        for t in scaled:
+            own = tuple(p.name for p in t.amplitudes)
+            columns = rows.columns(own)
+            if k < len(settings[t.id]) and np.isfinite(columns).all():
+                found.append(Variant(t, settings[t.id][k], own, columns))
+    return found
+
+
+def score(ground: Ground, variant: Variant) -> Score | None:
+    """One variant on the present residual; None where nothing of it is left beside the present model."""
+    columns = variant.columns
+    own = columns - ground.basis @ (ground.basis.T @ columns)
+    length = np.sqrt(np.sum(columns**2, axis=0))
+    left = np.sqrt(np.sum(own**2, axis=0)) / np.maximum(length, 1e-300)
+    if not np.any(length > 0) or left.max() < ABSORBED:
+        return None
+    r = ground.residual
+    gram = own.T @ own
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-6, hermitian=True) / np.outer(scale, scale)
+    estimate = inverse @ (own.T @ r)
+    if not variant.names:
+        # The change is made in whole or not at all; a refit decides, here its size may adapt.
+        estimate = np.clip(estimate, 0.0, 2.0)
+    effect = own @ estimate
+    after = r - effect
+    q = len(variant.names) or 1
+    q += len(variant.shapes)
+    bic = 0.0
+    n_total = 0.0
+    for c, tau in ground.inflation.items():
+        at = ground.rows.channel == c
+        before_ss, after_ss = float(r[at] @ r[at]), float(after[at] @ after[at])
+        n_eff = at.sum() / tau
+        n_total += n_eff
+        if before_ss > 0:
+            bic += n_eff * float(np.log(max(after_ss, 1e-12) / before_ss))
+    bic += q * float(np.log(max(n_total, 2.0)))
+    noise_std = np.sqrt(np.maximum(np.diag(inverse), 0) * max(ground.inflation.values(), default=1.0))
+    return Score(variant, own, estimate, noise_std, float(left.max()), bic, 0.0)
+
+
+def with_chance(ground: Ground, scores: Sequence[Score], seed: int = 0) -> list[Score]:
+    """The same scores with the probability that the best of the catalogue would score as high by chance (sign flips of responses)."""
+    if not scores:
+        return []
+    _, which = np.unique(ground.rows.segment, return_inverse=True)
+    n_groups = int(which.max()) + 1
+    flips = np.random.default_rng(seed).choice([-1.0, 1.0], size=(FLIPS, n_groups))
+    largest = np.zeros(FLIPS)
+    values = []
+    for s in scores:
+        parts = s.own * (ground.residual * ground.weight)[:, None]
+        by_group = np.zeros((n_groups, parts.shape[1]))
+        np.add.at(by_group, which, parts)
+        spread = by_group.T @ by_group
+        root = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+        inverse = np.linalg.pinv(spread / np.outer(root, root), rcond=1e-8, hermitian=True) / np.outer(root, root)
+        total = by_group.sum(axis=0)
+        q = parts.shape[1]
+        value = float(total @ inverse @ total) / q
+        flipped = flips @ by_group
+        # Compared as if by one degree of freedom, so that candidates with several do not win by number.
+        null = np.einsum("ij,jk,ik->i", flipped, inverse, flipped) / q
+        null_scale = np.quantile(null, 0.99)
+        values.append(value / max(null_scale, 1e-12))
+        largest = np.maximum(largest, null / max(null_scale, 1e-12))
+    return [
+        Score(
+            s.variant, s.own, s.estimate, s.std, s.left, s.bic, v,
+            float((1 + np.sum(largest >= v)) / (FLIPS + 1)),
+        )
+        for s, v in zip(scores, values, strict=True)
+    ]  # fmt: skip
+
+
+def best_per_term(scores: Sequence[Score]) -> list[Score]:
+    """The best variant of each term, best term first."""
+    best: dict[str, Score] = {}
+    for s in scores:
+        kept = best.get(s.variant.term.id)
+        if kept is None or s.bic < kept.bic:
+            best[s.variant.term.id] = s
+    return sorted(best.values(), key=lambda s: s.bic)

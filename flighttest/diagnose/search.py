@@ -1,0 +1,319 @@
+"""Which physics joins the model: forward and backward steps, every step a joint refit, judged on groups not used.
+
+A step forward takes the candidate with the best information criterion among those whose score is beyond chance for the whole catalogue
+(sign flips, 1 %), refits it jointly with everything, and keeps it when all of these hold:
+- the information criterion with the effective sample size falls by 10 or more (odds of 150 to 1);
+- somewhere (a channel in a kind of maneuver) the effect is at least half the noise floor: below that it is nobody's business;
+- there, it takes away at least 5 % of the held-out excess over the floor;
+- its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise).
+After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.bench import RESOLUTION, Bench, Rows, State
+from flighttest.diagnose.judge import held_out, information, places, size_in_floors
+from flighttest.diagnose.noise import Floor, floor_of
+from flighttest.diagnose.screen import (
+    FALSE_ALARM_RATE,
+    Ground,
+    Score,
+    Variant,
+    amplitude_variants,
+    best_per_term,
+    score,
+    shape_variants,
+    with_chance,
+)
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+LEAST_BIC = 10.0
+LEAST_FLOORS = 0.5
+LEAST_GAIN = 0.05
+TRIES = 4  # candidates refitted per step before the step is given up
+MOST_TERMS = 12
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its optimum on one bench. names: what is estimated; rows: with columns for names, and for whatever else was asked."""
+
+    model: Model
+    names: tuple[str, ...]
+    state: State
+    rows: Rows
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a term adds: change of the information criterion, size in floors and where, share of the held-out excess it takes."""
+
+    term: str
+    bic: float
+    floors: float
+    place: tuple[str, str]
+    gain: float
+    p_value: float
+    effect: FloatArray
+    reason: str = ""
+
+    @property
+    def kept(self) -> bool:
+        """Meets the bar."""
+        return self.bic < -LEAST_BIC and self.floors >= LEAST_FLOORS and self.gain >= LEAST_GAIN and not self.reason
+
+
+@dataclass
+class Search:
+    """One block of the model (attitude or translation) on one bench."""
+
+    bench: Bench
+    pool: tuple[Term, ...]
+    groups: IntArray
+    fixed: frozenset[str] = frozenset()
+    progress: Callable[[str], None] = lambda _text: None
+    base: Fitted | None = None
+    now: Fitted | None = None
+    floor: Floor | None = None
+    judged: dict[str, Judged] = field(default_factory=dict)
+    scores: list[Score] = field(default_factory=list)
+    refused: dict[str, Judged] = field(default_factory=dict)
+    _shaped: list[Variant] = field(default_factory=list)
+
+    def run(self, model: Model, start: State) -> None:
+        """Fit the base, then search. What is done is kept on interruption."""
+        self.base = self.now = self._fit(model, start, iterations=20)
+        self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
+        self.progress("base model fitted")
+        fresh = False
+        while len(self.judged) < MOST_TERMS:
+            if not fresh:
+                self._screen(shapes=not self._shaped)
+                fresh = True
+            if self._forward():
+                self._backward()
+                fresh = False
+                continue
+            if self.judged and self._shaped and self._shapes_are_old():
+                self._screen(shapes=True)
+                if self._forward():
+                    self._backward()
+                    fresh = False
+                    continue
+            break
+        self._swap()
+        self._screen(shapes=self._shapes_are_old())
+
+    # Steps.
+
+    def _pool(self) -> list[Term]:
+        assert self.now is not None
+        return [t for t in self.pool if t.id not in self.now.model.terms]
+
+    def _shapes_are_old(self) -> bool:
+        return self._shapes_at != (self.now.model.terms if self.now else ())
+
+    _shapes_at: tuple[str, ...] = ()
+
+    def _screen(self, shapes: bool) -> None:
+        """Scores of everything not in the model, at the present optimum."""
+        assert self.now is not None
+        pool = self._pool()
+        plain = [t for t in pool if t.amplitudes and not t.shapes]
+        everything = self.now.model.with_terms(*plain)
+        there = self.bench.moved(everything, self.now.state)
+        names = (*self.now.names, *(p.name for t in plain for p in t.amplitudes))
+        names = tuple(n for n in names if n in self.bench.problem(everything).names)
+        rows = self.bench.rows(everything, there, names)
+        ground = Ground.at(rows, [n for n in self.now.names if n in names])
+        if shapes:
+            self._shaped = []
+            self.progress("screening shapes")
+            base = self.bench.rows(self.now.model, self.now.state, self.now.names)
+            shaped = [t for t in pool if t.shapes]
+            self._shaped = shape_variants(self.bench, self.now.model, self.now.state, shaped, base)
+            self._shapes_at = self.now.model.terms
+            self._shape_scale = self.now.rows.scale
+        variants = amplitude_variants(rows, plain)
+        for v in self._shaped:
+            if v.term.id not in self.now.model.terms:
+                rescaled = v.columns * (self._shape_scale / rows.scale)[:, None]
+                variants.append(replace(v, columns=rescaled))
+        self.scores = with_chance(ground, [s for v in variants if (s := score(ground, v)) is not None])
+        self.ground = ground
+
+    def _forward(self) -> bool:
+        assert self.now is not None
+        assert self.floor is not None
+        ranked = [s for s in best_per_term(self.scores) if s.variant.term.id not in self.refused]
+        tries = 0
+        best: tuple[Judged, Fitted] | None = None
+        for s in ranked:
+            if tries >= TRIES or (best is not None and s.bic > 0.5 * best[0].bic):
+                break
+            if s.p_value > FALSE_ALARM_RATE or s.bic > -LEAST_BIC:
+                continue
+            linear, _ = size_in_floors(self.ground.rows, self._open_effect(s), self.bench.segments, self.floor)
+            if linear < 0.5 * LEAST_FLOORS:
+                continue
+            tries += 1
+            self.progress(f"refitting with {s.variant.term.id}")
+            fitted = self._with(s)
+            judged = self.judge(s.variant.term.id, self.now, fitted, s.p_value)
+            if not judged.kept:
+                self.refused[s.variant.term.id] = judged
+                continue
+            if best is None or judged.bic < best[0].bic:
+                best = judged, fitted
+        if best is None:
+            return False
+        self.now = best[1]
+        self.judged[best[0].term] = best[0]
+        self.refused.clear()
+        self.floor = self._tighter(floor_of(self.now.rows, self.bench.segments, RESOLUTION))
+        self.progress(f"{best[0].term} joins the model")
+        return True
+
+    def _backward(self) -> None:
+        """Take out what the newcomers made superfluous."""
+        assert self.now is not None
+        if len(self.judged) < 2:
+            return
+        for term in list(self.judged)[:-1]:
+            without = self._without(term)
+            judged = self.judge(term, without, self.now, self.judged[term].p_value)
+            if judged.kept:
+                self.judged[term] = judged
+            else:
+                self.now = without
+                del self.judged[term]
+                self.refused[term] = judged
+                self.progress(f"{term} leaves the model")
+
+    def _swap(self) -> None:
+        """Try each accepted term against its rivals, when the others are in the model."""
+        assert self.now is not None
+        for term in list(self.judged):
+            without = self._without(term)
+            plain = [t for t in self._pool() if t.amplitudes and not t.shapes]
+            everything = without.model.with_terms(*plain)
+            names = (*without.names, *(p.name for t in plain for p in t.amplitudes))
+            names = tuple(n for n in names if n in self.bench.problem(everything).names)
+            rows = self.bench.rows(everything, self.bench.moved(everything, without.state), names)
+            ground = Ground.at(rows, [n for n in without.names if n in names])
+            rivals = best_per_term([s for v in amplitude_variants(rows, plain) if (s := score(ground, v)) is not None])
+            judged = self.judge(term, without, self.now, self.judged[term].p_value)
+            self.judged[term] = judged
+            for rival in rivals[:1]:
+                if rival.bic > judged.bic:
+                    break
+                fitted = self._with(rival, without)
+                other = self.judge(rival.variant.term.id, without, fitted, FALSE_ALARM_RATE)
+                if other.kept and other.bic < judged.bic - LEAST_BIC:
+                    self.now = fitted
+                    del self.judged[term]
+                    self.judged[other.term] = other
+                    self.progress(f"{other.term} replaces {term}")
+
+    def _open_effect(self, s: Score) -> FloatArray:
+        """(n,) what a candidate would change in predictions, in units of the channels; a secant's whitened effect stands for it."""
+        rows = self.ground.rows
+        if not s.variant.names or not set(s.variant.names) <= set(rows.names):
+            return s.effect * rows.scale * (rows.sample >= 0)
+        return rows.open_columns(s.variant.names) @ s.estimate
+
+    # Fits.
+
+    def _names(self, model: Model) -> tuple[str, ...]:
+        return tuple(n for n in self.bench.problem(model).names if n not in self.fixed)
+
+    def _fit(self, model: Model, state: State, iterations: int = 8) -> Fitted:
+        names = self._names(model)
+        fitted = self.bench.fit(model, state, names, iterations=iterations)
+        return Fitted(model, names, fitted, self.bench.rows(model, fitted, names))
+
+    def _with(self, s: Score, among: Fitted | None = None) -> Fitted:
+        """Joint refit with a candidate, from where the screening points."""
+        among = among or self.now
+        assert among is not None
+        term = s.variant.term
+        model = among.model.with_terms(term)
+        values = dict(s.variant.shapes)
+        for name, value in zip(s.variant.names, s.estimate, strict=False):
+            p = model.param[name]
+            off = float(p.off or 0.0)
+            values[name] = float(np.clip(off + value, p.lower, p.upper))
+        warm = self.bench.moved(model, among.state, values)
+        cold = self.bench.moved(
+            model, among.state, {**dict(s.variant.shapes), **{p.name: float(p.off or 0.0) for p in term.amplitudes}}
+        )
+        return self._fit(model, warm if warm.objective < cold.objective else cold)
+
+    def _without(self, term: str) -> Fitted:
+        assert self.now is not None
+        model = self.now.model.without_terms(term)
+        return self._fit(model, self.bench.moved(model, self.now.state))
+
+    def _tighter(self, floor: Floor) -> Floor:
+        """The lower of two floors: what a better model leaves is nearer to what nobody can explain."""
+        assert self.floor is not None
+        old = self.floor
+        std = {c: min(floor.std[c], old.std.get(c, np.inf)) for c in floor.std}
+        return Floor(std, floor.from_repeats, floor.lack_of_fit)
+
+    def judge(self, term: str, before: Fitted, after: Fitted, p_value: float) -> Judged:
+        """What `after` gains over `before` by one term."""
+        assert self.floor is not None
+        before_held = held_out(before.rows, before.names, self.groups)
+        after_held = held_out(after.rows, after.names, self.groups)
+        bic = information(before.rows, before.state, after.rows, after.state, len(after.names) - len(before.names))
+        effect = before.rows.open_residual - after.rows.open_residual
+        floors, place = size_in_floors(after.rows, effect, self.bench.segments, self.floor)
+        gain = 0.0
+        if place in (table := places(after.rows, self.bench.segments)):
+            at = table[place]
+            ss_b, ss_a = float(np.mean(before_held[at] ** 2)), float(np.mean(after_held[at] ** 2))
+            excess = max(ss_b - self.floor.of(place[0]) ** 2, LEAST_GAIN * ss_b)
+            gain = (ss_b - ss_a) / excess
+        reason = self._impossible(term, after)
+        return Judged(term, bic, floors, place, gain, p_value, effect, reason)
+
+    def _impossible(self, term: str, fitted: Fitted) -> str:
+        """Why an estimate cannot be what its name says; '' when it can."""
+        model, names = fitted.model, fitted.names
+        std = standard_errors(fitted.rows, names)
+        for k, name in enumerate(names):
+            p = model.param[name]
+            if model.term_of(name) != term or p.kind != "amplitude" or p.off is None:
+                continue
+            value = fitted.state.values[name]
+            wrong = (value - p.off) * np.sign(p.nominal - p.off)
+            if p.one_sided and wrong < -3 * std[k] - 0.1 * abs(p.nominal - p.off):
+                return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
+            if value <= p.lower or value >= p.upper:
+                return f"{name} runs to its bound, {value:.3g} {p.unit}: it stands in for something else"
+        return ""
+
+
+def standard_errors(rows: Rows, names: tuple[str, ...]) -> FloatArray:
+    """(p,) standard errors robust to correlation within responses (sandwich over segments)."""
+    a = rows.columns(names)
+    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-300)
+    a = a / length
+    inverse = np.linalg.pinv(a.T @ a, rcond=1e-10, hermitian=True)
+    _, which = np.unique(rows.segment, return_inverse=True)
+    n = int(which.max()) + 1
+    moments = np.zeros((n, a.shape[1]))
+    np.add.at(moments, which, a * rows.residual[:, None])
+    meat = moments.T @ moments * (n / max(n - 1, 1))
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0)) / length)
