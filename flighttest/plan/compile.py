@@ -21,6 +21,8 @@ from flighttest.vehicle.model import Vehicle
 
 # The paper flew from 24.5 V down to 21.5 V on a battery of 22.2 V nominal: what a script that states no voltages may meet.
 FULL_SHARE, EMPTY_SHARE = 24.5 / 22.2, 21.5 / 22.2
+# Of the nominal voltage: what the paper's 21 V on 22.2 V is, for scripts that name no lowest voltage.
+LOWEST_SHARE = 0.945
 STOP_STEP_S = 0.02
 
 
@@ -43,6 +45,9 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
     if script.limits.floor_m is not None:
         zone = replace(zone, z_m=(min(script.limits.floor_m, zone.z_m[0]), zone.z_m[1]))
     vehicle = replace(vehicle, zone=zone)
+    limits = script.limits
+    if not limits.voltage_min_v:
+        limits = replace(limits, voltage_min_v=LOWEST_SHARE * vehicle.nominal_voltage_v)
     unit = vehicle.hover_throttle if script.throttle_unit == "hover" else 1.0
     cells = [cell for maneuver in script.steps for cell in PROFILES[maneuver.profile].cells(maneuver.settings, unit)]
     cells = _distinct(cells)
@@ -70,7 +75,7 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
         script=script,
         vehicle=vehicle,
         legs=legs,
-        limits=script.limits,
+        limits=limits,
         reset=script.reset,
         rate_hz=script.rate_hz,
         refusals=refusals,

@@ -148,7 +148,7 @@ class _Reader:
             throttle=self._get(fields, "throttle", lambda n: doc.span(n, 0.0, 1.0), (0.0, 0.6)),
             height_m=self._get(fields, "height_m", lambda n: doc.span(n, 0.0, 500.0, "m"), (2.0, 10.0)),
             speed_max_m_s=self._get(fields, "speed_max_m_s", lambda n: doc.number(n, 0.5, 40.0, "m/s"), 8.0),
-            voltage_min_v=self._get(fields, "voltage_min_v", lambda n: doc.number(n, 2.0, 120.0, "V"), 21.0),
+            voltage_min_v=self._get(fields, "voltage_min_v", lambda n: doc.number(n, 2.0, 120.0, "V"), 0.0),
             yaw_rate_max_rad_s=math.radians(yaw_rate),
             floor_m=floor,
         )

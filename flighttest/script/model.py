@@ -15,7 +15,8 @@ class Limits:
     """What no target and no measurement may exceed.
 
     tilt_target_max_rad bounds commanded tilt, tilt_abort_rad measured tilt (a 0.5 rad step peaks at 36 deg, its
-    counter-step at 41 deg, so the two differ). throttle and height_m are (low, high); voltage is a 2 s mean. floor_m: a floor of the
+    counter-step at 41 deg, so the two differ). throttle and height_m are (low, high); voltage is a 2 s mean (0 in a
+    script that leaves it out; a plan then takes its share of the vehicle's nominal voltage). floor_m: a floor of the
     script's own, m above the ground, in place of the zone's lower bound (for steps near the ground).
     """
 
