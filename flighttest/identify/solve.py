@@ -20,6 +20,7 @@ FloatArray = NDArray[np.float64]
 
 MAX_ITERATIONS = 40
 STEP_TOLERANCE = 0.01  # largest parameter step at the end, in standard errors
+COST_TOLERANCE = 1e-6  # or: relative decrease of the cost by the last step
 OUTLIER_RATIO = 2.5  # a response whose residual is this many times the median response's is weighted down
 SPIKE_STDS = 5.0  # a sample further out than this is weighted down
 _START_NOISE = {"m/s^2": 0.3, "m/s": 0.1, "rad": 0.01, "rad/s": 0.05}
@@ -154,13 +155,14 @@ def solve(
         if not accepted:
             status = FitStatus.NO_DESCENT if not _small(step, h, active, 0.2) else FitStatus.CONVERGED
             break
+        flat = cost - new_cost <= max(COST_TOLERANCE * cost, 0.01)
         still = _locals_settled(problem, now.local, trial.local, noise)
         now, theta = trial, target
         settled = _settled(previous, noise) or not estimate_noise
         if (
             damping <= 1e-2
             and still
-            and _small(moved, h, active, STEP_TOLERANCE)
+            and (flat or _small(moved, h, active, STEP_TOLERANCE))
             and settled
             and iteration > (3 if robust else 1)
         ):
