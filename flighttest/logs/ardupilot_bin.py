@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest import frames
 from flighttest.errors import RecordingError
-from flighttest.logs.ardupilot_notes import firmware, markers, parameters, parameter_changes, state
+from flighttest.logs.ardupilot_notes import firmware, markers, parameter_changes, parameters, state
 from flighttest.logs.dataflash import Dataflash, Table, read_dataflash
 from flighttest.logs.opening import LogFile
 from flighttest.logs.timing import Times, held_union, ordered
@@ -52,6 +52,8 @@ WANTED: dict[str, tuple[str, ...] | None] = {
     "ARM": None,
     "VER": None,
 }  # fmt: skip
+DEFAULT_ACCEL_FILTER_HZ = 20.0
+"""INS_ACCEL_FILTER as ArduPilot ships it (AP_InertialSensor.cpp)."""
 _FACING_DOWN = 25
 _RANGE_GOOD = 4
 _GPS_3D = 3

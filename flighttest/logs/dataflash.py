@@ -163,9 +163,8 @@ class _Reader:
             good[i:b] = True
             position = int(hits[b])
             end = int(ends[b])
-            if lengths[b] and end + _HEADER_BYTES > size and not (final and end >= size):
-                if not final:
-                    return good, position
+            if lengths[b] and end + _HEADER_BYTES > size and not final:
+                return good, position
             k = int(np.searchsorted(hits, end)) if lengths[b] else b + 1
             confirmed = (k < n and hits[k] == end) or (final and end == size)
             if lengths[b] and confirmed:

@@ -8,7 +8,6 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
 from flighttest.recording import Recording
 
-_DATAFLASH = {".bin", ".log"}
 _TABLES = {".csv", ".parquet", ".txt", ".tsv"}
 
 
@@ -32,4 +31,8 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
         from flighttest.logs.tlog import import_tlog
 
         return import_tlog(path)
+    if suffix in _TABLES or head[:4] == b"PAR1" or head[:1] == b"\xbc" or columns is not None:
+        from flighttest.logs.table import import_table
+
+        return import_table(path, columns)
     raise RecordingError(f"{path}: this is no kind of log I know", "give a .BIN, .tlog, .ulg, .csv or .parquet file")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Times:
         t = np.concatenate([x for _, x, _ in stamped])
         order = np.argsort(at, kind="stable")
         at, t = at[order], t[order]
-        good = ~_outliers(t)
+        good = ~outliers(t)
         at, t = at[good], t[good]
         self._wrap_s = stamped[0][2]
         back = np.flatnonzero(np.diff(t) < -_BACK_S)
@@ -82,7 +83,7 @@ class Times:
         restarts = [i for i in np.flatnonzero(np.diff(t) < -_BACK_S) if _stays_back(t, int(i))]
         if restarts:
             edges = np.concatenate([[0], np.asarray(restarts, dtype=np.int64) + 1, [t.size]])
-            spans_s = [float(t[b - 1] - t[a]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            spans_s = [float(t[b - 1] - t[a]) for a, b in pairwise(edges)]
             best = int(np.argmax(spans_s))
             a, b = int(edges[best]), int(edges[best + 1])
             begin = 0 if a == 0 else int(at[a])
@@ -117,7 +118,7 @@ def _stamps(table: Table) -> tuple[FloatArray | None, float]:
     return None, 0.0
 
 
-def _outliers(t: FloatArray) -> NDArray[np.bool_]:
+def outliers(t: FloatArray) -> NDArray[np.bool_]:
     """Single stamps (or two together) far from the median of their five neighbours."""
     if t.size < 5:
         return np.zeros(t.size, dtype=bool)

@@ -2,26 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from flighttest.errors import RecordingError
-from flighttest.logs.ardupilot_bin import known_filters
+from flighttest.logs.ardupilot_bin import DEFAULT_ACCEL_FILTER_HZ, known_filters
 from flighttest.logs.opening import LogFile
-from flighttest.mavlink import WANTED, decode_stream
+from flighttest.logs.timing import outliers
+from flighttest.logs.tlog_frames import Frames, fields_of, good_checksums, split
+from flighttest.mavlink import WANTED
+from flighttest.mavlink.decode import StreamDecoder
 from flighttest.mavlink.dialect import book, parser
 from flighttest.recording import Provenance, Recording
 
+# Messages whose every field is a number, and which come often: they are read as columns, the rest one by one.
+_ONE_BY_ONE = {
+    "HEARTBEAT", "STATUSTEXT", "TIMESYNC", "PARAM_VALUE", "AUTOPILOT_VERSION", "GPS_GLOBAL_ORIGIN", "HOME_POSITION",
+}  # fmt: skip
+_SEQUENCE_LOSS = 0.005  # the share of missing sequence numbers that is worth a sentence
+
 
 def import_tlog(path: Path) -> Recording:
-    """Read a telemetry log (plain, .gz or .xz). RecordingError where it holds no vehicle."""
+    """Read a telemetry log (plain, .gz or .xz) of one vehicle. RecordingError where it holds none."""
     file = LogFile(path)
     data = b"".join(file.pieces())
+    frames = split(data)
+    if frames.at.size == 0:
+        raise RecordingError(
+            f"{path}: no MAVLink frame was found in {len(data)} bytes", "is this a telemetry log (.tlog)?"
+        )
+    losses = [*file.losses, *_lost_sentences(frames)]
+    frames = _checked(frames, losses)
+    decoder = StreamDecoder()
+    mav = parser(0, 0)
+    late: list[tuple[int, Any]] = []
+    for kind in np.unique(frames.kind):
+        message = book.mavlink_map.get(int(kind))
+        if message is None or message.msgname not in WANTED:
+            continue
+        chosen = np.flatnonzero(frames.kind == kind)
+        if message.msgname in _ONE_BY_ONE:
+            late += [(int(i), mav.decode(bytearray(frames.bytes_of(int(i))))) for i in chosen]
+            continue
+        for system in np.unique(frames.system[chosen]):
+            mine = frames.where(chosen[frames.system[chosen] == system])
+            decoder.add_columns(int(system), message.msgname, mine.stamp_us * 1e-6, fields_of(mine, int(kind)))
+    for i, message in sorted(late, key=lambda pair: pair[0]):
+        decoder.add(float(frames.stamp_us[i]) * 1e-6, message)
     try:
-        decoded = decode_stream(_messages(data))
+        decoded = decoder.result()
     except RecordingError as error:
         raise RecordingError(f"{path}: {error.message}", error.hint) from error
+    others = sorted(set(decoder.autopilots) - {decoded.vehicle_system})
+    if others:
+        losses.append(
+            f"the log holds several vehicles; system {decoded.vehicle_system} was read, not {', '.join(map(str, others))}"
+        )
+    filters = known_filters(dict(decoded.parameters))
+    beats = decoder.rows[decoded.vehicle_system, "HEARTBEAT"].raw()["autopilot"]
+    if "specific_force" not in filters and float(beats[0]) == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        filters["specific_force"] = DEFAULT_ACCEL_FILTER_HZ
+        losses.append(
+            f"INS_ACCEL_FILTER was not recorded: the autopilot's default of {DEFAULT_ACCEL_FILTER_HZ:g} Hz is assumed"
+        )
     return Recording(
         name=path.name.split(".")[0],
         series=decoded.series,
@@ -38,31 +84,59 @@ def import_tlog(path: Path) -> Recording:
                 "method": decoded.clock.method,
                 "system": decoded.vehicle_system,
             },
-            losses=(*file.losses, *decoded.losses),
-            filters=known_filters(dict(decoded.parameters)),
+            losses=(*losses, *decoded.losses),
+            filters=filters,
             derived=decoded.derived,
             reference_clock=decoded.reference_clock,
         ),
     )
 
 
-def _messages(data: bytes) -> Iterator[tuple[float, Any]]:
-    wanted = {kind.id for kind in book.mavlink_map.values() if kind.msgname in WANTED}
-    mav = parser(0, 0)
-    at, size = 0, len(data)
-    while at + 16 < size:
-        start = at + 8
-        magic = data[start]
-        if magic == 0xFD:
-            length = data[start + 1] + 12 + (13 if data[start + 2] & 1 else 0)
-            kind = int.from_bytes(data[start + 7 : start + 10], "little")
-        elif magic == 0xFE:
-            length = data[start + 1] + 8
-            kind = data[start + 5]
+def _checked(frames: Frames, losses: list[str]) -> Frames:
+    """Frames whose checksum and time stamp are right, as far as the dialect knows them; what is dropped is said."""
+    good = np.ones(frames.at.size, dtype=bool)
+    unknown = 0
+    for kind in np.unique(frames.kind):
+        chosen = np.flatnonzero(frames.kind == kind)
+        if int(kind) in book.mavlink_map:
+            good[chosen] = good_checksums(frames.where(chosen), int(kind))
         else:
-            at += 1
-            continue
-        if kind in wanted and start + length <= size:
-            message = mav.decode(bytearray(data[start : start + length]))
-            yield int.from_bytes(data[at : at + 8], "big") * 1e-6, message
-        at = start + length
+            unknown += chosen.size
+    if unknown:
+        losses.append(f"{unknown} of {good.size} messages are of types the ArduPilot dialect does not know")
+    if not good.all():
+        first = int(frames.at[np.flatnonzero(~good)[0]])
+        losses.append(
+            f"{int(np.count_nonzero(~good))} of {good.size} messages have a wrong checksum and were dropped (first at byte {first})"
+        )
+    wild = good & outliers(frames.stamp_us * 1e-6)
+    if wild.any():
+        losses.append(f"{int(np.count_nonzero(wild))} messages have a damaged time stamp and were dropped")
+    kept = frames.where(good & ~wild)
+    losses += _missing(kept)
+    return kept
+
+
+def _missing(frames: Frames) -> list[str]:
+    """Sentences on messages that never arrived, by gaps in each sender's sequence numbers."""
+    sentences: list[str] = []
+    sender: NDArray[np.int64] = frames.system.astype(np.int64) * 256 + frames.component
+    for one in np.unique(sender):
+        sequence = frames.sequence[sender == one].astype(np.int64)
+        missing = int(np.sum((np.diff(sequence) - 1) % 256)) if sequence.size > 1 else 0
+        # A sender that restarts its count, or counts per link, looks like a loss of everything: say nothing then.
+        if _SEQUENCE_LOSS * sequence.size < missing < sequence.size:
+            share = 100.0 * missing / (missing + sequence.size)
+            sentences.append(
+                f"about {missing} messages ({share:.1f} %) of system {one // 256}/{one % 256} never arrived"
+            )
+    return sentences
+
+
+def _lost_sentences(frames: Frames) -> list[str]:
+    total = sum(size for _, size in frames.lost)
+    if not total:
+        return []
+    shown = ", ".join(f"{size} at {at}" for at, size in frames.lost[:5])
+    more = f" and {len(frames.lost) - 5} more places" if len(frames.lost) > 5 else ""
+    return [f"{total} of {frames.data.size} bytes could not be read as MAVLink frames: {shown}{more}"]

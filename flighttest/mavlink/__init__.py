@@ -1,7 +1,7 @@
 """MAVLink messages to channels and targets, and back: one place with degE7, centimetres and signs. Knows no maneuvers."""
 
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
-from flighttest.mavlink.decode import WANTED, Decoded, decode_stream
+from flighttest.mavlink.decode import WANTED, Decoded, StreamDecoder, decode_stream
 from flighttest.mavlink.marks import mark_message, mark_text, parse_mark
 from flighttest.mavlink.modes import CopterMode, mode_name
 from flighttest.mavlink.targets import target_message
@@ -13,6 +13,7 @@ __all__ = [
     "ClockEstimate",
     "CopterMode",
     "Decoded",
+    "StreamDecoder",
     "columns_of",
     "decode_stream",
     "estimate_clock",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
@@ -55,14 +55,18 @@ class _Rows:
     def __init__(self, fields: tuple[str, ...]) -> None:
         self.fields = fields
         self.get: Callable[[Any], Any] = attrgetter(*fields)
-        self.ground_s: list[float] = []
+        self.ground_s: Sequence[float] | FloatArray = []
         self.values: list[Any] = []
+        self.columns: dict[str, FloatArray] | None = None
 
     def add(self, t_s: float, message: Any) -> None:
+        assert isinstance(self.ground_s, list)  # rows that came as columns are complete
         self.ground_s.append(t_s)
         self.values.append(self.get(message))
 
     def raw(self) -> dict[str, FloatArray]:
+        if self.columns is not None:
+            return self.columns
         columns = zip(*self.values, strict=True) if len(self.fields) > 1 else [self.values]
         return {name: np.asarray(column, dtype=float) for name, column in zip(self.fields, columns, strict=True)}
 
@@ -84,8 +88,8 @@ WANTED: frozenset[str] = frozenset(_FIELDS) | {
 """The messages `decode_stream` reads; an importer may skip the rest."""
 
 
-class _Collector:
-    """One pass over the stream: rows by (system, message), and the few messages that are read one by one."""
+class StreamDecoder:
+    """One pass over a stream: `add` every message in the order received or sent, then `result`."""
 
     def __init__(self) -> None:
         self.rows: dict[tuple[int, str], _Rows] = {}
@@ -98,6 +102,7 @@ class _Collector:
         self.round_trips: dict[int, list[tuple[float, float, float]]] = {}
 
     def add(self, t_s: float, message: Any) -> None:
+        """Take in one message with its ground time, s."""
         kind = message.get_type()
         if kind not in WANTED:
             return
@@ -125,12 +130,30 @@ class _Collector:
         elif message.latitude or message.longitude:
             self.origins.setdefault(system, (message.latitude * 1e-7, message.longitude * 1e-7))
 
+    def add_columns(
+        self, system: int, kind: str, ground_s: FloatArray, columns: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Take in all messages of one numeric type of one system at once: ground times (n,), s, and fields (n,) or (n, k)."""
+        rows = self.rows[system, kind] = _Rows(_FIELDS[kind])
+        rows.ground_s = ground_s
+        rows.columns = {name: np.asarray(columns[name], dtype=float) for name in rows.fields}
+
     def _timesync(self, t_s: float, system: int, message: Any) -> None:
         if message.tc1 == 0:
             self.asked[message.ts1] = t_s
         elif message.ts1 in self.asked:
             trip = (self.asked.pop(message.ts1), message.tc1 * 1e-9, t_s)
             self.round_trips.setdefault(system, []).append(trip)
+
+    def result(self, vehicle_system: int | None = None) -> Decoded:
+        """What was taken in so far; see `decode_stream`."""
+        if vehicle_system is None:
+            if not self.autopilots:
+                raise RecordingError(
+                    "no autopilot HEARTBEAT in the MAVLink stream", "is this the log of a vehicle's link?"
+                )
+            vehicle_system = max(self.autopilots, key=lambda s: self.autopilots[s])
+        return _assemble(self, vehicle_system)
 
 
 def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | None = None) -> Decoded:
@@ -139,17 +162,13 @@ def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | 
     stream: (ground time s, pymavlink message), both directions. vehicle_system: the vehicle's system id; None takes the one with most
     autopilot heartbeats. RecordingError when no vehicle, or no message with the vehicle's time, is in the stream.
     """
-    collected = _Collector()
+    collected = StreamDecoder()
     for t_s, message in stream:
         collected.add(t_s, message)
-    if vehicle_system is None:
-        if not collected.autopilots:
-            raise RecordingError("no autopilot HEARTBEAT in the MAVLink stream", "is this the log of a vehicle's link?")
-        vehicle_system = max(collected.autopilots, key=lambda s: collected.autopilots[s])
-    return _assemble(collected, vehicle_system)
+    return collected.result(vehicle_system)
 
 
-def _assemble(collected: _Collector, system: int) -> Decoded:
+def _assemble(collected: StreamDecoder, system: int) -> Decoded:
     raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == system}
     ground = {kind: np.asarray(collected.rows[system, kind].ground_s) for kind in raw}
     losses: list[str] = []
@@ -274,7 +293,7 @@ def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, l
 
 
 def _reference(
-    collected: _Collector, system: int, span: tuple[float, float], clock: ClockEstimate, losses: list[str]
+    collected: StreamDecoder, system: int, span: tuple[float, float], clock: ClockEstimate, losses: list[str]
 ) -> tuple[Series | None, str, ClockEstimate]:
     """Targets sent to the vehicle, at their sending time on the vehicle's clock; and the clock, if their stamps pin it better."""
     senders = [rows for (s, kind), rows in collected.rows.items() if kind == "SET_ATTITUDE_TARGET" and s != system]

@@ -28,10 +28,12 @@ _G = 9.81
 
 @dataclass(frozen=True)
 class Aligned:
-    """Series ready to be cut: t_s (n,) the time base; per group its averaged Series; own: groups that keep their own times."""
+    """Series ready to be cut: t_s (n,) the time base; per group its averaged Series and its rate; own: groups that keep their
+    own times."""
 
     t_s: FloatArray
     groups: dict[str, Series]
+    rates_hz: dict[str, float]
     own: frozenset[str]
 
 
@@ -61,7 +63,7 @@ def prepare(recording: Recording) -> Aligned | None:
     if base.rate_hz > RATE_MAX_HZ:
         thin = int(np.ceil(base.rate_hz / RATE_MAX_HZ))
         t_s = groups[base_group].t_s[thin // 2 :: thin]
-    return Aligned(t_s, groups, frozenset(own))
+    return Aligned(t_s, groups, {g: s.rate_hz for g, s in groups.items()}, frozenset(own))
 
 
 def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, dict[str, FloatArray]]:
@@ -72,7 +74,7 @@ def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, 
         t = np.union1d(t, times[np.searchsorted(times, start_s) : np.searchsorted(times, end_s, side="right")])
     y: dict[str, FloatArray] = {}
     for group, series in aligned.groups.items():
-        y.update(_at_own(series, t) if group in aligned.own else _linear(series, t))
+        y.update(_at_own(series, t) if group in aligned.own else _linear(series, aligned.rates_hz[group], t))
     if "a_x_m_s2" not in y and {"f_x_m_s2", "roll_rad", "pitch_rad", "yaw_rad"} <= set(y):
         y.update(_world_acceleration(aligned, t, y))
     return t, y
@@ -100,21 +102,28 @@ def _averaged(series: Series) -> Series:
     return Series(steady[inside], {n: np.convolve(v, kernel, "valid")[inside] for n, v in series.columns.items()})
 
 
-def _linear(series: Series, t: FloatArray) -> dict[str, FloatArray]:
+def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArray]:
     """Values read off linearly; NaN outside the series and inside gaps of more than three sample periods."""
     out: dict[str, FloatArray] = {}
-    allowed = _GAP_PERIODS / series.rate_hz
+    reach = _GAP_PERIODS / rate_hz
+    if t.size == 0:
+        return dict.fromkeys(series.columns, t)
+    near = slice(
+        max(int(np.searchsorted(series.t_s, t[0] - reach)) - 1, 0), int(np.searchsorted(series.t_s, t[-1] + reach)) + 1
+    )
     for name, column in series.columns.items():
-        finite = np.isfinite(column)
-        times, values = (series.t_s, column) if finite.all() else (series.t_s[finite], column[finite])
-        if times.size < 2 or t.size == 0:
+        times, values = series.t_s[near], column[near]
+        finite = np.isfinite(values)
+        if not finite.all():
+            times, values = times[finite], values[finite]
+        if times.size < 2:
             out[name] = np.full(t.size, np.nan)
             continue
         right = np.clip(np.searchsorted(times, t), 1, times.size - 1)
         found = np.interp(t, times, values)
-        bad = (times[right] - times[right - 1] > allowed) & (t != times[right]) & (t != times[right - 1])
+        bad = (times[right] - times[right - 1] > reach) & (t != times[right]) & (t != times[right - 1])
         # A slow channel may begin or end up to half a period beside the window.
-        bad |= (t < times[0] - 0.5 / series.rate_hz) | (t > times[-1] + 0.5 / series.rate_hz)
+        bad |= (t < times[0] - 0.5 / rate_hz) | (t > times[-1] + 0.5 / rate_hz)
         found[bad] = np.nan
         out[name] = found
     return out
@@ -136,7 +145,7 @@ def _at_own(series: Series, t: FloatArray) -> dict[str, FloatArray]:
 
 def _world_acceleration(aligned: Aligned, t: FloatArray, y: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """a = R f - g e_z, with attitude read off linearly where it is slower than the accelerometer."""
-    attitude = _linear(aligned.groups["attitude"], t) if "attitude" in aligned.own else y
+    attitude = _linear(aligned.groups["attitude"], aligned.rates_hz["attitude"], t) if "attitude" in aligned.own else y
     rotation = rotation_from_euler(np.stack([attitude[n] for n in names("attitude")], axis=-1))
     f = np.stack([y[n] for n in names("specific_force")], axis=-1)
     a = np.einsum("nij,nj->ni", rotation, f) - [0.0, 0.0, _G]

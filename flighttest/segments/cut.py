@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +41,7 @@ def cut(recording: Recording) -> tuple[Segment, ...]:
         return ()
     references = ed.references_of(recording)
     marks = marked(recording)
-    if marks:
-        found = _by_marks(references, marks)
-    else:
-        found = _by_references(recording, references)
+    found = _by_marks(references, marks) if marks else _by_references(recording, references)
     cutter = _Cutter(recording, references, aligned)
     return _named(cutter.segment(response, mark) for response, mark in found)
 
@@ -57,10 +55,10 @@ def _responses(references: References | None) -> list[tuple[list[ed.Plateau], li
     return ed.chains(ed.plateaus(references, BY_HAND), BY_HAND, references.period_s)
 
 
-def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tuple[Response, Marked]]:
+def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tuple[Response, Marked | None]]:
     rows = _responses(references)
     every = [(r, row, edges) for row, edges in rows for r in ed.responses(row, edges)]
-    found: list[tuple[Response, Marked]] = []
+    found: list[tuple[Response, Marked | None]] = []
     for mark in marks:
         if mark.t_step_s is not None:
             response = _at_step(rows, mark)
@@ -111,7 +109,7 @@ def _missed(references: References | None, mark: Marked, t_s: float) -> Response
     return Response(kind, {}, t_s, t_s - 0.3, max(end, t_s))
 
 
-def _by_references(recording: Recording, references: References | None) -> list[tuple[Response, None]]:
+def _by_references(recording: Recording, references: References | None) -> list[tuple[Response, Marked | None]]:
     airborne = _airborne(recording)
     steps = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
     steps = [r for r in steps if airborne[0] <= r.start_s and r.end_s <= airborne[1]]
@@ -143,7 +141,7 @@ def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[Re
     bounds = start_s + length_s * np.arange(count + 1)
     if end_s - bounds[-1] >= _SHORTEST_WINDOW_S:
         bounds = np.append(bounds, end_s)
-    return [Response("free", {}, float(a), float(a), float(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [Response("free", {}, float(a), float(a), float(b)) for a, b in pairwise(bounds)]
 
 
 class _Cutter:

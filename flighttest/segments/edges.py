@@ -156,7 +156,8 @@ def _link(a: Plateau, b: Plateau, tolerance: Tolerance, period_s: float) -> int 
     change = np.nan_to_num(np.abs(b.values - a.values))
     if not np.any(change >= _LEAST):
         return -1
-    channel = int(np.argmax(change / _LEAST))
+    relative = np.asarray(change / _LEAST)
+    channel = int(np.argmax(relative))
     allowed = np.maximum(_MEANWHILE, tolerance.still)
     if channel in (ROLL, PITCH):
         allowed[THROTTLE] = _THROTTLE_WITH_TILT
@@ -219,9 +220,9 @@ def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> 
     cell = {"throttle_0": float(before[THROTTLE]), "throttle_1": float(after[THROTTLE])}
     tilt = [float(v) for v in after[:2]]
     kind = "throttle_step"
-    if max(abs(np.nan_to_num(tilt))) >= _TILTED:
+    if float(np.max(np.abs(np.nan_to_num(after[:2])))) >= _TILTED:
         kind = "tilt_throttle"
-        cell["amplitude_rad"] = tilt[int(np.argmax(np.abs(tilt)))]
+        cell["amplitude_rad"] = tilt[int(np.argmax(np.abs(np.nan_to_num(after[:2]))))]
     start = edge.t_s - 0.3
     if k > 0 and edges[k - 1].channel == THROTTLE:
         onset = edges[k - 1].t_s

@@ -1,0 +1,270 @@
+"""Plain tables (CSV, Parquet, Crazyflie logs) to a Recording, with a column map for foreign ones.
+
+What can be derived is derived and said: attitude from a quaternion, velocity from position, acceleration from velocity where there is no
+accelerometer. Frames of the table become NWU/FLU here.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest import frames
+from flighttest.channels import CHANNELS, GROUPS, HELD_GROUPS, names
+from flighttest.documents import nearest
+from flighttest.errors import RecordingError
+from flighttest.logs.columns import STEP, TIME, ColumnMap, load_columns, plain_map
+from flighttest.logs.crazyflie import crazyflie_map
+from flighttest.logs.opening import LogFile
+from flighttest.logs.sheet import Sheet, read_sheet
+from flighttest.logs.timing import ordered
+from flighttest.recording import Marker, Provenance, Recording, Series
+
+FloatArray = NDArray[np.float64]
+Columns = dict[str, FloatArray]
+
+_HALF_TURN_X = np.array([0.0, 1.0, 0.0, 0.0])
+_ANGLES = ("roll", "pitch", "yaw")
+_UPSIDE_DOWN_RAD = np.pi / 2
+_WORLD_GROUPS = ("velocity", "position", "acceleration")
+_BODY_GROUPS = ("rates", "specific_force")
+
+
+def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> Recording:
+    """Read a table whose columns are channels, or foreign ones through a column map. RecordingError where that cannot be."""
+    file = LogFile(path)
+    sheet = read_sheet(file)
+    given = load_columns(columns) if isinstance(columns, (str, Path)) else columns
+    if given is None and sheet.crazyflie:
+        given = crazyflie_map(sheet.names)
+    plan = given or plain_map(sheet.names)
+    losses = sheet.losses
+    if given is None:
+        unread = [n for n in sheet.names if n not in plan.columns and n and not n.startswith("Unnamed")]
+        if not [n for n in plan.columns if n in CHANNELS]:
+            shown = ", ".join(sheet.names[:12])
+            raise RecordingError(
+                f"{path}: no column of this table is a channel ({shown})",
+                "describe it with --columns map.yaml (docs/formats.md)",
+            )
+        for name in unread:
+            guess = nearest(name, (*CHANNELS, TIME, STEP))
+            losses.append(
+                f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else "")
+            )
+    t_s = _time(path, sheet, plan)
+    derived: dict[str, str] = {}
+    found = _channels(sheet, plan, derived, path)
+    _derive(t_s, found, derived)
+    series = _grouped(t_s, found, losses)
+    if not {"attitude", "specific_force", "acceleration", "velocity"} & set(series):
+        have = ", ".join(found) or "nothing"
+        raise RecordingError(
+            f"{path}: neither attitude nor acceleration nor velocity nor position is in the table (found {have})",
+            "a thrust stand is no flight; name the columns of motion in the column map",
+        )
+    if "throttle" in found:
+        _check_throttle(path, found["throttle"])
+    markers = _steps(t_s, sheet.column(plan.columns[STEP].columns[0])) if STEP in plan.columns else []
+    return Recording(
+        name=path.name.split(".")[0],
+        series=series,
+        markers=tuple(markers),
+        provenance=Provenance(
+            source=str(path),
+            importer="table",
+            sha256=file.sha256,
+            clock={"method": "table", "offset_s": 0.0, "error_s": 0.0},
+            losses=tuple(losses),
+            filters=dict(plan.filters_hz),
+            derived=derived,
+        ),
+    )
+
+
+def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
+    if TIME in plan.columns:
+        t_s = _read(sheet, plan, TIME)
+        # Epoch times lose their microseconds in arithmetic; and nobody reads them.
+        if np.isfinite(t_s).any() and float(np.nanmin(t_s)) > 1e8:
+            t_s = t_s - float(np.nanmin(t_s))
+    elif plan.rate_hz is not None:
+        t_s = np.arange(sheet.rows) / plan.rate_hz
+    else:
+        raise RecordingError(
+            f"{path}: the table has no time",
+            "add a column t_s, map one (t_s: {from: ...}), or give rate_hz in the column map",
+        )
+    finite = t_s[np.isfinite(t_s)]
+    if finite.size < 2 or float(np.ptp(finite)) <= 0:
+        raise RecordingError(
+            f"{path}: time does not pass: column t_s has {finite.size} usable values", "check the column map"
+        )
+    return t_s
+
+
+def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:
+    source = plan.columns[name]
+    parts = [sheet.column(column) for column in source.columns]
+    values = parts[0] if len(parts) == 1 else np.mean(parts, axis=0)
+    return np.asarray(values * source.scale + source.offset)
+
+
+def _channels(sheet: Sheet, plan: ColumnMap, derived: dict[str, str], path: Path) -> Columns:
+    raw = {name: _read(sheet, plan, name) for name in plan.columns if name in CHANNELS}
+    for name, value in plan.constants.items():
+        raw[name] = np.full(sheet.rows, value)
+        derived[name] = "a constant of the column map"
+    out = _to_nwu(raw, plan)
+    for kind, columns in plan.quaternions.items():
+        rpy = _from_quaternion(sheet, plan, columns, path)
+        suffix = "_rad" if kind == "attitude" else "_ref_rad"
+        for i, angle in enumerate(_ANGLES if kind == "attitude" else _ANGLES[:2]):
+            out[f"{angle}{suffix}"] = rpy[:, i]
+            derived[f"{angle}{suffix}"] = f"from the quaternion ({', '.join(columns)})"
+    return out
+
+
+def _to_nwu(raw: Columns, plan: ColumnMap) -> Columns:
+    """Channels in the table's frames as NWU/FLU. Axes are turned one by one, so that a missing one costs only itself."""
+    out = dict(raw)
+    for group in _WORLD_GROUPS:
+        x, y, z = names(group)
+        if plan.world == "ENU":
+            for name in (x, y):
+                out.pop(name, None)
+            if y in raw:
+                out[x] = raw[y]
+            if x in raw:
+                out[y] = -raw[x]
+        elif plan.world == "NED":
+            out.update({name: -raw[name] for name in (y, z) if name in raw})
+    if plan.body == "FRD":
+        for group in _BODY_GROUPS:
+            out.update({name: -raw[name] for name in names(group)[1:] if name in raw})
+        turned = ("pitch_rad", "pitch_ref_rad", "pitch_shaped_rad", "yaw_rate_ref_rad_s", "yaw_rate_shaped_rad_s")
+        out.update({name: -raw[name] for name in turned if name in raw})
+    if "yaw_rad" in raw:
+        yaw = raw["yaw_rad"]
+        turned_yaw = {"NWU": yaw, "NED": -yaw, "ENU": yaw - np.pi / 2}[plan.world]
+        out["yaw_rad"] = np.asarray(frames.wrap_angle(turned_yaw))
+    return out
+
+
+def _from_quaternion(sheet: Sheet, plan: ColumnMap, columns: tuple[str, ...], path: Path) -> FloatArray:
+    q = np.stack([sheet.column(name) for name in columns], axis=-1)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        q = np.where(np.abs(length - 1.0) < 0.2, q / length, np.nan)
+    if not np.isfinite(q).any():
+        raise RecordingError(
+            f"{path}: {', '.join(columns)} are no unit quaternion (median length {float(np.nanmedian(length)):.3g})",
+            "list the columns in the order w, x, y, z",
+        )
+    if plan.body == "FRD":
+        q = frames.quaternion_multiply(q, _HALF_TURN_X)
+    if plan.world == "NED":
+        q = frames.quaternion_multiply(_HALF_TURN_X, q)
+    elif plan.world == "ENU":
+        q = frames.quaternion_enu_to_nwu(q)
+    tilt = np.arccos(np.clip(1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1.0, 1.0))
+    if float(np.nanmedian(tilt)) > _UPSIDE_DOWN_RAD:
+        raise RecordingError(
+            f"{path}: by the quaternion {', '.join(columns)} the vehicle flies upside down",
+            "list the columns in the order w, x, y, z, and check `frame:` (world NWU, NED or ENU; body FLU or FRD)",
+        )
+    return frames.euler_from_quaternion(q)
+
+
+def _derive(t_s: FloatArray, found: Columns, derived: dict[str, str]) -> None:
+    """Velocity from position, and acceleration from velocity where there is no accelerometer: central differences."""
+    v, p, f, a = names("velocity"), names("position"), names("specific_force"), names("acceleration")
+    for rate, place in zip(v, p, strict=True):
+        if rate not in found and place in found:
+            found[rate] = _difference(t_s, found[place])
+            derived[rate] = f"central differences of {place}"
+    if not any(name in found for name in (*f, *a)):
+        for acceleration, rate in zip(a, v, strict=True):
+            if rate in found:
+                found[acceleration] = _difference(t_s, found[rate])
+                derived[acceleration] = f"central differences of {rate}: there is no accelerometer"
+    if "height_m" not in found and "p_z_m" in found:
+        found["height_m"] = found["p_z_m"]
+        derived["height_m"] = "p_z_m: the ground is taken to lie at the origin's height"
+
+
+def _difference(t_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Derivative at every finite sample, from its finite neighbours; NaN where neighbours are missing."""
+    out = np.full(values.size, np.nan)
+    order = np.argsort(t_s, kind="stable")
+    good = order[np.isfinite(values[order]) & np.isfinite(t_s[order])]
+    if good.size >= 3:
+        t, x = t_s[good], values[good]
+        keep = np.concatenate([[True], np.diff(t) > 0])
+        good, t, x = good[keep], t[keep], x[keep]
+        if good.size >= 3:
+            slope = np.gradient(x, t)
+            usual = float(np.median(np.diff(t)))
+            far = np.diff(t) > 3.5 * usual
+            slope[1:][far] = np.nan
+            slope[:-1][far] = np.nan
+            out[good] = slope
+    return out
+
+
+def _grouped(t_s: FloatArray, found: Columns, losses: list[str]) -> dict[str, Series]:
+    series: dict[str, Series] = {}
+    for group in GROUPS:
+        columns = {name: found[name] for name in names(group) if name in found}
+        if not columns:
+            continue
+        # A slow group in a fast table has empty cells between its samples: they are no gaps.
+        present = np.isfinite(np.stack(list(columns.values()))).any(axis=0)
+        if not present.any():
+            losses.append(f"{', '.join(columns)}: no values")
+            continue
+        if group not in HELD_GROUPS:
+            present &= _fresh(columns)
+        series[group] = ordered(t_s[present], {n: v[present] for n, v in columns.items()}, group, losses)
+    return series
+
+
+def _fresh(columns: Columns) -> NDArray[np.bool_]:
+    """Rows that carry a new sample: where a slower group is repeated at an even pace until its next one, only the first of each."""
+    table = np.stack(list(columns.values()))
+    same = np.all((table[:, 1:] == table[:, :-1]) | (np.isnan(table[:, 1:]) & np.isnan(table[:, :-1])), axis=0)
+    new = np.concatenate([[True], ~same])
+    spacing = np.diff(np.flatnonzero(new))
+    if spacing.size < 10:
+        return np.ones(new.size, dtype=bool)
+    usual = int(np.median(spacing))
+    even = np.count_nonzero(np.abs(spacing - usual) <= max(1, usual // 4)) > 0.9 * spacing.size
+    return new if usual >= 2 and even else np.ones(new.size, dtype=bool)
+
+
+def _check_throttle(path: Path, throttle: FloatArray) -> None:
+    if float(np.nanmax(throttle)) > 1.5:
+        raise RecordingError(
+            f"{path}: throttle goes up to {float(np.nanmax(throttle)):g}; it must run from 0 to 1",
+            "give `scale:` in the column map",
+        )
+
+
+def _steps(t_s: FloatArray, step: FloatArray) -> list[Marker]:
+    """One leg per step number; rows without a number or with a negative one lie between steps, and so do those with 0 where the
+    table returns to it."""
+    number = np.where(np.isfinite(step), step, -1.0)
+    zeros = np.flatnonzero(number == 0)
+    if zeros.size and zeros[-1] - zeros[0] + 1 > zeros.size:
+        number[zeros] = -1.0
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(number) != 0]))
+    markers: list[Marker] = []
+    for i in starts:
+        if number[i] >= 0:
+            label = f"step {number[i]:g}"
+            markers.append(Marker(float(t_s[i]), "leg", label, {"leg": label, "step": float(number[i])}))
+        elif markers:
+            markers.append(Marker(float(t_s[i]), "phase", "end", {"leg": markers[-1].label}))
+    return markers
