@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.channels import CHANNELS
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.identify.problem import Part, PartEvaluation
 from flighttest.physics.model import Model
 from flighttest.report.numbers import join, number, percent
-from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
+from flighttest.report.views import FitView, Overlay, ParameterView, QualityView, SegmentView, ThrustPoint
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +28,9 @@ _QUALITY_WORDS = {
     "f_x_m_s2": "specific force forward",
     "f_y_m_s2": "specific force left",
     "f_z_m_s2": "specific force up",
-    "a_z_m_s2": "vertical acceleration",
+    "v_x_m_s": "velocity north",
+    "v_y_m_s": "velocity west",
+    "v_z_m_s": "velocity up",
 }
 
 
@@ -36,9 +39,14 @@ def fit_view(found: Fit, segments: Sequence[Segment], before: Mapping[str, float
     parameters = tuple(_parameter(found.model, e, (before or {}).get(e.name)) for e in found.estimates.values())
     unknown = [p.name for p in parameters if p.word in ("weak", "not identifiable")]
     quality = tuple(
-        (
+        QualityView(
             _QUALITY_WORDS.get(c, c),
-            f"RMSE {number(q.rmse, 3)}, noise {number(q.floor, 3)}, R2 {number(q.r2, 4)}: {q.sentence}",
+            CHANNELS[c].unit,
+            q.rmse,
+            q.floor,
+            q.r2,
+            q.autocorrelation < 0.2 or q.rmse < 1.5 * q.floor,
+            q.sentence,
         )
         for c, q in found.quality.items()
     )

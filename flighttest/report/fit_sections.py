@@ -10,7 +10,6 @@ from flighttest.report.document import (
     Block,
     Bullets,
     Cell,
-    Facts,
     Figure,
     Panel,
     Paragraph,
@@ -29,7 +28,7 @@ KIND_WORDS = {
     "yaw_rate_step": "yaw rate step",
     "throttle_step": "throttle step",
     "tilt_throttle": "throttle step while tilted",
-    "free": "free flight",
+    "free": "window of free flight",
 }
 
 
@@ -65,9 +64,34 @@ def parameters(view: FitView) -> Section:
         blocks.append(Bullets(view.warnings))
     if view.notes:
         blocks.append(Bullets(view.notes))
-    if view.quality:
-        blocks.append(Facts(view.quality))
     return Section("parameters", "Parameters", tuple(blocks))
+
+
+def quality(view: FitView) -> Section:
+    """What the model leaves of each channel, against the noise."""
+    rows = tuple(
+        (
+            q.channel,
+            number(q.rmse, 3),
+            number(q.floor, 3),
+            unit(q.unit),
+            f"{q.r2:.4f}",
+            Cell("noise" if q.clean else f"{number(q.rmse / q.floor, 2)} x noise", "good" if q.clean else "warn"),
+        )
+        for q in view.quality
+    )
+    align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "left")
+    table = Table(("channel", "RMSE", "noise", "unit", "R2", "what is left"), rows, align)
+    blocks: list[Block] = [table]
+    if any(not q.clean for q in view.quality):
+        blocks.append(
+            Paragraph(
+                "Where more than noise is left, the model misses something: `flighttest diagnose` says what, as far as the "
+                "recordings can tell.",
+                "quiet",
+            )
+        )
+    return Section("quality", "What the model leaves", tuple(blocks))
 
 
 def _parameter_row(p: ParameterView, changed: bool) -> tuple[Cell | str, ...]:
@@ -157,9 +181,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
     for s in views:
         if not s.flaws:
             counts[s.kind] = counts.get(s.kind, 0) + 1
-    words = join(
-        [f"{n} {KIND_WORDS.get(kind, kind)}{'s' if n != 1 and kind != 'free' else ''}" for kind, n in counts.items()]
-    )
+    words = join([f"{n} {_plural(KIND_WORDS.get(kind, kind), n)}" for kind, n in counts.items()])
     lead = f"{used} of {len(views)} responses are used" + (f": {words}." if words else ".")
     metric_names = [
         m
@@ -181,7 +203,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
             s.name,
             KIND_WORDS.get(s.kind, s.kind),
             cell_words(s.cell),
-            str(s.repeat + 1),
+            str(s.repeat),
             *(_metric(s.metrics.get(m)) for m in metric_names),
             _state(s),
         )
@@ -203,6 +225,13 @@ def segments(views: Sequence[SegmentView]) -> Section:
     return Section("segments", "Responses", tuple(blocks), lead)
 
 
+def _plural(words: str, count: int) -> str:
+    if count == 1:
+        return words
+    head, space, tail = words.partition(" of ")
+    return f"{head}s{space}{tail}"
+
+
 def _metric(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else number(value, 3)
 
@@ -218,6 +247,8 @@ def _state(s: SegmentView) -> Cell:
 def fit_sections(view: FitView) -> tuple[Section, ...]:
     """All of them."""
     found = [parameters(view)]
+    if view.quality:
+        found.append(quality(view))
     figure = figure4(view)
     if figure is not None:
         found.append(figure)

@@ -69,6 +69,19 @@ class SegmentView:
 
 
 @dataclass(frozen=True)
+class QualityView:
+    """How well one channel is described: RMSE and noise floor in its unit, share of variance explained, in words."""
+
+    channel: str
+    unit: str
+    rmse: float
+    floor: float
+    r2: float
+    clean: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
 class FitView:
     """A fit as it is shown."""
 
@@ -80,6 +93,6 @@ class FitView:
     segments: tuple[SegmentView, ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()
     correlation_above: float = 0.9
-    quality: tuple[tuple[str, str], ...] = ()
+    quality: tuple[QualityView, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
