@@ -6,6 +6,7 @@ A `FollowedClock` goes by the stamps that arrive and runs on between them at the
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -38,6 +39,9 @@ class Clock(Protocol):
     def heard(self, vehicle_s: float) -> None:
         """A message with the vehicle's time stamp has arrived now."""
 
+    def answered(self, vehicle_s: float, round_trip_s: float) -> None:
+        """A TIMESYNC answer has arrived now that was vehicle_s on the vehicle, half the round trip ago."""
+
     @property
     def pace(self) -> float:
         """Vehicle seconds per host second."""
@@ -56,6 +60,7 @@ class FollowedClock:
         self._period_end_s = 0.0
         self._latest_s = 0.0
         self._started_s = host_s()
+        self._shift_s, self._quickest_s = 0.0, math.inf
 
     @property
     def pace(self) -> float:
@@ -68,6 +73,7 @@ class FollowedClock:
         if self._heard and vehicle_s < self._heard[-1][1] - 5.0:  # a reboot: begin anew
             self._heard.clear()
             self._best, self._latest_s, self._pace = (None, None), 0.0, 1.0
+            self._shift_s, self._quickest_s = 0.0, math.inf
         self._heard.append((host, vehicle_s))
         while host - self._heard[0][0] > _PACE_WINDOW_S:
             self._heard.popleft()
@@ -83,9 +89,18 @@ class FollowedClock:
         if present is None or vehicle_s >= present[1] + (host - present[0]) * self._pace:
             self._best = ((host, vehicle_s), self._best[1])
 
+    def answered(self, vehicle_s: float, round_trip_s: float) -> None:
+        """Stamps alone run late by the shortest way here; the quickest round trip says by how much."""
+        if self._pace != 1.0 or round_trip_s > 1.2 * self._quickest_s:
+            return
+        self._quickest_s = min(self._quickest_s, round_trip_s)
+        self._shift_s = max(vehicle_s + 0.5 * round_trip_s - (self._run_on(self._host_s()) - self._shift_s), 0.0)
+
     def _run_on(self, host: float) -> float:
         known = [b[1] + (host - b[0]) * self._pace for b in self._best if b is not None]
-        return max(known) if known else host - self._started_s  # nothing heard yet: waiting still needs an end
+        return (
+            max(known) + self._shift_s if known else host - self._started_s
+        )  # nothing heard yet: waiting still needs an end
 
     def now_s(self) -> float:
         """The vehicle's time; runs on at the last pace while nothing arrives, so that silence can be measured."""
@@ -112,6 +127,9 @@ class GrantedClock:
 
     def heard(self, vehicle_s: float) -> None:
         """Stamps do not move this clock."""
+
+    def answered(self, vehicle_s: float, round_trip_s: float) -> None:
+        """Nor do answers."""
 
     def reach(self, vehicle_s: float) -> None:
         """The simulator has come to this time."""
@@ -141,11 +159,13 @@ class TimeSync:
         self._asked[ts1] = ground_s
         return ts1
 
-    def answer(self, tc1: int, ts1: int, ground_s: float) -> None:
-        """An answer; one to somebody else's question is not ours."""
-        asked = self._asked.pop(ts1, None)
-        if asked is not None and tc1:
-            self._trips.append((asked, tc1 * 1e-9, ground_s))
+    def answer(self, tc1: int, ts1: int, ground_s: float) -> float | None:
+        """An answer: its round trip, s; None for one to somebody else's question."""
+        asked = self._asked.pop(ts1, None) if tc1 else None
+        if asked is None:
+            return None
+        self._trips.append((asked, tc1 * 1e-9, ground_s))
+        return ground_s - asked
 
     def offset(self) -> ClockOffset | None:
         """The offset by the sample with the smallest round trip, not the mean; None before the first answer."""

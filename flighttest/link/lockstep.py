@@ -1,12 +1,17 @@
-"""Lock-step with the built-in simulator: the client grants time, the simulator runs as far and says so."""
+"""Lock-step with the built-in simulator: the client grants time, the simulator runs as far and says so.
+
+The protocol is written down in `flighttest.sim.lockstep`; this is its other end, read from that text alone.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from flighttest.mavlink.dialect import Message, book
 
 PARAMETER = "SIM_LOCKSTEP"
+_GRANT_MAX_S = 0.1  # longer waits come in pieces, so that telemetry is looked at and heartbeats are sent on the way
 
 
 class Grants:
@@ -14,20 +19,16 @@ class Grants:
 
     def __init__(self, now_s: float) -> None:
         self.now_s = now_s
-        self._granted_s = now_s
+        self.marks = 0
 
     def upto(self, until_s: float) -> Iterator[Message]:
-        """Grants that lead to until_s; send one, then receive until `reached`."""
+        """Grants that lead to until_s; send one, then receive until `marks` has grown."""
         while self.now_s < until_s - 1e-6:
-            self._granted_s = until_s
-            yield book.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=round(until_s * 1e3))
-
-    @property
-    def reached(self) -> bool:
-        """Whether the last grant is used up."""
-        return self.now_s >= self._granted_s - 1e-6
+            granted_ms = math.ceil(min(until_s, self.now_s + _GRANT_MAX_S) * 1e3 - 1e-6)
+            yield book.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=granted_ms)
 
     def heard(self, message: Message) -> None:
         """Look at a message of the simulator."""
-        if message.get_type() == "SYSTEM_TIME":
+        if message.get_type() == "SYSTEM_TIME" and message.time_unix_usec == 0:
             self.now_s = max(self.now_s, message.time_boot_ms * 1e-3)
+            self.marks += 1

@@ -11,8 +11,8 @@ from flighttest.mavlink.dialect import Message, parser
 OWN_SYSTEM = 245  # not a ground station's 255, so that FS_GCS_ENABLE does not watch us
 OWN_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 
-Tap = Callable[[bytes], None]
-"""Takes a whole frame, sent or received, in the order it passed."""
+Tap = Callable[[bytes, Message], None]
+"""Takes a whole frame and its message, sent or received, in the order they passed."""
 
 
 class Port:
@@ -46,7 +46,7 @@ class Port:
         self._transport.send(frame)
         self.frames_sent += 1
         for tap in self._taps:
-            tap(frame)
+            tap(frame, message)
         return True
 
     def receive(self, timeout_s: float) -> list[Message]:
@@ -62,7 +62,7 @@ class Port:
             self.frames_received += 1
             self._count_lost(message)
             for tap in self._taps:
-                tap(bytes(message.get_msgbuf()))
+                tap(bytes(message.get_msgbuf()), message)
             messages.append(message)
         return messages
 

@@ -58,11 +58,25 @@ class Session:
 
     def enter_lock_step(self) -> None:
         """Go on in lock-step with a simulator that has agreed to it: from now on its time is granted by `advance`."""
+        grants = Grants(0.0)
+        self.send(book.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=0))  # asks what time it is
+        self._await_mark(grants)
         granted = GrantedClock()
-        granted.reach(self.clock.now_s())
-        self._grants = Grants(self.clock.now_s())
+        granted.reach(grants.now_s)
+        self._grants = grants
         self.clock = granted
+        self._timesync = TimeSync()
         self._next_heartbeat_s = self._next_timesync_s = 0.0
+
+    def _await_mark(self, grants: Grants) -> None:
+        """Receive until a simulator's end mark moves its time on."""
+        self._grants, before, silent_s = grants, grants.marks, 0.0
+        while grants.marks == before:
+            frames = self.port.frames_received
+            self._take(_POLL_S)
+            silent_s = 0.0 if self.port.frames_received > frames else silent_s + _POLL_S
+            if silent_s > _SILENCE_MAX_S:
+                raise LinkError("the simulator stopped answering in lock-step", "start it again")
 
     def now_s(self) -> float:
         """The vehicle's time, s."""
@@ -87,17 +101,11 @@ class Session:
     def _advance_granted(self, until_s: float) -> None:
         assert self._grants is not None
         assert isinstance(self.clock, GrantedClock)
-        clock = self.clock
         for grant in self._grants.upto(until_s):
+            self._keep_alive()
             self.send(grant)
-            silent_s = 0.0
-            while not self._grants.reached:
-                before = self.port.frames_received
-                self._take(_POLL_S)
-                silent_s = 0.0 if self.port.frames_received > before else silent_s + _POLL_S
-                if silent_s > _SILENCE_MAX_S:
-                    raise LinkError("the simulator stopped answering in lock-step", "start it again")
-            clock.reach(self._grants.now_s)
+            self._await_mark(self._grants)
+            self.clock.reach(self._grants.now_s)
 
     def _keep_alive(self) -> None:
         now = self.clock.now_s()
@@ -129,7 +137,9 @@ class Session:
         if system != self.vehicle_system or system == 0:
             return
         if kind == "TIMESYNC":
-            self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
+            trip = self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
+            if trip is not None:
+                self.clock.answered(message.tc1 * 1e-9, trip)
             self.clock.heard(
                 (message.tc1 or message.ts1) * 1e-9
             )  # an answer, or the vehicle's own question: both its time

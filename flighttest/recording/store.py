@@ -1,0 +1,213 @@
+"""A recording on disk: the run folder of docs/formats.md. Reads what a killed flight left, too.
+
+RUN/manifest.yaml  script.yaml  plan.json  raw.tlog  events.jsonl  channels/<group>.parquet
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import yaml
+
+from flighttest.channels import CHANNELS, GROUPS
+from flighttest.errors import RecordingError
+from flighttest.recording.model import Marker, Provenance, Recording, Series
+
+RAW_NAME = "raw.tlog"
+MANIFEST_NAME = "manifest.yaml"
+EVENTS_NAME = "events.jsonl"
+CHANNELS_DIR = "channels"
+FORMAT = "run/1"
+EVENTS_FORMAT = "events/1"
+
+
+def write_manifest(run_dir: Path, manifest: Mapping[str, Any]) -> None:
+    """Write manifest.yaml whole or not at all: a killed program leaves the last good one."""
+    text = yaml.safe_dump({"format": FORMAT, **_plain(dict(manifest))}, sort_keys=False, allow_unicode=True)
+    part = run_dir / (MANIFEST_NAME + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, run_dir / MANIFEST_NAME)
+
+
+def read_manifest(run_dir: Path) -> dict[str, Any]:
+    """The manifest, without its format. RecordingError when it is missing or no run's."""
+    path = run_dir / MANIFEST_NAME
+    try:
+        manifest = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"{run_dir} is no run folder: it has no {MANIFEST_NAME}",
+            "name a folder that `flighttest run` or `import` wrote",
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        raise RecordingError(
+            f"{path} cannot be read: {_first_line(error)}", "rebuild the run from its raw.tlog"
+        ) from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise RecordingError(f"{path} is not a {FORMAT} manifest", "was it written by a newer version?")
+    manifest.pop("format")
+    return manifest
+
+
+def write_events_header(stream: TextIO) -> None:
+    """First line of events.jsonl."""
+    stream.write(json.dumps({"format": EVENTS_FORMAT}) + "\n")
+    stream.flush()
+
+
+def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
+    """Markers of events.jsonl, and what could not be read of it (a killed program may leave half a line)."""
+    path = run_dir / EVENTS_NAME
+    if not path.exists():
+        return (), ()
+    markers: list[Marker] = []
+    losses: list[str] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
+        try:
+            event = json.loads(line)
+            if "format" in event:
+                continue
+            markers.append(Marker(float(event["t_s"]), event["kind"], event["label"], event.get("data", {})))
+        except (ValueError, KeyError, TypeError):
+            losses.append(f"{EVENTS_NAME}:{number}: not an event (cut off?)")
+    return tuple(sorted(markers, key=lambda m: m.t_s)), tuple(losses)
+
+
+def write_recording(run_dir: Path, recording: Recording) -> None:
+    """Write channels, events and manifest of a recording; other fields of an existing manifest are kept."""
+    folder = run_dir / CHANNELS_DIR
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in folder.glob("*.parquet"):
+        if stale.stem not in recording.series:
+            stale.unlink()
+    for group, series in recording.series.items():
+        columns = {"t_s": series.t_s, **series.columns}
+        table = pa.table(
+            {name: pa.array(values, type=pa.float64(), from_pandas=False) for name, values in columns.items()}
+        )
+        part = folder / f"{group}.parquet.part"
+        pq.write_table(table, part, compression="zstd")
+        os.replace(part, folder / f"{group}.parquet")
+    with (run_dir / (EVENTS_NAME + ".part")).open("w", encoding="utf-8") as stream:
+        write_events_header(stream)
+        for marker in recording.markers:
+            line = {"t_s": marker.t_s, "kind": marker.kind, "label": marker.label}
+            stream.write(
+                json.dumps({**line, **({"data": dict(marker.data)} if marker.data else {})}, default=str) + "\n"
+            )
+    os.replace(run_dir / (EVENTS_NAME + ".part"), run_dir / EVENTS_NAME)
+    manifest = read_manifest(run_dir) if (run_dir / MANIFEST_NAME).exists() else {}
+    p = recording.provenance
+    manifest.update(
+        name=recording.name,
+        source=p.source,
+        importer=p.importer,
+        sha256=p.sha256,
+        firmware=p.firmware,
+        parameters=dict(p.parameters),
+        components=dict(p.components),
+        vehicle=dict(p.vehicle),
+        clock=dict(p.clock),
+        losses=list(p.losses),
+        filters=dict(p.filters),
+        derived=dict(p.derived),
+        reference_clock=p.reference_clock,
+    )
+    write_manifest(run_dir, manifest)
+
+
+def open_run(path: Path | str) -> Recording:
+    """The recording of a run folder, from its channels.
+
+    RecordingError when it is no run folder, or when its channels were never written: then it says to rebuild them from raw.tlog.
+    """
+    run_dir = Path(path)
+    if not run_dir.is_dir():
+        raise RecordingError(
+            f"{run_dir} is not a folder", "name a run folder; logs are imported with `flighttest import` first"
+        )
+    manifest = read_manifest(run_dir)
+    series: dict[str, Series] = {}
+    losses = list(manifest.get("losses") or [])
+    for group in GROUPS:
+        file = run_dir / CHANNELS_DIR / f"{group}.parquet"
+        if file.exists():
+            series[group] = _read_series(file, group)
+    if not series:
+        hint = "name a run that was recorded"
+        if (run_dir / RAW_NAME).exists():
+            hint = f"rebuild them with `flighttest import {run_dir / RAW_NAME} -o {run_dir}`"
+        raise RecordingError(f"{run_dir} has no channels (was the flight killed?)", hint)
+    markers, unread = read_events(run_dir)
+    return Recording(
+        name=str(manifest.get("name") or run_dir.name),
+        series=series,
+        markers=markers,
+        provenance=Provenance(
+            source=str(manifest.get("source", run_dir)),
+            importer=str(manifest.get("importer", "flight")),
+            sha256=str(manifest.get("sha256", "")),
+            firmware=str(manifest.get("firmware", "")),
+            parameters={k: float(v) for k, v in (manifest.get("parameters") or {}).items()},
+            components=manifest.get("components") or {},
+            vehicle=manifest.get("vehicle") or {},
+            clock=manifest.get("clock") or {},
+            losses=(*losses, *(u for u in unread if u not in losses)),
+            filters=manifest.get("filters") or {},
+            derived=manifest.get("derived") or {},
+            reference_clock=str(manifest.get("reference_clock", "vehicle")),
+        ),
+    )
+
+
+def _read_series(file: Path, group: str) -> Series:
+    try:
+        table = pq.read_table(file)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordingError(
+            f"{file} cannot be read: {_first_line(error)}", "rebuild the run from its raw file"
+        ) from error
+    if "t_s" not in table.column_names:
+        raise RecordingError(f"{file} has no column t_s", "rebuild the run from its raw file")
+    columns = {
+        name: table.column(name).to_numpy().astype(float)
+        for name in table.column_names
+        if name in CHANNELS and CHANNELS[name].group == group
+    }
+    return Series(table.column("t_s").to_numpy().astype(float), columns)
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """The same in types that every YAML reader knows."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and math.isfinite(value) and value == int(value) and abs(value) < 1e15:
+        return float(value)
+    return value
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
