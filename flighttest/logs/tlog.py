@@ -49,7 +49,7 @@ def import_tlog(path: Path) -> Recording:
             continue
         for system in np.unique(frames.system[chosen]):
             mine = frames.where(chosen[frames.system[chosen] == system])
-            decoder.add_columns(int(system), message.msgname, mine.stamp_us * 1e-6, fields_of(mine, int(kind)))
+            decoder.add_columns(int(system), message.msgname, mine.time_s, fields_of(mine, int(kind)))
     for i, message in sorted(late, key=lambda pair: pair[0]):
         decoder.add(float(frames.stamp_us[i]) * 1e-6, message)
     try:
@@ -109,7 +109,7 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
         losses.append(
             f"{int(np.count_nonzero(~good))} of {good.size} messages have a wrong checksum and were dropped (first at byte {first})"
         )
-    wild = good & outliers(frames.stamp_us * 1e-6)
+    wild = good & outliers(frames.time_s)
     if wild.any():
         losses.append(f"{int(np.count_nonzero(wild))} messages have a damaged time stamp and were dropped")
     kept = frames.where(good & ~wild)

@@ -39,17 +39,23 @@ class Frames:
 
     def where(self, keep: NDArray[Any]) -> Frames:
         """The frames that `keep` selects."""
-        picked = (
-            self.at,
-            self.stamp_us,
-            self.payload,
-            self.length,
-            self.kind,
-            self.system,
-            self.component,
-            self.sequence,
+        return Frames(
+            data=self.data,
+            at=self.at[keep],
+            stamp_us=self.stamp_us[keep],
+            payload=self.payload[keep],
+            length=self.length[keep],
+            kind=self.kind[keep],
+            system=self.system[keep],
+            component=self.component[keep],
+            sequence=self.sequence[keep],
+            lost=self.lost,
         )
-        return Frames(self.data, *(column[keep] for column in picked), self.lost)  # type: ignore[arg-type]
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Ground time (n,), s since 1970."""
+        return np.asarray(self.stamp_us, dtype=np.float64) * 1e-6
 
     def bytes_of(self, i: int) -> bytes:
         """Frame i from its magic byte to its checksum."""
@@ -191,26 +197,18 @@ def fields_of(frames: Frames, kind: int) -> Mapping[str, NDArray[Any]]:
     return {name: table[name] for name in message.ordered_fieldnames}
 
 
+_CODES = {
+    "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8", "f": "<f4", "d": "<f8",
+}  # fmt: skip
+
+
 def _layout(kind: int) -> np.dtype[Any]:
     message = book.mavlink_map[kind]
     letters = message.native_format.decode()[1:]
-    codes = {
-        "b": "i1",
-        "B": "u1",
-        "c": "S1",
-        "h": "<i2",
-        "H": "<u2",
-        "i": "<i4",
-        "I": "<u4",
-        "q": "<i8",
-        "Q": "<u8",
-        "f": "<f4",
-        "d": "<f8",
-    }
     fields: list[Any] = []
     for name, letter, count in zip(message.ordered_fieldnames, letters, message.array_lengths, strict=True):
         if letter == "c":
             fields.append((name, f"S{max(count, 1)}"))
         else:
-            fields.append((name, codes[letter], (count,)) if count else (name, codes[letter]))
+            fields.append((name, _CODES[letter], (count,)) if count else (name, _CODES[letter]))
     return np.dtype(fields)

@@ -34,8 +34,8 @@ class Tolerance:
     change_s: float
 
 
-EXACT = Tolerance((0.004, 0.004, 0.01, 0.002), 0.12, 0.0)
-"""References that a script sent."""
+EXACT = Tolerance((5e-4, 5e-4, 1e-3, 2e-4), 0.12, 0.0)
+"""References that a script sent: held to the last digit. (An outer loop between the steps drifts, if slowly.)"""
 BY_HAND = Tolerance((0.02, 0.02, 0.06, 0.015), 0.35, 0.5)
 """References from sticks, or an autopilot's own shaped target: changes take time."""
 
@@ -109,12 +109,12 @@ def plateaus(references: References, tolerance: Tolerance) -> list[Plateau]:
     if references.period_s < 1.0 / _RATE_MAX_HZ:
         step = int(np.ceil(1.0 / _RATE_MAX_HZ / references.period_s))
         t, values = t[::step], values[::step]
-    known = ~np.all(np.isnan(values), axis=0)
+    known = np.asarray(~np.isnan(values).all(axis=0))
     if not known.any():
         return []
     bounds = np.asarray(tolerance.still)[known].tolist()
     rows = values[:, known].tolist()
-    broken = np.isnan(values[:, known]).any(axis=1).tolist()
+    broken = np.asarray(np.isnan(values[:, known]).any(axis=1)).tolist()
     times = [*t.tolist(), float(t[-1]) + references.period_s]
     found: list[Plateau] = []
     begin = 0
