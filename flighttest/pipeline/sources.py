@@ -2,28 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from flighttest.errors import InputError, RecordingError
 from flighttest.logs import import_log as read_log
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
+from flighttest.recording.store import (
+    CHANNELS_DIR,
+    MANIFEST_NAME,
+    RAW_NAME,
+    open_run,
+    read_events,
+    read_manifest,
+    write_recording,
+)
 from flighttest.report.document import Bullets, Cell, Document, Section, Table
 from flighttest.report.numbers import duration, number
+from flighttest.report.plain import plain
+from flighttest.vehicle.load import load_vehicle
 
 
 def open_recording(path: Path, columns: Path | None = None) -> Recording:
     """A run folder or a log of any kind as a Recording. RecordingError says what is wrong with it."""
     if not path.exists():
         raise RecordingError(f"{path}: there is no such run or log", "`flighttest runs` lists the runs on this machine")
-    if path.is_dir():
-        from flighttest.recording.store import load_run
+    if not path.is_dir():
+        return read_log(path, columns)
+    manifest = read_manifest(path)
+    raw = path / RAW_NAME
+    if not any((path / CHANNELS_DIR).glob("*.parquet")) and raw.exists():
+        return _rebuilt(path, manifest, raw)
+    return open_run(path)
 
-        return load_run(path)
-    return read_log(path, columns)
+
+def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
+    """A run whose program was killed: channels from raw.tlog, marks from events.jsonl, what was declared from the manifest."""
+    recording = read_log(raw)
+    markers, unread = read_events(folder)
+    marks = markers or recording.markers
+    source = recording.provenance
+    provenance = replace(
+        source,
+        components=manifest.get("components") or source.components,
+        vehicle=manifest.get("vehicle") or source.vehicle,
+        parameters=manifest.get("parameters") or source.parameters,
+        firmware=str(manifest.get("firmware") or source.firmware),
+        losses=(*source.losses, *unread),
+    )
+    return Recording(folder.name, recording.series, marks, provenance)
 
 
 def open_recordings(
@@ -58,31 +90,26 @@ def import_log(
     log: Path, output: Path, columns: Path | None = None, vehicle: Path | None = None, progress: Progress = SILENT
 ) -> Result:
     """Bring a log into a run folder."""
-    from dataclasses import replace
-
-    from flighttest.recording.store import save_run
-    from flighttest.vehicle.load import load_vehicle
-
     if log.is_dir():
         raise InputError(f"{log} is a folder", "name the log file; a run folder needs no import")
-    if output.exists() and any(output.iterdir()):
-        raise InputError(f"{output} is not empty", "name a folder that does not exist yet")
+    rebuilding = (output / MANIFEST_NAME).exists()
+    if output.exists() and not rebuilding and (not output.is_dir() or any(output.iterdir())):
+        raise InputError(f"{output} exists and is no run folder", "name a folder that does not exist yet")
     declared = load_vehicle(vehicle) if vehicle is not None else None
     progress.stage(f"reading {log}")
-    recording = open_recording(log, columns)
+    same = rebuilding and log.resolve() == (output / RAW_NAME).resolve()
+    recording = _rebuilt(output, read_manifest(output), log) if same else open_recording(log, columns)
+    provenance = recording.provenance
     if declared is not None:
-        provenance = replace(
-            recording.provenance, components=dict(declared.components), vehicle=_vehicle_data(declared)
-        )
-        recording = replace(recording, provenance=provenance)
+        provenance = replace(provenance, components=dict(declared.components), vehicle=_vehicle_data(declared))
+    recording = Recording(output.name, recording.series, recording.markers, provenance)
     progress.stage(f"writing {output}")
-    save_run(recording, output, raw=log)
+    output.mkdir(parents=True, exist_ok=True)
+    write_recording(output, recording)
     return describe(recording, output)
 
 
 def _vehicle_data(vehicle: object) -> dict[str, object]:
-    from flighttest.report.plain import plain
-
     return dict(plain(vehicle))
 
 

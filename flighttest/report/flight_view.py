@@ -2,17 +2,133 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Mapping
+from typing import Any, Protocol
 
-from rich.console import Group, RenderableType
+from rich.console import RenderableType
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
 from rich.text import Text
 
+ZONE_NEAR_M = 1.0
+VOLTAGE_NEAR_V = 0.5
+SILENCE_LONG_S = 0.5
+LOSS_HIGH = 0.05
 
-def line(progress: Any) -> str:
-    """One plain line."""
-    return str(progress)
+
+class FlightFacts(Protocol):
+    """What is shown of a flight in progress (`flight.FlightProgress` has all of it)."""
+
+    leg: int
+    legs: int
+    doing: str
+    next: str
+    phase: str
+    time_left_s: float
+    t_s: float
+    zone_margin_m: float
+    height_m: float
+    speed_m_s: float
+    voltage_v: float
+    voltage_min_v: float
+    link_loss: float
+    silence_s: float
+    rates_hz: Mapping[str, float]
+    mode: str
+    stopping: bool
+    how_to_stop: str
 
 
-def picture(progress: Any) -> RenderableType:
-    """What moves now, what comes next, margins, link, and how to stop."""
-    return Group(Text(str(progress)))
+def line(facts: FlightFacts) -> str:
+    """One plain line: what moves now, margins, time left, what comes next."""
+    parts = [f"step {facts.leg}/{facts.legs} {facts.doing} ({facts.phase})"]
+    if math.isfinite(facts.height_m):
+        parts.append(f"{facts.height_m:.1f} m up")
+    if math.isfinite(facts.zone_margin_m):
+        parts.append(f"zone {facts.zone_margin_m:.1f} m")
+    if math.isfinite(facts.voltage_v):
+        parts.append(f"{facts.voltage_v:.1f} V")
+    parts.append(f"link {100 * (1 - facts.link_loss):.0f} %")
+    parts.append(f"{_clock(facts.time_left_s)} left")
+    if facts.next:
+        parts.append(f"next {facts.next}")
+    return ", ".join(parts)
+
+
+def picture(facts: FlightFacts) -> RenderableType:
+    """What moves now, what comes next, progress, margins, link, and how to stop."""
+    grid = Table.grid(padding=(0, 2), expand=True)
+    grid.add_column(style="dim", no_wrap=True, width=8)
+    grid.add_column(ratio=1)
+    now = Text(facts.doing or "-", style="bold")
+    if facts.phase:
+        now.append(f"  {facts.phase}", style="cyan")
+    grid.add_row("now", now)
+    grid.add_row("next", Text(facts.next or "land"))
+    bar = Table.grid(padding=(0, 1))
+    bar.add_column(width=32)
+    bar.add_column(no_wrap=True)
+    done = max(facts.leg - 1, 0)
+    bar.add_row(
+        ProgressBar(total=max(facts.legs, 1), completed=done, width=32),
+        f"step {facts.leg} of {facts.legs}, {_clock(facts.time_left_s)} left",
+    )
+    grid.add_row("flight", bar)
+    grid.add_row("room", _room(facts))
+    grid.add_row("battery", _battery(facts))
+    grid.add_row("link", _link(facts))
+    title = "stopping: landing" if facts.stopping else f"flying ({facts.mode})" if facts.mode else "flying"
+    style = "yellow" if facts.stopping else "cyan"
+    return Panel(
+        grid,
+        title=title,
+        title_align="left",
+        subtitle=facts.how_to_stop,
+        subtitle_align="left",
+        border_style=style,
+        padding=(0, 1),
+    )
+
+
+def _room(facts: Any) -> Text:
+    text = Text()
+    near = math.isfinite(facts.zone_margin_m) and facts.zone_margin_m < ZONE_NEAR_M
+    text.append(f"{_number(facts.zone_margin_m)} m to the wall", style="bold red" if near else "green")
+    text.append(f"   height {_number(facts.height_m)} m   speed {_number(facts.speed_m_s)} m/s")
+    return text
+
+
+def _battery(facts: Any) -> Text:
+    low = (
+        math.isfinite(facts.voltage_v)
+        and math.isfinite(facts.voltage_min_v)
+        and facts.voltage_v < facts.voltage_min_v + VOLTAGE_NEAR_V
+    )
+    text = Text(f"{_number(facts.voltage_v, 2)} V", style="bold red" if low else "green")
+    if math.isfinite(facts.voltage_min_v):
+        text.append(f"   lands at {facts.voltage_min_v:.1f} V", style="dim")
+    return text
+
+
+def _link(facts: Any) -> Text:
+    bad = facts.link_loss > LOSS_HIGH or facts.silence_s > SILENCE_LONG_S
+    text = Text(f"{100 * (1 - facts.link_loss):.1f} % received", style="bold red" if bad else "green")
+    if facts.silence_s > SILENCE_LONG_S:
+        text.append(f"   silent for {facts.silence_s:.1f} s", style="bold red")
+    fastest = sorted(facts.rates_hz.items(), key=lambda item: -item[1])[:3]
+    if fastest:
+        text.append("   " + ", ".join(f"{name.lower()} {rate:.0f} Hz" for name, rate in fastest), style="dim")
+    return text
+
+
+def _number(value: float, places: int = 1) -> str:
+    return f"{value:.{places}f}" if math.isfinite(value) else "-"
+
+
+def _clock(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "-"
+    minutes, rest = divmod(max(round(seconds), 0), 60)
+    return f"{minutes}:{rest:02d}"
