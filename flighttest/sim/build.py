@@ -26,7 +26,14 @@ def build_plant(options: SimOptions) -> Plant:
         battery = _battery(options, Battery(rotor.cells, capacity, rotor.resistance_ohm))
         return RotorPlant(rotor, options.hide, battery, air)
     battery = _battery(options, Battery(capacity_ah=options.capacity_ah or 5.0))
-    return PaperPlant(PaperParameters().changed(options.vehicle), battery, air)
+    drag = options.hide.get("linear_drag", {})
+    parameters = PaperParameters().changed({**options.vehicle, **drag})
+    beyond = {name: values for name, values in options.hide.items() if name != "linear_drag"}
+    if not beyond:
+        return PaperPlant(parameters, battery, air)
+    from flighttest.sim.plant_terms import TermsPlant  # only here: CasADi takes its time to load
+
+    return TermsPlant(parameters, beyond, battery, air)
 
 
 def _battery(options: SimOptions, battery: Battery) -> Battery:

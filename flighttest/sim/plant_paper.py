@@ -17,8 +17,8 @@ from flighttest.sim.weather import Air
 
 TICK_S = 0.005
 _STEP_MAX_S = 0.005  # the fastest loop turns 0.13 rad in it: the error of one Runge-Kutta step is below 1e-7
-_HOVER_CURRENT_A = 24.0
-_HARD_LANDING_M_S = 4.0
+HOVER_CURRENT_A = 24.0
+HARD_LANDING_M_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class PaperPlant:
             self._fly(h, command, gain * throttle)
         a_t = self._x[6]
         load = a_t / G_M_S2 if a_t > 0.0 else 0.0
-        battery.draw((0.4 if command.spinning else 0.2) + _HOVER_CURRENT_A * load * sqrt(load), h)
+        battery.draw((0.4 if command.spinning else 0.2) + HOVER_CURRENT_A * load * sqrt(load), h)
         m.voltage, m.current = battery.voltage, battery.current
         m.shaped_roll, m.shaped_pitch, m.shaped_yaw_rate = command.roll, command.pitch, command.yaw_rate
 
@@ -176,7 +176,7 @@ class PaperPlant:
         """The ground stops everything; after a hard or tilted landing the vehicle lies where and as it fell."""
         m = self.motion
         roll, pitch, yaw, a_t, px, py = x[0], x[2], x[5], x[6], x[10], x[11]
-        self._frozen = m.impact_m_s > _HARD_LANDING_M_S or cos(roll) * cos(pitch) < 0.7
+        self._frozen = m.impact_m_s > HARD_LANDING_M_S or cos(roll) * cos(pitch) < 0.7
         if not self._frozen:
             roll = pitch = 0.0
         self._x = (roll, 0.0, pitch, 0.0, 0.0, yaw, a_t, 0.0, 0.0, 0.0, px, py, 0.0)

@@ -44,7 +44,8 @@ class RotorPlant:
         self.battery = battery or Battery(v.cells, v.capacity_ah, v.resistance_ohm)
         self.motion = Motion(voltage=self.battery.voltage)
         late = on.get("channel_delay", {})
-        self.delays = Delays(v.delay_s, v.delay_s + late.get("yaw_rate_s", 0.0), v.delay_s + late.get("thrust_s", 0.0))
+        own = v.delay_s
+        self.delays = Delays(own + late.get("delay_attitude", 0.0), own + late.get("delay_yaw_rate", 0.0), own)
         self.hover_throttle = v.hover_throttle * (v.nominal_voltage_v / self.battery.voltage) ** v.alpha
         self._air = air
         self._loops, self._mixer, self._motors = Loops(v, on), Mixer(v), Propulsion(v, on)
@@ -66,20 +67,20 @@ class RotorPlant:
         wind = on.get("steady_wind", {})
         self._wind = (wind.get("w_north", 0.0), wind.get("w_west", 0.0), wind.get("w_up", 0.0))
         self._ground = on.get("ground_effect", {}).get("R2_m2", 0.0) / 16.0
-        self._h_force = on.get("thrust_scaled_drag", {}).get("k", 0.0)
-        self._lift = on.get("translational_lift", {}).get("k", 0.0)
-        self._inflow = on.get("axial_inflow", {}).get("k", 0.0)
+        self._h_force = on.get("thrust_scaled_drag", {}).get("c_h", 0.0)
+        self._lift = on.get("translational_lift", {}).get("k_lift", 0.0)
+        self._inflow = on.get("axial_inflow", {}).get("k_inflow", 0.0)
         self._ring = on.get("vortex_ring")
         self._aero = bool(self._ground or self._h_force or self._lift or self._inflow or self._ring)
         self._swirl = on.get("swirl", {}).get("rate_1_s", 0.0)
         self._tether, self._updraft, self._front = on.get("tether"), on.get("updraft"), on.get("gust_front")
         offset = on.get("attitude_offset", {})
-        self._offset = (offset.get("roll_rad", 0.0), offset.get("pitch_rad", 0.0))
+        self._offset = (-offset.get("offset_roll", 0.0), -offset.get("offset_pitch", 0.0))  # reported minus true
         bias = on.get("accelerometer_bias", {})
-        self._bias = (bias.get("b_x", 0.0), bias.get("b_y", 0.0), bias.get("b_z", 0.0))
+        self._bias = (bias.get("bias_x", 0.0), bias.get("bias_y", 0.0), bias.get("bias_z", 0.0))
         arm = on.get("imu_lever_arm")
-        self._arm = (arm["x"], arm["y"], arm["z"]) if arm else None
-        self._latency = on.get("velocity_latency", {}).get("tau_s", 0.0)
+        self._arm = (arm["arm_x"], arm["arm_y"], arm["arm_z"]) if arm else None
+        self._latency = on.get("velocity_latency", {}).get("velocity_latency", 0.0)
         self._late: deque[tuple[float, float, float, float]] = deque()
 
     def replace_battery(self, voltage_v: float | None = None) -> None:
@@ -112,6 +113,12 @@ class RotorPlant:
         thrust = self._motors.common(h, throttle, loops.roll, loops.pitch, gain, command.spinning)
         top = gain * v.thrust_max_n / v.rotors
         wanted = self._mixer.mix(thrust, loops.moment_x, loops.moment_y, loops.moment_z, top)
+        self._turn(h, wanted, command.spinning)
+        m.shaped_roll, m.shaped_pitch, m.shaped_yaw_rate = loops.roll, loops.pitch, command.yaw_rate
+
+    def _turn(self, h: float, wanted: list[float], spinning: bool) -> None:
+        """One step of the rotors towards the wanted thrusts, N, and of everything they move."""
+        m, v = self.motion, self.vehicle
         share = 1.0 - exp(-h / v.rotor_lag_s)
         rotors = self._rotors = [f + share * (w - f) for f, w in zip(self._rotors, wanted, strict=True)]
         if m.on_ground:
@@ -119,10 +126,9 @@ class RotorPlant:
         else:
             self._fly(h, rotors)
         load = max(sum(rotors), 0.0) / (v.mass_kg * G_M_S2)
-        idle = 0.4 if command.spinning else 0.2
+        idle = 0.4 if spinning else 0.2
         self.battery.draw(idle + v.hover_current_a * load * sqrt(load), h)
-        m.voltage, m.current = self.battery.voltage, self.battery.current
-        m.shaped_roll, m.shaped_pitch, m.shaped_yaw_rate = loops.roll, loops.pitch, command.yaw_rate
+        m.voltage, m.current = self.battery.voltage - self._motors.drop_logged, self.battery.current
 
     def _stand(self, thrust: float) -> None:
         """On the ground until the rotors carry the weight."""
@@ -231,9 +237,9 @@ class RotorPlant:
                 gain /= 1.0 - min(self._ground / (z * z), 0.6)
             if self._ring:
                 ring = self._ring
-                away = (-uz - ring["centre"]) / ring["width"]
+                away = (-uz - ring["vortex_centre"]) / ring["vortex_width"]
                 blown = flat / (2.0 * v.induced_velocity_m_s) ** 2
-                gain *= 1.0 - ring["strength"] * exp(-away * away - blown)
+                gain *= 1.0 - ring["vortex_depth"] * exp(-away * away - blown)
             f = f * gain
             if self._inflow:
                 f -= self._inflow * sqrt(max(f, 0.0) * hover) * uz

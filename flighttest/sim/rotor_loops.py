@@ -48,22 +48,23 @@ class Loops:
         self._angle_roll = v.omega_roll / (2.0 * v.zeta_roll)
         self._angle_pitch = v.omega_pitch / (2.0 * v.zeta_pitch)
         self._yaw = v.sigma_r_1_s
-        self._limit = on["rate_limit"]["rate_rad_s"] if "rate_limit" in on else math.inf
+        self._limit = on["rate_limit"]["rate_max"] if "rate_limit" in on else math.inf
         shaping = on.get("reference_shaping")
         self._shapers = (
-            (_Shaper(shaping["accel_rad_s2"], shaping["tc_s"]), _Shaper(shaping["accel_rad_s2"], shaping["tc_s"]))
-            if shaping
-            else None
+            tuple(_Shaper(shaping["shaping_accel"], shaping["shaping_tc"]) for _ in range(2)) if shaping else None
         )
-        self._pole = on.get("attitude_extra_pole", {}).get("tau_s", 0.0)
+        self._pole = on.get("attitude_extra_pole", {}).get("attitude_pole_tau", 0.0)
         coupling = on.get("roll_pitch_coupling", {})
-        self._leak = (coupling.get("pitch_to_roll", 0.0), coupling.get("roll_to_pitch", 0.0))
+        self._turn = (coupling.get("pitch_to_roll", 0.0), coupling.get("roll_to_pitch", 0.0))
+        self._leak = coupling.get("moment_leak", 0.0)
+        self._yaw_accel = on.get("yaw_rate_shaping", {}).get("shaping_yaw_accel", math.inf)
+        self._yaw_rate = 0.0
         self.roll = self.pitch = 0.0
         self.moment_x = self.moment_y = self.moment_z = 0.0
 
     def reset(self) -> None:
         """On the ground: no target, no moment."""
-        self.roll = self.pitch = self.moment_x = self.moment_y = self.moment_z = 0.0
+        self.roll = self.pitch = self.moment_x = self.moment_y = self.moment_z = self._yaw_rate = 0.0
         if self._shapers:
             for shaper in self._shapers:
                 shaper.angle = shaper.rate = 0.0
@@ -71,10 +72,12 @@ class Loops:
     def update(self, dt: float, c: Command, roll: float, pitch: float, p: float, q: float, r: float) -> None:
         """One loop: attitude rad as the controller believes it, body rates rad/s."""
         if self._shapers:
-            self.roll = self._shapers[0].update(c.roll, dt)
-            self.pitch = self._shapers[1].update(c.pitch, dt)
+            self.roll = self._shapers[0].update(c.roll + self._turn[0] * c.pitch, dt)
+            self.pitch = self._shapers[1].update(c.pitch + self._turn[1] * c.roll, dt)
         else:
-            self.roll, self.pitch = c.roll, c.pitch
+            self.roll, self.pitch = c.roll + self._turn[0] * c.pitch, c.pitch + self._turn[1] * c.roll
+        step = self._yaw_accel * dt
+        self._yaw_rate += min(max(c.yaw_rate - self._yaw_rate, -step), step)
         cf, sf, tt = cos(roll), sin(roll), tan(pitch)
         roll_rate = p + tt * (sf * q + cf * r)
         pitch_rate = cf * q - sf * r
@@ -86,9 +89,9 @@ class Loops:
         # Euler to body accelerations for r held by its own loop (rate products left to the feedback)
         x = roll_accel - tt * (sf / cf) * pitch_accel
         y = pitch_accel / cf
-        x, y = x + self._leak[0] * y, y + self._leak[1] * x
+        x, y = x + self._leak * y, y + self._leak * x
         jx, jy, jz = self._inertia
-        mx, my, mz = jx * x, jy * y, jz * self._yaw * (c.yaw_rate - r)
+        mx, my, mz = jx * x, jy * y, jz * self._yaw * (self._yaw_rate - r)
         if self._pole > 0.0:
             share = 1.0 - math.exp(-dt / self._pole)
             self.moment_x += share * (mx - self.moment_x)

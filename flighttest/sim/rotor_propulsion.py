@@ -9,34 +9,35 @@ from flighttest.sim.rotor_vehicle import RotorVehicle
 
 
 class Propulsion:
-    """The ESCs and motors as one channel. The state `ramp` is the static thrust they have come to, as a share of full throttle."""
+    """The ESCs and motors as one channel. The state `ramp` is the static thrust they have come to, as a share of full
+    throttle; drop_logged: V that the voltage sensor shows of the pack's extra sag."""
 
     def __init__(self, vehicle: RotorVehicle, on: dict[str, dict[str, float]]) -> None:
         self._v = vehicle
-        self._boost = on.get("angle_boost", {}).get("gain", 0.0)
-        self._filter = on.get("thrust_extra_lag", {}).get("tau_s", 0.0)
+        self._boost = on.get("angle_boost", {}).get("boost", 0.0)
+        self._filter = on.get("thrust_extra_lag", {}).get("thrust_extra_tau", 0.0)
         self._curve = on.get("throttle_curve", {}).get("curvature", 0.0)
         self._start = on.get("throttle_offset", {}).get("T_min", 0.0)
         self._top = on.get("motor_saturation", {}).get("T_max", math.inf)
         self._band = on.get("sticking_esc", {}).get("band", 0.0)
-        ratio = on.get("thrust_asymmetry", {}).get("ln_ratio", 0.0)
+        ratio = on.get("thrust_asymmetry", {}).get("ln_sigma_ratio", 0.0)
         self._up, self._down = vehicle.ramp_1_s * exp(0.5 * ratio), vehicle.ramp_1_s * exp(-0.5 * ratio)
-        self._blend = on.get("rotor_speed_lag", {}).get("blend", 0.0)
+        self._blend = on.get("rotor_speed_lag", {}).get("rotor_lag", 0.0)
         self._fade, self._sag, self._ring = on.get("thrust_fade"), on.get("voltage_sag"), on.get("resonance")
         self._filtered = self._stuck = self.ramp = 0.0
-        self._heat = self._drop = 0.0
+        self._heat = self._drop = self.drop_logged = 0.0
         self._bend = self._bend_rate = 0.0
 
     def cool(self) -> None:
         """New battery, cold motors."""
-        self._heat = self._drop = 0.0
+        self._heat = 0.0
 
     def voltage_gain(self, sensed_v: float) -> float:
         """Static thrust at the voltage that acts, as a multiple of that at nominal voltage."""
         v = self._v
         gain: float = ((sensed_v - self._drop) / v.nominal_voltage_v) ** v.alpha
         if self._fade:
-            gain *= 1.0 - self._fade["depth"] * self._heat
+            gain *= 1.0 - self._fade["fade_depth"] * self._heat
         return gain
 
     def common(self, h: float, throttle: float, roll: float, pitch: float, gain: float, spinning: bool) -> float:
@@ -52,7 +53,7 @@ class Propulsion:
             self._filtered += (1.0 - exp(-h / self._filter)) * (t - self._filtered)
             t = self._filtered
         t = min(max(t, 0.0), 1.0, self._top)
-        t = max((1.0 - self._curve) * t + self._curve * t * t - self._start, 0.0)
+        t = max(t * (1.0 + self._curve * (t / self._v.hover_throttle - 1.0)) - self._start, 0.0)
         self._advance_ramp(h, t)
         self._advance_slow(h, spinning)
         out = self.ramp
@@ -72,10 +73,11 @@ class Propulsion:
 
     def _advance_slow(self, h: float, spinning: bool) -> None:
         if self._sag:
-            full = self._sag["volts"] * self.ramp * sqrt(self.ramp)
-            self._drop += (1.0 - exp(-h / self._sag["tau_s"])) * (full - self._drop)
+            # the pack gives way at once, the reading follows late
+            self._drop = self._sag["sag_v"] * self.ramp * sqrt(max(self.ramp, 0.0))
+            self.drop_logged += (1.0 - exp(-h / self._sag["sag_tau"])) * (self._drop - self.drop_logged)
         if self._fade and spinning:
-            self._heat += h / self._fade["tau_s"] * (1.0 - self._heat)
+            self._heat += h / self._fade["fade_tau"] * (1.0 - self._heat)
 
     def _ringing(self, h: float, t: float) -> float:
         """A frame that rings: a lightly damped mode driven by the thrust's distance from where it goes."""

@@ -9,13 +9,13 @@ Vector = tuple[float, float, float]
 
 
 class SlungLoad:
-    """The load's direction and its rate. mass_ratio: load over vehicle; length m; damping: of the small swing, as a damping ratio."""
+    """The load's direction and its rate. payload_ratio: load over vehicle; cable_m; swing_damping: damping ratio."""
 
     def __init__(self, vehicle_kg: float, values: dict[str, float]) -> None:
-        self.mass_kg = values["mass_ratio"] * vehicle_kg
-        self._vehicle_kg, self._length = vehicle_kg, values["length_m"]
+        self.mass_kg = values["payload_ratio"] * vehicle_kg
+        self._vehicle_kg, self._length = vehicle_kg, values["cable_m"]
         # drag of the load on its line that damps the free swing by this ratio
-        self._drag = 2.0 * values["damping"] * sqrt(G_M_S2 / self._length) * self.mass_kg
+        self._drag = 2.0 * values["swing_damping"] * sqrt(G_M_S2 / self._length) * self.mass_kg
         self.hang()
 
     def hang(self) -> None:
