@@ -6,13 +6,14 @@ The equations are those of `physics.model`; nothing is written twice.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.physics.model import Model
-from flighttest.physics.simulate import rk4_step
+from flighttest.pipeline.vectorised import Vectorised
 from flighttest.plan.model import Motion, Policy, Snapshot
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +39,6 @@ class ModelPredictor:
         self._p = np.array([self.values[n] for n in self.model.system.params])
         delays = np.asarray(self.model.system.delays_s(self._p)).ravel()
         self._delays_s = dict(zip(self.model.system.delay_channels, delays.tolist(), strict=True))
-        self._steps: dict[int, ca.Function] = {}
 
     @property
     def delay_s(self) -> float:
@@ -61,10 +61,19 @@ class ModelPredictor:
         ratio = np.asarray(voltage_v, dtype=float) / self.model.nominal_voltage_v
         return np.asarray(self.model.g_m_s2 / (self.values["K"] * ratio ** self.values["alpha"]))
 
-    def _step(self, n: int) -> ca.Function:
-        if n not in self._steps:
-            self._steps[n] = rk4_step(self.model.system).map(n)
-        return self._steps[n]
+    @cached_property
+    def _rate(self) -> Vectorised:
+        system = self.model.system
+        x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+        return Vectorised(ca.Function("rate", [x, u], [system.function(x, u, self._p)[0]]))
+
+    def _step(self, x: FloatArray, u: FloatArray, dt_s: float) -> FloatArray:
+        """One RK4 step of n vehicles: states (k, n), inputs (m, n)."""
+        k1 = self._rate(x, u)
+        k2 = self._rate(x + dt_s / 2 * k1, u)
+        k3 = self._rate(x + dt_s / 2 * k2, u)
+        k4 = self._rate(x + dt_s * k3, u)
+        return x + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def fly(
         self,
@@ -92,9 +101,6 @@ class ModelPredictor:
         hover = np.zeros((n, 4))
         hover[:, 3] = self.hover_throttle(volts)
         lag = [round(self._delays_s[_CHANNEL[t]] / dt_s) for t in _TARGETS]
-        p = np.tile(self._p, (n, 1)).T
-        dt = np.full((1, n), dt_s)
-        step = self._step(n)
         u = np.zeros((len(inputs), n))
         u[inputs.index("voltage_v")] = volts
         rows = [inputs.index(t) for t in _TARGETS]
@@ -108,7 +114,7 @@ class ModelPredictor:
                 u[row] = (history[k - late] if k >= late else hover)[:, column]
             if "time_s" in inputs:
                 u[inputs.index("time_s")] = k * dt_s
-            x = np.asarray(step(x, u, p, dt))
+            x = self._step(x, u, dt_s)
             record[k + 1] = x
         flown = record.transpose(2, 0, 1)
         t_s = np.arange(steps + 1, dtype=float) * dt_s
