@@ -1,0 +1,79 @@
+"""`flighttest validate`: a model and its simplifications against flights it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from flighttest.identify import model_file
+from flighttest.identify.validate import Validation, Variation
+from flighttest.identify.validate import validate as compare_models
+from flighttest.pipeline.analysis import cut_all
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.sources import open_recordings
+from flighttest.report import html
+from flighttest.report.document import Document, Tone
+from flighttest.report.numbers import join
+from flighttest.report.validation_sections import validation_sections
+
+
+def validate(
+    model: Path,
+    runs: Sequence[Path],
+    previous: Path | None = None,
+    output: Path | None = None,
+    columns: Path | None = None,
+    progress: Progress = SILENT,
+) -> Result:
+    """Paper section 4; `output`: also write the page."""
+    stored = model_file.read(model)
+    earlier = model_file.read(previous) if previous is not None else None
+    recordings = open_recordings(runs, columns, progress=progress)
+    segments = cut_all(recordings, progress)
+    progress.stage("running the models open loop")
+    found = compare_models(stored, segments, earlier)
+    facts = {"model": str(model), "flights": join([str(r) for r in runs])}
+    seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
+    if seen:
+        facts["careful"] = f"{join(seen)} was used in the fit: this shows the fit, not its power to predict"
+    verdict, tone = _verdict(found)
+    document = Document("validation", verdict, tone, validation_sections(found), facts)
+    if output is not None:
+        html.write(document, output)
+    return Result(document, _data(found), Status.DONE, found)
+
+
+def _verdict(found: Validation) -> tuple[str, Tone]:
+    full = {e.group: e for e in found.errors if e.variation is Variation.FULL and e.horizon_s == 1.0}
+    group = next((g for g in ("velocity", "position", "roll") if g in full), None)
+    if group is None:
+        return (found.sentences[0] if found.sentences else "Nothing could be compared."), "warn"
+    others = {
+        v: r
+        for v in (Variation.LINEARISED, Variation.NO_DRAG, Variation.NO_BATTERY, Variation.ONLY_DELAY)
+        if (r := found.rmse(v, group, 1.0)) is not None
+    }
+    mine = full[group].rmse
+    better = [v.value for v, r in others.items() if r > mine * 1.02]
+    worse = [v.value for v, r in others.items() if r < mine * 0.98]
+    units = {"velocity": "m/s", "position": "m", "roll": "rad"}[group]
+    head = f"After 1 s the model's {group} is off by {mine:.3g} {units} (RMS)"
+    if worse:
+        return f"{head}; {join(worse)} would have been better on this flight.", "warn"
+    return (
+        f"{head}, less than with any of the {len(better)} simplifications that matter here." if better else f"{head}.",
+        "good",
+    )
+
+
+def _data(found: Validation) -> dict[str, Any]:
+    return {
+        "starts": found.starts,
+        "segments": list(found.segments),
+        "sentences": list(found.sentences),
+        "errors": [
+            {"model": e.variation.name, "group": e.group, "horizon_s": e.horizon_s, "rmse": e.rmse, "count": e.count}
+            for e in found.errors
+        ],
+    }
