@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot_bin import DEFAULT_ACCEL_FILTER_HZ, known_filters
 from flighttest.logs.opening import LogFile
-from flighttest.logs.timing import outliers
+from flighttest.logs.timing import held_union, outliers
 from flighttest.logs.tlog_frames import Frames, fields_of, good_checksums, split
 from flighttest.mavlink import WANTED
 from flighttest.mavlink.decode import StreamDecoder
 from flighttest.mavlink.dialect import book, parser
-from flighttest.recording import Provenance, Recording
+from flighttest.recording import Provenance, Recording, Series
 
 # Messages whose every field is a number, and which come often: they are read as columns, the rest one by one.
 _ONE_BY_ONE = {
@@ -61,6 +61,7 @@ def import_tlog(path: Path) -> Recording:
         losses.append(
             f"the log holds several vehicles; system {decoded.vehicle_system} was read, not {', '.join(map(str, others))}"
         )
+    series, derived = _with_targets(dict(decoded.series), dict(decoded.derived))
     filters = known_filters(dict(decoded.parameters))
     beats = decoder.rows[decoded.vehicle_system, "HEARTBEAT"].raw()["autopilot"]
     if "specific_force" not in filters and float(beats[0]) == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
@@ -70,7 +71,7 @@ def import_tlog(path: Path) -> Recording:
         )
     return Recording(
         name=path.name.split(".")[0],
-        series=decoded.series,
+        series=series,
         markers=decoded.markers,
         provenance=Provenance(
             source=str(path),
@@ -86,10 +87,23 @@ def import_tlog(path: Path) -> Recording:
             },
             losses=(*losses, *decoded.losses),
             filters=filters,
-            derived=decoded.derived,
+            derived=derived,
             reference_clock=decoded.reference_clock,
         ),
     )
+
+
+def _with_targets(series: dict[str, Series], derived: dict[str, str]) -> tuple[dict[str, Series], dict[str, str]]:
+    """Where the ground's targets were not recorded, the autopilot's own stand in for them; `derived` says so."""
+    shaped, reference = series.get("shaped"), series.get("reference")
+    if shaped is None or (reference is not None and "roll_ref_rad" in reference.columns):
+        return series, derived
+    columns = {name.replace("_shaped_", "_ref_"): values for name, values in shaped.columns.items()}
+    parts = [(shaped.t_s, columns)]
+    if reference is not None:
+        parts.append((reference.t_s, dict(reference.columns)))
+    sentence = "the autopilot's own target stands in for the reference: no SET_ATTITUDE_TARGET was recorded"
+    return {**series, "reference": held_union(parts)}, {**derived, **dict.fromkeys(columns, sentence)}
 
 
 def _checked(frames: Frames, losses: list[str]) -> Frames:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from flighttest.channels import INPUTS
 from flighttest.recording import Recording
 from flighttest.segments import edges as ed
+from flighttest.segments.airborne import airborne
 from flighttest.segments.align import Aligned, prepare, sample
 from flighttest.segments.edges import BY_HAND, EXACT, References, Response
 from flighttest.segments.marks import Marked, marked
@@ -31,6 +32,10 @@ _REACH_BACK_S = 1.0  # inputs are kept this long before the first sample, so tha
 _MARK_EARLY_S = 0.3  # a mark and the target that follows it leave in any order
 _MARK_LATE_S = 3.0
 _SAME_CELL = {"amplitude_rad": 0.012, "rate_rad_s": 0.03, "throttle_0": 0.004, "throttle_1": 0.004, "height_m": 0.2}
+_FREE_STRETCH_S = 15.0
+_FREE_MARGIN_S = 1.0
+_PAUSE_S = 1.0
+_IDLE = 0.02
 _FEW_STEPS = 3  # a flight with fewer steps than this is a free flight that happens to hold still
 
 
@@ -41,7 +46,7 @@ def cut(recording: Recording) -> tuple[Segment, ...]:
         return ()
     references = ed.references_of(recording)
     marks = marked(recording)
-    found = _by_marks(references, marks) if marks else _by_references(recording, references)
+    found = _by_marks(references, marks) if marks else _by_references(recording, references, aligned)
     cutter = _Cutter(recording, references, aligned)
     return _named(cutter.segment(response, mark) for response, mark in found)
 
@@ -52,7 +57,11 @@ def _responses(references: References | None) -> list[tuple[list[ed.Plateau], li
     found = ed.chains(ed.plateaus(references, EXACT), EXACT, references.period_s)
     if found:
         return found
-    return ed.chains(ed.plateaus(references, BY_HAND), BY_HAND, references.period_s)
+    by_hand = ed.chains(ed.plateaus(references, BY_HAND), BY_HAND, references.period_s)
+    # Sticks are moved on the ground too, before take-off and between flights: there throttle comes up from nothing.
+    return [
+        (row, edges) for row, edges in by_hand if not any(row[e.before].values[ed.THROTTLE] <= _IDLE for e in edges)
+    ]
 
 
 def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tuple[Response, Marked | None]]:
@@ -64,13 +73,14 @@ def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tu
             response = _at_step(rows, mark)
             found.append((response or _missed(references, mark, mark.t_step_s), mark))
             continue
+        late = mark.end_s if mark.numbered else min(mark.start_s + _MARK_LATE_S, mark.end_s)
         near = [
             r for r, _, _ in every
-            if mark.start_s - _MARK_EARLY_S <= r.t_step_s < min(mark.start_s + _MARK_LATE_S, mark.end_s)
+            if mark.start_s - _MARK_EARLY_S <= r.t_step_s < late
             and (not mark.kinds or r.kind in mark.kinds)
         ]  # fmt: skip
-        if near and mark.record_s is None:
-            found.append((near[0], mark))
+        if near and (mark.record_s is None or mark.numbered):
+            found.append((_within(near[0], mark) if mark.numbered else near[0], mark))
         elif mark.record_s is not None:
             found += [(window, mark) for window in windows(*mark.record_s)]
         elif mark.kinds:
@@ -102,6 +112,11 @@ def _at_step(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]], mark: Marke
     return best[1] if best is not None else None
 
 
+def _within(response: Response, mark: Marked) -> Response:
+    """A response of a numbered step ends where its number does."""
+    return replace(response, end_s=min(max(response.end_s, mark.end_s), mark.end_s, response.t_step_s + 5.0))
+
+
 def _missed(references: References | None, mark: Marked, t_s: float) -> Response:
     """A marked step of which the references show nothing clean: kept, so that its absence is seen."""
     end = min(mark.end_s, t_s + 1.5)
@@ -109,28 +124,36 @@ def _missed(references: References | None, mark: Marked, t_s: float) -> Response
     return Response(kind, {}, t_s, t_s - 0.3, max(end, t_s))
 
 
-def _by_references(recording: Recording, references: References | None) -> list[tuple[Response, Marked | None]]:
-    airborne = _airborne(recording)
+def _by_references(
+    recording: Recording, references: References | None, aligned: Aligned
+) -> list[tuple[Response, Marked | None]]:
+    start, end = airborne(recording)
+    if references is not None and references.streamed:
+        # Where no targets came, nothing is known about what the vehicle was asked to do.
+        known = references.t_s[np.isfinite(references.values).any(axis=1)]
+        if known.size and start < known[-1] and known[0] < end:
+            start, end = max(start, float(known[0])), min(end, float(known[-1]) + references.period_s)
     steps = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
-    steps = [r for r in steps if airborne[0] <= r.start_s and r.end_s <= airborne[1]]
+    steps = sorted((r for r in steps if start <= r.start_s and r.end_s <= end), key=lambda r: r.start_s)
     if len(steps) < _FEW_STEPS:
-        return [(window, None) for window in windows(*airborne)]
-    return [(r, None) for r in steps]
+        return [(window, None) for a, b in _recorded(aligned, start, end) for window in windows(a, b)]
+    # Between steps lies what brings the vehicle back; only a long stretch without any is a flight of its own.
+    free: list[Response] = []
+    for a, b in pairwise([start, *(t for r in steps for t in (r.start_s, r.end_s)), end]):
+        if b - a >= _FREE_STRETCH_S and not any(r.start_s <= a < r.end_s for r in steps):
+            spans = _recorded(aligned, a + _FREE_MARGIN_S, b - _FREE_MARGIN_S)
+            free += [window for span in spans for window in windows(*span)]
+    return [(r, None) for r in (*steps, *free)]
 
 
-def _airborne(recording: Recording) -> tuple[float, float]:
-    """From take-off to landing as far as the recording says; otherwise while armed; otherwise all of it."""
-    start, end = recording.t_span_s
-    if recording.has("armed"):
-        t, armed = recording.channel("armed")
-        on = t[armed > 0]
-        if on.size:
-            start = max(start, float(on[0]))
-            off = t[(armed == 0) & (t > on[-1])]
-            end = min(end, float(off[0])) if off.size else end
-    up = [m.t_s for m in recording.markers if m.label == "take-off" and m.t_s >= start]
-    down = [m.t_s for m in recording.markers if m.label == "landed" and m.t_s > (up[0] if up else start)]
-    return (up[0] + 1.0 if up else start), (down[-1] - 0.5 if down else end)
+def _recorded(aligned: Aligned, start_s: float, end_s: float) -> list[tuple[float, float]]:
+    """The parts of a stretch in which samples were recorded: a log that pauses between flights gives no windows there."""
+    t = aligned.t_s[(aligned.t_s >= start_s) & (aligned.t_s <= end_s)]
+    if t.size < 2:
+        return []
+    pauses = np.flatnonzero(np.diff(t) > _PAUSE_S)
+    bounds = [start_s, *(x for i in pauses for x in (float(t[i]), float(t[i + 1]))), end_s]
+    return list(zip(bounds[::2], bounds[1::2], strict=True))
 
 
 def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[Response]:
@@ -153,7 +176,7 @@ class _Cutter:
         self.aligned = aligned
         self.streamed = "roll_ref_rad" not in recording.provenance.derived
         up = [m.t_s for m in recording.markers if m.label == "take-off"]
-        self.takeoff_s = up[0] if up else _airborne(recording)[0]
+        self.takeoff_s = up[0] if up else airborne(recording)[0]
 
     def segment(self, response: Response, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)

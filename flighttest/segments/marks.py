@@ -26,7 +26,8 @@ class Marked:
     """One marked stretch: from start_s to end_s.
 
     kinds: what the mark says it is (empty: anything). t_step_s: where the mark puts the step, None where it does not say. record_s: where
-    a stretch without a step is worth cutting into windows, None for nowhere. repeat 0: to be counted.
+    a stretch without a step is worth cutting into windows, None for nowhere. repeat 0: to be counted. numbered: a step number of a table
+    made the mark, which says neither what the step is nor where exactly.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Marked:
     record_s: tuple[float, float] | None = None
     maneuver: str = ""
     repeat: int = 0
+    numbered: bool = False
     data: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -69,6 +71,7 @@ def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:
         record_s=None if rest else (first, last),
         maneuver=str(leg.data.get("maneuver", words[0] if len(words) > 1 else "")),
         repeat=int(leg.data.get("repeat", repeat.group(1) if repeat else 0)),
+        numbered="step" in leg.data,
         data=leg.data,
     )
 

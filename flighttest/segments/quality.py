@@ -51,7 +51,9 @@ def flaws_of(
         throttle = references.values[inside, INPUTS.index("throttle")]
         if np.any(throttle >= 1.0):
             found.add(Flaw.CLIPPED)
-        if streamed and references.streamed and _silent(references, response):
+        if np.any(np.isfinite(references.values[:, -1])) and np.count_nonzero(np.isnan(throttle)) > 0.2 * throttle.size:
+            found.add(Flaw.WRONG_MODE)
+        elif streamed and references.streamed and _silent(references, response):
             found.add(Flaw.LINK_LOST)
     return tuple(flaw for flaw in Flaw if flaw in found)
 
