@@ -14,7 +14,7 @@ import numpy as np
 
 from flighttest.plan.model import FloatArray, Predictor
 from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, Rehearsal, Row, rehearse
-from flighttest.plan.room import Room, Track
+from flighttest.plan.room import Room, Track, box
 from flighttest.script.profiles import Cell, Piece
 
 # Six time constants of the paper's thrust lag: less than this after the delay shows nothing.
@@ -23,9 +23,14 @@ SEARCH_STEP_S = 0.04
 # The search flies coarse steps; what it calls a fit has this much to spare.
 SLACK_M = 0.1
 LOSS_EVERY_S = 0.2
-# Long enough for the drag of any vehicle to take most of its speed.
-DRIFT_S = 6.0
-VERTICAL_STOP_LOW, VERTICAL_STOP_HIGH = 0.3, 1.8
+ROUNDS = 6
+SEARCH_ROUNDS = 4
+# How long a drift is flown; what is left of it is continued by the rate at which speed falls at its end.
+DRIFT_S = 2.5
+# A stop takes no longer: at 6 m/s and half of gravity.
+STOP_S = 2.2
+# Times hover, against climbing and against falling; gentler where the script asks for a height, which may be near the ground.
+VERTICAL_STOP, GENTLE_STOP = (0.3, 1.8), (0.7, 1.4)
 
 
 @dataclass(frozen=True)
@@ -39,11 +44,10 @@ class Setting:
     throttle: tuple[float, float]
     speed_max_m_s: float
 
-    @property
-    def stop_throttle(self) -> tuple[float, float]:
+    def stop_throttle(self, cell: Cell) -> tuple[float, float]:
         """Throttle against climbing and against falling: never zero, which leaves no authority over the attitude."""
-        low = max(self.throttle[0], VERTICAL_STOP_LOW * self.hover_throttle)
-        return low, min(self.throttle[1], VERTICAL_STOP_HIGH * self.hover_throttle)
+        low, high = VERTICAL_STOP if cell.height_m is None else GENTLE_STOP
+        return max(self.throttle[0], low * self.hover_throttle), min(self.throttle[1], high * self.hover_throttle)
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ class Fitted:
 def row_of(cell: Cell, lead: tuple[Piece, ...], setting: Setting, voltage_v: float) -> Row:
     """The row of a cell at one voltage, from the origin, heading along x."""
     tail = sum(piece.duration_s for piece in cell.tail)
-    return Row(lead, cell.stops, cell.counter, tail, voltage_v, setting.stop_throttle)
+    return Row(lead, cell.stops, cell.counter, tail, voltage_v, setting.stop_throttle(cell))
 
 
 def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
@@ -72,7 +76,35 @@ def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
     adjustable = [i for i, cell in enumerate(cells) if cell.shortest_s]
     for i, lead in _search([cells[i] for i in adjustable], setting, adjustable) if adjustable else ():
         leads[i] = lead
-    return _tracks(cells, leads, setting)
+    found = _tracks(cells, leads, setting)
+    # The search loses the link at two moments only; where a third one is worse, the record gives way a little more.
+    for _ in range(ROUNDS):
+        tight = [i for i in adjustable if not _has_start(found[i], setting) and _can_shrink(found[i], setting)]
+        if not tight:
+            break
+        shorter = [_with(found[i].lead, {"step": _step_of(found[i].lead) - 2 * GRID_S}) for i in tight]
+        for i, f in zip(tight, _tracks([cells[i] for i in tight], shorter, setting), strict=True):
+            found[i] = f
+    return found
+
+
+def _step_of(lead: tuple[Piece, ...]) -> float:
+    return next((round(piece.duration_s, 3) for piece in lead if piece.name == "step"), 0.0)
+
+
+def _can_shrink(f: Fitted, setting: Setting) -> bool:
+    return "step" in f.cell.shortest_s and _step_of(f.lead) - 2 * GRID_S >= least_s(f.cell, "step", setting) - 1e-9
+
+
+def _has_start(f: Fitted, setting: Setting) -> bool:
+    """Whether some height to start from (or the one asked for) keeps every track inside."""
+    low, high = (corner[2] for corner in box(f.nominal))
+    lost_low, lost_high = (corner[2] for corner in box(f.lost))
+    room = setting.room
+    lowest = max(room.inner_low[2] - low, room.outer_low[2] - lost_low)
+    highest = min(room.inner_high[2] - high, room.outer_high[2] - lost_high)
+    start = lowest if f.cell.height_m is None else f.cell.height_m
+    return bool(lowest - 1e-9 <= start <= highest + 1e-9)
 
 
 def least_s(cell: Cell, name: str, setting: Setting) -> float:
@@ -85,56 +117,73 @@ def _with(lead: tuple[Piece, ...], durations: dict[str, float]) -> tuple[Piece, 
     return tuple(replace(piece, duration_s=durations.get(piece.name, piece.duration_s)) for piece in lead)
 
 
+@dataclass(frozen=True)
+class _Option:
+    """A length of what comes before a cell's step, and the lengths its step may have, s."""
+
+    cell: int
+    before: dict[str, float]
+    shortest_s: float
+    longest_s: float
+
+
 def _search(cells: list[Cell], setting: Setting, indices: list[int]) -> list[tuple[int, tuple[Piece, ...]]]:
     """Longest record that fits, for each length of what comes before it; then the longest record wins, then the longest hold."""
-    options: list[tuple[int, dict[str, float], str, float, float]] = []
+    options: list[_Option] = []
     for k, cell in enumerate(cells):
         wanted = {piece.name: piece.duration_s for piece in cell.lead}
         before = [name for name in cell.shortest_s if name != "step"]
         least = {name: min(least_s(cell, name, setting), wanted[name]) for name in cell.shortest_s}
-        shares = (1.0, 0.6, 0.3, 0.0) if before else (1.0,)
+        shares = (1.0, 0.5, 0.0) if before else (1.0,)
         for share in shares:
             fixed = {name: round(least[name] + share * (wanted[name] - least[name]), 2) for name in before}
             longest = wanted.get("step", 0.0)
             shortest = least.get("step", longest)
-            options.append((k, fixed, "step", shortest, longest))
-    low = np.array([option[3] for option in options])
-    high = np.array([option[4] for option in options])
+            options.append(_Option(k, fixed, shortest, longest))
+    low = np.array([option.shortest_s for option in options])
+    high = np.array([option.longest_s for option in options])
     steps = np.maximum(np.round((high - low) / GRID_S), 0).astype(int)
-    fits = _fits(cells, options, low, setting)
-    # Bisection over multiples of the duration step above the least; a flight that fits also fits when it is shorter.
-    good, bad = np.zeros_like(steps), steps.copy()
-    whole = _fits(cells, options, low + steps * GRID_S, setting)
-    good[whole] = steps[whole]
-    while bool(np.any(fits & (bad - good > 1))):
-        middle = (good + bad) // 2
-        ok = _fits(cells, options, low + middle * GRID_S, setting)
+    # Both ends in one flight, then false position: a flight that fits also fits when it is shorter.
+    both = _slack(cells, [*options, *options], np.concatenate([low, low + steps * GRID_S]), setting)
+    at_good, at_bad = both[: len(options)], both[len(options) :]
+    fits = at_good >= 0.0
+    good, bad = np.where(at_bad >= 0.0, steps, 0), steps.copy()
+    for _ in range(SEARCH_ROUNDS):
+        if not bool(np.any(fits & (bad - good > 1))):
+            break
+        part = at_good / np.maximum(at_good - at_bad, 1e-9)
+        middle = np.clip(good + np.floor(part * (bad - good)).astype(int), good + 1, np.maximum(bad - 1, good + 1))
+        middle = np.where(fits & (bad - good > 1), middle, good)
+        slack = _slack(cells, options, low + middle * GRID_S, setting)
+        ok = slack >= 0.0
+        at_good, at_bad = np.where(ok, slack, at_good), np.where(ok, at_bad, slack)
         good, bad = np.where(ok, np.maximum(good, middle), good), np.where(ok, bad, np.minimum(bad, middle))
     best: dict[int, tuple[float, float, tuple[Piece, ...]]] = {}
-    for j, (k, fixed, name, _, _) in enumerate(options):
+    for j, option in enumerate(options):
         record = float(low[j] + good[j] * GRID_S) if fits[j] else -1.0
-        score = (round(record, 2), sum(fixed.values()))
-        durations = {**fixed, name: max(record, float(low[j]))}
-        if k not in best or score > best[k][:2]:
-            best[k] = (*score, _with(cells[k].lead, durations))
+        score = (round(record, 2), sum(option.before.values()))
+        durations = {**option.before, "step": max(record, float(low[j]))}
+        if option.cell not in best or score > best[option.cell][:2]:
+            best[option.cell] = (*score, _with(cells[option.cell].lead, durations))
     return [(indices[k], best[k][2]) for k in best]
 
 
-def _fits(
+def _slack(
     cells: list[Cell],
-    options: list[tuple[int, dict[str, float], str, float, float]],
+    options: list[_Option],
     record_s: FloatArray,
     setting: Setting,
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Whether each option's flight fits the room in size, at both voltages, as planned and with the link lost at its end."""
+) -> FloatArray:
+    """What each option's flight has to spare, m (and m/s), at both voltages, as planned and with the link lost; negative: too large."""
     rows = []
-    for (k, fixed, name, _, _), seconds in zip(options, record_s, strict=True):
-        lead = _with(cells[k].lead, {**fixed, name: float(seconds)})
+    for option, seconds in zip(options, record_s, strict=True):
+        cell = cells[option.cell]
+        lead = _with(cell.lead, {**option.before, "step": float(seconds)})
         for voltage in setting.voltages_v:
-            row = row_of(cells[k], lead, setting, voltage)
+            row = row_of(cell, lead, setting, voltage)
             # The two worst moments: at the end of what comes before the step, and at the end of the record.
             rows += [row, row.losing_link_at(row.lead_s), row.losing_link_at(row.lead_s - float(seconds))]
-    flown = rehearse(rows, setting.predictor, SEARCH_STEP_S)
+    flown = rehearse(rows, setting.predictor, SEARCH_STEP_S, STOP_S)
     p = flown.motion.p_m.reshape(len(options), len(setting.voltages_v), 3, -1, 3)
     speed = np.linalg.norm(flown.motion.v_m_s, axis=-1).reshape(p.shape[:-1])[:, :, 0].max(axis=(1, 2))
     room = setting.room
@@ -143,14 +192,12 @@ def _fits(
     lost_low, lost_high = lost.min(axis=(1, 2, 3))[:, 2], lost.max(axis=(1, 2, 3))[:, 2]
     start_low = np.maximum(room.inner_low[2] - low, room.outer_low[2] - lost_low) + SLACK_M
     start_high = np.minimum(room.inner_high[2] - high, room.outer_high[2] - lost_high) - SLACK_M
-    heights = np.array([cells[option[0]].height_m or math.nan for option in options])
-    free = np.isnan(heights)
-    start = np.where(free, start_low, heights)
-    tall = (start_low <= start_high) & (start >= start_low - 1e-6) & (start <= start_high + 1e-6)
+    heights = np.array([cells[option.cell].height_m or math.nan for option in options])
+    start = np.where(np.isnan(heights), 0.5 * (start_low + start_high), heights)
+    tall = np.minimum(start - start_low, start_high - start)
     spread = np.sort(planned.max(axis=(1, 2))[:, :2] - planned.min(axis=(1, 2))[:, :2], axis=1)
-    wide = np.sort((room.inner_high - room.inner_low)[:2])
-    flat = np.all(spread <= wide, axis=1)
-    return np.asarray(tall & flat & (speed <= setting.speed_max_m_s))
+    flat = (np.sort((room.inner_high - room.inner_low)[:2]) - spread).min(axis=1)
+    return np.asarray(np.minimum(np.minimum(tall, flat), setting.speed_max_m_s - speed))
 
 
 def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> list[Fitted]:
@@ -172,7 +219,7 @@ def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Sett
     lost: list[list[Track]] = [[] for _ in cells]
     speed = [0.0 for _ in cells]
     for rows, into, step, after in (
-        (planned, nominal, SEARCH_STEP_S / 2, None),
+        (planned, nominal, SEARCH_STEP_S, None),
         (losing, lost, SEARCH_STEP_S, DRIFT_S),
     ):
         if not rows:
@@ -204,7 +251,23 @@ def track_of(flown: Rehearsal, j: int, row: Row) -> Track:
         end = row.lost_s + GUID_TIMEOUT_S + DRIFT_S
     count = int(np.searchsorted(motion.t_s, end + 1e-9))
     start = motion.p_m[j, 0]
-    return Track(motion.t_s[:count], motion.p_m[j, :count] - start, motion.v_m_s[j, :count])
+    track = Track(motion.t_s[:count], motion.p_m[j, :count] - start, motion.v_m_s[j, :count])
+    return track if math.isinf(row.lost_s) else _drifted(track)
+
+
+def _drifted(track: Track) -> Track:
+    """The track with where its drift over ground will end: speed goes on falling at the rate of its last half second."""
+    k = int(np.searchsorted(track.t_s, track.t_s[-1] - 0.5))
+    now, before = float(np.linalg.norm(track.v_m_s[-1, :2])), float(np.linalg.norm(track.v_m_s[k, :2]))
+    if now < 0.05 or before <= now:
+        return track
+    rate = math.log(before / now) / float(track.t_s[-1] - track.t_s[k])
+    end = track.p_m[-1] + np.array([*(track.v_m_s[-1, :2] / rate), 0.0])
+    return Track(
+        np.append(track.t_s, track.t_s[-1] + 3.0 / rate),
+        np.vstack([track.p_m, end]),
+        np.vstack([track.v_m_s, track.v_m_s[-1]]),
+    )
 
 
 def _length(lead: tuple[Piece, ...]) -> float:

@@ -26,7 +26,7 @@ def fly_waypoints(f: Fitted, setting: Setting, reset: Reset, zone: Zone) -> Fitt
         None,
         0.0,
         voltage,
-        setting.stop_throttle,
+        setting.stop_throttle(f.cell),
         start_m=(path[0][1], path[0][2], path[0][3]),
         waypoints=path,
     )

@@ -97,8 +97,7 @@ class _Policy:
 
     def __init__(self, rows: Sequence[Row], predictor: Predictor, duration_s: float, dt_s: float) -> None:
         n = len(rows)
-        self.rows, self.dt_s = rows, dt_s
-        self.delay_s = predictor.delay_s
+        self.dt_s = dt_s
         voltage = np.array([row.voltage_v for row in rows])
         self.hover = np.asarray(predictor.hover_throttle(voltage), dtype=float)
         # A step longer than the grid of durations holds the mean of what is asked during it, so that no edge is rounded.
@@ -128,13 +127,20 @@ class _Policy:
         self.thrust_ahead = predictor.delay_s + predictor.thrust_lag_s
         self.before: FloatArray | None = None
         self.last = self.table[:, 0].copy()
-        self.guided = [i for i, row in enumerate(rows) if row.waypoints]
+        paths: dict[tuple[tuple[float, float, float, float], ...], list[int]] = {}
+        for i, row in enumerate(rows):
+            if row.waypoints:
+                paths.setdefault(row.waypoints, []).append(i)
+        self.paths = paths
+        self.yaw = np.array([row.yaw_rad for row in rows])
+        self.climb_before = np.zeros(n)
+        self.speed_before = np.zeros(n)
         self.loop = OuterLoop()
 
     def __call__(self, now: Snapshot) -> FloatArray:
         k = min(round(now.t_s / self.dt_s), self.table.shape[1] - 1)
         targets: FloatArray = self.table[:, k].copy()
-        if self.guided:
+        if self.paths:
             self._steer(now, targets)
         a = np.zeros_like(now.v_m_s) if self.before is None else (now.v_m_s - self.before) / self.dt_s
         self.before = now.v_m_s.copy()
@@ -153,12 +159,11 @@ class _Policy:
         return targets
 
     def _steer(self, now: Snapshot, targets: FloatArray) -> None:
-        for i in self.guided:
-            row = self.rows[i]
-            goal, goal_v = along(row.waypoints, now.t_s)
+        for path, i in self.paths.items():
+            goal, goal_v = along(path, now.t_s)
             targets[i] = self.loop.steer(
-                now.p_m[i], now.v_m_s[i], now.rpy_rad[i, 2], goal, goal_v, row.yaw_rad, self.hover[i]
-            )[0]
+                now.p_m[i], now.v_m_s[i], now.rpy_rad[i, 2], goal, goal_v, self.yaw[i], self.hover[i]
+            )
 
     def _stop(self, now: Snapshot, a: FloatArray, active: BoolArray, targets: FloatArray) -> None:
         # Along the counter's push: pitch pushes forward, roll to the right; the vehicle moves the other way.
@@ -175,6 +180,8 @@ class _Policy:
         speed = against(now.v_m_s) + against(a) * self.attitude_ahead
         todo = active & self.counter_open
         moving = speed > 0.0
+        self.counter_s -= np.where(todo & ~moving, self._overdone(self.counter_s, speed, self.speed_before), 0.0)
+        self.speed_before = speed
         self.counter_open = self.counter_open & ~(todo & ~moving) & ~(self.counter_s > STOP_MAX_S)
         doing = todo & self.counter_open
         self.counter_s[doing] += self.dt_s
@@ -189,11 +196,18 @@ class _Policy:
         self.vertical_throttle[fresh] = np.where(climb[fresh] > 0.0, self.floor[fresh], self.ceiling[fresh])
         slow = fresh & (np.abs(climb) < STANDING_M_S)
         turned = todo & ~fresh & (climb * self.direction <= 0.0)
+        self.vertical_s -= np.where(turned, self._overdone(self.vertical_s, climb, self.climb_before), 0.0)
+        self.climb_before = climb
         self.vertical_open = self.vertical_open & ~slow & ~turned & ~(self.vertical_s > STOP_MAX_S)
         doing = todo & self.vertical_open
         self.vertical_s[doing] += self.dt_s
         targets[doing] = 0.0
         targets[doing, 3] = self.vertical_throttle[doing]
+
+    def _overdone(self, lasted_s: FloatArray, now: FloatArray, before: FloatArray) -> FloatArray:
+        """How much of the last step lay beyond the moment the speed passed through zero, s; none of a stop that never began."""
+        share = np.clip(np.abs(now) / np.maximum(np.abs(now) + np.abs(before), 1e-9), 0.0, 1.0)
+        return np.where(lasted_s > 0.0, np.minimum(lasted_s, self.dt_s * share), 0.0)
 
 
 def rehearse(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: float | None = None) -> Rehearsal:
