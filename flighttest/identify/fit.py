@@ -27,6 +27,7 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
+COARSE_STRIDE = 4
 _REPORTED_OUTLIER = 0.7  # responses weighted below this are named
 
 
@@ -192,7 +193,12 @@ def _check_names(model: Model, names: Sequence[str]) -> None:
 
 def _best(problem: Problem, robust: bool, nominal: Mapping[str, float]) -> Solution:
     """Solve from the shape-based start; from others too where that did not end well."""
-    first = solve(problem, robust=robust)
+    start, noise = None, None
+    if len(problem.segments) >= 3 * COARSE_STRIDE**2:
+        # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
+        coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
+        start, noise = coarse.values, coarse.noise
+    first = solve(problem, start, robust=robust, noise=noise)
     if first.status.good:
         return first
     others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]

@@ -25,6 +25,8 @@ _STEPS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "yaw_rate_step": ("yaw_rate_ref_rad_s", ("r_rad_s",), "yaw_rate"),
     "throttle_step": ("throttle", ("f_z_m_s2", "a_z_m_s2"), "thrust"),
 }
+# What is seen is late: the threshold is crossed some ms after the response begins.
+LATE_S = {"attitude": 0.01, "yaw_rate": 0.003, "thrust": 0.004}
 _FLOOR = {"roll_rad": 0.003, "pitch_rad": 0.003, "r_rad_s": 0.02, "f_z_m_s2": 0.1, "a_z_m_s2": 0.1}
 
 
@@ -148,10 +150,9 @@ def start_values(segments: Sequence[Segment], model: Model, delay: OnsetDelay | 
     if gain is not None:
         values["K"] = gain
     if delay is not None:
-        # What is seen is late: an onset threshold is crossed some ms after the response begins.
         for channel, seen in delay.channel_s.items():
-            values[f"T_d_{channel}"] = max(seen - 0.015, 0.005)
-        values["T_d"] = max(delay.mean_s - 0.015, 0.005)
+            values[f"T_d_{channel}"] = max(seen - LATE_S[channel], 0.004)
+        values["T_d"] = max(delay.mean_s - 0.006, 0.004)
     params = model.param
     return {k: min(max(v, params[k].lower * 1.01), params[k].upper * 0.99) for k, v in values.items() if k in params}
 

@@ -10,7 +10,7 @@ A `Part` is one block of the model with the responses that feed it. Parameters n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.errors import FitError
 from flighttest.identify.kernel import Kernel, node_bucket
-from flighttest.identify.responses import Response, nodes_of, prepare
+from flighttest.identify.responses import Response, max_step_s, nodes_of, prepare
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -148,6 +148,28 @@ class Problem:
             filters = next((dict(s.context["filters"]) for s in usable if s.context.get("filters")), {})
         return cls(usable, model, tuple(found), names, start, tied, dict(filters))
 
+    def thinned(self, every: int) -> Problem:
+        """The same problem on each `every`-th response of every kind of step, sharing what was compiled."""
+        order = sorted(range(len(self.segments)), key=lambda i: (self.segments[i].cell_key, self.segments[i].repeat))
+        keep = set(order[::every])
+        parts = []
+        for part in self.parts:
+            rows = [j for j, r in enumerate(part.responses) if r.index in keep]
+            rows = rows if len(rows) >= 4 else list(range(len(part.responses)))
+            responses = tuple(part.responses[j] for j in rows)
+            n = max(r.t_s.size for r in responses)
+            parts.append(
+                replace(
+                    part,
+                    responses=responses,
+                    y=part.y[rows, :n],
+                    mask=part.mask[rows, :n],
+                    start=part.start[rows],
+                    start_std=part.start_std[rows],
+                )
+            )
+        return replace(self, parts=tuple(parts))
+
     def full_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Every parameter of the model: given values, ties followed, the rest as at the start."""
         full = {**self.values, **{k: float(v) for k, v in values.items() if k in self.values}}
@@ -181,7 +203,8 @@ class Problem:
         kernel = self._kernel(i, tuple(n for n in part.block.params if n in wanted))
         p = np.array([full[n] for n in part.block.params])
         delay = float(part.block.delay_s(p))
-        rows = [nodes_of(r, delay) for r in part.responses]
+        step = max_step_s(part.block, self.values)
+        rows = [nodes_of(r, delay, step) for r in part.responses]
         m, n, n_y = part.y.shape
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, kernel.n_columns if sensitivities else 0))
@@ -217,10 +240,10 @@ class Problem:
         return PartEvaluation(residual, dy, (*columns, *part.locals))
 
     def _kernel(self, i: int, free: tuple[str, ...]) -> Kernel:
-        key = (i, free)
+        part = self.parts[i]
+        cutoffs = {c: hz for c in part.outputs if (hz := self.filters_hz.get(CHANNELS[c].group, 0.0)) > 0.0}
+        key = (part.block.name, part.outputs, free, tuple(cutoffs.items()))
         if key not in self._kernels:
-            part = self.parts[i]
-            cutoffs = {c: hz for c in part.outputs if (hz := self.filters_hz.get(CHANNELS[c].group, 0.0)) > 0.0}
             self._kernels[key] = Kernel(part.block, part.outputs, free, cutoffs)
         return self._kernels[key]
 

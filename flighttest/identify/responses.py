@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,9 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-MAX_STEP_S = 0.0251  # longer pieces are split: five steps of the slowest usual recording, RK4 error far below any noise
+# Longer pieces are split. The step resolves the fastest pole of the block: RK4 then errs by less than 1e-4 in any parameter.
+MAX_STEP_S = 0.0251
+STEP_OF_POLE = {"translation": 0.8, "attitude": 0.26}  # step x pole (1/s)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
@@ -136,7 +138,17 @@ def _start(segment: Segment, block: Block, gain: float) -> tuple[FloatArray, Flo
     return start, std
 
 
-def nodes_of(response: Response, delay_s: float) -> tuple[FloatArray, NDArray[np.intp]]:
+def max_step_s(block: Block, values: Mapping[str, float]) -> float:
+    """The longest step that resolves a block's lags at these parameters: 25 ms or a whole fraction of it."""
+    if block.name == "translation":
+        pole = values.get("sigma_t", 20.0) / STEP_OF_POLE["translation"]
+    else:
+        poles = [values[n] for n in ("omega_phi", "omega_theta", "sigma_r") if n in block.params]
+        pole = max(poles, default=20.0) / STEP_OF_POLE["attitude"]
+    return MAX_STEP_S / float(min(max(np.ceil(MAX_STEP_S * pole * 0.8), 1.0), 8.0))
+
+
+def nodes_of(response: Response, delay_s: float, step_s: float = MAX_STEP_S) -> tuple[FloatArray, NDArray[np.intp]]:
     """Nodes of one response for a delay: rows [h0, hd, u, e start, e end] (k, n_data), and the node of each sample (n,).
 
     The piece of a row ends at its node: h = h0 + hd * delay exactly, also for derivatives by the delay.
@@ -156,7 +168,7 @@ def nodes_of(response: Response, delay_s: float) -> tuple[FloatArray, NDArray[np
     h, h0, hd = np.diff(times), np.diff(constant), np.diff(moves)
     middle = 0.5 * (times[1:] + times[:-1])
     e = _interpolated(response, times, inside)
-    pieces = np.maximum(1, np.ceil(h / MAX_STEP_S)).astype(int)
+    pieces = np.maximum(1, np.ceil(h / step_s)).astype(int)
     if pieces.max(initial=1) > 1:
         which = np.repeat(np.arange(h.size), pieces)
         ends = np.cumsum(pieces)

@@ -19,7 +19,8 @@ from flighttest.identify.problem import Noise, PartEvaluation, Problem, prior_st
 FloatArray = NDArray[np.float64]
 
 MAX_ITERATIONS = 40
-STEP_TOLERANCE = 0.01  # largest parameter step at the end, in standard errors
+STEP_TOLERANCE = 0.05  # root mean square parameter step at the end, in standard errors of white noise
+LOCAL_TOLERANCE = 0.05  # the same for the locals, in prior standard deviations, where only they are estimated
 COST_TOLERANCE = 1e-6  # or: relative decrease of the cost by the last step
 OUTLIER_RATIO = 2.5  # a response whose residual is this many times the median response's is weighted down
 SPIKE_STDS = 5.0  # a sample further out than this is weighted down
@@ -139,7 +140,7 @@ def solve(
             step[active] = (
                 np.linalg.lstsq(normal + damping * np.eye(active.size), g[active] / root, rcond=1e-13)[0] / root
             )
-            target = np.clip(theta + step, lower, upper)
+            target = np.clip(_stepped(theta, step, lower), lower, upper)
             moved = target - theta
             trial_local = [
                 x + back_g - np.einsum("mlp,p->ml", back_h, moved)
@@ -156,7 +157,7 @@ def solve(
             status = FitStatus.NO_DESCENT if not _small(step, h, active, 0.2) else FitStatus.CONVERGED
             break
         flat = cost - new_cost <= max(COST_TOLERANCE * cost, 0.01)
-        still = _locals_settled(problem, now.local, trial.local, noise)
+        still = bool(active.size) or _locals_settled(problem, now.local, trial.local, noise)
         now, theta = trial, target
         settled = _settled(previous, noise) or not estimate_noise
         if (
@@ -203,9 +204,16 @@ def _small(step: FloatArray, h: FloatArray, active: NDArray[np.intp], tolerance:
     return bool(step[active] @ sub @ step[active] <= tolerance**2 * max(active.size, 1))
 
 
+def _stepped(theta: FloatArray, step: FloatArray, lower: FloatArray) -> FloatArray:
+    """A step taken in the logarithm of parameters that are positive by nature (lags, gains), at most by a factor of two."""
+    positive = (lower > 0) & (theta > 0)
+    ratio = np.exp(np.clip(step / np.where(positive, theta, 1.0), -0.7, 0.7))
+    return np.where(positive, theta * ratio, theta + step)
+
+
 def _locals_settled(problem: Problem, before: Sequence[FloatArray], after: Sequence[FloatArray], noise: Noise) -> bool:
     return all(
-        bool(np.all(np.abs(b - a) < 0.05 * prior_std(part, noise)))
+        bool(np.all(np.abs(b - a) < LOCAL_TOLERANCE * prior_std(part, noise)))
         for part, a, b in zip(problem.parts, before, after, strict=True)
     )
 

@@ -1,0 +1,167 @@
+"""What a planned script would make known: expected standard errors from the prior model's Fisher information.
+
+Each leg is flown by the prior model; the sensitivities of what would be measured give the information each response carries, with its own
+initial state and disturbance unknown, as in the fit. The numbers rest on the noise assumed (`ASSUMED`) and on the prior parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.identify.problem import Noise, Problem
+from flighttest.identify.solve import Normal, solve
+from flighttest.physics.body import DELAY_PARAM
+from flighttest.physics.model import Model
+from flighttest.physics.simulate import simulate
+from flighttest.plan.model import Leg, Plan
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+
+BEFORE_S = 0.4
+AFTER_S = 0.4
+# Noise of a usual outdoor vehicle: samples, and what is constant over a response (gusts).
+ASSUMED = Noise(
+    {
+        "roll_rad": 0.004, "pitch_rad": 0.004, "r_rad_s": 0.02, "f_x_m_s2": 0.3, "f_y_m_s2": 0.3, "f_z_m_s2": 0.3,
+        "v_x_m_s": 0.08, "v_y_m_s": 0.08, "v_z_m_s": 0.08,
+    },
+    {
+        "roll_d_rad": 0.003, "pitch_d_rad": 0.003, "yaw_rate_d_rad_s": 0.01,
+        "a_d_x_m_s2": 0.15, "a_d_y_m_s2": 0.15, "a_d_z_m_s2": 0.15,
+    },
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Expected:
+    """One parameter: expected standard error, the same with twice the repeats, and the steps that tell most about it.
+
+    std is None where the script tells nothing about it; best: (cell in words, share of the information), best first.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float | None
+    std_twice: float | None
+    best: tuple[tuple[str, float], ...]
+    sentence: str
+
+
+def planned_segments(plan: Plan, model: Model, values: Mapping[str, float]) -> list[Segment]:
+    """Noise-free responses the prior model would record; legs without a profile (waypoints, motors off) are left out."""
+    return [s for leg in plan.legs if (s := _segment(plan, leg, model, values)) is not None]
+
+
+def expected_errors(
+    plan: Plan, model: Model | None = None, values: Mapping[str, float] | None = None, noise: Noise = ASSUMED
+) -> tuple[Expected, ...]:
+    """Expected standard error of every parameter for a planned script; empty when nothing in it can be predicted."""
+    model = model or Model()
+    start = model.start(values)
+    segments = planned_segments(plan, model, start)
+    return expected_of(segments, model, start, noise) if segments else ()
+
+
+def expected_of(
+    segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
+) -> tuple[Expected, ...]:
+    """The same for responses given as segments (measured or simulated)."""
+    problem = Problem.build(segments, model, values=values)
+    solved = solve(problem, noise=noise, estimate_noise=False, robust=False, max_iterations=1)
+    normal = solved.normal
+    covariance, usable = _inverse(normal)
+    twice, _ = _inverse(Normal(normal.names, 2.0 * normal.hessian, normal.score))
+    found = []
+    for param in model.params:
+        name = param.name
+        if name not in normal.names or not usable[normal.names.index(name)]:
+            sentence = f"{name}: this script tells nothing about it"
+            found.append(Expected(name, param.unit, values[name], None, None, (), sentence))
+            continue
+        i = normal.names.index(name)
+        std, more = float(np.sqrt(covariance[i, i])), float(np.sqrt(twice[i, i]))
+        best = _best(normal, covariance, i, problem)
+        sentence = _sentence(name, param.unit, values[name], std)
+        found.append(Expected(name, param.unit, values[name], std, more, best, sentence))
+    delays = [normal.names.index(n) for n in DELAY_PARAM.values() if n in normal.names]
+    delays = [i for i in delays if usable[i]]
+    if delays and model.channel_delays:
+        weight = np.zeros(len(normal.names))
+        weight[delays] = 1.0 / len(delays)
+        std = float(np.sqrt(weight @ covariance @ weight))
+        value = float(np.mean([values[normal.names[i]] for i in delays]))
+        found.append(Expected("T_d", "s", value, std, std / np.sqrt(2.0), (), _sentence("T_d", "s", value, std)))
+    return tuple(found)
+
+
+def _sentence(name: str, unit: str, value: float, std: float) -> str:
+    share = f" ({100 * std / abs(value):.1f} %)" if value else ""
+    return f"{name}: {value:.4g} +- {std:.2g} {unit}{share}; twice the repeats: +- {std / np.sqrt(2):.2g}"
+
+
+def _inverse(normal: Normal) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Covariance with blind parameters left out (their rows are zero), and which are not blind."""
+    total = normal.hessian.sum(axis=0)
+    usable = np.diag(total) > 1e-9
+    pick = np.flatnonzero(usable)
+    scale = 1.0 / np.sqrt(np.diag(total)[pick])
+    inner = total[np.ix_(pick, pick)] * np.outer(scale, scale)
+    covariance = np.zeros_like(total)
+    covariance[np.ix_(pick, pick)] = np.linalg.pinv(inner, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    return covariance, usable
+
+
+def _best(normal: Normal, covariance: FloatArray, i: int, problem: Problem) -> tuple[tuple[str, float], ...]:
+    """Share of each cell in the information about one parameter, the others being estimated too."""
+    direction = covariance[i] / covariance[i, i]
+    each = np.einsum("i,sij,j->s", direction, normal.hessian, direction)
+    cells: dict[str, float] = {}
+    for segment, value in zip(problem.segments, each, strict=True):
+        words = ", ".join(f"{k} {v:g}" for k, v in sorted(segment.cell.items()))
+        label = f"{segment.kind.replace('_', ' ')} {words}"
+        cells[label] = cells.get(label, 0.0) + float(value)
+    total = sum(cells.values()) or 1.0
+    ranked = sorted(((c, v / total) for c, v in cells.items()), key=lambda pair: -pair[1])
+    return tuple(pair for pair in ranked[:3] if pair[1] > 0.01)
+
+
+def _segment(plan: Plan, leg: Leg, model: Model, values: Mapping[str, float]) -> Segment | None:
+    if leg.profile is None or leg.motors_off:
+        return None
+    recorded = [p for p in leg.phases if p.record] or list(leg.phases)
+    if not recorded:
+        return None
+    dt = 1.0 / plan.rate_hz
+    first = max(min(leg.t_step_s, recorded[0].start_s) - BEFORE_S, 0.0)
+    t = np.arange(0.0, min(recorded[-1].end_s + AFTER_S, leg.duration_s), dt)
+    if t.size < 12:
+        return None
+    targets = [leg.profile(float(x)) for x in t]
+    columns = {
+        "roll_ref_rad": [a.roll_rad for a in targets],
+        "pitch_ref_rad": [a.pitch_rad for a in targets],
+        "yaw_rate_ref_rad_s": [a.yaw_rate_rad_s for a in targets],
+        "throttle": [a.throttle for a in targets],
+    }
+    u = {n: _edges(t, np.array(v)) for n, v in columns.items()}
+    voltage = leg.voltage_v or plan.vehicle.nominal_voltage_v
+    began = {"p_z_m": leg.start_m[2], "yaw_rad": leg.heading_rad}
+    flown = simulate(model, values, t, began, u, {"voltage_v": (t[:1], np.array([voltage]))})
+    keep = t >= first
+    measured = ("roll_rad", "pitch_rad", "yaw_rad", "p_rad_s", "q_rad_s", "r_rad_s", "p_z_m",
+                "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s")  # fmt: skip
+    y = {c: flown[c][keep] for c in measured} | {"voltage_v": np.full(int(keep.sum()), voltage)}
+    return Segment(leg.id, "plan", leg.kind, leg.cell, leg.repeat, leg.t_step_s, t[keep], y, u, maneuver=leg.maneuver)
+
+
+def _edges(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    keep = np.concatenate([[True], np.diff(values) != 0.0])
+    times = t[keep].copy()
+    times[0] -= 9.0
+    return times, values[keep]
