@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,8 @@ from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
+from flighttest.pipeline.batteries import battery_data
+from flighttest.pipeline.fingerprints import of_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.pipeline.views import fit_view, segment_views
@@ -150,12 +152,9 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def model_data(
-    found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None, battery: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """The fit as model.yaml, with the fingerprint of the vehicle that was flown."""
-    from flighttest.pipeline.fingerprints import of_recordings
-
+def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
+    """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
+    battery = battery_data(recordings)
     extra = {"battery": dict(battery)} if battery else None
     return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
 

@@ -14,7 +14,7 @@ from flighttest.identify import model_file
 from flighttest.identify.export import export as write_export
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, fit_segments
-from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.pipeline.sources import open_recordings
 from flighttest.report.document import Align, Cell, Document, Section, Table
 from flighttest.report.numbers import join, percent, to_error, unit
@@ -131,7 +131,4 @@ def runs(folder: Path, *, html: bool = False) -> Result:
     """The runs in a folder, oldest first."""
     from flighttest.pipeline.history import history
 
-    return history(folder, html=html)
-
-
-__all__ = ["Status", "compare", "export", "open_model", "runs", "status"]
+    return history(folder, page=html)

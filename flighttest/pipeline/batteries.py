@@ -1,0 +1,44 @@
+"""The battery behind recordings: its internal resistance, and what a model keeps of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from flighttest.currency.battery import resistance
+from flighttest.identify.model_file import ModelFile
+from flighttest.recording import Recording
+
+
+def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:
+    """Internal resistance of the newest recording that can tell, else the reason of the last."""
+    answer: tuple[float, float] | str = "battery resistance: UNTESTABLE, no voltage is recorded"
+    for recording in recordings:
+        series = recording.series.get("battery")
+        if series is None or "voltage_v" not in series.columns:
+            continue
+        current = series.columns.get("current_a")
+        found = resistance(
+            series.t_s, series.columns["voltage_v"], current if current is not None else np.full(len(series), np.nan)
+        )
+        if isinstance(found, tuple) or isinstance(answer, str):
+            answer = found
+    return answer
+
+
+def battery_data(recordings: Sequence[Recording]) -> dict[str, float] | None:
+    """What model.yaml keeps of the battery."""
+    found = battery_of(recordings)
+    return None if isinstance(found, str) else {"resistance_ohm": found[0], "std": found[1]}
+
+
+def battery_reference(stored: ModelFile) -> tuple[float, float] | None:
+    """The resistance kept with a model."""
+    kept = stored.fit_quality.get("battery")
+    if not isinstance(kept, Mapping):
+        return None
+    try:
+        return float(kept["resistance_ohm"]), float(kept["std"])
+    except (KeyError, TypeError, ValueError):
+        return None

@@ -1,0 +1,222 @@
+"""`flighttest status`: the stored model against today's vehicle and new recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from flighttest.currency.assess import assess
+from flighttest.currency.compare import Estimates
+from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
+from flighttest.currency.reflight import needs
+from flighttest.errors import FitError, InputError
+from flighttest.identify import model_file
+from flighttest.identify.fit import Fit
+from flighttest.identify.fit import fit as identify
+from flighttest.identify.model_file import ModelFile
+from flighttest.pipeline.analysis import cut_all
+from flighttest.pipeline.batteries import battery_of, battery_reference
+from flighttest.pipeline.checking import predictor_for
+from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
+from flighttest.pipeline.history import campaigns
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.sources import open_recordings
+from flighttest.plan import check as check_plan
+from flighttest.plan import compile_plan
+from flighttest.recording import Recording
+from flighttest.report import html
+from flighttest.report.currency_page import status_document
+from flighttest.report.plain import plain
+from flighttest.script.load import load_script
+from flighttest.script.shipped import resolve
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+TESTED = tuple(n for names in SUBSETS.values() for n in names)
+ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
+SPOT_CHECK = "spot_check"
+
+
+def status(
+    runs: Sequence[Path],
+    vehicle: Path | None,
+    model: Path | None,
+    out: Path,
+    output: Path | None = None,
+    progress: Progress = SILENT,
+) -> Result:
+    """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign."""
+    stored = model_file.read(model) if model is not None else newest_model(out)
+    declared = load_vehicle(vehicle) if vehicle is not None else None
+    recordings = open_recordings(runs, progress=progress)
+    found = judge(stored, recordings, declared, out, progress)
+    return finish(found, stored, declared, [str(r) for r in runs], output)
+
+
+def newest_model(out: Path) -> ModelFile:
+    """The model fitted last in a folder of runs."""
+    known = campaigns(out)
+    if not known:
+        raise InputError(
+            f"no model was given, and {out} holds no run with a fit",
+            "name one with --model, or fly: flighttest run thrust",
+        )
+    return known[-1].model
+
+
+def judge(
+    stored: ModelFile,
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    out: Path | None = None,
+    progress: Progress = SILENT,
+) -> Currency:
+    """All the evidence. recordings: one new campaign, possibly none; out: where earlier campaigns may lie."""
+    names, values, matrix = tested_part(stored)
+    base = Estimates("model", names, values, matrix)
+    today = today_fingerprint(recordings, vehicle)
+    untestable: list[str] = []
+    series: list[Estimates] = []
+    earlier = [c.estimates for c in campaigns(out) if c.follows(stored)] if out is not None else []
+    if recordings:
+        try:
+            series = [*earlier, reestimate(stored, recordings, progress)]
+        except FitError as error:
+            untestable.append(f"the new recordings could not be fitted: {error.message}")
+    missing = [s for s, subset in SUBSETS.items() if series and not set(subset) & set(series[-1].names)]
+    untestable += [
+        f"{subset}: nothing in the new recordings tells; fly {', '.join(SCRIPTS[subset])}" for subset in missing
+    ]
+    battery = battery_of(recordings) if recordings else None
+    return assess(
+        model_fingerprint=stored.fingerprint,
+        vehicle_fingerprint=today,
+        stored=base,
+        runs=series,
+        spread=own_scatter(base, earlier),
+        battery=battery,
+        battery_reference=battery_reference(stored),
+        untestable=untestable,
+    )
+
+
+def tested_part(stored: ModelFile) -> tuple[tuple[str, ...], Any, Any]:
+    """Names, values, covariance of the stored parameters that are identified and that currency watches."""
+    names, values, matrix = stored.identified
+    pick = [i for i, n in enumerate(names) if n in TESTED]
+    return tuple(names[i] for i in pick), values[pick], matrix[np.ix_(pick, pick)]
+
+
+def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any] | None:
+    """What is known of today's vehicle: the file's components before the recordings', the recordings' firmware and parameters."""
+    if not recordings:
+        return of_vehicle(vehicle) if vehicle is not None else None
+    seen = of_recordings(recordings, vehicle)
+    if vehicle is not None and vehicle.components:
+        seen["components"] = {name: dict(fields) for name, fields in vehicle.components.items()}
+    return seen
+
+
+def reestimate(stored: ModelFile, recordings: Sequence[Recording], progress: Progress = SILENT) -> Estimates:
+    """The stored model's parameters from new recordings alone.
+
+    What the new recordings cannot tell (alpha over a short flight, say) is held at the stored value, so that it does not blur
+    the rest; the test's covariance carries the stored doubt anyway.
+    """
+    segments = [s for s in cut_all(recordings, progress) if s.usable]
+    if not segments:
+        raise FitError("no response can be used", "see `flighttest segment`")
+    progress.stage(f"estimating again from {len(segments)} responses")
+    found = identify(segments, stored.model, start=stored.values)
+    weak = {
+        name: stored.values[name]
+        for name in TESTED
+        if name in found.estimates
+        and not found.estimates[name].identifiable
+        and stored.parameters.get(name) is not None
+        and stored.parameters[name].identifiable
+    }
+    if weak:
+        found = identify(segments, stored.model, start=stored.values, frozen=weak)
+    return estimates_of(found, recordings[-1].name)
+
+
+def estimates_of(found: Fit, name: str) -> Estimates:
+    """The identifiable, watched part of a fit."""
+    good = [n for n in found.covariance.names if n in TESTED and found.estimates[n].identifiable]
+    pick = [found.covariance.names.index(n) for n in good]
+    values = np.array([found.estimates[n].value for n in good])
+    return Estimates(name, tuple(good), values, found.covariance.matrix[np.ix_(pick, pick)])
+
+
+def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float] | None:
+    """Relative scatter of this vehicle's own campaigns beyond their stated errors; None before there are enough of them."""
+    found = {}
+    for i, name in enumerate(base.names):
+        rows = [
+            (float(e.values[e.names.index(name)]), float(e.covariance[e.names.index(name), e.names.index(name)]))
+            for e in earlier
+            if name in e.names
+        ]
+        if len(rows) < ENOUGH_HISTORY or not base.values[i]:
+            continue
+        values = np.array([v for v, _ in rows])
+        extra = float(np.var(values, ddof=1)) - float(np.mean([s for _, s in rows]))
+        # The root of half the chi-square's spread: few campaigns know their own scatter badly.
+        found[name] = float(
+            np.sqrt(max(extra, 0.0)) * (1.0 + 1.0 / np.sqrt(2.0 * (len(rows) - 1))) / abs(float(base.values[i]))
+        )
+    return found or None
+
+
+def finish(
+    found: Currency, stored: ModelFile, vehicle: Vehicle | None, runs: Sequence[str], output: Path | None
+) -> Result:
+    """Document, data, and with `output` the page and the scripts to fly."""
+    where = vehicle or DEFAULT_VEHICLE
+    predictor = predictor_for(Path(stored.path), where) if stored.path else predictor_for(None, where)
+    scripts: dict[str, str] = {}
+    minutes: dict[str, float] = {}
+    repeats: dict[str, Any] = {}
+    for name in dict.fromkeys((*found.fly, SPOT_CHECK)):
+        script = load_script(resolve(name))
+        minutes[name] = check_plan(compile_plan(script, where, predictor)).duration_s / 60.0
+        if name == SPOT_CHECK:
+            scripts[f"or first the spot check, {minutes[name]:.1f} min in the air"] = name
+    if found.verdict is Verdict.STALE:
+        known = {n: (p.value, p.std) for n, p in stored.parameters.items() if p.std is not None}
+        flown = {name: load_script(resolve(name)).repeat.each for name in found.fly}
+        repeats = {n.script: n for n in needs(found.fly_narrow or found.fly, known, flown)}
+    facts = {"model": stored.path or "the last one fitted"}
+    if vehicle is not None:
+        facts["vehicle"] = vehicle.path or vehicle.name
+    if runs:
+        facts["new recordings"] = ", ".join(runs)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        for name, need in repeats.items():
+            path = output / f"{name}_again.yaml"
+            path.write_text(shortened(name, need.repeats), encoding="utf-8")
+            scripts[f"{name}, {need.repeats} of the usual {need.usual} repeats are enough"] = str(path)
+    document = status_document(found, facts, scripts, minutes)
+    if output is not None:
+        html.write(document, output / "status.html")
+    data = plain(found)
+    data["verdict"] = found.verdict.name
+    data["repeats"] = {name: need.repeats for name, need in repeats.items()}
+    data["minutes"] = minutes
+    status_of = {Verdict.CURRENT: Status.DONE, Verdict.STALE: Status.STALE, Verdict.UNKNOWN: Status.DONE}
+    return Result(document, data, status_of[found.verdict], found)
+
+
+def shortened(script: str, repeats: int) -> str:
+    """A shipped script with another number of repeats, as text."""
+    data = yaml.safe_load(resolve(script).read_text(encoding="utf-8"))
+    data["name"] = f"{data['name']}_again"
+    data["repeat"] = {**data.get("repeat", {}), "each": repeats}
+    return str(yaml.safe_dump(data, sort_keys=False, width=120))

@@ -1,0 +1,137 @@
+"""The runs on this machine, and each parameter over them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flighttest.currency.compare import Estimates
+from flighttest.currency.declared import declared_changes
+from flighttest.currency.model import SUBSETS
+from flighttest.errors import FlighttestError, InputError
+from flighttest.identify import model_file
+from flighttest.identify.model_file import ModelFile
+from flighttest.pipeline.results import Result
+from flighttest.recording.store import MANIFEST_NAME, read_manifest
+from flighttest.report import html
+from flighttest.report.currency_page import HistoryPoint, history_document
+from flighttest.report.document import Document
+
+FIT_NAME = "fit.yaml"
+_TESTED = frozenset(n for names in SUBSETS.values() for n in names)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """One joint fit found in a folder of runs. runs: the recordings it was fitted to."""
+
+    folder: Path
+    model: ModelFile
+
+    @property
+    def estimates(self) -> Estimates:
+        """The watched, identified part."""
+        names, values, matrix = self.model.identified
+        kept = Estimates(self.folder.name, names, values, matrix)
+        return kept.select([n for n in names if n in _TESTED])
+
+    def follows(self, stored: ModelFile) -> bool:
+        """Whether this campaign came after a model's own and nothing declared has changed since."""
+        if not self.model.runs or set(map(str, self.model.runs)) & set(map(str, stored.runs)):
+            return False
+        last = max((str(r) for r in stored.runs), default="")
+        changes, _ = declared_changes(stored.fingerprint, self.model.fingerprint)
+        return str(self.model.runs[-1]) > last and not changes
+
+
+def run_folders(folder: Path) -> list[Path]:
+    """Run folders below a folder, by name, which begins with their date."""
+    if not folder.is_dir():
+        return []
+    return sorted(p for p in folder.iterdir() if (p / MANIFEST_NAME).is_file())
+
+
+def campaigns(folder: Path) -> list[Campaign]:
+    """Distinct fits in a folder of runs, oldest first; files that cannot be read are passed over (`runs` names them)."""
+    found: dict[tuple[str, ...], Campaign] = {}
+    for run in run_folders(folder):
+        path = run / FIT_NAME
+        if not path.is_file():
+            continue
+        try:
+            stored = model_file.read(path)
+        except FlighttestError:
+            continue  # an old or broken file must not hide the others
+        found[tuple(str(r) for r in stored.runs) or (run.name,)] = Campaign(run, stored)
+    return list(found.values())
+
+
+def history(folder: Path, *, page: bool = False) -> Result:
+    """The table of runs; with `page` also history.html in the folder."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is not a folder")
+    points, units, broken = [], {}, []
+    for run in run_folders(folder):
+        try:
+            manifest = read_manifest(run)
+        except FlighttestError as error:
+            broken.append(f"{run}: {error.message}")
+            continue
+        stored = None
+        if (run / FIT_NAME).is_file():
+            try:
+                stored = model_file.read(run / FIT_NAME)
+            except FlighttestError as error:
+                broken.append(f"{run / FIT_NAME}: {error.message}")
+        points.append(_point(run, manifest, stored))
+        if stored is not None:
+            units.update({n: p.unit for n, p in stored.parameters.items()})
+    document = history_document(points, units)
+    if page and points:
+        document = _written(document, folder / "history.html")
+    data = {"runs": [_data(p) for p in points], "broken": broken}
+    return Result(document, data)
+
+
+def _written(document: Document, path: Path) -> Document:
+    from dataclasses import replace
+
+    html.write(document, path)
+    return replace(document, footer=f"page: {path}")
+
+
+def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> HistoryPoint:
+    parameters = {}
+    if stored is not None:
+        for name, p in stored.parameters.items():
+            if p.identifiable and p.interval_95 is not None:
+                parameters[name] = (p.value, (p.interval_95[1] - p.interval_95[0]) / 2.0)
+    components = {
+        str(name): ", ".join(str(v) for k, v in dict(fields or {}).items() if k in ("id", "model"))
+        for name, fields in (manifest.get("components") or {}).items()
+    }
+    vehicle = manifest.get("vehicle") or {}
+    script = manifest.get("script") or {}
+    return HistoryPoint(
+        run=run.name,
+        when=str(manifest.get("started") or manifest.get("created") or run.name[:19].replace("T", " ", 1)),
+        vehicle=str(vehicle.get("name", "") if isinstance(vehicle, Mapping) else vehicle),
+        script=str(script.get("name", "") if isinstance(script, Mapping) else script),
+        outcome=str(manifest.get("outcome") or manifest.get("importer") or ""),
+        parameters=parameters,
+        components=components,
+    )
+
+
+def _data(point: HistoryPoint) -> dict[str, Any]:
+    return {
+        "run": point.run,
+        "when": point.when,
+        "vehicle": point.vehicle,
+        "script": point.script,
+        "outcome": point.outcome,
+        "components": dict(point.components),
+        "parameters": {n: {"value": v, "half_width_95": h} for n, (v, h) in point.parameters.items()},
+    }
