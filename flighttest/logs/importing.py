@@ -31,6 +31,10 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
         from flighttest.logs.tlog import import_tlog
 
         return import_tlog(path)
+    if suffix == ".ulg" or head[:4] == b"ULog":
+        from flighttest.logs.ulog import import_ulog
+
+        return import_ulog(path)
     if suffix in _TABLES or head[:4] == b"PAR1" or head[:1] == b"\xbc" or columns is not None:
         from flighttest.logs.table import import_table
 

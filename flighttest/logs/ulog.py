@@ -1,0 +1,295 @@
+"""PX4 logs (.ulg) to a Recording, read by pyulog: setpoints as the reference, NED/FRD turned to NWU/FLU."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyulog import ULog
+from pyulog.exceptions import ULogException
+
+from flighttest import frames
+from flighttest.errors import RecordingError
+from flighttest.logs.opening import LogFile
+from flighttest.logs.timing import held_union, ordered
+from flighttest.recording import Marker, Provenance, Recording, Series
+
+FloatArray = NDArray[np.float64]
+Fields = dict[str, NDArray[Any]]
+
+_TOPICS = [
+    "vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "vehicle_acceleration", "vehicle_attitude_setpoint",
+    "vehicle_rates_setpoint", "vehicle_local_position", "battery_status", "vehicle_thrust_setpoint", "vehicle_status", "distance_sensor",
+]  # fmt: skip
+_ARMED = 2  # vehicle_status.arming_state
+_NAV_STATES = {
+    0: "MANUAL", 1: "ALTCTL", 2: "POSCTL", 3: "MISSION", 4: "LOITER", 5: "RTL", 10: "ACRO", 14: "OFFBOARD", 15: "STABILIZED",
+    17: "TAKEOFF", 18: "LAND",
+}  # fmt: skip
+_V = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+_P = ("p_x_m", "p_y_m", "p_z_m")
+
+
+def import_ulog(path: Path) -> Recording:
+    """Read a PX4 log (plain, .gz or .xz). RecordingError where it holds no flight."""
+    file = LogFile(path)
+    data = b"".join(file.pieces())
+    if data[:7] != b"ULog\x01\x12\x35":
+        raise RecordingError(f"{path}: this is no ULog file", "give a .ulg log of PX4")
+    words = io.StringIO()
+    try:
+        # pyulog tells of damage on standard output; it belongs into the losses.
+        with contextlib.redirect_stdout(words):
+            log = ULog(io.BytesIO(data), _TOPICS, disable_str_exceptions=True)
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        struct.error,
+        MemoryError,
+        OverflowError,
+    ) as error:
+        raise RecordingError(
+            f"{path}: this ULog file is damaged in its definitions: {error!r}", "copy it anew"
+        ) from error
+    return _Importer(path, file, log, words.getvalue()).recording()
+
+
+class _Importer:
+    def __init__(self, path: Path, file: LogFile, log: Any, words: str) -> None:
+        self.path = path
+        self.file = file
+        self.log = log
+        self.losses = list(file.losses)
+        self.derived: dict[str, str] = {}
+        self.filters: dict[str, float] = {}
+        self.parameters = {str(k): float(v) for k, v in log.initial_parameters.items()}
+        if log.file_corruption:
+            first = next((line for line in words.splitlines() if line.strip()), "some messages could not be read")
+            self.losses.append(f"the file is damaged: {first.strip()}")
+        for dropout in log.dropouts[:5]:
+            self.losses.append(f"the logger dropped {dropout.duration} ms at {dropout.timestamp * 1e-6:.3f} s")
+        if len(log.dropouts) > 5:
+            total = sum(d.duration for d in log.dropouts)
+            self.losses.append(f"the logger dropped {total} ms in {len(log.dropouts)} places in all")
+
+    def recording(self) -> Recording:
+        """All series that the log allows."""
+        groups = {
+            "attitude": self._attitude(),
+            "rates": self._rates(),
+            "specific_force": self._specific_force(),
+            "reference": self._reference(),
+            "output": self._output(),
+            "velocity": self._local(("vx", "vy", "vz"), _V),
+            "position": self._local(("x", "y", "z"), _P),
+            "battery": self._battery(),
+            "state": self._state(),
+        }
+        series = {group: one for group, one in groups.items() if one is not None and len(one)}
+        height = self._height(series)
+        if height is not None:
+            series["height"] = height
+        if not {"attitude", "specific_force", "velocity"} & set(series):
+            raise RecordingError(
+                f"{self.path}: neither attitude nor acceleration nor velocity is in the log",
+                "log the default topics (SDLOG_PROFILE bit 0)",
+            )
+        return Recording(
+            name=self.path.name.split(".")[0],
+            series=series,
+            markers=tuple(self._markers(series)),
+            provenance=Provenance(
+                source=str(self.path),
+                importer="ulg",
+                sha256=self.file.sha256,
+                firmware=self._firmware(),
+                parameters=self.parameters,
+                clock={"method": "vehicle", "offset_s": 0.0, "error_s": 0.0},
+                losses=tuple(self.losses),
+                filters=self.filters,
+                derived=self.derived,
+            ),
+        )
+
+    def _topic(self, name: str) -> tuple[FloatArray, Fields] | None:
+        """Times (n,), s, and fields of the first instance of a topic."""
+        found = [d for d in self.log.data_list if d.name == name and len(d.data.get("timestamp", ()))]
+        if not found:
+            return None
+        fields: Fields = min(found, key=lambda d: int(d.multi_id)).data
+        stamp = fields["timestamp"]
+        if "timestamp_sample" in fields and bool(np.all(fields["timestamp_sample"] > 0)):
+            stamp = fields["timestamp_sample"]
+        return np.asarray(stamp, dtype=np.float64) * 1e-6, fields
+
+    def _series(self, t_s: FloatArray, values: FloatArray, names: tuple[str, ...], what: str) -> Series:
+        return ordered(t_s, {name: values[:, i] for i, name in enumerate(names)}, what, self.losses)
+
+    def _attitude(self) -> Series | None:
+        topic = self._topic("vehicle_attitude")
+        if topic is None or "q[3]" not in topic[1]:
+            return None
+        rpy = _euler(_stack(topic[1], *(f"q[{i}]" for i in range(4))))
+        return self._series(topic[0], rpy, ("roll_rad", "pitch_rad", "yaw_rad"), "vehicle_attitude")
+
+    def _rates(self) -> Series | None:
+        names = ("p_rad_s", "q_rad_s", "r_rad_s")
+        for name, field in (("vehicle_angular_velocity", "xyz"), ("sensor_combined", "gyro_rad")):
+            topic = self._topic(name)
+            if topic is not None and f"{field}[2]" in topic[1]:
+                if name == "vehicle_angular_velocity" and self.parameters.get("IMU_GYRO_CUTOFF", 0.0) > 0:
+                    self.filters["rates"] = self.parameters["IMU_GYRO_CUTOFF"]
+                return self._series(topic[0], _body(topic[1], field), names, name)
+        return None
+
+    def _specific_force(self) -> Series | None:
+        names = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+        for name, field in (("sensor_combined", "accelerometer_m_s2"), ("vehicle_acceleration", "xyz")):
+            topic = self._topic(name)
+            if topic is not None and f"{field}[2]" in topic[1]:
+                if name == "vehicle_acceleration" and self.parameters.get("IMU_ACCEL_CUTOFF", 0.0) > 0:
+                    self.filters["specific_force"] = self.parameters["IMU_ACCEL_CUTOFF"]
+                return self._series(topic[0], _body(topic[1], field), names, name)
+        return None
+
+    def _reference(self) -> Series | None:
+        parts: list[tuple[FloatArray, dict[str, FloatArray]]] = []
+        topic = self._topic("vehicle_attitude_setpoint")
+        if topic is not None:
+            # Setpoints are stamped when they are made, not when something was sampled.
+            fields = topic[1]
+            t_s = np.asarray(fields["timestamp"], dtype=np.float64) * 1e-6
+            columns: dict[str, FloatArray] = {}
+            if "q_d[3]" in fields:
+                rpy = _euler(_stack(fields, *(f"q_d[{i}]" for i in range(4))))
+                columns["roll_ref_rad"], columns["pitch_ref_rad"] = rpy[:, 0], rpy[:, 1]
+            elif "roll_body" in fields and "pitch_body" in fields:
+                columns["roll_ref_rad"] = fields["roll_body"].astype(np.float64)
+                columns["pitch_ref_rad"] = -fields["pitch_body"].astype(np.float64)
+            if "yaw_sp_move_rate" in fields and bool(np.isfinite(fields["yaw_sp_move_rate"]).any()):
+                columns["yaw_rate_ref_rad_s"] = -np.nan_to_num(fields["yaw_sp_move_rate"].astype(np.float64))
+            if "thrust_body[2]" in fields:
+                columns["throttle"] = -fields["thrust_body[2]"].astype(np.float64)
+            elif "thrust" in fields:
+                columns["throttle"] = fields["thrust"].astype(np.float64)
+            if columns:
+                one = ordered(t_s, columns, "vehicle_attitude_setpoint", self.losses)
+                parts.append((one.t_s, dict(one.columns)))
+        have = {name for _, columns in parts for name in columns}
+        rates = self._topic("vehicle_rates_setpoint")
+        if rates is not None and "yaw" in rates[1] and "yaw_rate_ref_rad_s" not in have:
+            one = ordered(
+                rates[0], {"yaw_rate_ref_rad_s": -rates[1]["yaw"].astype(np.float64)}, "vehicle_rates_setpoint", []
+            )
+            parts.append((one.t_s, dict(one.columns)))
+            self.derived["yaw_rate_ref_rad_s"] = (
+                "vehicle_rates_setpoint: the autopilot's own target stands in for the reference"
+            )
+        if not parts:
+            return None
+        return held_union(parts) if len(parts) > 1 else Series(*parts[0])
+
+    def _output(self) -> Series | None:
+        topic = self._topic("vehicle_thrust_setpoint")
+        if topic is None or "xyz[2]" not in topic[1]:
+            return None
+        values = {"throttle_out": -topic[1]["xyz[2]"].astype(np.float64)}
+        return ordered(topic[0], values, "vehicle_thrust_setpoint", self.losses)
+
+    def _local(self, fields: tuple[str, str, str], names: tuple[str, ...]) -> Series | None:
+        topic = self._topic("vehicle_local_position")
+        if topic is None or fields[2] not in topic[1]:
+            return None
+        values = frames.flip_vector(_stack(topic[1], *fields))
+        flag_xy, flag_z = ("v_xy_valid", "v_z_valid") if fields[0] == "vx" else ("xy_valid", "z_valid")
+        for flag, columns in ((flag_xy, (0, 1)), (flag_z, (2,))):
+            if flag in topic[1]:
+                for i in columns:
+                    values[topic[1][flag] == 0, i] = np.nan
+        return self._series(topic[0], values, names, "vehicle_local_position")
+
+    def _height(self, series: dict[str, Series]) -> Series | None:
+        topic = self._topic("vehicle_local_position")
+        if topic is not None and "dist_bottom" in topic[1] and "dist_bottom_valid" in topic[1]:
+            good = (topic[1]["dist_bottom_valid"] != 0) & np.isfinite(topic[1]["dist_bottom"])
+            if np.count_nonzero(good) > 0.2 * good.size:
+                values = {"height_m": topic[1]["dist_bottom"][good].astype(np.float64)}
+                return ordered(topic[0][good], values, "vehicle_local_position", [])
+        position = series.get("position")
+        if position is None or not np.isfinite(position.columns["p_z_m"]).any():
+            return None
+        up = position.columns["p_z_m"]
+        self.derived["height_m"] = "height above where the log begins (p_z_m), taken as level ground"
+        return Series(position.t_s, {"height_m": up - up[np.flatnonzero(np.isfinite(up))[0]]})
+
+    def _battery(self) -> Series | None:
+        topic = self._topic("battery_status")
+        if topic is None:
+            return None
+        t_s, fields = topic
+        name = next((n for n in ("voltage_v", "voltage_filtered_v") if n in fields), None)
+        if name is None or not bool(np.any(fields[name] > 1.0)):
+            self.losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
+            return None
+        columns = {"voltage_v": np.where(fields[name] > 1.0, fields[name], np.nan).astype(np.float64)}
+        if "current_a" in fields:
+            columns["current_a"] = np.where(fields["current_a"] >= 0, fields["current_a"], np.nan).astype(np.float64)
+        return ordered(t_s, columns, "battery_status", self.losses)
+
+    def _state(self) -> Series | None:
+        topic = self._topic("vehicle_status")
+        if topic is None or not {"nav_state", "arming_state"} <= set(topic[1]):
+            return None
+        columns = {
+            "mode": topic[1]["nav_state"].astype(np.float64),
+            "armed": (topic[1]["arming_state"] == _ARMED).astype(np.float64),
+        }
+        return ordered(
+            np.asarray(topic[1]["timestamp"], dtype=np.float64) * 1e-6, columns, "vehicle_status", self.losses
+        )
+
+    def _markers(self, series: dict[str, Series]) -> list[Marker]:
+        markers = [Marker(m.timestamp * 1e-6, "note", str(m.message)) for m in self.log.logged_messages]
+        if "state" in series:
+            state = series["state"]
+            modes = state.columns["mode"]
+            for i in np.flatnonzero(np.diff(modes, prepend=np.nan) != 0):
+                number = int(modes[i])
+                markers.append(
+                    Marker(float(state.t_s[i]), "mode", _NAV_STATES.get(number, f"mode {number}"), {"mode": number})
+                )
+        for stamp, name, value in self.log.changed_parameters:
+            before = self.parameters.get(str(name))
+            self.parameters[str(name)] = float(value)
+            if before is not None and before != float(value):
+                label = f"parameter {name} changed from {before:g} to {float(value):g}"
+                markers.append(Marker(stamp * 1e-6, "note", label, {"parameter": str(name)}))
+        return sorted(markers, key=lambda m: m.t_s)
+
+    def _firmware(self) -> str:
+        info = self.log.msg_info_dict
+        release = self.log.get_version_info_str() or ""
+        return " ".join(word for word in ("PX4", str(release), str(info.get("ver_sw", ""))[:12]) if word)
+
+
+def _stack(fields: Fields, *names: str) -> FloatArray:
+    return np.stack([fields[name].astype(np.float64) for name in names], axis=-1)
+
+
+def _body(fields: Fields, name: str) -> FloatArray:
+    return frames.flip_vector(_stack(fields, *(f"{name}[{i}]" for i in range(3))))
+
+
+def _euler(q_ned: FloatArray) -> FloatArray:
+    length = np.linalg.norm(q_ned, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        q = np.where(length > 0.5, q_ned / length, np.nan)
+    return frames.euler_from_quaternion(frames.flip_quaternion(q))
