@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from fnmatch import fnmatch
 from typing import Any
@@ -139,11 +140,26 @@ def _firmware(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list
     if not old or not new:
         unknown.append("the firmware of " + ("the model's flight" if not old else "today's vehicle") + " is not known")
         return []
-    # A vehicle file says only 'ardupilot'; the vehicle itself says its version. The shorter is a prefix where they agree.
-    a, b = str(old).lower().strip(), str(new).lower().strip()
-    if a == b or {a, b} & {"ardupilot", "px4"}:
+    if _same_firmware(str(old), str(new)):
         return []
     return [_everything("firmware", "firmware", old, new)]
+
+
+_VERSION = re.compile(r"v?(\d+\.\d+(?:\.\d+)?(?:-?[a-z]+\d*)?)", re.IGNORECASE)
+_HASH = re.compile(r"\(?\b([0-9a-f]{7,40})\b\)?", re.IGNORECASE)
+
+
+def _same_firmware(old: str, new: str) -> bool:
+    """Version and hash as far as both say them: a vehicle file knows only the family, a log adds the vehicle's type."""
+    a, b = old.lower().strip(), new.lower().strip()
+    if a == b or {a, b} & {"ardupilot", "px4"}:
+        return True
+    version, hash_of = (_VERSION.search(a), _VERSION.search(b)), (_HASH.search(a), _HASH.search(b))
+    if not (version[0] and version[1]):
+        return False
+    if version[0][1] != version[1][1]:
+        return False
+    return not (hash_of[0] and hash_of[1]) or hash_of[0][1] == hash_of[1][1]
 
 
 def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:

@@ -65,12 +65,17 @@ def _block(block: Block) -> RenderableType | None:
     if isinstance(block, Table):
         return _Sized(block)
     if isinstance(block, Code):
-        if "\n" in block.text:
-            return Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
-        return Text(f"  {block.text}", style="cyan")
+        return _code(block)
     if isinstance(block, Figure):
         return None  # pictures are in the HTML report
     return None
+
+
+def _code(block: Code) -> RenderableType:
+    drawn: RenderableType = Text(f"  {block.text}", style="cyan")
+    if "\n" in block.text:
+        drawn = Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
+    return Group(Text(block.caption, style="dim"), drawn) if block.caption else drawn
 
 
 def _facts(facts: Facts) -> RenderableType:

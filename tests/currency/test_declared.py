@@ -94,6 +94,21 @@ def test_a_vehicle_file_that_names_only_the_autopilot_is_no_change_of_firmware()
     assert declared_changes(FINGERPRINT, changed(("firmware",), "ardupilot"))[0] == ()
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ("4.7.0-dev (90700977)", "ArduCopter V4.7.0-dev (90700977)", True),
+        ("ArduCopter V4.6.3", "ArduCopter V4.6.3 (abc12345)", True),
+        ("ArduCopter V4.6.3 (abc12345)", "ArduCopter V4.6.3 (def67890)", False),
+        ("ArduCopter V4.6.2", "ArduCopter V4.6.3", False),
+        ("4.7.0-dev", "4.7.0", False),
+    ],
+)
+def test_firmware_is_compared_by_version_and_hash(old, new, same):
+    changes, _ = declared_changes({"firmware": old}, {"firmware": new})
+    assert (changes == ()) is same
+
+
 def test_renamed_parameters_are_not_reported_twice():
     before = {**FINGERPRINT, "shaping_parameters": {"ATC_ACCEL_R_MAX": 110000.0}}
     after = {**FINGERPRINT, "shaping_parameters": {"ATC_ACC_R_MAX": 1100.0}}
