@@ -2,12 +2,12 @@
 // Draws every figure of the report; colours come from the page's palette so that light, dark and print all read well.
 (function () {
   const light = {
-    ink: "#24303c", grid: "#dfe5ea", measured: "#7b8794", simulated: "#c2410c", reference: "#94a3b8", before: "#b45309", after: "#0f766e",
+    ink: "#24303c", grid: "#dfe5ea", measured: "#1f2937", simulated: "#f2a36b", reference: "#94a3b8", before: "#b45309", after: "#0f766e",
     model: "#c2410c", linearised: "#7c3aed", no_drag: "#0284c7", no_battery: "#15803d", only_delay: "#be185d", limit: "#b91c1c",
     band: "#cbd5e1", other: "#2563eb", heat: [[0, "#f6f8fa"], [0.25, "#fde2c4"], [0.6, "#f08a4b"], [1, "#8f1d1d"]],
   };
   const dark = {
-    ink: "#d6dee6", grid: "#2b3641", measured: "#93a1af", simulated: "#ff9d5c", reference: "#64748b", before: "#f0b429", after: "#4fd1c5",
+    ink: "#d6dee6", grid: "#2b3641", measured: "#e5ebf1", simulated: "#b4612a", reference: "#64748b", before: "#f0b429", after: "#4fd1c5",
     model: "#ff9d5c", linearised: "#b79cff", no_drag: "#6cc4ff", no_battery: "#7bd88f", only_delay: "#ff8fc0", limit: "#ff7b7b",
     band: "#3b4856", other: "#7ea6ff", heat: [[0, "#17202a"], [0.25, "#4a2f22"], [0.6, "#c2622b"], [1, "#ffd2a6"]],
   };

@@ -20,8 +20,8 @@ _DASH: dict[Role, str] = {
     "only_delay": "dot",
 }
 _WIDTH: dict[Role, float] = {
-    "measured": 1.2,
-    "simulated": 2.0,
+    "measured": 0.9,
+    "simulated": 2.6,
     "after": 2.0,
     "model": 2.0,
     "reference": 1.0,

@@ -129,7 +129,7 @@ def figure4(view: FitView) -> Section | None:
     if not panels:
         return None
     caption = (
-        "Each recorded response (grey) and the fitted model driven by the recorded commands (colour), from the step on. "
+        "Each recorded response (thin, dark) over the fitted model driven by the recorded commands (wide, coloured). "
         "Settled acceleration against battery voltage: one point per response, the model's value joined per throttle pair."
     )
     return Section(
@@ -147,15 +147,13 @@ def _responses(overlays: Sequence[Overlay], kind: str, channel: str, title: str,
             label = "specific force up, m/s²"
     if not chosen:
         return None
-    traces = []
+    # Measured on top and thin: where the two agree, both stay visible.
+    traces = [Trace(o.t_s, o.simulated, f"model, {cell_words(o.cell)}", "simulated", group="simulated") for o in chosen]
     for o in chosen:
         name = f"{KIND_WORDS.get(o.kind, o.kind)} {cell_words(o.cell)} ({o.segment})"
-        traces.append(Trace(o.t_s, o.measured, name, "measured", group="measured"))
         if o.before is not None:
             traces.append(Trace(o.t_s, o.before, name, "before", group="before"))
-    traces += [
-        Trace(o.t_s, o.simulated, f"model, {cell_words(o.cell)}", "simulated", group="simulated") for o in chosen
-    ]
+        traces.append(Trace(o.t_s, o.measured, name, "measured", group="measured"))
     return Panel(f"{title} ({len(chosen)} responses)", "time since the step, s", label, tuple(traces))
 
 
