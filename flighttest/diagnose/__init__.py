@@ -1,1 +1,11 @@
-"""Locate a mismatch, say what physics was left out, model it and show the fit improve."""
+"""Locate a mismatch, say what physics was left out, model it and show the fit improve.
+
+from flighttest.diagnose import diagnose
+found = diagnose(segments)
+found.verdict, found.findings, found.to_json()
+"""
+
+from flighttest.diagnose.model import Diagnosis, Finding, Located, TermVerdict, Verdict
+from flighttest.diagnose.run import diagnose
+
+__all__ = ["Diagnosis", "Finding", "Located", "TermVerdict", "Verdict", "diagnose"]

@@ -92,16 +92,18 @@ def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
     acceleration, tc = p["shaping_accel"], p["shaping_tc"]
     rates: dict[str, Expr] = {}
     targets = {}
-    for axis, reference, angle, rate in (
-        ("roll", s.roll_ref, s.roll, s.roll_rate),
-        ("pitch", s.pitch_ref, s.pitch, s.pitch_rate),
+    for axis, greek, reference, angle, rate in (
+        ("roll", "phi", s.roll_ref, s.roll, s.roll_rate),
+        ("pitch", "theta", s.pitch_ref, s.pitch, s.pitch_rate),
     ):
         target = angle + x[f"{axis}_target_ahead_rad"]
         target_rate = x[f"{axis}_target_rate_rad_s"]
         wanted = _square_root(reference - target, 1 / tc, acceleration)
         rates[f"{axis}_target_ahead_rad"] = target_rate - rate
         rates[f"{axis}_target_rate_rad_s"] = acceleration * ca.tanh((wanted - target_rate) / (acceleration * _CORNER_S))
-        targets[f"{axis}_ref"] = target
+        # What the rate loop is told beforehand: the second order then follows the target's angle and rate.
+        ahead = 2 * s.base[f"zeta_{greek}"] / s.base[f"omega_{greek}"] * target_rate
+        targets[f"{axis}_ref"] = target + p["shaping_ff"] * ahead
     return Contribution(targets, rates)
 
 
@@ -119,13 +121,18 @@ reference_shaping = Term(
             "shaping_tc", "t_c", "s", 0.15, 0.02, 0.6, 0.03, "time constant of the shaping near the target",
             "ATC_INPUT_TC, 0.15 s by default", "shape", None, (0.08, 0.15, 0.3),
         ),
+        Param(
+            "shaping_ff", "k_ff", "1", 1.0, -0.2, 1.5, 0.2, "share of the target's rate that the rate loop is told beforehand",
+            "ATC_RATE_FF_ENAB: 1", "shape", None, (0.0, 1.0),
+        ),
     ),
     build=_shaping,
-    equation="target rate -> sqrt_controller(phi_r - target, 1 / t_c, a_s), with |target acceleration| <= a_s; the loop follows the target",
+    equation="target rate -> sqrt_controller(phi_r - target, 1 / t_c, a_s), |target acceleration| <= a_s; "
+    "phi_r <- target + k_ff (2 zeta / w) target rate",
     plain="the autopilot rounds off the reference before it follows it: large steps answer in another shape than small ones; this is "
     "no physics of the vehicle",
     source="ArduPilot AC_AttitudeControl::input_shaping_angle, sqrt_controller",
-    doubt="the feed-forward of the shaped rate is left to w and zeta; the target starts where the vehicle is",
+    doubt="the corner of the acceleration limit is rounded over 20 ms; the target starts where the vehicle is",
     hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "T_d"),
     told_apart_by="two amplitudes",
     reveals="roll_pitch",

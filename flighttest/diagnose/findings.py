@@ -1,0 +1,97 @@
+"""A term that joined the model, as a finding: parameters with intervals, what it gains on what it has not seen, rivals."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.judge import compare, held_out
+from flighttest.diagnose.model import Finding, Rival, short
+from flighttest.diagnose.search import Fitted, Search, standard_errors
+
+IntArray = NDArray[np.intp]
+
+
+def parameter_table(fitted: Fitted) -> dict[str, dict[str, Any]]:
+    """Name to value, std, unit and 95 % interval (robust to correlation within responses)."""
+    std = standard_errors(fitted.rows, fitted.names)
+    found = {}
+    for name, s in zip(fitted.names, std, strict=True):
+        value = fitted.state.values[name]
+        found[name] = {
+            "value": value,
+            "std": float(s),
+            "unit": fitted.model.param[name].unit,
+            "interval_95": [value - 1.96 * float(s), value + 1.96 * float(s)],
+        }
+    return found
+
+
+def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: IntArray, seed: int) -> Finding:
+    """One accepted term against the same model without it."""
+    assert search.now is not None
+    assert search.floor is not None
+    term = next(t for t in search.pool if t.id == term_id)
+    judged = search.judged[term_id]
+    without = search.without(term_id)
+    before, after = held_out(without.rows, without.names, groups), held_out(search.now.rows, search.now.names, groups)
+    heldout = {
+        short(name): {**asdict(h), "gain_95": list(h.gain_95)}
+        for name, h in compare(without.rows, before, search.now.rows, after, groups, search.floor, seed).items()
+    }
+    table = parameter_table(search.now)
+    parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
+    confusable = [r.term for r in rivals if r.verdict == "CONFUSABLE"]
+    force = _rms_force(search, judged.effect)
+    numbers = ", ".join(
+        f"{n} {v['value']:.3g} ± {1.96 * v['std']:.1g} {v['unit']}".replace(" 1", " 1") for n, v in parameters.items()
+    )
+    sentence = f"{term.plain} ({numbers}); {judged.floors:.2g} noise floors in {short(judged.place[0])} of {_kind(judged.place[1])}"
+    if term.family in ("autopilot", "sensor", "link"):
+        sentence = f"This is your {term.family}'s {term.title.lower()}: {sentence}"
+    if confusable:
+        sentence += (
+            f"; {', '.join(confusable)} would explain it as well, fly {rivals[0].separated_by} to tell them apart"
+        )
+    return Finding(
+        term=term_id,
+        title=term.title,
+        family=term.family,
+        verdict="CONFUSABLE" if confusable else "SUPPORTED",
+        equation=term.equation,
+        plain=term.plain,
+        parameters=parameters,
+        heldout=heldout,
+        evidence={
+            "delta_bic": judged.bic,
+            "floors": judged.floors,
+            "where": {"channel": short(judged.place[0]), "kind": judged.place[1]},
+            "heldout_gain": judged.gain,
+            "p_value": judged.p_value,
+            "rms_force_m_s2": force,
+        },
+        rivals=rivals,
+        sentence=sentence,
+        source=term.source,
+        doubt=term.doubt,
+    )
+
+
+def _kind(kind: str) -> str:
+    return kind.replace("_", " ") + "s"
+
+
+def _rms_force(search: Search, effect: Any) -> float | None:
+    """RMS over all samples of what the term changes in predicted specific force (3 axes), m/s^2; None without that channel."""
+    assert search.now is not None
+    rows = search.now.rows
+    total, any_force = 0.0, False
+    for c, name in enumerate(rows.channels):
+        if name.startswith(("f_", "a_")):
+            at = rows.channel == c
+            total += float(np.mean(effect[at] ** 2)) if at.any() else 0.0
+            any_force = True
+    return float(np.sqrt(total)) if any_force else None

@@ -1,0 +1,169 @@
+"""`Diagnosis` and its parts: pure data, one section per verb (locate, name, model, show, fly next)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass
+from enum import Enum
+from typing import Any
+
+from flighttest.physics.model import Model
+
+
+class Verdict(Enum):
+    """The answer as a whole. The value is the sentence shown to the reader."""
+
+    EXPLAINED = (
+        "what the model missed is named, and with it the model predicts what it has not seen down to the noise floor"
+    )
+    PARTLY = "part of what the model missed is named; the rest is located but has no name yet"
+    NOTHING_MISSING = "nothing is missing: what the model leaves is no more than repeats differ among themselves"
+    UNKNOWN_PHYSICS = (
+        "something is missing that no entry of the catalogue fits; it is located and its shape is given, without a name"
+    )
+
+
+class TermVerdict(Enum):
+    """The answer about one candidate. The value is the sentence shown to the reader."""
+
+    SUPPORTED = "the recording needs it: held-out predictions improve, and no rival does the same"
+    NOT_NEEDED = "the recording would have shown it and does not"
+    CONFUSABLE = "it explains the recording, and so does another candidate: a further flight must tell them apart"
+    UNTESTABLE = "this recording could not have shown it"
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where the mismatch is. channel: short name (f_z, v_x, roll, ...); regime: {"variable": ..., "below" or "above": ...} or {};
+    shares of the excess over the noise floor and of the samples; peak: largest mean residual in the regime, in `unit`."""
+
+    channel: str
+    maneuver: str
+    regime: Mapping[str, Any]
+    excess_share: float
+    sample_share: float
+    sentence: str
+    rmse: float
+    floor: float
+    unit: str
+    peak: float = 0.0
+    explained: float = 0.0
+    p_value: float = 1.0
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A candidate that looks like another one. cosine: of what is left of both beside the rest of the model."""
+
+    term: str
+    verdict: str
+    cosine: float
+    separated_by: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A candidate with a verdict of its own. parameters: name to {value, std, unit, interval_95}; heldout: channel to {rmse_before,
+    rmse_after, floor, gain_95} without and with this term; floors: its size in noise floors; where: channel and kind of maneuver."""
+
+    term: str
+    title: str
+    family: str
+    verdict: str
+    equation: str
+    plain: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    heldout: Mapping[str, Mapping[str, Any]]
+    evidence: Mapping[str, Any]
+    rivals: tuple[Rival, ...]
+    sentence: str
+    source: str
+    doubt: str
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """What could not be seen. fly: the maneuver script that would show it."""
+
+    term: str
+    why: str
+    fly: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything the terminal, the JSON and the report show. No reader of it computes a number.
+
+    model, values: the accepted model; accepted: its new terms; before: base parameters of the model without them, after: of the
+    accepted model, name to {value, std, unit}; heldout: channel to horizon or 'all' to {rmse_before, rmse_after, floor, gain_95};
+    baselines: name to channel to RMSE; residual_map: cells of the heat map; regimes: residual against the variable that explains it;
+    overlays: worst responses, measured, before, after; complete: False when it was interrupted.
+    """
+
+    verdict: Verdict
+    sentence: str
+    located: tuple[Located, ...]
+    findings: tuple[Finding, ...]
+    not_needed: tuple[str, ...]
+    untestable: tuple[Untestable, ...]
+    unexplained: Mapping[str, Any]
+    smallest_detectable: Mapping[str, float]
+    model: Model
+    values: Mapping[str, float]
+    accepted: tuple[str, ...]
+    before: Mapping[str, Mapping[str, Any]]
+    after: Mapping[str, Mapping[str, Any]]
+    heldout: Mapping[str, Mapping[str, Any]]
+    noise_floor: Mapping[str, Mapping[str, Any]]
+    baselines: Mapping[str, Mapping[str, float]]
+    residual_map: tuple[Mapping[str, Any], ...]
+    regimes: tuple[Mapping[str, Any], ...]
+    overlays: tuple[Mapping[str, Any], ...]
+    candidates: tuple[Mapping[str, Any], ...] = ()
+    cost: Mapping[str, Any] = field(default_factory=dict)
+    unknown: tuple[Mapping[str, Any], ...] = ()
+    mass: Mapping[str, Any] = field(default_factory=dict)
+    next_flight: str | None = None
+    next_script: Mapping[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+    complete: bool = True
+    runs: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """As in diagnosis.json (format diagnosis/1): plain JSON types only, null for what is not a number."""
+        data = {
+            k: getattr(self, k)
+            for k in self.__dataclass_fields__
+            if k not in ("model", "values", "verdict", "next_script")
+        }
+        return {
+            "format": "diagnosis/1",
+            "verdict": self.verdict.name,
+            "terms": list(self.model.terms),
+            **_plain(data),
+        }  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Enum):
+        return value.name
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def short(channel: str) -> str:
+    """Channel name without its unit: f_z_m_s2 to f_z, roll_rad to roll, r_rad_s to r."""
+    for unit in ("_m_s2", "_m_s", "_rad_s", "_rad", "_m"):
+        if channel.endswith(unit):
+            return channel.removesuffix(unit)
+    return channel

@@ -1,0 +1,138 @@
+"""What cannot be told apart, what could not be seen, and what would have been noticed.
+
+Two candidates are confusable when what is left of them beside the rest of the model points the same way (cosine above 0.95). The smallest
+effect that would have been noticed is the larger of two: four standard errors (found four times out of five at the catalogue's false alarm
+rate) and half a noise floor in the place where it shows most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.judge import places
+from flighttest.diagnose.model import Rival, Untestable
+from flighttest.diagnose.screen import ABSORBED, Variant, amplitude_variants, orthonormal
+from flighttest.diagnose.search import LEAST_FLOORS, Search
+from flighttest.physics.core import Term
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+
+CONFUSABLE = 0.95
+STANDARD_ERRORS = 4.0
+PLAUSIBLE = 2.0  # times the usual size: an effect that shows only above that could not be seen
+
+
+def missing_channels(term: Term, segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Of what the term needs, what no segment has."""
+    missing = []
+    for name in term.needs:
+        if name == "time_since_takeoff_s":
+            if not any(np.isfinite(s.time_since_takeoff_s) for s in segments):
+                missing.append("the time since take-off")
+        elif name == "height_m":
+            if not any(_has(s, "height_m") or _has(s, "p_z_m") for s in segments):
+                missing.append(name)
+        elif not any(_has(s, name) or name in s.u for s in segments):
+            missing.append(name)
+    return tuple(missing)
+
+
+def _has(segment: Segment, name: str) -> bool:
+    return name in segment.y and bool(np.isfinite(segment.y[name]).any())
+
+
+def variants_of(search: Search) -> list[Variant]:
+    """Every candidate outside the model, as screened last."""
+    rows = search.ground.rows
+    terms = [
+        t for t in search.pool if t.amplitudes and not t.shapes and {p.name for p in t.amplitudes} <= set(rows.names)
+    ]
+    return amplitude_variants(rows, [t for t in terms if t.id not in search.judged]) + search.shaped_variants()
+
+
+def rivals_of(search: Search, term: str) -> tuple[Rival, ...]:
+    """Candidates that would explain what `term` explains, by the cosine of what is left of both; confusable ones and near ones."""
+    assert search.now is not None
+    rows = search.ground.rows
+    own = [n for n in search.now.names if search.now.model.term_of(n) == term]
+    rest = [n for n in search.now.names if n not in own]
+    basis = orthonormal(rows.columns(rest))
+    effect = np.where(rows.sample >= 0, search.judged[term].own / rows.scale, 0.0)
+    effect = effect - basis @ (basis.T @ effect)
+    length = float(np.linalg.norm(effect))
+    found: dict[str, float] = {}
+    for v in variants_of(search):
+        columns = v.columns - basis @ (basis.T @ v.columns)
+        if np.linalg.norm(columns) < ABSORBED * np.linalg.norm(v.columns) or length == 0:
+            continue
+        span = orthonormal(columns)
+        cosine = float(np.linalg.norm(span.T @ effect)) / length
+        found[v.term.id] = max(found.get(v.term.id, 0.0), cosine)
+    by_id = {t.id: t for t in search.pool}
+    return tuple(
+        Rival(i, "CONFUSABLE" if c > CONFUSABLE else "NOT_NEEDED", c, by_id[i].reveals)
+        for i, c in sorted(found.items(), key=lambda kv: -kv[1])[:3]
+        if c > 0.6
+    )
+
+
+def detectable(search: Search) -> dict[str, tuple[float, str]]:
+    """Candidate to (smallest amplitude that would have been noticed, its parameter), infinite where none would."""
+    assert search.floor is not None
+    ground = search.ground
+    rows = ground.rows
+    found: dict[str, tuple[float, str]] = {}
+    worst = max(ground.inflation.values(), default=1.0)
+    of_place = places(rows, search.bench.segments)
+    for v in variants_of(search):
+        own = v.columns - ground.basis @ (ground.basis.T @ v.columns)
+        for k in range(own.shape[1]):
+            others = orthonormal(np.delete(own, k, axis=1)) if own.shape[1] > 1 else np.zeros((own.shape[0], 0))
+            alone = own[:, k] - others @ (others.T @ own[:, k])
+            information = float(alone @ alone)
+            name = v.names[k] if v.names else ""
+            if information <= (ABSORBED * float(np.linalg.norm(v.columns[:, k]))) ** 2 or information <= 0:
+                level = np.inf
+            else:
+                level = STANDARD_ERRORS * float(np.sqrt(worst / information))
+                open_column = rows.open_columns([name])[:, 0] if name in rows.names else alone * rows.scale
+                sizes = [
+                    float(np.sqrt(np.mean(open_column[at] ** 2))) / search.floor.of(c)
+                    for (c, _), at in of_place.items()
+                ]
+                level = max(level, LEAST_FLOORS / max(max(sizes, default=0.0), 1e-12))
+            if level < found.get(v.term.id, (np.inf, ""))[0] or v.term.id not in found:
+                found[v.term.id] = (level, name)
+    return found
+
+
+def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Untestable]:
+    """Candidates this data could not have shown."""
+    found = []
+    for term in search.pool:
+        if term.id in search.judged:
+            continue
+        missing = missing_channels(term, search.bench.segments)
+        if missing:
+            found.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
+            continue
+        level, name = levels.get(term.id, (np.inf, ""))
+        usual = next((abs(p.nominal - float(p.off or 0.0)) for p in term.amplitudes if p.name == name), 1.0)
+        if not np.isfinite(level):
+            found.append(
+                Untestable(term.id, "nothing in this flight would have looked different with it", term.reveals)
+            )
+        elif level > PLAUSIBLE * usual:
+            unit = next((p.unit for p in term.amplitudes if p.name == name), "of itself")
+            found.append(
+                Untestable(
+                    term.id,
+                    f"only {level:.2g} {unit} or more would have shown, {level / usual:.1f} times what is usual",
+                    term.reveals,
+                )
+            )
+    return found

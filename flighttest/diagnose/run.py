@@ -1,0 +1,278 @@
+"""`diagnose`: segments in, `Diagnosis` out. The order of the five verbs, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flighttest.diagnose.baselines import baselines
+from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
+from flighttest.diagnose.locate import locate, regime_curves, residual_map
+from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, short
+from flighttest.diagnose.overlays import overlays
+from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
+from flighttest.diagnose.search import Search
+from flighttest.errors import FitError
+from flighttest.identify.fit import default_model, has_attitude_references
+from flighttest.identify.onset import onset_delay, start_values
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.compose import block_of
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+LEAST_SEGMENTS = 4
+EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
+LEAST_EXCESS = 0.25  # of the noise floor's power: less is nobody's business (half a floor in amplitude)
+# Held at off in the attitude model until it is needed, so that roll and pitch are always compared on the same responses.
+COUPLING = "roll_pitch_coupling"
+# Start delays never fall on a sample: there the derivative by the delay is one-sided.
+OFF_GRID_S = 1.7e-4
+
+
+def diagnose(
+    segments: Sequence[Segment],
+    model: Model | None = None,
+    *,
+    previous: Mapping[str, tuple[float, float | None]] | None = None,
+    nominal_voltage_v: float | None = None,
+    filters: Mapping[str, float] | None = None,
+    only: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Locate what the model misses in these recordings and name it.
+
+    segments: of one vehicle, from one or several recordings, marked steps or windows of free flight. model: the base (default:
+    the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. only: ids of the
+    candidates (default: the whole catalogue). FitError when there is too little to say anything. An interrupt (KeyboardInterrupt)
+    ends the search and returns what is known, with complete=False.
+    """
+    tell = progress or (lambda _text: None)
+    usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
+    if len(usable) < LEAST_SEGMENTS:
+        raise FitError(
+            f"only {len(usable)} usable responses, at least {LEAST_SEGMENTS} are needed",
+            "fly more steps or a longer flight, or see `flighttest segment` for why responses were rejected",
+        )
+    if model is None:
+        model = default_model(usable)
+        if nominal_voltage_v:
+            model = Model(model.terms, nominal_voltage_v, attitude_loops=model.attitude_loops)
+    if model.attitude_loops and not has_attitude_references(usable):
+        model = Model(
+            model.terms, model.nominal_voltage_v, model.g_m_s2, model.channel_delays, False, dict(model.extra)
+        )
+    known = catalogue()
+    pool = tuple(
+        t
+        for t in known.values()
+        if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
+    )
+    groups, group_name = held_out_groups(usable)
+    start = _start(usable, model, previous)
+    searches: list[Search] = []
+    complete, notes = True, []
+    for block in ("attitude", "translation"):
+        if block == "attitude" and not model.attitude_loops:
+            continue
+        bench = Bench(usable, block, filters)
+        own = Model(
+            (*model.terms, COUPLING) if block == "attitude" else model.terms,
+            model.nominal_voltage_v, model.g_m_s2, model.channel_delays, model.attitude_loops, dict(model.extra),
+        )  # fmt: skip
+        if not bench.problem(own).parts:
+            notes.append(f"nothing in this recording moves the {block} loops: they are left out")
+            continue
+        dormant = frozenset({COUPLING}) if block == "attitude" and COUPLING not in model.terms else frozenset()
+        here = tuple(t for t in pool if block_of(t) == block and not missing_channels(t, usable))
+        search = Search(bench, here, groups, dormant, progress=lambda text, b=block: tell(f"{b}: {text}"))  # type: ignore[misc]
+        try:
+            search.run(own, bench.start(own, start))
+        except KeyboardInterrupt:
+            complete = False
+            notes.append("interrupted: candidates not tried are not in this answer")
+        if search.now is not None and search.floor is not None:
+            searches.append(search)
+        if not complete:
+            break
+    if not searches:
+        raise FitError(
+            "no reference moves in any of the responses, so that no part of the model can be tried",
+            "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
+        )
+    return _assembled(usable, model, searches, pool, groups, group_name, previous or {}, complete, notes, seed, tell)
+
+
+def _start(segments: Sequence[Segment], model: Model, previous: Mapping[str, Any] | None) -> dict[str, float]:
+    values = dict(start_values(segments, model, onset_delay(segments)))
+    if previous:
+        values |= {k: float(v[0]) for k, v in previous.items() if k in model.names}
+    return {k: v + OFF_GRID_S if k.startswith("T_d") else v for k, v in values.items()}
+
+
+def _assembled(
+    segments: tuple[Segment, ...],
+    model: Model,
+    searches: Sequence[Search],
+    pool: Sequence[Term],
+    groups: Any,
+    group_name: str,
+    previous: Mapping[str, tuple[float, float | None]],
+    complete: bool,
+    notes: list[str],
+    seed: int,
+    tell: Callable[[str], None],
+) -> Diagnosis:
+    tell("comparing before and after")
+    accepted: list[str] = []
+    located, findings, unseen = [], [], []
+    levels: dict[str, tuple[float, str]] = {}
+    heldout: dict[str, dict[str, Any]] = {}
+    floors: dict[str, dict[str, Any]] = {}
+    cells, curves, overlaid, candidates = [], [], [], []
+    before_table: dict[str, Any] = {}
+    after_table: dict[str, Any] = {}
+    excess_before, excess_after, samples_over = 0.0, 0.0, False
+    values = dict(model.start())
+    base_rmse: dict[str, dict[str, float]] = {}
+    for search in searches:
+        base, now, floor, bench = search.base, search.now, search.floor, search.bench
+        assert base is not None
+        assert now is not None
+        assert floor is not None
+        accepted += list(search.judged)
+        values |= now.state.values
+        before_held, after_held = held_out(base.rows, base.names, groups), held_out(now.rows, now.names, groups)
+        for name, h in compare(base.rows, before_held, now.rows, after_held, groups, floor, seed).items():
+            steps_b = horizon_rmse(base.rows, before_held, segments).get(name, {})
+            steps_a = horizon_rmse(now.rows, after_held, segments).get(name, {})
+            heldout[short(name)] = {
+                "all": _held(h),
+                **{k: {"rmse_before": steps_b[k], "rmse_after": steps_a[k]} for k in steps_b if k in steps_a},
+            }
+            floors[short(name)] = {
+                "value": floor.of(name),
+                "from": "repeats"
+                if name in floor.from_repeats
+                else "high-frequency residual (weaker: no repeats were flown)",
+            }
+        first, last = excess_share(base.rows, floor), excess_share(now.rows, floor)
+        for name, e in first.items():
+            weight = 1.0 / floor.of(name) ** 2
+            excess_before += e * weight
+            excess_after += last[name] * weight
+        places = locate(base.rows, segments, floor, seed)
+        located += places
+        samples_over |= bool(locate(now.rows, segments, floor, seed))
+        curves += regime_curves(places, base.rows, now.rows, segments)
+        cells += residual_map(base.rows, now.rows, segments, floor)
+        overlaid += overlays(base.rows, now.rows, segments)
+        before_table |= parameter_table(base)
+        after_table |= parameter_table(now)
+        for name in search.judged:
+            findings.append(finding(search, name, rivals_of(search, name), groups, seed))
+        levels |= detectable(search)
+        unseen += untestable(search, detectable(search))
+        candidates += _candidates(search)
+        base_rmse |= baselines(bench, base, now, segments, previous)
+    for term in pool:
+        missing = missing_channels(term, segments)
+        if missing and term.id not in {u.term for u in unseen}:
+            unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
+    tried = {t.id for s in searches for t in s.pool}
+    named = {f.term for f in findings} | {u.term for u in unseen}
+    share = excess_after / excess_before if excess_before > 0 else 0.0
+    verdict = _verdict(bool(findings), excess_before, excess_after, share, bool(located), samples_over)
+    final = Model(
+        (*model.terms, *accepted),
+        model.nominal_voltage_v,
+        model.g_m_s2,
+        model.channel_delays,
+        model.attitude_loops,
+        dict(model.extra),
+    )
+    return Diagnosis(
+        verdict=verdict,
+        sentence=_sentence(verdict, findings, share, located),
+        located=tuple(located),
+        findings=tuple(findings),
+        not_needed=tuple(sorted(tried - named)),
+        untestable=tuple(unseen),
+        unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
+        smallest_detectable={k: v[0] for k, v in levels.items() if np.isfinite(v[0])},
+        model=final,
+        values={k: values[k] for k in final.names if k in values},
+        accepted=tuple(accepted),
+        before=before_table,
+        after=after_table,
+        heldout=heldout,
+        noise_floor=floors,
+        baselines=base_rmse,
+        residual_map=tuple(cells),
+        regimes=tuple(curves),
+        overlays=tuple(overlaid),
+        candidates=tuple(candidates),
+        cost={"added_parameters": len(after_table) - len(before_table), "held_out_groups": group_name},
+        notes=tuple(notes),
+        complete=complete,
+        runs=tuple(dict.fromkeys(s.run for s in segments)),
+    )
+
+
+def _held(h: Any) -> dict[str, Any]:
+    return {"rmse_before": h.rmse_before, "rmse_after": h.rmse_after, "floor": h.floor, "gain_95": list(h.gain_95)}
+
+
+def _candidates(search: Search) -> list[dict[str, Any]]:
+    """Every candidate's score, for the table of what was ruled out and why."""
+    found = [
+        {
+            "term": j.term, "verdict": "SUPPORTED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
+            "why": f"{j.floors:.2g} noise floors in {short(j.place[0])} of {j.place[1].replace('_', ' ')}s",
+        }
+        for j in search.judged.values()
+    ]  # fmt: skip
+    found += [
+        {
+            "term": j.term, "verdict": "NOT_NEEDED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
+            "why": j.reason or "refitted: too small, or no better on what it has not seen",
+        }
+        for j in search.refused.values()
+    ]  # fmt: skip
+    done = {f["term"] for f in found}
+    best: dict[str, Any] = {}
+    for s in search.scores:
+        if s.variant.term.id not in done and (s.variant.term.id not in best or s.bic < best[s.variant.term.id].bic):
+            best[s.variant.term.id] = s
+    for term, s in best.items():
+        why = "no more than chance" if s.p_value > 0.01 else "the criterion does not fall enough for its parameters"
+        found.append(
+            {
+                "term": term, "verdict": "NOT_NEEDED", "delta_bic": s.bic, "floors": None, "gain": None, "p_value": s.p_value, "why": why,
+            }
+        )  # fmt: skip
+    return found
+
+
+def _verdict(any_named: bool, before: float, after: float, share: float, located: bool, still: bool) -> Verdict:
+    if not any_named:
+        return Verdict.UNKNOWN_PHYSICS if located and before > LEAST_EXCESS else Verdict.NOTHING_MISSING
+    if not still or share <= EXPLAINED_SHARE or after < LEAST_EXCESS:
+        return Verdict.EXPLAINED
+    return Verdict.PARTLY
+
+
+def _sentence(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any]) -> str:
+    names = ", ".join(f.title.lower() for f in findings)
+    if verdict is Verdict.EXPLAINED:
+        return f"Left out: {names}. With it {100 * max(0.0, 1 - share):.0f} % of the excess error is gone."
+    if verdict is Verdict.PARTLY:
+        return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained."
+    if verdict is Verdict.NOTHING_MISSING:
+        return "Nothing is missing above the noise floor; see the smallest effects that would have been noticed."
+    return f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
