@@ -214,6 +214,7 @@ class Autopilot:
         """Whether attitude targets steer now (in GUIDED, when one was sent last; not before the motors have spun up)."""
         if self.mode == modes.GUIDED and not self.mailbox.angle_submode:
             return False
+        self.angle.due(t_s)
         return t_s - self.angle.last_s <= self.store["GUID_TIMEOUT"] and self.angle.thrust is not None
 
     def _follow_targets(self, t_s: float, dt_s: float) -> None:
@@ -324,7 +325,6 @@ class Autopilot:
         """Attitude targets, or what follows when they stop: level, heading held, climb rate 0."""
         a, c = self.angle, self.command
         if t_s - a.last_s > self.store["GUID_TIMEOUT"] or a.thrust is None:
-            a.due(t_s)
             if a.thrust is not None and not self._holding:
                 self._holding = True
                 a.roll = a.pitch = a.p = a.q = a.r = 0.0
