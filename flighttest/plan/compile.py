@@ -14,7 +14,7 @@ from flighttest.plan.free_flight import fly_waypoints
 from flighttest.plan.model import CellPlan, Leg, Phase, Plan, Predictor
 from flighttest.plan.rehearse import Rehearsal, rehearse
 from flighttest.plan.remedy import remedy
-from flighttest.plan.room import Placement, Room, box, place
+from flighttest.plan.room import Placement, Room, box, place, worst
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
 from flighttest.vehicle.model import Vehicle
@@ -136,7 +136,8 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting, zone_headin
         if first not in cache:
             order = [headings[(first + k) % len(headings)] for k in range(len(headings))]
             if f.cell.waypoints:
-                excess = place(f.nominal, f.lost, setting.room, (0.0, 0.0, 0.0), [0.0], 0.0).excess
+                # A path says where it is; it is not moved.
+                excess = worst(f.nominal, f.lost, setting.room, np.zeros(3), fence=True)
                 cache[first] = Placement(f.cell.waypoints[0][1:], order[0], excess)
             else:
                 cache[first] = place(f.nominal, f.lost, setting.room, wish, order, height)
@@ -154,7 +155,7 @@ def _refusals(
             name = _leg_id(script, f.cell, repeat)
             if f.complaint:
                 found.append((name, f.complaint, f.remedy))
-            elif placement.excess is not None:
+            if placement.excess is not None:
                 hint = hint or remedy(f, setting, script.reset.to_m, list(script.reset.heading_rad), placement)
                 found.append((name, f"it leaves the zone by {placement.excess.words}", hint))
     return tuple(found)

@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
+from flighttest.plan import compile_plan
 from flighttest.plan.model import Motion, Snapshot
+from flighttest.script.load import load_script, parse_script
+from flighttest.script.shipped import resolve
+from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 W = np.array([25.43, 23.40])
 Z = np.array([0.44, 0.39])
@@ -79,3 +84,32 @@ class PaperPredictor:
         dx[11] = (x[10] / cp + np.tan(phi) * x[9]) / ct
         dx[12] = SIGMA_T * (gain * u[3] - a_t)
         return dx
+
+
+@pytest.fixture(scope="session")
+def predictor():
+    return PaperPredictor()
+
+
+@pytest.fixture(scope="session")
+def planned(predictor):
+    """Plans of shipped scripts for the default vehicle, compiled once."""
+    plans = {}
+
+    def of(name):
+        if name not in plans:
+            plans[name] = compile_plan(load_script(resolve(name)), DEFAULT_VEHICLE, predictor)
+        return plans[name]
+
+    return of
+
+
+@pytest.fixture
+def plan_of(predictor):
+    """A plan of one step, given as YAML, for the default vehicle or another."""
+
+    def of(step, vehicle=DEFAULT_VEHICLE, head="", repeat="repeat: {each: 1}"):
+        text = f"format: maneuver/1\nname: t\n{head}\nsteps:\n  - {step}\n{repeat}\n"
+        return compile_plan(parse_script(text), vehicle, predictor)
+
+    return of

@@ -1,0 +1,60 @@
+from dataclasses import replace
+
+import pytest
+
+from flighttest.plan import check
+from flighttest.plan.check import battery
+from flighttest.script.shipped import shipped_names
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+
+
+def test_a_spot_check_takes_under_two_minutes_in_the_air(planned):
+    result = check(planned("spot_check"))
+    assert result.ok
+    assert result.duration_s < 120.0
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_the_timeline_is_in_order_and_whole(planned, name):
+    plan = planned(name)
+    result = check(plan)
+    starts = [row.start_s for row in result.timeline]
+    assert starts == sorted(starts)
+    assert len(result.timeline) == len(plan.legs)
+    assert result.flying_s == pytest.approx(sum(leg.duration_s for leg in plan.legs))
+    assert result.duration_s > result.flying_s
+    assert {row.cell.label for row in result.envelope} == {cell.label for cell in plan.cells}
+
+
+def test_yaw_says_left_and_right(planned):
+    directions = {row.leg.split("/")[1]: row.direction for row in check(planned("yaw_rate")).timeline}
+    assert directions["yaw+1.00"] == "left"
+    assert directions["yaw-2.00"] == "right"
+
+
+def test_the_envelope_with_the_link_lost_holds_the_planned_one(planned):
+    for row in check(planned("thrust")).envelope:
+        assert row.lost_height_m[1] >= row.height_m[1] - 0.3
+        assert row.lost_height_m[0] <= row.height_m[0] + 0.3
+
+
+@pytest.mark.parametrize(
+    ("fields", "capacity"),
+    [
+        ({"model": "6S 10 Ah"}, 222.0),
+        ({"model": "4S 5200mAh 30C"}, 115.4),
+        ({"specifications.capacity_mah": 8000}, 177.6),
+        ({"capacity_ah": 16}, 355.2),
+        ({"id": "B07"}, None),
+    ],
+)
+def test_battery_capacity_in_the_words_people_use(fields, capacity):
+    need = battery(replace(DEFAULT_VEHICLE, components={"battery": fields}), 600.0)
+    assert need.capacity_wh == (None if capacity is None else pytest.approx(capacity, abs=0.1))
+
+
+def test_packs_follow_from_energy():
+    need = battery(DEFAULT_VEHICLE, 3600.0)
+    assert need.energy_wh == pytest.approx(170.0 * 2.9)
+    assert need.packs == 3
+    assert battery(replace(DEFAULT_VEHICLE, mass_kg=None), 600.0).energy_wh is None
