@@ -15,8 +15,6 @@ from flighttest import __version__
 from flighttest.errors import FitError, InputError, RecordingError
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
-from flighttest.physics.catalogue import catalogue
-from flighttest.pipeline.about import term_data
 from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
 from flighttest.pipeline.history import FIT_NAME
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
@@ -28,7 +26,7 @@ from flighttest.report import fit_sections, html
 from flighttest.report.diagnosis_sections import VERDICT_TONES, diagnosis_sections
 from flighttest.report.document import Document, Section, Tone
 from flighttest.report.numbers import duration, join
-from flighttest.report.views import FitView, Overlay
+from flighttest.report.views import FitView
 from flighttest.segments import Segment
 
 REPORT_NAME = "report.html"
@@ -96,7 +94,6 @@ def run_document(
     segments: Sequence[Segment],
     extra: Sequence[Section] = (),
     diagnosis: Mapping[str, Any] | None = None,
-    worst: Sequence[Overlay] = (),
     next_script: str = "",
     verdict: str = "",
     tone: Tone | None = None,
@@ -107,8 +104,7 @@ def run_document(
         made = fit_sections.fit_sections(view)
         sections += [s for s in made if s.id != "segments"]
     if diagnosis is not None:
-        terms = {term_id: term_data(term) for term_id, term in catalogue().items()}
-        sections += diagnosis_sections(diagnosis, terms, worst, next_script)
+        sections = [*diagnosis_sections(diagnosis, next_script), *sections]
     sections += extra
     sections.append(fit_sections.segments(view.segments if view is not None else segment_views(segments)))
     if not verdict:
@@ -178,7 +174,6 @@ def read_diagnosis(path: Path) -> dict[str, Any] | None:
 def _report_diagnosis(folder: Path, output: Path | None, progress: Progress) -> Result:
     """The page of a diagnosis, from its files alone."""
     data = read_diagnosis(folder / DIAGNOSIS_NAME) or {}
-    terms = {term_id: term_data(term) for term_id, term in catalogue().items()}
     script = ""
     if (folder / "next.yaml").is_file():
         script = (folder / "next.yaml").read_text(encoding="utf-8")
@@ -188,5 +183,5 @@ def _report_diagnosis(folder: Path, output: Path | None, progress: Progress) -> 
         model = yaml.safe_load((folder / "model.yaml").read_text(encoding="utf-8"))
         facts["model"] = ", ".join(map(str, (model or {}).get("terms", ())))
     verdict = str(data.get("sentence") or data.get("verdict", ""))
-    document = Document("flighttest diagnosis", verdict, tone, diagnosis_sections(data, terms, (), script), facts)
+    document = Document("flighttest diagnosis", verdict, tone, diagnosis_sections(data, script), facts)
     return written(document, output or folder / REPORT_NAME)

@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from flighttest.report.document import (
-    Align,
-    Block,
-    Bullets,
-    Cell,
-    Code,
-    Figure,
-    Panel,
-    Paragraph,
-    Section,
-    Table,
-    Tone,
-    Trace,
-)
+from flighttest.report.diagnosis_figures import before_after, heat_map, regimes
+from flighttest.report.document import Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
-from flighttest.report.views import Overlay
 
 VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
@@ -36,93 +23,77 @@ TERM_WORDS = {
     "UNTESTABLE": "could not be seen",
 }
 
-
-def diagnosis_sections(
-    data: Mapping[str, Any],
-    terms: Mapping[str, Mapping[str, Any]],
-    overlays: Sequence[Overlay] = (),
-    next_script: str = "",
-) -> tuple[Section, ...]:
-    """data: diagnosis/1; terms: id to the catalogue's entry (see `pipeline.about.term_data`); overlays: worst responses before, after."""
-    found = [_located(data.get("located") or ())]
-    findings = data.get("findings") or ()
-    found.append(_findings(findings, terms))
-    shown = _improvement(findings, overlays)
-    if shown is not None:
-        found.append(shown)
-    found.append(_ruled_out(data, terms))
-    follow = _next(data, next_script)
-    if follow is not None:
-        found.append(follow)
-    return tuple(found)
+Data = Mapping[str, Any]
 
 
-def _located(located: Sequence[Mapping[str, Any]]) -> Section:
+def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]:
+    """data: diagnosis/1 with whatever it holds of the optional parts; next_script: the text of next.yaml."""
+    found = [_located(data), _findings(data), _improvement(data), _limits(data), _next(data, next_script)]
+    return tuple(s for s in found if s is not None)
+
+
+def _located(data: Data) -> Section:
+    located = data.get("located") or ()
+    blocks: list[Block] = []
     if not located:
-        return Section("located", "Where they differ", (Paragraph("Nowhere above the noise floor."),))
-    blocks: list[Block] = [Bullets(tuple(str(item["sentence"]) for item in located if item.get("sentence")))]
-    heat = _heat(located)
-    if heat is not None:
-        blocks.append(heat)
-    return Section("located", "Where they differ", tuple(blocks))
+        blocks.append(Paragraph("Nowhere above the noise floor."))
+    else:
+        blocks.append(Bullets(tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))))
+    blocks += [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
+    weaker = sorted(
+        {str(f.get("from")) for f in (data.get("noise_floor") or {}).values() if f.get("from") != "repeats"}
+    )
+    if weaker:
+        blocks.append(Paragraph(f"Noise floor from: {', '.join(weaker)}.", "quiet"))
+    return Section("located", "Where simulation and recording differ", tuple(blocks))
 
 
-def _heat(located: Sequence[Mapping[str, Any]]) -> Figure | None:
-    shares = {(str(i.get("channel", "")), str(i.get("maneuver", ""))): i.get("excess_share") for i in located}
-    channels = sorted({c for c, _ in shares})
-    maneuvers = sorted({m for _, m in shares})
-    values = [[float(shares.get((c, m)) or float("nan")) for m in maneuvers] for c in channels]
-    if not any(v == v for row in values for v in row):
-        return None
-    trace = Trace(maneuvers, channels, "share of the excess error", "other", "heat", z=values)
-    caption = "Share of the error above the noise floor, by channel and maneuver."
-    return Figure("located", (Panel("", "maneuver", "", (trace,)),), caption, 1, 120 + 40 * len(channels))
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
 
 
-def _findings(findings: Sequence[Mapping[str, Any]], terms: Mapping[str, Mapping[str, Any]]) -> Section:
-    if not findings:
-        return Section(
-            "findings",
-            "What was left out",
-            (Paragraph("No physics of the catalogue is needed to explain these recordings."),),
-        )
+def _findings(data: Data) -> Section:
+    findings = data.get("findings") or ()
     blocks: list[Block] = []
     for item in findings:
-        term_id = str(item["term"])
-        entry = terms.get(term_id, {})
         verdict = str(item.get("verdict", ""))
-        head = f"{term_id}: {TERM_WORDS.get(verdict, verdict.lower())}."
-        blocks.append(Paragraph(f"{head} {str(entry.get('plain', '')).capitalize()}", TERM_TONES.get(verdict, "plain")))
-        if entry.get("equation"):
-            blocks.append(Code(str(entry["equation"])))
+        head = f"{item.get('title') or item['term']} ({item['term']}): {TERM_WORDS.get(verdict, verdict.lower())}."
+        blocks.append(Paragraph(head, TERM_TONES.get(verdict, "plain")))
+        said = [str(item[k]) for k in ("plain", "sentence") if item.get(k)]
+        if said:
+            blocks.append(Paragraph(" ".join(_sentence(s) for s in said)))
+        if item.get("equation"):
+            blocks.append(Code(str(item["equation"])))
         if item.get("parameters"):
-            blocks.append(_parameters(item["parameters"], entry))
+            blocks.append(_parameters(item["parameters"]))
         lines = [_rival(r) for r in item.get("rivals") or ()]
+        if item.get("doubt"):
+            lines.append(f"doubt: {item['doubt']}")
         if lines:
             blocks.append(Bullets(tuple(lines)))
-    return Section("findings", "What was left out", tuple(blocks))
+    for item in data.get("unknown") or ():
+        blocks.append(Paragraph(_sentence(str(item.get("sentence") or "something without a name")), "warn"))
+        if item.get("formula"):
+            blocks.append(Code(str(item["formula"]), "a description of the residual, not a physical law"))
+    if data.get("mass"):
+        blocks.append(Paragraph(_sentence(str(data["mass"].get("sentence", ""))), "warn"))
+    if not blocks:
+        blocks.append(Paragraph("No physics of the catalogue is needed to explain these recordings."))
+    return Section("findings", "What physics was left out", tuple(blocks))
 
 
-def _parameters(parameters: Mapping[str, Mapping[str, Any]], entry: Mapping[str, Any]) -> Table:
-    known = {p["name"]: p for p in entry.get("parameters", ())}
+def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> Table:
     rows = []
     for name, value in parameters.items():
-        about = known.get(name, {})
-        units = unit(str(value.get("unit") or about.get("unit", "")))
-        rows.append(
-            (
-                name,
-                to_error(value.get("value"), value.get("std")),
-                to_error(value.get("std"), value.get("std")),
-                units,
-                str(about.get("doc", "")),
-            )
-        )
-    align: tuple[Align, ...] = ("left", "right", "right", "left", "left")
-    return Table(("parameter", "value", "std", "unit", "what it is"), tuple(rows), align)
+        low, high = (value.get("interval_95") or (None, None))[:2]
+        std = value.get("std")
+        span = f"{to_error(low, std)} to {to_error(high, std)}" if low is not None and high is not None else "-"
+        rows.append((name, to_error(value.get("value"), std), unit(str(value.get("unit", ""))), span))
+    align: tuple[Align, ...] = ("left", "right", "left", "right")
+    return Table(("parameter", "value", "unit", "95 % interval"), tuple(rows), align)
 
 
-def _rival(rival: Mapping[str, Any]) -> str:
+def _rival(rival: Data) -> str:
     text = f"rival: {rival.get('term', '?')}"
     if rival.get("verdict"):
         text += f", {TERM_WORDS.get(str(rival['verdict']), str(rival['verdict']).lower())}"
@@ -131,89 +102,108 @@ def _rival(rival: Mapping[str, Any]) -> str:
     return text
 
 
-def _improvement(findings: Sequence[Mapping[str, Any]], overlays: Sequence[Overlay]) -> Section | None:
-    rows: list[tuple[Cell | str, ...]] = []
-    for item in findings:
-        for channel, h in (item.get("heldout") or {}).items():
-            low, high = (h.get("gain_95") or (None, None))[:2]
-            gain = "-" if low is None or high is None else f"{percent(low, 2)} to {percent(high, 2)}"
-            rows.append(
-                (
-                    str(item["term"]),
-                    str(channel),
-                    number(h.get("rmse_before"), 3),
-                    Cell(number(h.get("rmse_after"), 3), "good"),
-                    number(h.get("floor"), 3),
-                    gain,
-                )
-            )
-    if not rows and not overlays:
-        return None
+def _improvement(data: Data) -> Section | None:
     blocks: list[Block] = []
+    rows = _heldout_rows(data)
     if rows:
-        align: tuple[Align, ...] = ("left", "left", "right", "right", "right", "right")
-        caption = "RMSE on responses the choice was not made on; gain: how much of it went away, 95 %."
-        blocks.append(Table(("with", "channel", "before", "after", "noise floor", "gain"), tuple(rows), align, caption))
-    worst = [_overlay(o) for o in overlays if o.before is not None][:6]
-    if worst:
-        blocks.append(
-            Figure(
-                "before-after",
-                tuple(worst),
-                "The responses that were worst before: measured, model before and after.",
-                2,
-                280,
-            )
-        )
+        align: tuple[Align, ...] = ("left", "right", "right", "right", "right")
+        caption = "RMSE on responses that were not used for the choice; gain: the share of it that went away, 95 %."
+        blocks.append(Table(("channel", "before", "after", "noise floor", "gain"), tuple(rows), align, caption))
+    figure = before_after(data)
+    if figure is not None:
+        blocks.append(figure)
+    moved = _moved(data)
+    if moved is not None:
+        blocks.append(moved)
+    baselines = _baselines(data)
+    if baselines is not None:
+        blocks.append(baselines)
+    if not blocks or not (data.get("findings") or ()):
+        return None
     return Section("improvement", "Does it fit better?", tuple(blocks))
 
 
-def _overlay(o: Overlay) -> Panel:
-    assert o.before is not None
-    traces = (
-        Trace(o.t_s, o.measured, "measured", "measured"),
-        Trace(o.t_s, o.before, "before", "before"),
-        Trace(o.t_s, o.simulated, "after", "after"),
+def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
+    held = {name: h.get("all", h) for name, h in (data.get("heldout") or {}).items()}
+    if not held:
+        held = {name: h for item in data.get("findings") or () for name, h in (item.get("heldout") or {}).items()}
+    rows: list[tuple[Cell | str, ...]] = []
+    for channel, h in held.items():
+        low, high = (h.get("gain_95") or (None, None))[:2]
+        gain = "-" if low is None or high is None else f"{percent(low, 2)} to {percent(high, 2)}"
+        better = low is not None and low > 0
+        after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
+        rows.append((channel, number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), gain))
+    return rows
+
+
+def _moved(data: Data) -> Table | None:
+    """Base parameters before and after: they move when they no longer stand in for what was missing."""
+    before, after = data.get("before") or {}, data.get("after") or {}
+    rows = []
+    for name, a in after.items():
+        b = before.get(name)
+        old = "-" if b is None else to_error(b.get("value"), b.get("std"))
+        rows.append((name, old, to_error(a.get("value"), a.get("std")), unit(str(a.get("unit", "")))))
+    if not rows:
+        return None
+    caption = "Parameters by the base model, and with what was left out."
+    return Table(
+        ("parameter", "before", "after", "unit"), tuple(rows), ("left", "right", "right", "left"), caption, fold=True
     )
-    return Panel(o.segment, "time since the step, s", o.channel, traces)
 
 
-def _ruled_out(data: Mapping[str, Any], terms: Mapping[str, Mapping[str, Any]]) -> Section:
+def _baselines(data: Data) -> Table | None:
+    table = data.get("baselines") or {}
+    names = list(dict.fromkeys(n for entry in table.values() for n in entry))
+    if not names:
+        return None
+    rows = tuple((channel, *(number(entry.get(n), 3) for n in names)) for channel, entry in table.items())
+    numbers: list[Align] = ["right" for _ in names]
+    return Table(("channel", *names), rows, ("left", *numbers), "RMSE of simpler predictions beside it.", fold=True)
+
+
+def _limits(data: Data) -> Section:
     blocks: list[Block] = []
+    candidates = [c for c in data.get("candidates") or () if c.get("verdict") == "NOT_NEEDED"]
     not_needed = [str(t) for t in data.get("not_needed") or ()]
     if not_needed:
         blocks.append(Paragraph(f"Looked for and not needed: {', '.join(not_needed)}."))
-    rows = tuple(
+    if candidates:
+        rows = tuple(
+            (str(c["term"]), number(c.get("delta_bic"), 3), number(c.get("p_value"), 2), str(c.get("why", "")))
+            for c in candidates
+        )
+        align: tuple[Align, ...] = ("left", "right", "right", "left")
+        blocks.append(Table(("candidate", "change of BIC", "p", "why not"), rows, align, fold=True))
+    unseen = tuple(
         (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
     )
-    if rows:
+    if unseen:
         caption = "This data could not have shown them: not seen is not the same as absent."
-        blocks.append(Table(("could not be seen", "why", "fly"), rows, caption=caption))
+        blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption))
     smallest = data.get("smallest_detectable") or {}
     if smallest:
-        lines = tuple((str(k), _smallest(k, v, terms)) for k, v in smallest.items())
-        blocks.append(Table(("effect", "smallest that would have been noticed"), lines, fold=len(lines) > 8))
+        lines = tuple((str(k), number(v, 2) if isinstance(v, int | float) else str(v)) for k, v in smallest.items())
+        caption = "In the unit of the effect's first parameter."
+        blocks.append(
+            Table(("effect", "smallest that would have been noticed"), lines, ("left", "right"), caption, fold=True)
+        )
     left = (data.get("unexplained") or {}).get("excess_share")
     if left is not None:
         blocks.append(Paragraph(f"Left unexplained: {percent(float(left), 2)} of the error above the noise floor."))
+    notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
+    if notes:
+        blocks.append(Bullets(notes))
     return Section("limits", "What was ruled out, and what cannot be told", tuple(blocks))
 
 
-def _smallest(term: str, value: Any, terms: Mapping[str, Mapping[str, Any]]) -> str:
-    if isinstance(value, int | float):
-        return number(float(value), 2)
-    if isinstance(value, Mapping):
-        return ", ".join(f"{k} {number(v, 2) if isinstance(v, int | float) else v}" for k, v in value.items())
-    return str(value)
-
-
-def _next(data: Mapping[str, Any], script: str) -> Section | None:
+def _next(data: Data, script: str) -> Section | None:
     name = data.get("next_flight")
     if not name:
         return None
     said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
-    text = str(said or f"flighttest run {name}")
-    blocks: list[Block] = [Code(text)]
+    blocks: list[Block] = [Code(str(said or f"flighttest run {name}"))]
     if script:
         blocks.append(Code(script, "the script"))
     return Section("next", "Fly this next", tuple(blocks))

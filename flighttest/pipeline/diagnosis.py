@@ -1,0 +1,122 @@
+"""`flighttest diagnose`: recordings and a model to a diagnosis, and the files it leaves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from flighttest.diagnose import Diagnosis, Verdict
+from flighttest.diagnose import diagnose as search
+from flighttest.identify import model_file
+from flighttest.identify.fit import Fit
+from flighttest.identify.fit import fit as identify
+from flighttest.identify.model_file import ModelFile
+from flighttest.pipeline.analysis import cut_all, model_data, nominal_voltage
+from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.views import fit_view
+from flighttest.recording import Recording
+from flighttest.report import html
+from flighttest.report.diagnosis_sections import VERDICT_TONES, diagnosis_sections
+from flighttest.report.document import Document
+from flighttest.report.numbers import join
+from flighttest.report.plain import plain
+from flighttest.segments import Segment
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+UNFINISHED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
+
+
+def run_diagnosis(
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    stored: ModelFile | None,
+    vehicle: Vehicle | None,
+    progress: Progress = SILENT,
+) -> Diagnosis:
+    """The diagnosis of segments, from the stored model's physics or the paper's."""
+    previous = None
+    if stored is not None:
+        previous = {name: (p.value, p.std) for name, p in stored.parameters.items()}
+    progress.stage("looking for what the model leaves out")
+    return search(
+        segments,
+        stored.model if stored is not None else None,
+        previous=previous,
+        nominal_voltage_v=nominal_voltage(recordings, vehicle),
+        progress=progress.stage,
+    )
+
+
+def diagnose(
+    runs: Sequence[Path],
+    model: Path | None = None,
+    output: Path | None = None,
+    columns: Path | None = None,
+    vehicle: Path | None = None,
+    workers: int = 1,
+    progress: Progress = SILENT,
+) -> Result:
+    """Diagnose recordings; with `output` write diagnosis.json, model.yaml, report.html and, where one is due, next.yaml."""
+    declared = load_vehicle(vehicle) if vehicle is not None else None
+    stored = model_file.read(model) if model is not None else None
+    recordings = open_recordings(runs, columns, workers, progress)
+    segments = cut_all(recordings, progress)
+    found = run_diagnosis(segments, recordings, stored, declared, progress)
+    data = found.to_json()
+    facts = {"recordings": join([str(r) for r in runs]), "base": ", ".join(_base_terms(found))}
+    if output is not None:
+        facts["written to"] = str(output)
+        data = write_diagnosis(found, segments, recordings, declared, output, progress)
+    tone = VERDICT_TONES.get(found.verdict.name, "plain")
+    script = yaml.safe_dump(dict(found.next_script), sort_keys=False) if found.next_script else ""
+    document = Document("diagnosis", found.sentence, tone, diagnosis_sections(data, script), facts)
+    return Result(document, data, Status.UNEXPLAINED if found.verdict in UNFINISHED else Status.DONE, found)
+
+
+def _base_terms(found: Diagnosis) -> list[str]:
+    return [t for t in found.model.terms if t not in found.accepted]
+
+
+def refit(found: Diagnosis, segments: Sequence[Segment], progress: Progress = SILENT) -> Fit:
+    """The accepted model fitted to everything, for model.yaml."""
+    progress.stage(f"fitting {' + '.join(found.model.terms)}")
+    return identify([s for s in segments if s.usable], found.model, start=found.values)
+
+
+def write_diagnosis(
+    found: Diagnosis,
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    folder: Path,
+    progress: Progress = SILENT,
+) -> dict[str, Any]:
+    """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    data = found.to_json()
+    script = ""
+    if found.next_script:
+        script = str(yaml.safe_dump(dict(found.next_script), sort_keys=False, width=120))
+        (folder / "next.yaml").write_text(script, encoding="utf-8")
+        data["next_flight"] = "next.yaml"
+    (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
+    fitted = refit(found, segments, progress)
+    model_file.write(folder / "model.yaml", model_data(fitted, recordings, vehicle))
+    page = run_document(
+        recordings,
+        fit_view(fitted, segments),
+        segments,
+        diagnosis=data,
+        next_script=script,
+        verdict=found.sentence,
+        tone=VERDICT_TONES.get(found.verdict.name, "plain"),
+    )
+    html.write(page, folder / REPORT_NAME)
+    return data

@@ -1,0 +1,80 @@
+"""Pictures of a diagnosis: where (heat map), over what (regimes), and the worst responses before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from flighttest.report.document import Figure, Panel, Trace
+from flighttest.report.fit_sections import KIND_WORDS, cell_words
+from flighttest.report.numbers import unit
+
+MAX_OVERLAYS = 6
+Data = Mapping[str, Any]
+
+
+def heat_map(data: Data) -> Figure | None:
+    """RMS error in noise floors by cell and channel, before and after."""
+    cells = [c for c in data.get("residual_map") or () if c.get("phase") != "before"]
+    if not cells:
+        return None
+    channels = list(dict.fromkeys(str(c["channel"]) for c in cells))
+    columns = list(dict.fromkeys(_column(c) for c in cells))
+    panels = []
+    for key, title in (("before_floors", "base model"), ("after_floors", "with what was left out")):
+        values = {(str(c["channel"]), _column(c)): c.get(key) for c in cells}
+        if key == "after_floors" and not data.get("findings"):
+            continue
+        table = [[_number(values.get((ch, col))) for col in columns] for ch in channels]
+        panels.append(Panel(title, "", "", (Trace(columns, channels, "noise floors", "other", "heat", z=table),)))
+    caption = "RMS error in units of the noise floor, by channel and by step and phase: 1 is noise alone."
+    return Figure("where", tuple(panels), caption, 1, max(260, 170 + 22 * len(channels)))
+
+
+def _column(cell: Data) -> str:
+    words = cell_words(cell.get("cell") or {})
+    kind = KIND_WORDS.get(str(cell.get("kind")), str(cell.get("kind")))
+    return f"{kind} {words} {cell.get('phase', '')}".strip()
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def regimes(data: Data) -> Figure | None:
+    """Mean residual over the variable that explains it, before and after."""
+    panels = []
+    for curve in data.get("regimes") or ():
+        x = np.asarray(curve["x"], dtype=float)
+        label = f"{curve.get('label', curve.get('variable'))}, {unit(str(curve.get('variable_unit', '')))}".rstrip(", ")
+        traces = [Trace(x, np.asarray(curve["before"], dtype=float), "before", "before")]
+        if data.get("findings"):
+            traces.append(Trace(x, np.asarray(curve["after"], dtype=float), "after", "after"))
+        floor = curve.get("floor")
+        if isinstance(floor, int | float):
+            for sign in (1.0, -1.0):
+                level = np.full(x.size, sign * float(floor))
+                traces.append(Trace(x, level, "noise floor", "limit"))
+        title = f"{curve.get('channel')} in {str(curve.get('maneuver', '')).replace('_', ' ')}"
+        panels.append(Panel(title, label, f"mean error, {unit(str(curve.get('unit', '')))}", tuple(traces)))
+    if not panels:
+        return None
+    return Figure("regimes", tuple(panels), "Mean error over the variable that explains it best.", 2, 260)
+
+
+def before_after(data: Data) -> Figure | None:
+    """The worst responses: measured, before, after."""
+    panels = []
+    for o in (data.get("overlays") or ())[:MAX_OVERLAYS]:
+        t = np.asarray(o["t_s"], dtype=float)
+        traces = tuple(
+            Trace(t, np.asarray(o[key], dtype=float), key, role)  # type: ignore[arg-type]
+            for key, role in (("before", "before"), ("after", "after"), ("measured", "measured"))
+        )
+        units = unit(str(o.get("unit", "")))
+        panels.append(Panel(str(o["segment"]), "time since the step, s", f"{o['channel']}, {units}", traces))
+    if not panels:
+        return None
+    return Figure("before-after", tuple(panels), "The responses that were worst before.", 2, 270)
