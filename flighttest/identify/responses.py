@@ -160,29 +160,31 @@ def nodes_of(response: Response, delay_s: float, step_s: float = MAX_STEP_S) -> 
     order = np.argsort(times, kind="stable")
     times = times[order]
     constant = np.concatenate([t, edges[inside]])[order]
-    moves = np.concatenate([np.zeros(t.size), np.ones(int(inside.sum()))])[order]
+    is_edge = order >= t.size
     sample = np.empty(times.size, dtype=np.intp)
     sample[order] = np.arange(times.size)
     sample = sample[: t.size]
 
-    h, h0, hd = np.diff(times), np.diff(constant), np.diff(moves)
-    middle = 0.5 * (times[1:] + times[:-1])
+    h, h0, hd = np.diff(times), np.diff(constant), np.diff(is_edge.astype(float))
     e = _interpolated(response, times, inside)
-    pieces = np.maximum(1, np.ceil(h / step_s)).astype(int)
+    # Counted, not looked up: an edge that falls on a sample time still parts an old input from a new one.
+    before = max(int(np.searchsorted(moved, t[0], side="right")) - 1, 0)
+    at = np.minimum(before + np.cumsum(is_edge)[:-1], len(edges) - 1)
+    if int((moved <= t[0]).sum()) == 0:
+        at = np.maximum(at - 1, 0)
+    pieces = np.maximum(1, np.ceil(h / step_s - 1e-6)).astype(int)
     if pieces.max(initial=1) > 1:
         which = np.repeat(np.arange(h.size), pieces)
         ends = np.cumsum(pieces)
         part = np.arange(which.size) - np.repeat(ends - pieces, pieces)
         a, b = (part / pieces[which])[:, None], ((part + 1) / pieces[which])[:, None]
         e0, e1 = e[:-1][which] * (1 - a) + e[1:][which] * a, e[:-1][which] * (1 - b) + e[1:][which] * b
-        h0, hd, middle = (h0 / pieces)[which], (hd / pieces)[which], middle[which]
+        h0, hd, at = (h0 / pieces)[which], (hd / pieces)[which], at[which]
         sample = np.concatenate([[0], ends])[sample]
     else:
         e0, e1 = e[:-1], e[1:]
-    at = np.clip(np.searchsorted(moved, middle, side="right") - 1, 0, None)
     rows = np.concatenate([h0[:, None], hd[:, None], response.values[at], e0, e1], axis=1)
-    first_u = response.values[max(int(np.searchsorted(moved, t[0], side="right")) - 1, 0)]
-    first = np.concatenate([[0.0, 0.0], first_u, e[0], e[0]])
+    first = np.concatenate([[0.0, 0.0], response.values[before], e[0], e[0]])
     return np.concatenate([first[None], rows]), sample
 
 

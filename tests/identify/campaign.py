@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -25,6 +25,8 @@ NOISE = {
 }
 QUIET = dict.fromkeys(NOISE, 0.0)
 COMBINATIONS = [*product((0.05, 0.10, 0.15), (0.20, 0.25, 0.30, 0.35, 0.40)), (0.20, 0.10), (0.25, 0.10), (0.30, 0.10)]
+RECORD_S = {0.2: 2.0, 0.25: 1.2, 0.3: 0.9, 0.35: 0.7, 0.4: 0.55, 0.1: 1.0}  # what the paper's zone leaves room for
+Refs = Mapping[str, list[tuple[float, float]]]
 DT = 1e-3
 BEFORE = 0.4
 
@@ -32,7 +34,7 @@ BEFORE = 0.4
 def second_order(t: np.ndarray, edges: list[tuple[float, float]], w: float, z: float) -> np.ndarray:
     """Exact response of w^2/(s^2 + 2 z w s + w^2) to a sequence of (time, value), at rest at the first value."""
     wd, value = w * np.sqrt(1 - z * z), np.full(t.shape, edges[0][1])
-    for (_, a), (at, b) in zip(edges, edges[1:], strict=False):
+    for (_, a), (at, b) in pairwise(edges):
         s = np.clip(t - at, 0, None)
         value = value + (b - a) * (1 - np.exp(-z * w * s) * (np.cos(wd * s) + z * w / wd * np.sin(wd * s)))
     return value
@@ -41,7 +43,7 @@ def second_order(t: np.ndarray, edges: list[tuple[float, float]], w: float, z: f
 def first_order(t: np.ndarray, edges: list[tuple[float, float]], sigma: float) -> np.ndarray:
     """Exact response of sigma/(s + sigma) to a sequence of (time, value)."""
     value = np.full(t.shape, edges[0][1])
-    for (_, a), (at, b) in zip(edges, edges[1:], strict=False):
+    for (_, a), (at, b) in pairwise(edges):
         value = value + (b - a) * (1 - np.exp(-sigma * np.clip(t - at, 0, None)))
     return value
 
@@ -52,7 +54,7 @@ def response(
     kind: str,
     cell: Mapping[str, float],
     repeat: int,
-    refs: Mapping[str, list[tuple[float, float]]],
+    refs: Refs,
     after_s: float,
     voltage: float,
     truth: Mapping[str, float] = TRUTH,
@@ -96,7 +98,8 @@ def response(
 
     fm, vm = noisy(f, noise["force"]), noisy(v, noise["velocity"])
     y = {
-        "roll_rad": noisy(roll, noise["attitude"]), "pitch_rad": noisy(pitch, noise["attitude"]), "yaw_rad": noisy(yaw, noise["attitude"]),
+        "roll_rad": noisy(roll, noise["attitude"]), "pitch_rad": noisy(pitch, noise["attitude"]),
+        "yaw_rad": noisy(yaw, noise["attitude"]),
         "r_rad_s": noisy(r, noise["rate"]), "voltage_v": voltage + noise["voltage"] * rng.standard_normal(n),
         "f_x_m_s2": fm[:, 0], "f_y_m_s2": fm[:, 1], "f_z_m_s2": fm[:, 2],
         "v_x_m_s": vm[:, 0], "v_y_m_s": vm[:, 1], "v_z_m_s": vm[:, 2],
@@ -120,70 +123,36 @@ def campaign(
     """72 thrust, 36 attitude and 8 yaw responses, as in the paper."""
     rng = np.random.default_rng(seed)
     made: list[Segment] = []
-    order = 0
+
+    def add(
+        name: str, kind: str, cell: Mapping[str, float], repeat: int, refs: Refs, after_s: float, volts: float
+    ) -> None:
+        heading = np.pi / 2 * (repeat % 4)
+        made.append(response(rng, name, kind, cell, repeat, refs, after_s, volts, truth, noise, rate_hz, heading))
+
     for repeat in range(thrust_repeats):
         for t0, t1 in COMBINATIONS:
-            voltage = 24.5 - 3.0 * ((order * 29) % 72) / 71
-            order += 1
+            volts = 24.5 - 3.0 * ((len(made) * 29) % 72) / 71
             refs = {"throttle": [(-9.0, t0), (0.0, t1)]}
-            after = {0.2: 2.0, 0.25: 1.2, 0.3: 0.9, 0.35: 0.7, 0.4: 0.55, 0.1: 1.0}[t1]
-            cell = {"throttle_0": t0, "throttle_1": t1}
-            made.append(
-                response(
-                    rng,
-                    f"t{order}",
-                    "throttle_step",
-                    cell,
-                    repeat,
-                    refs,
-                    after,
-                    voltage,
-                    truth,
-                    noise,
-                    rate_hz,
-                    np.pi / 2 * repeat,
-                )
+            add(
+                f"t{len(made)}",
+                "throttle_step",
+                {"throttle_0": t0, "throttle_1": t1},
+                repeat,
+                refs,
+                RECORD_S[t1],
+                volts,
             )
+    hover = 9.81 / (truth["K"] * (23 / 22.2) ** truth["alpha"])
     for axis in ("roll", "pitch"):
         for size, sign, repeat in product((0.2, 0.3, 0.5), (1, -1), range(tilt_repeats)):
-            hover = 9.81 / (truth["K"] * (23 / 22.2) ** truth["alpha"])
             refs = {
                 f"{axis}_ref_rad": [(-9.0, 0.0), (0.0, sign * size), (1.0, -sign * size), (2.0, 0.0)],
                 "throttle": [(-9.0, hover), (0.0, hover / np.cos(size)), (2.0, hover)],
             }
             cell = {"amplitude_rad": sign * size}
-            made.append(
-                response(
-                    rng,
-                    f"{axis}{size * sign}{repeat}",
-                    f"{axis}_step",
-                    cell,
-                    repeat,
-                    refs,
-                    2.6,
-                    23 + rng.uniform(-0.5, 0.5),
-                    truth,
-                    noise,
-                    rate_hz,
-                    np.pi / 2 * repeat,
-                )
-            )
+            add(f"{axis}{size * sign}{repeat}", f"{axis}_step", cell, repeat, refs, 2.6, 23 + rng.uniform(-0.5, 0.5))
     for rate, sign, repeat in product((1.0, 2.0), (1, -1), range(yaw_repeats)):
-        hover = 9.81 / (truth["K"] * (23 / 22.2) ** truth["alpha"])
         refs = {"yaw_rate_ref_rad_s": [(-9.0, 0.0), (0.0, sign * rate), (1.5, 0.0)], "throttle": [(-9.0, hover)]}
-        made.append(
-            response(
-                rng,
-                f"yaw{rate * sign}{repeat}",
-                "yaw_rate_step",
-                {"rate_rad_s": sign * rate},
-                repeat,
-                refs,
-                2.0,
-                23.0,
-                truth,
-                noise,
-                rate_hz,
-            )
-        )
+        add(f"yaw{rate * sign}{repeat}", "yaw_rate_step", {"rate_rad_s": sign * rate}, repeat, refs, 2.0, 23.0)
     return made

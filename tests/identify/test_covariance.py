@@ -1,0 +1,68 @@
+"""Cluster-robust covariance against textbook formulas, and against repeated draws."""
+
+import numpy as np
+import pytest
+
+from flighttest.identify.covariance import cluster_covariance, inflation_of, interval_factor
+from flighttest.identify.solve import Normal
+
+
+def linear(rng, clusters, size, effect, names=("a", "b")):
+    """y = a + b x + cluster effect + noise; returns its normal equations at the least squares estimate, and the estimate."""
+    x = rng.uniform(-1, 1, (clusters, size))
+    design = np.stack([np.ones_like(x), x], axis=2)
+    y = effect * rng.standard_normal((clusters, 1)) + rng.standard_normal((clusters, size))
+    flat = design.reshape(-1, 2)
+    beta = np.linalg.lstsq(flat, y.ravel(), rcond=None)[0]
+    residual = y - design @ beta
+    return (
+        Normal(names, design.swapaxes(1, 2) @ design, np.einsum("ckp,ck->cp", design, residual)),
+        beta,
+        design,
+        residual,
+    )
+
+
+def test_cr2_is_its_definition_in_residual_space():
+    normal, _, design, residual = linear(np.random.default_rng(0), 9, 6, 1.0)
+    bread = np.linalg.inv(normal.hessian.sum(axis=0))
+    meat = np.zeros((2, 2))
+    for x, e in zip(design, residual, strict=True):
+        values, vectors = np.linalg.eigh(np.eye(len(x)) - x @ bread @ x.T)
+        g = x.T @ (vectors @ ((vectors.T @ e) / np.sqrt(values)))
+        meat += np.outer(g, g)
+    assert np.allclose(cluster_covariance(normal, ("a", "b")).matrix, bread @ meat @ bread)
+
+
+def test_degrees_of_freedom_of_a_mean_over_equal_clusters_are_their_number_less_one():
+    hessian, score = np.full((8, 1, 1), 5.0), np.random.default_rng(1).standard_normal((8, 1))
+    covariance = cluster_covariance(Normal(("a",), hessian, score - score.mean()), ("a",))
+    assert covariance.dof[0] == pytest.approx(7.0)
+
+
+def test_intervals_cover_with_few_clusters_and_a_shared_disturbance():
+    rng = np.random.default_rng(2)
+    hits = {"robust": 0, "white": 0}
+    trials = 400
+    for _ in range(trials):
+        normal, beta, _, _ = linear(rng, 8, 20, 1.0)
+        c = cluster_covariance(normal, ("a", "b"))
+        hits["robust"] += abs(beta[0]) < interval_factor(c.dof[0]) * np.sqrt(c.matrix[0, 0])
+        hits["white"] += abs(beta[0]) < 1.96 * np.sqrt(c.model[0, 0])
+    assert 0.91 < hits["robust"] / trials < 0.985
+    assert hits["white"] / trials < 0.7
+
+
+def test_a_single_cluster_falls_back_on_the_inflated_model():
+    normal = Normal(("a",), np.array([[[4.0]]]), np.array([[0.0]]))
+    covariance = cluster_covariance(normal, ("a",), inflation=9.0)
+    assert covariance.matrix[0, 0] == pytest.approx(9.0 / 4.0)
+
+
+def test_inflation_of_an_autoregressive_residual():
+    rng = np.random.default_rng(3)
+    e = np.zeros(20000)
+    for k in range(1, e.size):
+        e[k] = 0.8 * e[k - 1] + rng.standard_normal()
+    assert inflation_of([e]) == pytest.approx(9.0, rel=0.1)
+    assert inflation_of([rng.standard_normal(20000)]) < 1.1
