@@ -18,7 +18,7 @@ import yaml
 
 from flighttest.errors import InputError, Problem
 
-MAX_BYTES = 1_000_000
+MAX_BYTES = 300_000
 MAX_DEPTH = 40
 MAX_NODES = 100_000
 

@@ -85,7 +85,9 @@ def test_headings_rotate_over_the_repeats(planned):
 
 def test_a_long_step_turns_to_the_long_axis(plan_of):
     for axis, along in (("roll", (90, 270)), ("pitch", (0, 180))):
-        plan = plan_of(f"attitude_step: {{axis: {axis}, amplitude_rad: 0.5, sign: positive}}", repeat="repeat: {each: 4}")
+        plan = plan_of(
+            f"attitude_step: {{axis: {axis}, amplitude_rad: 0.5, sign: positive}}", repeat="repeat: {each: 4}"
+        )
         assert not plan.refusals
         assert {round(math.degrees(leg.heading_rad)) % 360 for leg in plan.legs} <= set(along)
 
