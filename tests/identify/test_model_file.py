@@ -1,0 +1,85 @@
+"""model.yaml goes out and comes back; a bad one lists everything wrong with it."""
+
+import numpy as np
+import pytest
+
+from flighttest.errors import ModelError
+from flighttest.identify import model_file
+from flighttest.identify.compare import compare
+from tests.identify.campaign import TRUTH
+
+
+@pytest.fixture
+def written(found, tmp_path):
+    path = tmp_path / "model.yaml"
+    fingerprint = {"components": {"battery": {"id": "B07"}}, "firmware": "x"}
+    model_file.write(path, model_file.as_data(found, fingerprint=fingerprint, runs=["a", "b"]))
+    return path
+
+
+def test_what_is_written_is_read_back(found, written):
+    stored = model_file.read(written)
+    assert stored.model == found.model
+    assert stored.runs == ("a", "b")
+    assert stored.fingerprint["components"]["battery"]["id"] == "B07"
+    for name, value in found.values.items():
+        assert stored.values[name] == pytest.approx(value, rel=1e-6)
+    at = [stored.order.index(n) for n in found.covariance.names]
+    assert np.allclose(stored.covariance[np.ix_(at, at)], found.covariance.matrix, rtol=1e-5)
+    assert stored.valid["voltage_v"] == pytest.approx(list(found.valid.voltage_v), rel=1e-5)
+    assert set(TRUTH) <= set(stored.parameters)
+
+
+def test_the_mean_delay_is_in_the_covariance(found, written):
+    stored = model_file.read(written)
+    k = stored.order.index("T_d")
+    assert np.sqrt(stored.covariance[k, k]) == pytest.approx(found.estimates["T_d"].std, rel=1e-4)
+    names, values, covariance = stored.identified
+    assert covariance.shape == (len(names), len(names)) == (len(values), len(values))
+
+
+def test_a_file_with_the_papers_twelve_is_enough(tmp_path):
+    path = tmp_path / "paper.yaml"
+    rows = "\n".join(f"  {n}: {{value: {v}}}" for n, v in TRUTH.items())
+    path.write_text(
+        f"format: model/1\nterms: [body, linear_drag]\nparameters:\n{rows}\nconstants: {{g: 9.81, nominal_voltage_v: 22.2}}\n"
+    )
+    stored = model_file.read(path)
+    assert not stored.model.channel_delays
+    assert stored.delays_s == pytest.approx({"attitude": 0.1037, "yaw_rate": 0.1037, "thrust": 0.1037})
+
+
+def test_everything_wrong_is_listed_with_its_line(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        "format: model/1\nterms: [body, linear_darg]\nparameters:\n  K: {valeu: 3}\n  alpha: {value: x}\nextra: 1\n"
+    )
+    with pytest.raises(ModelError) as error:
+        model_file.read(path)
+    lines = {p.line for p in error.value.problems}
+    assert {2, 4, 5, 6} <= lines
+    assert "did you mean `value`" in str(error.value)
+
+
+def test_a_missing_file_is_no_traceback(tmp_path):
+    with pytest.raises(ModelError, match="cannot be read"):
+        model_file.read(tmp_path / "none.yaml")
+
+
+def test_parameters_of_a_term_must_be_there(tmp_path):
+    path = tmp_path / "half.yaml"
+    path.write_text("format: model/1\nterms: [body, linear_drag]\nparameters:\n  K: {value: 50}\n")
+    with pytest.raises(ModelError, match="d_x"):
+        model_file.read(path)
+
+
+def test_a_model_does_not_differ_from_itself_and_does_from_another(found, written):
+    first = model_file.read(written)
+    assert not any(d.differs for d in compare(first, first))
+    text = written.read_text().replace("K: {value: ", "K: {value: 1")
+    written.write_text(text)
+    other = compare(first, model_file.read(written))
+    assert other[0].name == "K"
+    assert other[0].differs
+    assert "differs" in other[0].sentence
+    assert sum(d.differs for d in other) == 1

@@ -1,0 +1,88 @@
+"""Against a flight the model describes exactly the full model wins, and each simplification loses where it must."""
+
+import numpy as np
+import pytest
+
+from flighttest.errors import FitError
+from flighttest.identify.model_file import from_fit
+from flighttest.identify.validate import HORIZONS_S, merged, validate
+from flighttest.identify.variations import GROUPS, Variation
+from flighttest.physics.simulate import simulate
+from flighttest.segments.model import Segment
+from tests.identify.campaign import TRUTH
+
+
+@pytest.fixture(scope="module")
+def flight(found):
+    """24 s of weaving free flight in three windows, from Table 2's vehicle, a little noise."""
+    rng = np.random.default_rng(11)
+    t = np.arange(0.0, 24.0, 0.02)
+    edges = np.arange(-1.0, 24.0, 0.1)
+    roll, pitch = 0.45 * np.sin(1.9 * edges), 0.4 * np.sin(1.3 * edges + 1)
+    hover = 9.81 / (TRUTH["K"] * (24.3 / 22.2) ** TRUTH["alpha"])
+    u = {
+        "roll_ref_rad": (edges, roll), "pitch_ref_rad": (edges, pitch), "yaw_rate_ref_rad_s": (edges, np.sin(0.9 * edges)),
+        "throttle": (edges, hover / np.cos(roll) / np.cos(pitch) * (1 + 0.08 * np.sin(2.2 * edges))),
+    }  # fmt: skip
+    values = found.model.start({n: TRUTH[n] for n in TRUTH})
+    made = simulate(found.model, values, t, {"p_z_m": 6.0}, u, {"voltage_v": (t, np.full(t.size, 24.3))})
+    y = {
+        c: v + 1e-3 * rng.standard_normal(v.shape)
+        for c, v in made.items()
+        if c in {c for g in GROUPS.values() for c in g}
+    }
+    y |= {c: made[c] for c in ("q_rad_s", "f_z_m_s2")} | {"voltage_v": np.full(t.size, 24.3)}
+    cuts = [slice(0, 400), slice(400, 800), slice(800, t.size)]
+    return [
+        Segment(f"free {k}", "f", "free", {}, k, t[c][0], t[c], {n: v[c] for n, v in y.items()}, u)
+        for k, c in enumerate(cuts)
+    ]
+
+
+@pytest.fixture(scope="module")
+def table(found, flight):
+    return validate(from_fit(found), flight, previous=from_fit(found))
+
+
+def test_the_full_model_beats_each_simplification(table):
+    for variation in (Variation.LINEARISED, Variation.NO_DRAG, Variation.NO_BATTERY, Variation.HOLD):
+        for horizon in (0.5, 1.5, 3.0):
+            assert table.rmse(Variation.FULL, "position", horizon) < 0.7 * table.rmse(variation, "position", horizon), (
+                variation
+            )
+    assert table.rmse(Variation.FULL, "roll", 0.5) < 0.2 * table.rmse(Variation.ONLY_DELAY, "roll", 0.5)
+    assert table.rmse(Variation.FULL, "yaw rate", 0.5) < 0.3 * table.rmse(Variation.ONLY_DELAY, "yaw rate", 0.5)
+
+
+def test_only_the_attitude_suffers_from_only_delay_and_only_the_rest_from_no_drag(table):
+    full = table.rmse(Variation.FULL, "roll", 1.0)
+    assert table.rmse(Variation.NO_DRAG, "roll", 1.0) == pytest.approx(full)
+    assert table.rmse(Variation.LINEARISED, "roll", 1.0) == pytest.approx(full, rel=1e-6)
+    assert table.rmse(Variation.PREVIOUS, "position", 3.0) == pytest.approx(table.rmse(Variation.FULL, "position", 3.0))
+
+
+def test_errors_grow_with_the_horizon_and_are_small(table):
+    position = [table.rmse(Variation.FULL, "position", h) for h in HORIZONS_S]
+    assert position[-1] < 0.25
+    assert position[0] < 0.02
+
+
+def test_windows_of_one_flight_are_joined(flight):
+    joined = merged(list(reversed(flight)))
+    assert len(joined) == 1
+    assert joined[0].t_s.size == 1200
+    assert np.all(np.diff(joined[0].t_s) > 0)
+
+
+def test_figure_5_shows_every_variation_over_one_and_a_half_seconds(table):
+    figure = table.figure
+    assert figure.t_s[-1] == pytest.approx(1.5, abs=0.03)
+    assert set(figure.simulated) == set(Variation)
+    for channels in figure.simulated.values():
+        assert channels["p_x_m"].shape == figure.t_s.shape == figure.measured["p_x_m"].shape
+
+
+def test_a_flight_without_throttle_cannot_be_validated(found, flight):
+    bare = [Segment(s.name, s.run, s.kind, s.cell, s.repeat, s.t_step_s, s.t_s, s.y, {}) for s in flight]
+    with pytest.raises(FitError, match="throttle"):
+        validate(from_fit(found), bare)
