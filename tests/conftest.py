@@ -1,10 +1,12 @@
 """What every test may ask for: the real recordings beside the repository, and a real ArduPilot SITL. Both skip with a reason."""
 
 import os
-import shutil
 from pathlib import Path
 
 import pytest
+
+from flighttest.errors import FlighttestError
+from flighttest.sim.sitl_launcher import find_arducopter
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -17,12 +19,12 @@ def find_shared_data() -> Path | None:
     return None
 
 
-def find_arducopter() -> str | None:
-    """An `arducopter` binary, found as the launcher finds it: ARDUCOPTER, else PATH."""
-    named = os.environ.get("ARDUCOPTER")
-    if named:
-        return named if os.access(named, os.X_OK) else None
-    return shutil.which("arducopter")
+def sitl_binary() -> str | None:
+    """An `arducopter` binary, found as the launcher finds it."""
+    try:
+        return str(find_arducopter())
+    except FlighttestError:
+        return None
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +45,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def arducopter() -> str:
     """Path of a real ArduCopter SITL binary."""
-    binary = find_arducopter()
+    binary = sitl_binary()
     if binary is None:
         pytest.skip("no arducopter found: set ARDUCOPTER or put it on PATH (see sitl/README.md)")
     return binary
@@ -51,7 +53,7 @@ def arducopter() -> str:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests marked `sitl` are skipped with a reason where no arducopter is found."""
-    if find_arducopter() is not None:
+    if not any(item.get_closest_marker("sitl") for item in items) or sitl_binary() is not None:
         return
     skip = pytest.mark.skip(reason="no arducopter found: set ARDUCOPTER or put it on PATH (see sitl/README.md)")
     for item in items:

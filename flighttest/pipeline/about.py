@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 import shutil
 import socket
@@ -18,6 +17,7 @@ from flighttest.physics.core import Term
 from flighttest.pipeline.results import Result, Status
 from flighttest.report.document import Cell, Document, Facts, Paragraph, Section, Table
 from flighttest.script.shipped import shipped_names
+from flighttest.sim.sitl_launcher import find_arducopter
 
 LIBRARIES = (
     "casadi",
@@ -149,14 +149,10 @@ def doctor(connect: str | None) -> Result:
         "only to compile `export --to c`; install gcc or clang",
         needed=False,
     )
-    arducopter = os.environ.get("ARDUCOPTER") or shutil.which("arducopter")
-    note(
-        "ArduPilot SITL",
-        arducopter or "",
-        arducopter is not None,
-        "only for --backend sitl: set ARDUCOPTER, see sitl/README.md",
-        needed=False,
-    )
+    try:
+        note("ArduPilot SITL", str(find_arducopter()), True)
+    except FlighttestError as error:
+        note("ArduPilot SITL", "", False, f"only for --backend sitl: {error.hint}", needed=False)
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 0))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from flighttest.errors import InputError
 from flighttest.sim import SimOptions, parse_hide, start_simulator
+from flighttest.sim.sitl_launcher import SitlOptions, launch
 
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
@@ -18,7 +19,7 @@ def serve(
 ) -> Iterator[str]:
     """Serve until interrupted; yields lines for the person at the terminal."""
     if backend == "sitl":
-        yield from _serve_sitl(hide, speed, port)
+        yield from _serve_sitl(airframe, hide, speed)
         return
     made = options(airframe, hide, seed, speed, lockstep)
     with start_simulator(made, port=port) as simulation:
@@ -27,14 +28,13 @@ def serve(
         simulation.wait()
 
 
-def _serve_sitl(hide: Sequence[str], speed: float, port: int) -> Iterator[str]:
-    from flighttest.sim.sitl_launcher import launch
-
-    if hide:
+def _serve_sitl(airframe: str, hide: Sequence[str], speed: float) -> Iterator[str]:
+    if hide or airframe != "paper":
         raise InputError(
-            "--hide needs the built-in vehicle",
-            "or `flighttest prove --generator sitl`, which hides effects in the JSON physics",
+            "ArduPilot's own physics has one airframe here, paper, and hides nothing",
+            "use the built-in vehicle, or `flighttest prove --generator sitl`, which flies the firmware on the rotor physics",
         )
-    with launch(speedup=speed) as vehicle:
+    with launch(SitlOptions(airframe=airframe, speedup=speed)) as vehicle:
         yield f"ArduPilot SITL at {vehicle.url}; Ctrl-C stops it"
+        yield f"fly it: flighttest run thrust --connect {vehicle.url}"
         vehicle.wait()
