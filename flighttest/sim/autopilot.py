@@ -19,21 +19,16 @@ from flighttest.sim.guided import AngleControl
 from flighttest.sim.mailbox import Mailbox
 from flighttest.sim.navigation import Navigator
 from flighttest.sim.parameters import ParameterStore
-from flighttest.sim.plant import G_M_S2, Command, Plant
-from flighttest.sim.safety import LIFT_S, Boot, CrashCheck, arming_refusal, fence_breaches, fence_mode
+from flighttest.sim.plant import Command, Plant
+from flighttest.sim.safety import LIFT_S, Boot, arming_refusal, fence_breaches
 from flighttest.sim.sensors import SensorNoise, Sensors
 from flighttest.sim.streams import Streams
+from flighttest.sim.watch import Watch
 from flighttest.sim.wire import Encoder
 
 _CONTROL_S = 0.02
 _SLOW_S = 0.1
 _THRUST_AS_THRUST = 8  # GUID_OPTIONS bit 3
-_LAND_DISARM_S = 1.5
-_BOOT_TEXTS = (
-    (0.9, "Barometer 1 calibration complete"), (1.4, "ArduPilot Ready"), (1.4, "AHRS: DCM active"),
-    (3.4, "EKF3 IMU0 initialised"), (3.4, "AHRS: EKF3 active"), (4.8, "EKF3 IMU0 tilt alignment complete"),
-    (4.9, "EKF3 IMU0 MAG0 initial yaw alignment complete"), (8.8, "GPS 1: detected u-blox"),
-)  # fmt: skip
 
 
 class Autopilot:
@@ -65,12 +60,7 @@ class Autopilot:
         self.mode, self.armed, self.landed = modes.STABILIZE, False, True
         self.armed_s = self.landed_s = 0.0
         self.capacity_ah = capacity_ah
-        self._crash = CrashCheck()
-        self._breaches = 0
-        self._texts = list(_BOOT_TEXTS)
         self._text_id = 0
-        self._gps_said = False
-        self._switch_read = False
         self._holding = False
         self._throttle_state = 0.0
         self._charge_used_ah = 0.0
@@ -78,6 +68,7 @@ class Autopilot:
         self._slow_every = max(round(_SLOW_S / plant.tick_s), 1)
         self._second_every = max(round(1.0 / plant.tick_s), 1)
         self.mailbox = Mailbox(self)
+        self._watch = Watch(self)
 
     # -- what telemetry and the mailbox read ---------------------------------------------------------------------------------
 
@@ -92,9 +83,9 @@ class Autopilot:
         return bool(self.store["SIM_GPS1_ENABLE"]) and self.time_s >= self.boot.gps_s
 
     @property
-    def flying_by_itself(self) -> bool:
-        """Whether this mode is flown by the autopilot."""
-        return self.mode not in (modes.STABILIZE, modes.ALT_HOLD)
+    def taking_off(self) -> bool:
+        """Whether it climbs to its take-off height."""
+        return self.mode == modes.GUIDED and self.navigator.take_off_m is not None and not self.landed
 
     @property
     def charge_used_ah(self) -> float:
@@ -129,7 +120,7 @@ class Autopilot:
 
     def set_mode(self, mode: int) -> bool:
         """Change mode; False, with the reason as STATUSTEXT, where it is refused."""
-        why = modes.refusal(mode, has_position=self.has_position)
+        why = modes.refusal(mode, armed=self.armed, has_position=self.has_position)
         if why is not None:
             self.say(why, book.MAV_SEVERITY_WARNING)
             return False
@@ -153,15 +144,7 @@ class Autopilot:
         """Arm the motors; False, with the reason as STATUSTEXT, where it is refused."""
         if self.armed:
             return True
-        why = None if force else arming_refusal(self.time_s, self.boot, self.mode, self.store, self.motion.voltage)
-        if (
-            why is None
-            and not force
-            and fence_breaches(
-                self.store, self.motion.px, self.motion.py, self.motion.pz, has_position=self.has_position
-            )
-        ):
-            why = "Arm: vehicle outside Fence"
+        why = None if force else self._arming_refusal()
         if why is not None:
             self.say(why, book.MAV_SEVERITY_CRITICAL)
             return False
@@ -175,6 +158,13 @@ class Autopilot:
         self.say("Arming motors")
         self.outbox.append(telemetry.heartbeat(self))
         return True
+
+    def _arming_refusal(self) -> str | None:
+        m, known = self.motion, self.has_position
+        why = arming_refusal(self.time_s, self.boot, self.mode, self.store, m.voltage, has_position=known)
+        if why is None and fence_breaches(self.store, m.px, m.py, m.pz, has_position=known):
+            why = "Arm: vehicle outside Fence"
+        return why
 
     def disarm(self, *, force: bool = False) -> bool:
         """Disarm the motors; False in the air unless forced."""
@@ -194,7 +184,7 @@ class Autopilot:
         if n % self._control_every == 0:
             self._fly()
         if n % self._slow_every == 0:
-            self._look_after()
+            self._watch.look()
         t_s = self.time_s
         if self.armed and self.mode in modes.ATTITUDE_TARGETS and self._angle_rules(t_s):
             self._follow_targets(t_s, dt)
@@ -238,11 +228,13 @@ class Autopilot:
         c.yaw_rate = a.r if a.with_rates else heading_rate(a.yaw, m.yaw)
         if self.thrust_is_thrust:
             thrust = min(max(a.thrust or 0.0, 0.0), 1.0)
-            self._out(thrust if self._lifting() else 0.0, dt_s)
+            self._out(thrust if self.lifting else 0.0, dt_s)
         t = self.target
         t.roll, t.pitch, t.yaw, t.yaw_rate = m.shaped_roll, m.shaped_pitch, a.yaw, c.yaw_rate
 
-    def _lifting(self) -> bool:
+    @property
+    def lifting(self) -> bool:
+        """Whether the motors have spun up since arming."""
         return self.time_s - self.armed_s >= LIFT_S
 
     def _out(self, throttle: float, dt_s: float) -> None:
@@ -278,7 +270,7 @@ class Autopilot:
         c, t_s = self.command, self.time_s
         self._charge_used_ah += self.motion.current * _CONTROL_S / 3600.0
         c.spinning = self.armed
-        if not self.armed or not self._lifting():
+        if not self.armed or not self.lifting:
             c.roll = c.pitch = c.yaw_rate = 0.0
             self._hold_heading()
             self._out(0.0, _CONTROL_S)
@@ -377,64 +369,3 @@ class Autopilot:
         if abs(stick) <= dead:
             return 0.0
         return math.copysign((abs(stick) - dead) / (500.0 - dead), stick) * self.store["PILOT_SPD_UP"]
-
-    # -- ten times a second --------------------------------------------------------------------------------------------------
-
-    def _look_after(self) -> None:
-        t_s, m = self.time_s, self.motion
-        while self._texts and self._texts[0][0] <= t_s:
-            self.say(self._texts.pop(0)[1])
-        if self.has_position and not self._gps_said:
-            self._gps_said = True
-            self.say("EKF3 IMU0 origin set")
-            self.say("EKF3 IMU0 is using GPS")
-        if not self._switch_read and t_s >= self.boot.mode_switch_s:
-            self._switch_read = True
-            if self.mode != modes.STABILIZE and not self.armed:
-                self.set_mode(modes.STABILIZE)
-            self.say("RC7: SaveWaypoint LOW")
-        self._watch_landing(t_s)
-        if not self.armed:
-            self._breaches = 0
-            return
-        self._watch_fence(m.px, m.py, m.pz)
-        lean = math.acos(min(max(math.cos(m.roll) * math.cos(m.pitch), -1.0), 1.0))
-        error = math.hypot(m.roll - self.target.roll, m.pitch - self.target.pitch)
-        speed = math.sqrt(m.vx * m.vx + m.vy * m.vy + m.vz * m.vz)
-        accel = abs(math.sqrt(m.fx * m.fx + m.fy * m.fy + m.fz * m.fz) - G_M_S2)
-        if self.store["FS_CRASH_CHECK"] and self._crash.update(t_s, error, lean, speed, accel):
-            self.say(f"Crash: Disarming: AngErr={math.degrees(error):.0f}>30, Accel={accel:.1f}<3.0", 0)
-            self.disarm(force=True)
-
-    def _watch_landing(self, t_s: float) -> None:
-        m = self.motion
-        if not m.on_ground:
-            self.landed, self.landed_s = False, t_s
-            return
-        # landing is not detected in thrust mode once any positive thrust was sent
-        blind = self.mode in modes.ATTITUDE_TARGETS and self.thrust_is_thrust and self.angle.positive_thrust
-        if self.armed and (blind or self.command.throttle > 0.5 * self.control.hover):
-            self.landed_s = t_s
-            if blind:
-                self.landed = False
-            return
-        if not self.armed or t_s - self.landed_s >= 1.0:
-            self.landed = True
-        if not self.armed:
-            return
-        rest = t_s - self.landed_s
-        landing = self.mode in (modes.LAND, modes.RTL) and self._lifting()
-        patience = _LAND_DISARM_S if landing else self.store["DISARM_DELAY"] or math.inf
-        if rest >= patience and (landing or self.landed):
-            self.disarm(force=True)
-
-    def _watch_fence(self, px: float, py: float, pz: float) -> None:
-        breaches = fence_breaches(self.store, px, py, pz, has_position=self.has_position)
-        new = breaches & ~self._breaches
-        self._breaches = breaches
-        if not new:
-            return
-        self.say("Max Alt fence breached" if new & 1 else "Circle fence breached", book.MAV_SEVERITY_NOTICE)
-        mode = fence_mode(int(self.store["FENCE_ACTION"]), has_position=self.has_position)
-        if mode is not None and self.mode != mode and not self.landed:
-            self.set_mode(mode)

@@ -10,7 +10,7 @@ from flighttest.sim.plant import Plant
 from flighttest.sim.plant_paper import PaperParameters, PaperPlant
 from flighttest.sim.plant_rotor import RotorPlant
 from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
-from flighttest.sim.safety import Boot
+from flighttest.sim.safety import MODE_SWITCH_S, Boot
 from flighttest.sim.sensors import SensorNoise
 from flighttest.sim.weather import Air, Gusts
 
@@ -50,7 +50,7 @@ def build_vehicle(options: SimOptions) -> Autopilot:
         plant,
         seed=options.seed,
         noise=SensorNoise().scaled(options.noise),
-        boot=Boot(options.ready_s, options.gps_s, min(6.5, options.ready_s)),
+        boot=Boot(options.ready_s, options.gps_s, min(MODE_SWITCH_S, options.ready_s)),
         parameters=options.parameters,
         capacity_ah=plant.battery.capacity_ah,
     )

@@ -137,6 +137,8 @@ class Mailbox:
             self._send_parameter(name, m.param_index if m.param_index >= 0 else _NO_INDEX)
 
     def _parameter_list(self, _: Any) -> None:
+        self._v.say("ArduCopter V4.7.0-dev (simulate)")
+        self._v.say("Frame: QUAD/X")
         for i, name in enumerate(self._v.store):
             self._send_parameter(name, i)
 

@@ -15,12 +15,12 @@ NO_ARMING = frozenset({RTL, LAND, BRAKE, AUTO})
 ATTITUDE_TARGETS = frozenset({GUIDED, GUIDED_NOGPS})
 
 
-def refusal(mode: int, *, has_position: bool) -> str | None:
-    """Why a mode cannot be entered now, in the firmware's words, or None when it can."""
+def refusal(mode: int, *, armed: bool, has_position: bool) -> str | None:
+    """Why a mode cannot be entered now, in the firmware's words, or None when it can (disarmed, a missing position does not matter)."""
     if mode not in NAMES:
         return f"No such mode {mode}"
     if mode == AUTO:
         return "Mode change to Auto failed: missing mission"
-    if mode in NEEDS_POSITION and not has_position:
+    if armed and mode in NEEDS_POSITION and not has_position:
         return f"Mode change to {NAMES[mode]} failed: requires position"
     return None

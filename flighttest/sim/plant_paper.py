@@ -19,6 +19,7 @@ TICK_S = 0.005
 _STEP_MAX_S = 0.005  # the fastest loop turns 0.13 rad in it: the error of one Runge-Kutta step is below 1e-7
 HOVER_CURRENT_A = 24.0
 HARD_LANDING_M_S = 4.0
+_LEVEL = Command()
 
 
 @dataclass(frozen=True)
@@ -91,24 +92,12 @@ class PaperPlant:
         gain: float = b.K * ratio
         if self._air is not None:
             self._air.advance(h)
-        if m.on_ground:
-            self._stand(h, gain * throttle)
-        else:
-            self._fly(h, command, gain * throttle)
+        self._fly(h, command if not m.on_ground else _LEVEL, gain * throttle)
         a_t = self._x[6]
         load = a_t / G_M_S2 if a_t > 0.0 else 0.0
         battery.draw((0.4 if command.spinning else 0.2) + HOVER_CURRENT_A * load * sqrt(load), h)
         m.voltage, m.current = battery.voltage, battery.current
         m.shaped_roll, m.shaped_pitch, m.shaped_yaw_rate = command.roll, command.pitch, command.yaw_rate
-
-    def _stand(self, h: float, thrust: float) -> None:
-        """On the ground: the thrust grows with its lag, the weight holds the rest still."""
-        x, b, m = self._x, self.parameters, self.motion
-        a_t = x[6] + (thrust - x[6]) * min(b.sigma_t * h, 1.0)
-        self._x = (*x[:6], a_t, 0.0, 0.0, 0.0, x[10], x[11], 0.0)
-        m.vx = m.vy = m.vz = m.p = m.q = m.r = 0.0
-        if a_t > G_M_S2 and not self._frozen:
-            m.on_ground = False
 
     def _fly(self, h: float, command: Command, thrust: float) -> None:
         b, m = self.parameters, self.motion
@@ -158,7 +147,13 @@ class PaperPlant:
         k4 = rates(tuple([a + h * k for a, k in zip(x, k3, strict=False)]))
         sixth = h / 6.0
         x = tuple([a + sixth * (p + 2.0 * (q + s) + t) for a, p, q, s, t in zip(x, k1, k2, k3, k4, strict=False)])
-        phi, phi_d, th, th_d, r, psi, _, vx, vy, vz, px, py, pz = x
+        phi, phi_d, th, th_d, r, psi, a_t, vx, vy, vz, px, py, pz = x
+        if m.on_ground and (vz <= 0.0 or self._frozen):
+            # the ground holds everything but the thrust, which grows until it lifts
+            old = self._x
+            self._x = (*old[:6], a_t, *old[7:])
+            return
+        m.on_ground = False
         if pz <= 0.0 and vz < 0.0:
             m.impact_m_s = -vz
             self._touch_down(x)

@@ -10,7 +10,7 @@ from flighttest.sim.parameters import ParameterStore
 
 READY_S = 22.0  # flown on a real SITL: arming is refused for 20 to 25 s after boot
 GPS_S = 41.0  # flown: LOCAL_POSITION_NED starts 41 s after boot
-MODE_SWITCH_S = 6.5  # the RC mode switch is read for the first time: an earlier mode is undone
+MODE_SWITCH_S = 3.0  # the RC mode switch is read for the first time: an earlier mode is undone
 LIFT_S = 2.0  # flown: motors lift about 2 s after arming
 
 
@@ -23,7 +23,9 @@ class Boot:
     mode_switch_s: float = MODE_SWITCH_S
 
 
-def arming_refusal(t_s: float, boot: Boot, mode: int, store: ParameterStore, voltage_v: float) -> str | None:
+def arming_refusal(
+    t_s: float, boot: Boot, mode: int, store: ParameterStore, voltage_v: float, *, has_position: bool
+) -> str | None:
     """Why the motors may not be armed, in the firmware's words, or None when they may."""
     if mode in modes.NO_ARMING:
         return f"Arm: {modes.NAMES[mode]} mode not armable"
@@ -32,10 +34,10 @@ def arming_refusal(t_s: float, boot: Boot, mode: int, store: ParameterStore, vol
     if t_s < boot.mode_switch_s:
         return "Arm: Initialising"
     if t_s < boot.ready_s - 10.0:
-        return "Arm: Gyros not healthy"
+        return "Arm: Accels inconsistent"
     if t_s < boot.ready_s:
-        return "Arm: AHRS: EKF3 still aligning"
-    if mode in modes.NEEDS_POSITION and t_s < boot.gps_s:
+        return "Arm: Gyros inconsistent"
+    if mode in modes.NEEDS_POSITION and not has_position:
         return "Arm: Need Position Estimate"
     low = store["BATT_LOW_VOLT"]
     if low > 0.0 and voltage_v < low:

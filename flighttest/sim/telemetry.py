@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
+from flighttest.sim.modes import LAND
 from flighttest.sim.parameters import ParameterStore
 from flighttest.sim.plant import Command, Motion
 from flighttest.sim.sensors import Sensors
@@ -71,8 +72,8 @@ class Vehicle(Protocol):
         """Whether the estimator uses GPS."""
 
     @property
-    def flying_by_itself(self) -> bool:
-        """Whether this mode is flown by the autopilot."""
+    def taking_off(self) -> bool:
+        """Whether it climbs to its take-off height."""
 
 
 def global_of(px: float, py: float) -> tuple[int, int]:
@@ -217,6 +218,37 @@ def _sys_status(v: Vehicle) -> bytes:
     )
 
 
+def _pressure(v: Vehicle) -> bytes:
+    return v.encoder.message(book.MAVLink_scaled_pressure_message(_ms(v), _hpa(v), 0.0, 3120))
+
+
+def _hpa(v: Vehicle) -> float:
+    altitude = HOME_ALT_M + v.sensors.pressure_height(v.time_s)
+    return float(1013.25 * (1.0 - 2.25577e-5 * altitude) ** 5.25588)
+
+
+def _vibration(v: Vehicle) -> bytes:
+    return v.encoder.message(book.MAVLink_vibration_message(_us(v), 0.3, 0.3, 0.3, 0, 0, 0))
+
+
+def _fence(v: Vehicle) -> bytes | None:
+    if not v.store["FENCE_ENABLE"]:
+        return None
+    return v.encoder.message(book.MAVLink_fence_status_message(0, 0, 0, 0))
+
+
+def _navigation(v: Vehicle) -> bytes:
+    t = v.target
+    roll, pitch, heading = math.degrees(t.roll), -math.degrees(t.pitch), round(math.degrees(-t.yaw)) % 360
+    return v.encoder.message(
+        book.MAVLink_nav_controller_output_message(roll, pitch, heading, heading, 0, 0.0, 0.0, 0.0)
+    )
+
+
+def _silent(_: Vehicle) -> None:
+    """Accepted, and never sent: there is no such instrument."""
+
+
 def _power(v: Vehicle) -> bytes:
     return v.encoder.message(book.MAVLink_power_status_message(5000, 0, 0))
 
@@ -228,6 +260,10 @@ def _ekf(v: Vehicle) -> bytes:
 
 def _extended_state(v: Vehicle) -> bytes:
     state = book.MAV_LANDED_STATE_ON_GROUND if v.landed else book.MAV_LANDED_STATE_IN_AIR
+    if v.taking_off:
+        state = book.MAV_LANDED_STATE_TAKEOFF
+    elif v.mode == LAND and not v.landed:
+        state = book.MAV_LANDED_STATE_LANDING
     return v.encoder.message(book.MAVLink_extended_sys_state_message(0, state))
 
 
@@ -284,13 +320,10 @@ def _version(v: Vehicle) -> bytes:
 
 def heartbeat(v: Vehicle) -> bytes:
     """HEARTBEAT: the mode in custom_mode."""
-    base = book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | book.MAV_MODE_FLAG_STABILIZE_ENABLED
-    base |= book.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-    if v.flying_by_itself:
-        base |= book.MAV_MODE_FLAG_GUIDED_ENABLED
-    if v.armed:
-        base |= book.MAV_MODE_FLAG_SAFETY_ARMED
+    base = 89 | (book.MAV_MODE_FLAG_SAFETY_ARMED if v.armed else 0)  # 89 whatever the mode, as a real SITL sends
     state = book.MAV_STATE_STANDBY if v.landed else book.MAV_STATE_ACTIVE
+    if v.time_s < 1.0:
+        state = book.MAV_STATE_BOOT
     kind, autopilot = book.MAV_TYPE_QUADROTOR, book.MAV_AUTOPILOT_ARDUPILOTMEGA
     return v.encoder.message(book.MAVLink_heartbeat_message(kind, autopilot, base, v.mode, state, 3))
 
@@ -324,5 +357,12 @@ MAKERS: dict[int, Maker] = {
     book.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf,
     book.MAVLINK_MSG_ID_HOME_POSITION: _home,
     book.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_state,
+    book.MAVLINK_MSG_ID_SCALED_PRESSURE: _pressure,
+    book.MAVLINK_MSG_ID_VIBRATION: _vibration,
+    book.MAVLINK_MSG_ID_FENCE_STATUS: _fence,
+    book.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: _navigation,
+    book.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _silent,
+    book.MAVLINK_MSG_ID_RANGEFINDER: _silent,
+    book.MAVLINK_MSG_ID_WIND: _silent,
 }
 """Every message that can be asked for, by id; None means: accepted, but silent for now."""

@@ -1,5 +1,6 @@
 """The facade against what design and a real SITL say of ArduCopter: modes, arming, targets, timeouts, landing, safety."""
 
+import itertools
 import math
 
 import pytest
@@ -16,19 +17,22 @@ def test_early_mode_is_undone_and_arming_refused_with_a_reason(bare):
     assert c.last("HEARTBEAT").custom_mode == STABILIZE
     assert c.command(400, 1) == 4
     assert c.texts[-1].startswith("Arm: ")
-    assert c.mode(GUIDED) == 4
-    assert "requires position" in c.texts[-1]
     c.run(15.0)
+    assert c.mode(GUIDED) == 0  # disarmed, any mode may be chosen
+    assert c.command(400, 1) == 4
+    assert c.texts[-1] == "Arm: Need Position Estimate"
     assert c.mode(NOGPS) == 0
     c.run(1.0)
     assert c.last("HEARTBEAT").custom_mode == NOGPS
     assert c.command(400, 1) == 0
+    assert c.mode(GUIDED) == 4  # armed, without a position
+    assert "requires position" in c.texts[-1]
 
 
 def test_only_heartbeat_and_texts_come_unasked(bare):
     c = bare.Client(noise=0.0)
     c.run(60.0)
-    assert set(c.got) == {"HEARTBEAT", "STATUSTEXT"}
+    assert set(c.got) == {"HEARTBEAT", "STATUSTEXT", "TIMESYNC"}
     assert 58 <= len(c.got["HEARTBEAT"]) <= 62
 
 
@@ -40,7 +44,7 @@ def test_intervals_are_kept_and_too_fast_is_denied(bare):
     c.run(2.0)
     assert len(c.got["ATTITUDE"]) == pytest.approx(400, abs=2)
     stamps = [m.time_usec for m in c.got["HIGHRES_IMU"]]
-    assert {b - a for a, b in zip(stamps, stamps[1:], strict=False)} == {10000}
+    assert {b - a for a, b in itertools.pairwise(stamps)} == {10000}
     assert c.command(511, 30, 2500.0) == 2
     assert "too fast" in c.texts[-1]
     assert c.command(511, 331, 10000.0) == 2
@@ -62,7 +66,8 @@ def test_local_position_is_silent_without_gps(bare):
     assert blind.command(511, 32, 20000.0) == 0
     blind.run(50.0)
     assert "LOCAL_POSITION_NED" not in blind.got
-    assert blind.mode(LOITER) == 4
+    assert blind.mode(LOITER) == 0
+    assert blind.command(400, 1) == 4
 
 
 def test_parameters(bare):
@@ -105,7 +110,15 @@ def test_targets_in_another_mode_are_dropped(bare):
 
 @pytest.mark.parametrize(
     ("mask", "size", "taken"),
-    [(7, 1.0, True), (0, 1.0, True), (128, 1.0, True), (3, 1.0, False), (4, 1.0, False), (71, 1.0, False), (7, 1.01, False)],
+    [
+        (7, 1.0, True),
+        (0, 1.0, True),
+        (128, 1.0, True),
+        (3, 1.0, False),
+        (4, 1.0, False),
+        (71, 1.0, False),
+        (7, 1.01, False),
+    ],
 )
 def test_type_mask_table(bare, mask, size, taken):
     c = bare.Client(**bare.QUIET)
@@ -234,7 +247,9 @@ def test_position_targets_in_both_frames(bare):
     c.airborne(5.0)
     assert c.mode(GUIDED) == 0
     c.send(
-        book.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0b100111111000, 3, -2, -6, 0, 0, 0, 0, 0, 0, 1.0, 0)
+        book.MAVLink_set_position_target_local_ned_message(
+            0, 1, 1, 1, 0b100111111000, 3, -2, -6, 0, 0, 0, 0, 0, 0, 1.0, 0
+        )
     )
     c.run(10.0)
     assert (c.motion.px, c.motion.py, c.motion.pz) == pytest.approx((3.0, 2.0, 6.0), abs=0.1)
