@@ -79,7 +79,7 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
         reset=script.reset,
         rate_hz=script.rate_hz,
         refusals=refusals,
-        notes=_notes(fitted),
+        notes=_notes(fitted, places, script, setting),
         cells=tuple(
             _cell_plan(f, places[i][0], setting, stops.get(i, ()), sum(slot.cell == i for slot in slots))
             for i, f in enumerate(fitted)
@@ -138,7 +138,8 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting, zone_headin
             if f.cell.waypoints:
                 # A path says where it is; it is not moved.
                 excess = worst(f.nominal, f.lost, setting.room, np.zeros(3), fence=True)
-                cache[first] = Placement(f.cell.waypoints[0][1:], order[0], excess)
+                alone = worst(f.nominal, f.lost, setting.room, np.zeros(3), fence=False)
+                cache[first] = Placement(f.cell.waypoints[0][1:], order[0], excess, fence=alone is not None)
             else:
                 cache[first] = place(f.nominal, f.lost, setting.room, wish, order, height)
         found.append(cache[first])
@@ -276,10 +277,21 @@ def _cell_plan(
     )
 
 
-def _notes(fitted: Sequence[Fitted]) -> tuple[str, ...]:
+def _notes(
+    fitted: Sequence[Fitted], places: Sequence[Sequence[Placement]], script: Script, setting: Setting
+) -> tuple[str, ...]:
+    notes = []
     shortened = [f.cell.label for f in fitted if f.shortened]
-    if not shortened:
-        return ()
-    return (
-        f"{len(shortened)} of {len(fitted)} steps are shorter than asked for, to stay inside zone, heights and speed",
-    )
+    if shortened:
+        notes.append(
+            f"{len(shortened)} of {len(fitted)} steps are shorter than asked for, to stay inside zone, heights and speed"
+        )
+    fenced = sum(any(p.fence and p.excess is None for p in placed) for placed in places)
+    if fenced:
+        notes.append(
+            f"{fenced} of {len(fitted)} steps drift past the zone's margin when the link is lost: the autopilot's fence has to stop them"
+        )
+    to = np.array(script.reset.to_m)
+    if bool(np.any(to < setting.room.inner_low - 1e-9) or np.any(to > setting.room.inner_high + 1e-9)):
+        notes.append("reset.to lies outside the zone or its margin: each step starts as near to it as it fits")
+    return tuple(notes)

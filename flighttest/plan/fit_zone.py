@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.plan.model import FloatArray, Predictor
-from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, Rehearsal, Row, rehearse
+from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, Rehearsal, Row, rehearse, sample
 from flighttest.plan.room import Room, Track, box
 from flighttest.script.profiles import Cell, Piece
 
@@ -297,11 +297,15 @@ def _judge(fitted: Fitted, setting: Setting) -> Fitted:
             f"{setting.predictor.delay_s:.2f} s; less than {USEFUL_S} s shows nothing",
             remedy="hold it longer, or make the step smaller so that it fits longer",
         )
-    for piece in fitted.lead:
-        if isinstance(piece.throttle, float) and not setting.throttle[0] <= piece.throttle <= setting.throttle[1]:
-            return replace(
-                fitted,
-                complaint=f"throttle {piece.throttle:.2f} is outside the limits {setting.throttle[0]:g} to {setting.throttle[1]:g}",
-                remedy="change the step or the limit",
-            )
+    t = np.arange(0.0, _length(fitted.lead), GRID_S)
+    hovers = setting.predictor.hover_throttle(np.array(setting.voltages_v)).tolist()
+    asked = np.concatenate([sample(fitted.lead, hover, t)[:, 3] for hover in hovers])
+    low, high = setting.throttle
+    if asked.size and (asked.min() < low - 1e-9 or asked.max() > high + 1e-9):
+        value = asked.min() if asked.min() < low - 1e-9 else asked.max()
+        return replace(
+            fitted,
+            complaint=f"it asks for throttle {value:.2f}, outside the limits {low:g} to {high:g}",
+            remedy="change the step or the limit",
+        )
     return fitted

@@ -18,7 +18,8 @@ def remedy(
     if f.cell.waypoints:
         return "move the waypoints inwards, or lower speed_m_s"
     if f.cell.height_m is not None:
-        free = place(f.nominal, f.lost, setting.room, wish_m, headings_rad)
+        wish = (wish_m[0], wish_m[1], placement.start_m[2])
+        free = place(f.nominal, f.lost, setting.room, wish, headings_rad)
         if free.excess is None:
             step = f.cell.height_m + free.start_m[2] - placement.start_m[2]
             return f"height_m {step:.1f} would fit"
@@ -28,6 +29,8 @@ def remedy(
     low, high = box(f.nominal)
     need, have = high - low, setting.room.inner_high - setting.room.inner_low
     axis = placement.excess.axis
+    if float(have.min()) <= 0.0:
+        return "the zone with its margin and height_m leave no room at all: widen one of them"
     if axis == 2:
         return f"it needs {need[2]:.1f} m of height where {have[2]:.1f} m are free: make the step smaller"
     return f"it needs {max(need[0], need[1]):.1f} m where {max(have[0], have[1]):.1f} m are free: make the step smaller"

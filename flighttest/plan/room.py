@@ -68,16 +68,20 @@ class Excess:
         """Where it leaves, as an operator would say it."""
         side = ("below the floor", "above the ceiling")[self.high] if self.axis == 2 else AXIS_WORDS[self.axis]
         lost = " with the link lost at the worst moment" if self.lost else ""
-        return f"{self.metres:.1f} m {side} at {self.t_s:.1f} s{lost}"
+        return f"{max(self.metres, 0.01):.{1 if self.metres >= 0.1 else 2}f} m {side} at {self.t_s:.1f} s{lost}"
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A start in the zone, the heading it was found for, and the worst excess there (None: it fits)."""
+    """A start in the zone, the heading it was found for, and the worst excess there (None: it fits).
+
+    fence: a lost link is contained only because a fence brakes the vehicle at the zone's margin.
+    """
 
     start_m: tuple[float, float, float]
     heading_rad: float
     excess: Excess | None
+    fence: bool = False
 
 
 def box(tracks: list[Track]) -> tuple[FloatArray, FloatArray]:
@@ -148,7 +152,7 @@ def _place(
         for y in candidates[1]:
             start = np.array([x, y, candidates[2][0]])
             excess = worst(turned, turned_lost, room, start, fence)
-            found = Placement((float(x), float(y), float(start[2])), heading, excess)
+            found = Placement((float(x), float(y), float(start[2])), heading, excess, fence)
             if excess is None:
                 return found
             if best is None or best.excess is None or excess.metres < best.excess.metres:

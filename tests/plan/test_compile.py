@@ -163,6 +163,18 @@ def test_a_record_of_nothing_is_refused(plan_of):
     assert "after the delay" in plan.refusals[0][1]
 
 
+def test_a_throttle_limit_below_hover_is_refused(plan_of):
+    plan = plan_of("attitude_step: {axis: pitch, amplitude_rad: 0.2}", head="limits: {throttle: [0, 0.17]}")
+    assert "throttle 0.19" in plan.refusals[0][1]  # what an empty battery needs to hover
+
+
+def test_what_only_a_fence_contains_is_said(plan_of):
+    narrow = replace(DEFAULT_VEHICLE, zone=Zone(x_m=(-4.0, 4.0), y_m=(-4.0, 4.0)))
+    step = "attitude_step: {axis: roll, amplitude_rad: 0.3, sign: positive}"
+    assert any("fence has to stop" in note for note in plan_of(step, narrow).notes)
+    assert not any("fence" in note for note in plan_of(step).notes)
+
+
 def test_speed_limit_is_kept(plan_of):
     head = "limits: {speed_max_m_s: 2}"
     plan = plan_of("attitude_step: {axis: pitch, amplitude_rad: 0.5, sign: positive}", head=head)

@@ -198,10 +198,10 @@ def test_a_file_that_is_not_there_or_not_text(tmp_path):
 
 
 def outcome(text):
+    """The script, or None where it is refused; anything but a FlighttestError is a traceback."""
     try:
         return parse_script(text)
-    except FlighttestError as error:
-        assert str(error)
+    except FlighttestError:
         return None
 
 

@@ -1,3 +1,4 @@
+import contextlib
 import json
 import math
 
@@ -9,7 +10,7 @@ from flighttest.errors import FlighttestError, VehicleError
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_components, load_vehicle, parse_vehicle
 
-# The example of design/formats.md, word for word.
+# The example of design/formats.md.
 FORMATS = """\
 format: vehicle/1
 name: hexa-1
@@ -17,7 +18,7 @@ connect: udpin:0.0.0.0:14550
 firmware: ardupilot
 nominal_voltage_v: 22.2
 hover_throttle: 0.18
-zone: {origin: home, heading_deg: 40, x_m: [-15, 15], y_m: [-7.5, 7.5], z_m: [1, 10], margin_m: 1.5}   # x along the compass heading, y to the left
+zone: {origin: home, heading_deg: 40, x_m: [-15, 15], y_m: [-7.5, 7.5], z_m: [1, 10], margin_m: 1.5}   # x along the heading
 mass_kg: 2.9
 rotor_height_m: 0.2                   # of the rotor plane above the landing gear's feet
 components:                     # change one of these and the model is stale
@@ -125,7 +126,5 @@ def test_a_bad_components_file_is_a_problem_of_the_vehicle_file(tmp_path, text):
 @given(st.integers(0, len(FORMATS) - 1), st.text(max_size=3), st.integers(0, 6))
 @settings(max_examples=150, deadline=None, derandomize=True)
 def test_no_slip_of_the_pen_gives_a_traceback(at, typed, removed):
-    try:
+    with contextlib.suppress(FlighttestError):  # anything else is a traceback
         parse_vehicle(FORMATS[:at] + typed + FORMATS[at + removed :])
-    except FlighttestError as error:
-        assert str(error)
