@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,13 +117,19 @@ def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> 
     script = manifest.get("script") or {}
     return HistoryPoint(
         run=run.name,
-        when=str(manifest.get("started") or manifest.get("created") or run.name[:19].replace("T", " ", 1)),
+        when=str(manifest.get("started") or manifest.get("created") or _when(run.name)),
         vehicle=str(vehicle.get("name", "") if isinstance(vehicle, Mapping) else vehicle),
         script=str(script.get("name", "") if isinstance(script, Mapping) else script),
         outcome=str(manifest.get("outcome") or manifest.get("importer") or ""),
         parameters=parameters,
         components=components,
     )
+
+
+def _when(name: str) -> str:
+    """The date and time a run folder's name begins with; empty where it begins otherwise."""
+    found = re.match(r"(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)", name)
+    return f"{found[1]} {found[2]}:{found[3]}:{found[4]}" if found else ""
 
 
 def _data(point: HistoryPoint) -> dict[str, Any]:

@@ -1,0 +1,171 @@
+"""After landing: recordings of one campaign to fit, diagnosis, currency and page, in the run folders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flighttest.currency.model import Currency, Verdict
+from flighttest.errors import FitError
+from flighttest.identify import model_file
+from flighttest.identify.fit import Fit
+from flighttest.identify.model_file import ModelFile
+from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
+from flighttest.pipeline.currency import TESTED, judge
+from flighttest.pipeline.diagnosis import UNFINISHED, run_diagnosis, write_diagnosis
+from flighttest.pipeline.history import FIT_NAME
+from flighttest.pipeline.reporting import REPORT_NAME, keep_segments, provenance, run_document
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.views import fit_view, segment_views
+from flighttest.recording import Recording
+from flighttest.report import fit_sections, html
+from flighttest.report.currency_page import status_document
+from flighttest.report.document import Document, Section, Tone
+from flighttest.report.views import FitView
+from flighttest.segments import Segment
+from flighttest.vehicle.model import Vehicle
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What was found in a campaign; any part may be missing, `reason` says why the fit is."""
+
+    recordings: tuple[Recording, ...]
+    segments: tuple[Segment, ...]
+    fit: Fit | None
+    reason: str = ""
+    currency: Currency | None = None
+    diagnosis: dict[str, Any] | None = None
+    explained: bool = True
+
+
+def analyse(
+    folders: Sequence[Path],
+    *,
+    vehicle: Vehicle | None = None,
+    previous: ModelFile | None = None,
+    diagnose: bool | None = None,
+    notes: Sequence[str] = (),
+    usable: bool = True,
+    progress: Progress = SILENT,
+) -> Result:
+    """Cut, fit, compare with the previous model, diagnose, and write it all into the run folders.
+
+    diagnose: None diagnoses where there is a previous model to diagnose against. usable: False when the flight was aborted.
+    """
+    recordings = open_recordings(folders, progress=progress)
+    found = _analysis(recordings, vehicle, previous, diagnose, folders[-1], progress)
+    for folder, recording in zip(folders, recordings, strict=True):
+        keep_segments(folder, [s for s in found.segments if s.run == recording.name])
+    data: dict[str, Any] = {"runs": [str(f) for f in folders], "notes": list(notes)}
+    if found.fit is not None:
+        model = model_data(found.fit, recordings, vehicle)
+        for folder in folders:
+            model_file.write(folder / FIT_NAME, model)
+        data["model"] = model
+    progress.stage("writing the report")
+    view = fit_view(found.fit, found.segments) if found.fit is not None else None
+    page = _page(found, view)
+    for folder in folders:
+        html.write(page, folder / REPORT_NAME)
+    data["report"] = str(folders[-1] / REPORT_NAME)
+    data["segments"] = {"used": sum(s.usable for s in found.segments), "of": len(found.segments)}
+    if found.currency is not None:
+        data["currency"] = {"verdict": found.currency.verdict.name, "sentence": found.currency.sentence}
+    if found.diagnosis is not None:
+        data["diagnosis"] = found.diagnosis
+    return Result(_summary(found, view, folders, notes, page), data, _status(found, usable), found)
+
+
+def _analysis(
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    previous: ModelFile | None,
+    diagnose: bool | None,
+    folder: Path,
+    progress: Progress,
+) -> Analysis:
+    segments = cut_all(recordings, progress)
+    try:
+        fitted: Fit | None = fit_segments(segments, recordings, vehicle, progress=progress)
+        reason = ""
+    except FitError as error:
+        fitted, reason = None, error.message
+    currency = None
+    if previous is not None and fitted is not None:
+        currency = judge(previous, recordings, vehicle, progress=progress)
+    diagnosis, explained = None, True
+    if fitted is not None and (previous is not None if diagnose is None else diagnose):
+        try:
+            result = run_diagnosis(segments, recordings, previous, vehicle, progress)
+            diagnosis = write_diagnosis(result, segments, recordings, vehicle, folder / "diagnosis", progress)
+            explained = result.verdict not in UNFINISHED
+        except FitError as error:
+            progress.stage(f"no diagnosis: {error.message}")
+    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained)
+
+
+def renewed(found: Analysis) -> bool:
+    """Whether the campaign makes known everything that currency watches, so that its own model replaces the old one."""
+    if found.fit is None:
+        return False
+    wanted = [n for n in TESTED if n in found.fit.estimates]
+    return all(found.fit.estimates[n].identifiable for n in wanted if n != "d_z")
+
+
+def _status(found: Analysis, usable: bool) -> Status:
+    if not usable:
+        return Status.UNUSABLE
+    if found.fit is None:
+        return Status.UNUSABLE if not any(s.usable for s in found.segments) else Status.UNEXPLAINED
+    if not found.fit.status.good:
+        return Status.UNEXPLAINED
+    if found.currency is not None and found.currency.verdict is Verdict.STALE and not renewed(found):
+        return Status.STALE
+    return Status.DONE if found.explained else Status.UNEXPLAINED
+
+
+def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
+    if view is None:
+        return f"No model could be fitted: {found.reason}.", "bad"
+    words = view.verdict
+    tone: Tone = "bad" if not view.good else "good" if all(p.known for p in view.parameters) else "warn"
+    if found.diagnosis is not None:
+        words += f" {found.diagnosis.get('sentence', '')}"
+        tone = tone if found.explained else "warn"
+    if found.currency is not None and found.currency.verdict is Verdict.STALE:
+        words += " The earlier model is stale: " + found.currency.sentence.removeprefix("Stale: ")
+        tone = "warn"
+    return words.strip(), tone
+
+
+def _page(found: Analysis, view: FitView | None) -> Document:
+    verdict, tone = _verdict(found, view)
+    extra: list[Section] = []
+    if found.currency is not None:
+        extra += status_document(found.currency, {}, {}, {}).sections
+    return run_document(
+        found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, verdict=verdict, tone=tone
+    )
+
+
+def _summary(
+    found: Analysis, view: FitView | None, folders: Sequence[Path], notes: Sequence[str], page: Document
+) -> Document:
+    """What the terminal shows: the verdict, the parameters, where everything is."""
+    sections: list[Section] = []
+    if view is not None:
+        sections.append(fit_sections.parameters(view))
+    else:
+        sections.append(fit_sections.segments(segment_views(found.segments)))
+    facts = {k: v for k, v in provenance(found.recordings).items() if k in ("vehicle", "firmware", "lost")}
+    used = sum(s.usable for s in found.segments)
+    facts["responses"] = f"{used} of {len(found.segments)} used"
+    if notes:
+        facts["notes"] = "; ".join(notes)
+    facts["model"] = str(folders[-1] / FIT_NAME) if found.fit is not None else "-"
+    facts["report"] = str(folders[-1] / REPORT_NAME)
+    return Document("flight", page.verdict, page.tone, tuple(sections), facts)
