@@ -15,6 +15,9 @@ import click
 from flighttest.channels import CHANNELS
 from flighttest.cli.main import cli
 from flighttest.physics.catalogue import catalogue
+from flighttest.script.load import load_script
+from flighttest.script.profiles import PROFILES, Duration, Field
+from flighttest.script.shipped import resolve, shipped_names
 
 DOCS = Path(__file__).resolve().parent
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -56,7 +59,55 @@ def terms() -> str:
     return "\n".join([*head, *rows]) + "\n"
 
 
-BLOCKS: dict[str, Callable[[], str]] = {"channels": channels, "terms": terms}
+def maneuvers() -> str:
+    """The shipped maneuvers."""
+    rows = []
+    for name in shipped_names():
+        script = load_script(resolve(name))
+        cells = sum(len(PROFILES[step.profile].cells(step.settings, 1.0)) for step in script.steps)
+        rows.append(
+            f"| `{name}` | {script.doc} | {cells * script.repeat.each} | {', '.join(script.identifies) or '-'} |"
+        )
+    return "\n".join(["| name | what | legs | identifies |", "|---|---|---|---|", *rows]) + "\n"
+
+
+def profiles() -> str:
+    """The kinds of step and their settings."""
+    parts = []
+    for profile in PROFILES.values():
+        rows = [f"| `{f.key}` | {f.doc} | {_range(f)} | {_default(f)} |" for f in profile.fields]
+        head = ["| setting | what | allowed | default |", "|---|---|---|---|"]
+        parts += [f"### {profile.name}", "", profile.doc[0].upper() + profile.doc[1:] + ".", "", *head, *rows, ""]
+    return "\n".join(parts)
+
+
+def _range(field: Field) -> str:
+    if field.choices:
+        return ", ".join(field.choices)
+    if field.throttle:
+        return "a throttle, or several" if field.kind == "numbers" else "a throttle"
+    words = {"numbers": ", one or several", "duration": ", or {up_to: seconds}", "points": ", each [x, y, z]"}
+    return f"{field.low:g} to {field.high:g} {field.unit}".rstrip() + words.get(field.kind, "")
+
+
+def _default(field: Field) -> str:
+    if field.optional:
+        return "left out"
+    if field.default is None:
+        return "must be given"
+    if isinstance(field.default, Duration):
+        return f"{{up_to: {field.default.seconds:g}}}" if field.default.up_to else f"{field.default.seconds:g}"
+    if isinstance(field.default, tuple):
+        return ", ".join(f"{value:g}" for value in field.default)
+    return f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
+
+
+BLOCKS: dict[str, Callable[[], str]] = {
+    "channels": channels,
+    "terms": terms,
+    "maneuvers": maneuvers,
+    "profiles": profiles,
+}
 
 
 def pages() -> dict[Path, str]:
