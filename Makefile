@@ -27,7 +27,7 @@ docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py
 
 sitl: .venv/installed  ## fly the demo on a real ArduPilot SITL
-	$(BIN)/python sitl/launch.py --fly
+	$(BIN)/python sitl/launch.py --airframe paper --speedup 5 --fly thrust roll_pitch yaw_rate
 
 clean:
 	rm -rf .venv build dist *.egg-info

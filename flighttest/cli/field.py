@@ -26,7 +26,9 @@ def check(context: Context, scripts: tuple[str, ...], vehicle: Path | None, mode
 @click.argument("scripts", nargs=-1, metavar="SCRIPT...")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml; without it the built-in simulated copter flies.")
 @click.option(
-    "--connect", metavar="URL", help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim."
+    "--connect",
+    metavar="URL",
+    help="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim.",
 )
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders go.")
 @click.option(

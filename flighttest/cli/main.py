@@ -78,3 +78,7 @@ def call(argv: Sequence[str]) -> int:
 def main() -> None:
     """Entry point of the `flighttest` program."""
     sys.exit(call(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

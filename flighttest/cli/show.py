@@ -65,7 +65,7 @@ class Show:
 
     def say(self, text: str, style: str = "") -> None:
         """One line of progress or notice."""
-        self.side.print(Text(text, style=style))
+        self.side.print(Text(text, style=style), soft_wrap=True)
 
     def draw(self, renderable: RenderableType) -> None:
         """Any rich renderable, beside the results."""

@@ -69,6 +69,15 @@ def campaigns(folder: Path) -> list[Campaign]:
     return list(found.values())
 
 
+def vehicle_name(run: Path) -> str:
+    """The name of the vehicle a run was flown with; empty where it is not known."""
+    try:
+        vehicle = read_manifest(run).get("vehicle") or {}
+    except FlighttestError:
+        return ""
+    return str(vehicle.get("name", "")) if isinstance(vehicle, Mapping) else str(vehicle)
+
+
 def history(folder: Path, *, page: bool = False) -> Result:
     """The table of runs; with `page` also history.html in the folder."""
     if folder.exists() and not folder.is_dir():

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from flighttest.errors import InputError
 from flighttest.sim import SimOptions, parse_hide, start_simulator
-from flighttest.sim.sitl_launcher import SitlOptions, launch
+from flighttest.sim.sitl_launcher import Sitl, SitlOptions, launch
+from flighttest.sim.sitl_physics import PhysicsSitl, launch_on_physics
 
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
@@ -19,7 +20,7 @@ def serve(
 ) -> Iterator[str]:
     """Serve until interrupted; yields lines for the person at the terminal."""
     if backend == "sitl":
-        yield from _serve_sitl(airframe, hide, speed)
+        yield from _serve_sitl(airframe, hide, seed, speed)
         return
     made = options(airframe, hide, seed, speed, lockstep)
     with start_simulator(made, port=port) as simulation:
@@ -28,13 +29,16 @@ def serve(
         simulation.wait()
 
 
-def _serve_sitl(airframe: str, hide: Sequence[str], speed: float) -> Iterator[str]:
-    if hide or airframe != "paper":
+def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, speed: float) -> Iterator[str]:
+    if airframe == "rotor":
+        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed))
+    elif hide:
         raise InputError(
-            "ArduPilot's own physics has one airframe here, paper, and hides nothing",
-            "use the built-in vehicle, or `flighttest prove --generator sitl`, which flies the firmware on the rotor physics",
+            "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
         )
-    with launch(SitlOptions(airframe=airframe, speedup=speed)) as vehicle:
-        yield f"ArduPilot SITL at {vehicle.url}; Ctrl-C stops it"
+    else:
+        started = launch(SitlOptions(airframe=airframe, speedup=speed))
+    with started as vehicle:
+        yield f"ArduPilot SITL, airframe {airframe}, at {vehicle.url}; Ctrl-C stops it"
         yield f"fly it: flighttest run thrust --connect {vehicle.url}"
         vehicle.wait()
