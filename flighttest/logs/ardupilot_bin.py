@@ -52,6 +52,15 @@ WANTED: dict[str, tuple[str, ...] | None] = {
     "ARM": None,
     "VER": None,
 }  # fmt: skip
+_NEEDED: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("ANG", "ATT"), ("Roll", "Pitch", "Yaw")),
+    **dict.fromkeys(("XKF1", "NKF1", "EKF1"), ("VN", "VE", "VD", "PN", "PE", "PD")),
+    "RATE": ("R", "P", "Y", "YDes"),
+    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+    "GUIA": ("Roll", "Pitch", "YawRt", "Thrust"),
+    "GPS": ("Lat", "Lng", "Alt", "Spd", "GCrs", "VZ"),
+}
+_TEXTS = frozenset({"Name", "Message", "FWS"})
 DEFAULT_ACCEL_FILTER_HZ = 20.0
 """INS_ACCEL_FILTER as ArduPilot ships it (AP_InertialSensor.cpp)."""
 _FACING_DOWN = 25
@@ -84,8 +93,12 @@ class _Importer:
         for name, table in log.tables.items():
             kept, t_s = times.of(name, table)
             if len(kept):
-                self.tables[name] = (kept, t_s)
+                self.tables[name] = (_sound(kept), t_s)
         self.losses = [*file.losses, *_gap_sentences(log), *log.notes, *times.losses]
+        for name, fields in _NEEDED.items():
+            if name in self.tables and not all(field in self.tables[name][0] for field in fields):
+                self.losses.append(f"{name} was not used: its format declares no {', '.join(fields)} (an unknown or damaged FMT)")
+                del self.tables[name]
         self.derived: dict[str, str] = {}
         self.choices: dict[str, str] = {}
         self.parameters = parameters(self.tables.get("PARM"))
@@ -286,7 +299,7 @@ class _Importer:
 
     def _gps(self, series: dict[str, Series]) -> None:
         gps = self._instance("GPS", "I")
-        if gps is None or "Lat" not in gps[0]:
+        if gps is None:
             return
         fix = gps[0].raw["Status"] >= _GPS_3D if "Status" in gps[0] else np.ones(len(gps[0]), dtype=bool)
         if not fix.any():
@@ -364,6 +377,12 @@ def _ended_by_mode(series: Series, state_series: Series | None) -> tuple[FloatAr
     order = np.argsort(np.concatenate([t, ends]), kind="stable")
     blank = np.full(ends.size, np.nan)
     return np.concatenate([t, ends])[order], {n: np.concatenate([v, blank])[order] for n, v in columns.items()}
+
+
+def _sound(table: Table) -> Table:
+    """The fields that are what their name says, text or one number: a damaged FMT can make them anything."""
+    raw = {n: v for n, v in table.raw.items() if v.ndim == 1 and (v.dtype.kind == "S") == (n in _TEXTS)}
+    return Table(table.format, table.at, raw)
 
 
 def _stack(table: Table, *names: str) -> FloatArray:

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 _STAMPS = (("TimeUS", 1e-6, 2.0**32 * 1e-6), ("TimeMS", 1e-3, 2.0**32 * 1e-3), ("T", 1e-3, 2.0**32 * 1e-3))
 _BACK_S = 0.5  # messages of one log are written nearly in order: a longer step back is a wrap or a restart
-_OUTLIER_S = 60.0  # a single stamp this far from its neighbours is damaged
+_OUTLIER_S = 2.0  # one or two stamps this far from their neighbours on both sides are damaged
 _WRAP_GAP_S = 120.0
 
 
@@ -112,8 +112,9 @@ class Times:
 
 
 def _stamps(table: Table) -> tuple[FloatArray | None, float]:
-    for name, scale, wrap_s in _STAMPS:
-        if name in table:
+    # Before Copter 3.3 a GPS message's TimeMS is the GPS week's, and T the vehicle's.
+    for name, scale, wrap_s in _STAMPS if "T" not in table else _STAMPS[::-1]:
+        if name in table and table.raw[name].dtype.kind in "iu":
             return table.get(name) * scale, wrap_s
     return None, 0.0
 
@@ -124,7 +125,7 @@ def outliers(t: FloatArray) -> NDArray[np.bool_]:
         return np.zeros(t.size, dtype=bool)
     if bool(np.all(np.abs(np.diff(t)) < _OUTLIER_S)):
         return np.zeros(t.size, dtype=bool)
-    padded = np.pad(t, 2, mode="edge")
+    padded = np.pad(t, 2, mode="reflect")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=-1)
     return np.asarray(np.abs(t - middle) > _OUTLIER_S)
 

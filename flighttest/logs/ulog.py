@@ -26,6 +26,10 @@ _TOPICS = [
     "vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "vehicle_acceleration", "vehicle_attitude_setpoint",
     "vehicle_rates_setpoint", "vehicle_local_position", "battery_status", "vehicle_thrust_setpoint", "vehicle_status", "distance_sensor",
 ]  # fmt: skip
+# What pyulog raises on bytes that are not what they say.
+_DAMAGED = (
+    ULogException, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error, MemoryError, OverflowError,
+)  # fmt: skip
 _ARMED = 2  # vehicle_status.arming_state
 _NAV_STATES = {
     0: "MANUAL", 1: "ALTCTL", 2: "POSCTL", 3: "MISSION", 4: "LOITER", 5: "RTL", 10: "ACRO", 14: "OFFBOARD", 15: "STABILIZED",
@@ -46,16 +50,7 @@ def import_ulog(path: Path) -> Recording:
         # pyulog tells of damage on standard output; it belongs into the losses.
         with contextlib.redirect_stdout(words):
             log = ULog(io.BytesIO(data), _TOPICS, disable_str_exceptions=True)
-    except (
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        struct.error,
-        MemoryError,
-        OverflowError,
-    ) as error:
+    except _DAMAGED as error:
         raise RecordingError(
             f"{path}: this ULog file is damaged in its definitions: {error!r}", "copy it anew"
         ) from error

@@ -1,0 +1,172 @@
+import gzip
+import lzma
+
+import numpy as np
+import pytest
+
+from flighttest.errors import RecordingError
+from flighttest.logs import import_log
+
+
+def test_channels_are_si_and_nwu(flight, tmp_path):
+    r = import_log(flight().save(tmp_path / "a.BIN"))
+    assert r.provenance.importer == "ardupilot_bin"
+    assert r.provenance.firmware == "ArduCopter V4.6.0 (0123abcd)"
+    assert r.provenance.filters == {"specific_force": 20.0}
+    assert r.provenance.parameters["ATC_RAT_RLL_P"] == pytest.approx(0.135)
+    assert r.provenance.losses == ()
+    rates = r.series["rates"]
+    np.testing.assert_allclose(
+        [rates.columns[n][0] for n in ("p_rad_s", "q_rad_s", "r_rad_s")], np.radians([10.0, -20.0, -30.0]), rtol=1e-6
+    )
+    f = r.series["specific_force"]
+    np.testing.assert_allclose([f.columns[n][0] for n in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")], [0.1, -0.2, 9.8], rtol=1e-6)
+    assert np.radians(-1.0) == pytest.approx(r.channel("pitch_rad")[1][0])
+    assert r.channel("yaw_rad")[1][0] == pytest.approx(-np.pi / 2)
+    v = r.series["velocity"].columns
+    assert (v["v_x_m_s"][0], v["v_y_m_s"][0], v["v_z_m_s"][0]) == (1.0, -2.0, 3.0)
+    assert r.channel("p_z_m")[1][0] == 5.0
+    assert r.channel("voltage_v")[1][0] == 23.5
+    assert r.series["attitude"].t_s[0] == pytest.approx(50.0001)
+
+
+def test_the_reference_is_guia_at_its_arrival(flight, tmp_path):
+    r = import_log(flight().save(tmp_path / "a.BIN"))
+    t, roll = r.channel("roll_ref_rad")
+    edge = int(np.flatnonzero(np.diff(roll) > 0.1)[0]) + 1
+    assert t[edge] == pytest.approx(51.0)
+    assert roll[edge] == pytest.approx(0.2)
+    assert "roll_ref_rad" not in r.provenance.derived
+    assert r.provenance.reference_clock == "vehicle"
+
+
+def test_marks_of_any_sender_become_legs_and_phases(flight, tmp_path):
+    r = import_log(flight().save(tmp_path / "a.BIN"))
+    legs = [m for m in r.markers if m.kind == "leg"]
+    assert [m.label for m in legs] == ["roll_pitch/roll+0.20/r1"]
+    assert [m.label for m in r.markers if m.kind == "phase"] == ["step"]
+    assert [m.label for m in r.markers if m.kind == "mode"] == ["GUIDED_NOGPS"]
+    assert "take-off" in [m.label for m in r.markers]
+
+
+def test_the_first_of_several_imus_is_taken_and_named(flight, tmp_path):
+    r = import_log(flight().save(tmp_path / "a.BIN"))
+    assert len(r.series["specific_force"]) == 400
+    assert "instance 0 of 0, 1" in r.provenance.clock["IMU"]
+
+
+def test_without_guia_the_autopilots_targets_stand_in_and_it_is_said(flight, tmp_path):
+    w = flight()
+    kind = w.kinds["GUIA"][0]
+    data = bytes(w.data).replace(b"\xa3\x95" + bytes([kind]), b"\xa3\x95\xc9")
+    (tmp_path / "a.BIN").write_bytes(data)
+    r = import_log(tmp_path / "a.BIN")
+    assert "stands in" in r.provenance.derived["roll_ref_rad"]
+    t, roll = r.channel("roll_ref_rad")
+    assert t[np.flatnonzero(np.diff(roll) > 0.1)[0] + 1] == pytest.approx(51.0, abs=0.002)
+    assert any("type 201" in loss for loss in r.provenance.losses)
+
+
+def test_a_clock_that_wraps_goes_on(flight, tmp_path):
+    start = 2**32 - 1_500_000
+    r = import_log(flight(wrap=True, start_us=start).save(tmp_path / "a.BIN"))
+    assert any("wrapped" in loss for loss in r.provenance.losses)
+    straight = import_log(flight(start_us=start).save(tmp_path / "b.BIN"))
+    for group, series in straight.series.items():
+        np.testing.assert_allclose(r.series[group].t_s, series.t_s, atol=1e-6)
+    assert straight.provenance.losses == ()
+
+
+def test_after_a_restart_the_longest_run_is_read_and_it_is_said(flight, tmp_path):
+    two = bytes(flight(1.0, start_us=90_000_000).data) + bytes(flight(2.0).data)
+    (tmp_path / "a.BIN").write_bytes(two)
+    r = import_log(tmp_path / "a.BIN")
+    assert any("restarted" in loss for loss in r.provenance.losses)
+    assert r.t_span_s[0] == pytest.approx(50.0, abs=0.01)
+    assert r.t_span_s[1] == pytest.approx(52.0, abs=0.02)
+
+
+def test_a_damaged_time_stamp_is_dropped(flight, tmp_path):
+    w = flight()
+    whole = import_log(w.save(tmp_path / "a.BIN"))
+    data = bytearray(w.data)
+    kind = w.kinds["IMU"][0]
+    at = data.find(b"\xa3\x95" + bytes([kind]), len(data) // 2)
+    data[at + 3 + 6] ^= 0x40
+    (tmp_path / "b.BIN").write_bytes(data)
+    r = import_log(tmp_path / "b.BIN")
+    assert any("damaged time stamp" in loss for loss in r.provenance.losses)
+    assert r.t_span_s == whole.t_span_s
+
+
+@pytest.mark.parametrize(("suffix", "pack"), [(".gz", gzip.compress), (".xz", lzma.compress)])
+def test_compressed_logs_are_read_as_they_are(flight, tmp_path, suffix, pack):
+    data = bytes(flight(1.0).data)
+    plain, packed = tmp_path / "a.BIN", tmp_path / f"b.BIN{suffix}"
+    plain.write_bytes(data)
+    packed.write_bytes(pack(data))
+    a, b = import_log(plain), import_log(packed)
+    assert a.provenance.sha256 == b.provenance.sha256 != ""
+    np.testing.assert_array_equal(a.channel("f_z_m_s2")[1], b.channel("f_z_m_s2")[1])
+    packed.write_bytes(pack(data)[:-2000])
+    try:
+        cut_off = import_log(packed)
+    except RecordingError as error:
+        assert error.hint
+    else:
+        assert any("compressed" in loss for loss in cut_off.provenance.losses)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("a.BIN", b"", "empty"),
+        ("a.BIN", b"\xa3\x95\x80" + bytes(500), "dataflash"),
+        ("a.BIN", bytes(5000), "no kind of log"),
+        ("a.xyz", b"hello world, this is no log", "no kind of log"),
+    ],
+)
+def test_what_is_no_log_is_refused_with_a_remedy(tmp_path, name, data, words):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(RecordingError, match=words) as caught:
+        import_log(tmp_path / name)
+    assert caught.value.hint
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(RecordingError, match="no such file"):
+        import_log(tmp_path / "none.BIN")
+    with pytest.raises(RecordingError, match="folder"):
+        import_log(tmp_path)
+
+
+def test_damage_never_crashes_and_is_never_silent(flight, tmp_path):
+    rng = np.random.default_rng(5)
+    data = bytes(flight(0.6).data)
+    path = tmp_path / "a.BIN"
+    told = 0
+    for _ in range(150):
+        hurt = bytearray(data[: rng.integers(1, len(data))] if rng.random() < 0.5 else data)
+        for place in rng.integers(0, len(hurt), rng.integers(1, 30)):
+            hurt[place] = rng.integers(0, 256)
+        if rng.random() < 0.5 and len(hurt) > 1000:
+            a = int(rng.integers(0, len(hurt) - 500))
+            del hurt[a : a + int(rng.integers(1, 400))]
+        path.write_bytes(hurt)
+        try:
+            r = import_log(path)
+        except RecordingError as error:
+            assert str(path) in str(error)
+        else:
+            told += bool(r.provenance.losses)
+            assert np.diff(r.t_span_s)[0] < 5.0
+    assert told > 20
+
+
+def test_old_logs_are_read(shared_data):
+    r = import_log(shared_data / "arducopter_logs" / "copter_3.2_2014.BIN")
+    assert "3.3-dev" in r.provenance.firmware
+    assert r.has("roll_rad", "f_z_m_s2", "throttle", "roll_ref_rad", "mode", "armed")
+    assert 0.0 <= np.nanmin(r.channel("throttle")[1]) <= np.nanmax(r.channel("throttle")[1]) <= 1.0
+    late = import_log(shared_data / "arducopter_logs" / "copter_3.4_mechanical_failure.bin")
+    assert 15.0 < np.nanmedian(late.channel("voltage_v")[1]) < 17.0

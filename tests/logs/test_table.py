@@ -1,0 +1,238 @@
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from flighttest import frames
+from flighttest.errors import RecordingError
+from flighttest.logs import import_log
+from flighttest.logs.columns import parse_columns
+
+N = 200
+
+
+def save(path, **columns):
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def mapped(tmp_path, text, **columns):
+    (tmp_path / "map.yaml").write_text("format: columns/1\n" + text)
+    return import_log(save(tmp_path / "a.csv", **columns), tmp_path / "map.yaml")
+
+
+@pytest.fixture
+def t():
+    return np.arange(N) * 0.02
+
+
+def test_a_plain_table_is_read_by_its_names(tmp_path, t):
+    path = save(tmp_path / "a.csv", t_s=t, roll_rad=0.1 + 0 * t, pitch_rad=0 * t, yaw_rad=0 * t, throttle=0.3, voltage_v=22.0)
+    r = import_log(path)
+    assert r.provenance.importer == "table"
+    assert r.channel("roll_rad")[1][0] == 0.1
+    assert r.channel("throttle")[1][-1] == 0.3
+    np.testing.assert_allclose(r.channel("voltage_v")[0], t)
+    assert r.provenance.losses == ()
+
+
+@pytest.mark.parametrize("name", ["a.parquet", "a.csv.gz", "a.tsv"])
+def test_other_containers(tmp_path, t, name):
+    frame = pd.DataFrame({"t_s": t, "roll_rad": 0.1, "v_x_m_s": t})
+    path = tmp_path / name
+    if name == "a.parquet":
+        frame.to_parquet(path)
+    else:
+        frame.to_csv(path, index=False, sep="\t" if name == "a.tsv" else ",")
+    r = import_log(path)
+    np.testing.assert_allclose(r.channel("v_x_m_s")[1], t)
+    assert "central differences" in r.provenance.derived["a_x_m_s2"]
+
+
+def test_a_misspelt_column_is_told(tmp_path, t):
+    path = save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, picth_rad=0 * t)
+    losses = import_log(path).provenance.losses
+    assert losses == ("column 'picth_rad' is no channel and was not read; did you mean pitch_rad?",)
+
+
+def test_ned_and_frd_become_nwu_and_flu(tmp_path, t):
+    one = 0 * t + 1.0
+    r = mapped(
+        tmp_path,
+        "frame: {world: NED, body: FRD}\ncolumns:\n  t_s: {from: us, unit: us}\n  roll_rad: {from: r, unit: deg}\n"
+        "  pitch_rad: {from: p, unit: deg}\n  yaw_rad: {from: y, unit: deg}\n  q_rad_s: q\n  f_z_m_s2: {from: fz, unit: g}\n"
+        "  v_y_m_s: vy\n  v_z_m_s: vz\n  height_m: h\n  yaw_rate_ref_rad_s: rr\n",
+        us=t * 1e6, r=10 * one, p=20 * one, y=30 * one, q=one, fz=-one, vy=2 * one, vz=3 * one, h=4 * one, rr=one,
+    )  # fmt: skip
+    value = {n: r.channel(n)[1][5] for n in ("roll_rad", "pitch_rad", "yaw_rad", "q_rad_s", "f_z_m_s2", "v_y_m_s", "v_z_m_s", "height_m")}
+    assert value == pytest.approx(
+        {"roll_rad": np.radians(10), "pitch_rad": -np.radians(20), "yaw_rad": -np.radians(30), "q_rad_s": -1.0,
+         "f_z_m_s2": 9.80665, "v_y_m_s": -2.0, "v_z_m_s": -3.0, "height_m": 4.0}
+    )  # fmt: skip
+    assert r.channel("yaw_rate_ref_rad_s")[1][0] == -1.0
+    np.testing.assert_allclose(r.series["attitude"].t_s, t, atol=1e-9)
+
+
+def test_enu_turns_vectors_and_yaw_and_a_missing_axis_costs_only_itself(tmp_path, t):
+    one = 0 * t + 1.0
+    r = mapped(
+        tmp_path,
+        "frame: {world: ENU}\ncolumns:\n  t_s: t\n  v_x_m_s: east\n  v_y_m_s: north\n  p_x_m: px\n  yaw_rad: yaw\n  roll_rad: yaw\n",
+        t=t, east=2 * one, north=3 * one, px=t, yaw=0.25 * one,
+    )  # fmt: skip
+    assert r.channel("v_x_m_s")[1][0] == 3.0
+    assert r.channel("v_y_m_s")[1][0] == -2.0
+    assert r.channel("yaw_rad")[1][0] == pytest.approx(0.25 - np.pi / 2)
+    np.testing.assert_allclose(r.channel("p_y_m")[1], -t)
+    assert not r.has("p_x_m")
+
+
+@pytest.mark.parametrize(("world", "body"), [("NWU", "FLU"), ("NED", "FRD"), ("ENU", "FLU"), ("ENU", "FRD"), ("NED", "FLU")])
+def test_quaternions_in_any_frames(tmp_path, t, world, body):
+    rpy = np.stack([0.1 + 0 * t, -0.2 + 0 * t, 0.7 + 0.1 * np.sin(t)], axis=-1)
+    half = np.array([0.0, 1.0, 0.0, 0.0])
+    q = frames.quaternion_from_euler(rpy)
+    if body == "FRD":
+        q = frames.quaternion_multiply(q, half)
+    if world == "NED":
+        q = frames.quaternion_multiply(half, q)
+    elif world == "ENU":
+        q = frames.quaternion_multiply([np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)], q)
+    r = mapped(
+        tmp_path,
+        f"frame: {{world: {world}, body: {body}}}\ncolumns:\n  t_s: t\n  attitude: {{quaternion: ['q[3]', 'q[0]', 'q[1]', 'q[2]']}}\n",
+        t=t, q=[str([x, y, z, w]) for w, x, y, z in q.tolist()],
+    )  # fmt: skip
+    for i, name in enumerate(("roll_rad", "pitch_rad", "yaw_rad")):
+        np.testing.assert_allclose(r.channel(name)[1], rpy[:, i], atol=1e-12)
+    assert "quaternion" in r.provenance.derived["roll_rad"]
+
+
+def test_a_quaternion_in_the_wrong_order_is_refused(tmp_path, t):
+    with pytest.raises(RecordingError, match="upside down") as caught:
+        mapped(tmp_path, "columns:\n  t_s: t\n  attitude: {quaternion: [x, y, z, w]}\n", t=t, w=1.0, x=0.0, y=0 * t, z=0.0)
+    assert "w, x, y, z" in caught.value.hint
+
+
+def test_means_scales_offsets_constants_and_a_rate(tmp_path, t):
+    r = mapped(
+        tmp_path,
+        "rate_hz: 50\ncolumns:\n  roll_rad: a\n  throttle: {mean: [m1, m2], scale: 0.001, offset: -1}\nconstants: {voltage_v: 22.2}\n",
+        a=0 * t, m1=1400.0, m2=1600.0,
+    )  # fmt: skip
+    assert r.channel("throttle")[1][0] == pytest.approx(0.5)
+    assert r.channel("voltage_v")[1][3] == 22.2
+    np.testing.assert_allclose(r.series["attitude"].t_s, t)
+
+
+def test_velocity_and_acceleration_are_derived_and_said(tmp_path, t):
+    r = import_log(save(tmp_path / "a.csv", t_s=t, p_z_m=1.5 * t**2))
+    np.testing.assert_allclose(r.channel("v_z_m_s")[1][2:-2], 3.0 * t[2:-2], atol=1e-9)
+    np.testing.assert_allclose(r.channel("a_z_m_s2")[1][3:-3], 3.0, atol=1e-9)
+    assert set(r.provenance.derived) == {"v_z_m_s", "a_z_m_s2", "height_m"}
+
+
+def test_with_an_accelerometer_nothing_is_differentiated_into_it(tmp_path, t):
+    assert not import_log(save(tmp_path / "a.csv", t_s=t, v_z_m_s=t, f_z_m_s2=9.81)).has("a_z_m_s2")
+
+
+def test_slow_channels_keep_their_own_times(tmp_path, t):
+    voltage = np.where(np.arange(N) % 10 == 0, 22.0 - t, np.nan)
+    v = np.repeat(np.random.default_rng(1).normal(size=N // 4), 4)
+    r = import_log(save(tmp_path / "a.csv", t_s=t, roll_rad=np.sin(t), voltage_v=voltage, v_x_m_s=v))
+    assert len(r.series["battery"]) == N // 10
+    assert r.series["velocity"].rate_hz == pytest.approx(12.5)
+    assert len(r.series["attitude"]) == N
+
+
+def test_a_step_column_numbers_legs(tmp_path, t):
+    step = np.where(t < 1, 0, np.where(t < 2, 1, np.where(t < 3, 0, 2)))
+    r = import_log(save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, step=step))
+    assert [(m.kind, m.label, round(m.t_s, 2)) for m in r.markers] == [
+        ("leg", "step 1", 1.0), ("phase", "end", 2.0), ("leg", "step 2", 3.0)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"roll_rad": [0.0, 1.0]}, "no time"),
+        ({"time": [0.0, 1.0], "x": [1.0, 2.0]}, "no column of this table is a channel"),
+        ({"t_s": [1.0, 1.0], "roll_rad": [0.0, 1.0]}, "time does not pass"),
+        ({"t_s": [0.0, 1.0], "roll_rad": ["a", "b"]}, "holds no numbers"),
+        ({"t_s": [0.0, 1.0], "roll_rad": ["[1, 2]", "[1, 2]"]}, "name one cell"),
+        ({"t_s": [0.0, 1.0], "voltage_v": [0.0, 1.0]}, "neither attitude nor"),
+        ({"t_s": [0.0, 1.0], "roll_rad": [0.0, 0.0], "throttle": [1100, 1200]}, "from 0 to 1"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_refused_with_a_remedy(tmp_path, columns, words):
+    with pytest.raises(RecordingError, match=words) as caught:
+        import_log(save(tmp_path / "a.csv", **columns))
+    assert "a.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "t_s,roll_rad\n", "\n\n\n", "t_s,t_s\n1,2\n3,4\n", "\x00\x01\x02,\n" * 5, '"a,b\n1,2\n3'])
+def test_broken_tables_are_refused(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(RecordingError):
+        import_log(tmp_path / "a.csv")
+
+
+def test_a_column_map_lists_all_its_problems_with_lines():
+    text = (
+        "format: columns/1\nframe: {world: ENUU}\ncolumns:\n  rol_rad: a\n  pitch_rad: {from: b, unit: degr}\n"
+        "  throttle: {from: a, mean: [b]}\n  attitude: {quaternion: [a, b]}\nconstants: {volts: 3}\n"
+    )
+    with pytest.raises(RecordingError) as caught:
+        parse_columns(text, "m.yaml")
+    lines = str(caught.value).splitlines()
+    assert [line.split(":")[1] for line in lines] == ["2", "4", "5", "6", "7", "8"]
+    assert "did you mean `roll_rad`" in lines[1]
+    assert "did you mean `deg`" in lines[2]
+
+
+def test_a_column_that_is_not_there_is_named(tmp_path, t):
+    with pytest.raises(RecordingError, match=r"no column 'rol'.*did you mean 'roll'"):
+        mapped(tmp_path, "columns:\n  t_s: t\n  roll_rad: rol\n", t=t, roll=0 * t)
+
+
+def test_the_shipped_maps_fit_the_real_tables(shared_data, repository):
+    path = shared_data / "wind_tunnel" / "custom_figure8_NF-C_70wind.csv.gz"
+    r = import_log(path, repository / "examples" / "columns" / "neural_fly.yaml")
+    assert r.provenance.losses == ()
+    # Head wind of 8.5 m/s along x: the nose is down, and the thrust times its sine holds the drag.
+    assert 0.2 < np.median(r.channel("pitch_rad")[1]) < 0.4
+    np.testing.assert_allclose(np.median(r.channel("roll_rad")[1] - r.channel("roll_ref_rad")[1]), 0.0, atol=0.02)
+
+
+def test_crazyflie_logs_are_known_without_a_map(shared_data):
+    folder = shared_data / "propeller_damage"
+    r = import_log(folder / "controller_data" / "normal_flight" / "E8_log00")
+    assert r.provenance.losses == ()
+    assert r.has("roll_ref_rad", "p_rad_s", "f_z_m_s2", "throttle", "p_x_m")
+    assert np.median(r.channel("f_z_m_s2")[1]) == pytest.approx(9.81, abs=0.1)
+    assert 3.3 < np.median(import_log(folder / "motor_data" / "normal_flight" / "E8_log00").channel("voltage_v")[1]) < 3.8
+
+
+def test_a_thrust_stand_is_told_that_it_is_no_flight(shared_data, tmp_path):
+    (tmp_path / "m.yaml").write_text("format: columns/1\ncolumns:\n  t_s: Time (s)\n  voltage_v: Voltage (V)\n")
+    with pytest.raises(RecordingError, match="a thrust stand is no flight"):
+        import_log(shared_data / "thrust_stand" / "data" / "single_rotor" / "xNova-SR-ramp.csv", tmp_path / "m.yaml")
+
+
+def test_bytes_of_any_kind_never_crash(tmp_path):
+    rng = np.random.default_rng(3)
+    buffer = io.BytesIO()
+    pd.DataFrame({"t_s": np.arange(50) * 0.02, "roll_rad": 0.1, "throttle": 0.3}).to_parquet(buffer)
+    text = pd.DataFrame({"t_s": np.arange(50) * 0.02, "roll_rad": 0.1, "throttle": 0.3}).to_csv(index=False).encode()
+    for name, data in (("a.parquet", buffer.getvalue()), ("a.csv", text)):
+        for _ in range(40):
+            hurt = bytearray(data[: rng.integers(1, len(data))] if rng.random() < 0.3 else data)
+            for place in rng.integers(0, len(hurt), rng.integers(1, 20)):
+                hurt[place] = rng.integers(0, 256)
+            (tmp_path / name).write_bytes(hurt)
+            try:
+                import_log(tmp_path / name)
+            except RecordingError as error:
+                assert name in str(error)

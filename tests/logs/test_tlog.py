@@ -1,0 +1,147 @@
+import struct
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v10 import ardupilotmega as v1
+from pymavlink.dialects.v20 import ardupilotmega as v2
+
+from flighttest.errors import RecordingError
+from flighttest.logs import import_log
+from flighttest.logs.tlog_frames import fields_of, good_checksums, split
+
+EPOCH_S = 1_750_000_000.0
+
+
+class TlogWriter:
+    def __init__(self, book=v2):
+        self.book = book
+        self.data = bytearray()
+        self.senders = {}
+
+    def add(self, t_s, message, system=1, component=1):
+        mav = self.senders.setdefault((system, component), self.book.MAVLink(None, srcSystem=system, srcComponent=component))
+        frame = message.pack(mav)
+        mav.seq = (mav.seq + 1) % 256
+        self.data += struct.pack(">Q", round((EPOCH_S + t_s) * 1e6)) + frame
+
+
+def link(book=v2, seconds=4.0, up_s=0.0, down_s=0.01, parameter=True):
+    """A vehicle that began 20 s before its log, attitude at 50 Hz, and a ground that asks for a roll step at t = 2 s."""
+    w = TlogWriter(book)
+    for k in range(round(seconds * 50)):
+        t = k / 50.0
+        boot = 20.0 + t
+        if k % 50 == 0:
+            w.add(t + down_s, book.MAVLink_heartbeat_message(2, 3, 128 | 1, 20, 4, 3))
+            w.add(t, book.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), system=255, component=190)
+        w.add(t + down_s, book.MAVLink_attitude_message(round(boot * 1e3), 0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+        roll = 0.25 if t >= 2.0 else 0.0
+        q = [np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0]
+        target = book.MAVLink_set_attitude_target_message(round(boot * 1e3), 1, 1, 0, q, 0.0, 0.0, -0.5, 0.3)
+        w.add(t - up_s, target, system=255, component=190)
+    if parameter:
+        w.add(seconds, book.MAVLink_param_value_message(b"INS_ACCEL_FILTER", 30.0, 9, 1, 0))
+    return w
+
+
+@pytest.mark.parametrize("book", [v1, v2])
+def test_both_directions_land_on_the_vehicles_clock(tmp_path, book):
+    (tmp_path / "a.tlog").write_bytes(link(book).data)
+    r = import_log(tmp_path / "a.tlog")
+    assert r.provenance.importer == "tlog"
+    assert r.provenance.reference_clock == "ground"
+    assert r.provenance.losses == ()
+    assert r.provenance.filters["specific_force"] == 30.0
+    attitude = r.series["attitude"]
+    assert attitude.t_s[0] == pytest.approx(20.0)
+    assert [attitude.columns[n][0] for n in ("roll_rad", "pitch_rad", "yaw_rad")] == pytest.approx([0.1, -0.2, -0.3])
+    t, roll = r.channel("roll_ref_rad")
+    assert t[np.flatnonzero(np.diff(roll) > 0.1)[0] + 1] == pytest.approx(22.0, abs=0.015)
+    assert r.channel("yaw_rate_ref_rad_s")[1][0] == pytest.approx(0.5)
+    assert r.provenance.clock["error_s"] > 0
+
+
+def test_an_accelerometer_filter_that_was_not_recorded_is_assumed_and_said(tmp_path):
+    (tmp_path / "a.tlog").write_bytes(link(parameter=False).data)
+    r = import_log(tmp_path / "a.tlog")
+    assert r.provenance.filters["specific_force"] == 20.0
+    assert any("INS_ACCEL_FILTER was not recorded" in loss for loss in r.provenance.losses)
+
+
+def test_frames_and_fields_are_pymavlinks():
+    w = link(seconds=2.0)
+    w.add(3.0, v2.MAVLink_battery_status_message(0, 0, 0, 2500, [16000] * 10, -1, 5, -1, 100))
+    frames = split(bytes(w.data))
+    assert frames.lost == ()
+    attitude = frames.where(frames.kind == 30)
+    assert good_checksums(attitude, 30).all()
+    assert fields_of(attitude, 30)["pitch"][7] == np.float32(0.2)
+    battery = fields_of(frames.where(frames.kind == 147), 147)
+    assert battery["voltages"].shape == (1, 10)
+    assert battery["current_battery"][0] == -1
+    targets = fields_of(frames.where(frames.kind == 82), 82)
+    assert targets["q"].shape == (100, 4)
+
+
+def test_a_wrong_checksum_drops_the_message_and_is_told(tmp_path):
+    w = link()
+    data = bytearray(w.data)
+    at = split(bytes(data)).where(slice(20, 21)).payload[0]
+    data[at + 2] ^= 0x10
+    (tmp_path / "a.tlog").write_bytes(data)
+    r = import_log(tmp_path / "a.tlog")
+    assert any("1 of" in loss and "checksum" in loss for loss in r.provenance.losses)
+
+
+def test_lost_bytes_are_counted_and_located(tmp_path):
+    data = bytearray(link().data)
+    place = int(split(bytes(data)).at[50])
+    del data[place + 4 : place + 20]
+    (tmp_path / "a.tlog").write_bytes(data)
+    r = import_log(tmp_path / "a.tlog")
+    assert any("bytes could not be read" in loss and f"at {place}" in loss for loss in r.provenance.losses)
+    assert len(r.series["attitude"]) + len(r.series["reference"]) >= 398
+
+
+def test_messages_that_never_arrived_are_told(tmp_path):
+    w = link()
+    frames = split(bytes(w.data))
+    keep = np.ones(frames.at.size, dtype=bool)
+    keep[100:130] = False
+    ends = np.append(frames.at[1:], len(w.data))
+    (tmp_path / "a.tlog").write_bytes(
+        b"".join(bytes(w.data[a:b]) for a, b, k in zip(frames.at, ends, keep, strict=True) if k)
+    )
+    assert any("never arrived" in loss for loss in import_log(tmp_path / "a.tlog").provenance.losses)
+
+
+def test_of_several_vehicles_one_is_read_and_the_others_named(tmp_path):
+    w = link()
+    w.add(4.0, v2.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), system=7)
+    (tmp_path / "a.tlog").write_bytes(w.data)
+    r = import_log(tmp_path / "a.tlog")
+    assert any("several vehicles; system 1 was read, not 7" in loss for loss in r.provenance.losses)
+
+
+@pytest.mark.parametrize("data", [bytes(4000), b"no frames in here, only text " * 50])
+def test_what_holds_no_frame_is_refused(tmp_path, data):
+    (tmp_path / "a.tlog").write_bytes(data)
+    with pytest.raises(RecordingError, match="no MAVLink frame"):
+        import_log(tmp_path / "a.tlog")
+
+
+def test_damage_never_crashes(tmp_path):
+    rng = np.random.default_rng(7)
+    data = bytes(link(seconds=2.0).data)
+    path = tmp_path / "a.tlog"
+    for _ in range(60):
+        hurt = bytearray(data[: rng.integers(1, len(data))] if rng.random() < 0.5 else data)
+        for place in rng.integers(0, len(hurt), rng.integers(1, 30)):
+            hurt[place] = rng.integers(0, 256)
+        path.write_bytes(hurt)
+        try:
+            r = import_log(path)
+        except RecordingError as error:
+            assert str(path) in str(error)
+        else:
+            assert r.provenance.losses
