@@ -16,6 +16,7 @@ from flighttest.sim.sitl_launcher import AIRFRAMES, Sitl, SitlOptions, launch, s
 from flighttest.sim.sitl_physics import PhysicsSitl, launch_on_physics
 
 DEMO = ("roll_pitch", "yaw_rate", "thrust")
+PROGRAM = "from flighttest.cli.main import main; main()"
 
 
 def start(airframe: str, speedup: float, folder: Path | None) -> Sitl | PhysicsSitl:
@@ -42,7 +43,7 @@ def main() -> int:
                 vehicle.wait()
                 return 0
             vehicle_file = sitl_dir() / f"{words.airframe}.yaml"
-            run = [sys.executable, "-m", "flighttest.cli.main", "run", *(words.fly or DEMO), "--yes", "--set-params"]
+            run = [sys.executable, "-c", PROGRAM, "run", *(words.fly or DEMO), "--yes", "--set-params"]
             run += ["--connect", vehicle.url, "--out", str(words.out), "--vehicle", str(vehicle_file)]
             return subprocess.run(run, check=False).returncode
     except FlighttestError as error:
