@@ -100,7 +100,8 @@ class ModelPredictor:
         x[states.index("a_t_m_s2")] = self.model.g_m_s2
         hover = np.zeros((n, 4))
         hover[:, 3] = self.hover_throttle(volts)
-        lag = [round(self._delays_s[_CHANNEL[t]] / dt_s) for t in _TARGETS]
+        # A delay between two steps is the mean of both, weighted: what is held is then delayed by it on the mean.
+        lag = [divmod(self._delays_s[_CHANNEL[t]] / dt_s + 1e-9, 1.0) for t in _TARGETS]
         u = np.zeros((len(inputs), n))
         u[inputs.index("voltage_v")] = volts
         rows = [inputs.index(t) for t in _TARGETS]
@@ -110,8 +111,11 @@ class ModelPredictor:
         for k in range(steps):
             now = Snapshot(k * dt_s, x[place].T, x[speed].T, x[angle].T)
             history.append(np.broadcast_to(np.asarray(policy(now), dtype=float), (n, 4)))
-            for column, (row, late) in enumerate(zip(rows, lag, strict=True)):
-                u[row] = (history[k - late] if k >= late else hover)[:, column]
+            for column, (row, (whole, part)) in enumerate(zip(rows, lag, strict=True)):
+                late = k - int(whole)
+                u[row] = (history[late] if late >= 0 else hover)[:, column]
+                if part > 1e-6:
+                    u[row] += part * ((history[late - 1] if late >= 1 else hover)[:, column] - u[row])
             if "time_s" in inputs:
                 u[inputs.index("time_s")] = k * dt_s
             x = self._step(x, u, dt_s)

@@ -23,7 +23,7 @@ from flighttest.vehicle.model import Vehicle
 FULL_SHARE, EMPTY_SHARE = 24.5 / 22.2, 21.5 / 22.2
 # Of the nominal voltage: what the paper's 21 V on 22.2 V is, for scripts that name no lowest voltage.
 LOWEST_SHARE = 0.945
-STOP_STEP_S = 0.02
+STOP_STEP_S = 0.04
 
 
 @dataclass(frozen=True)

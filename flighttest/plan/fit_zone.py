@@ -202,34 +202,28 @@ def _slack(
 
 def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> list[Fitted]:
     """Tracks of every cell at every voltage, as planned and with the link lost every so often."""
-    planned: list[tuple[int, Row]] = []
-    losing: list[tuple[int, Row]] = []
+    rows: list[tuple[int, Row]] = []
     for i, cell in enumerate(cells):
         if cell.motors_off or cell.waypoints:
             continue
         for voltage in setting.voltages_v:
             row = row_of(cell, leads[i], setting, voltage)
-            planned.append((i, row))
+            rows.append((i, row))
             start = leads[i][0].duration_s if leads[i][0].name == "entry" else 0.0
             moments = [*np.arange(start + LOSS_EVERY_S, row.lead_s, LOSS_EVERY_S), row.lead_s]
             # Into the counter-step and the stop as well: there the last target pushes the other way.
             moments += [row.lead_s + 0.3, row.lead_s + 0.6] if cell.stops else []
-            losing += [(i, row.losing_link_at(float(t))) for t in moments]
+            rows += [(i, row.losing_link_at(float(t))) for t in moments]
     nominal: list[list[Track]] = [[] for _ in cells]
     lost: list[list[Track]] = [[] for _ in cells]
     speed = [0.0 for _ in cells]
-    for rows, into, step, after in (
-        (planned, nominal, SEARCH_STEP_S, None),
-        (losing, lost, SEARCH_STEP_S, DRIFT_S),
-    ):
-        if not rows:
-            continue
-        flown = rehearse([row for _, row in rows], setting.predictor, step, after)
-        for j, (i, row) in enumerate(rows):
-            track = track_of(flown, j, row)
-            into[i].append(track)
-            if into is nominal:
-                speed[i] = max(speed[i], float(np.linalg.norm(track.v_m_s, axis=1).max()))
+    flown = rehearse([row for _, row in rows], setting.predictor, SEARCH_STEP_S, DRIFT_S + 0.5) if rows else None
+    for j, (i, row) in enumerate(rows):
+        assert flown is not None
+        track = track_of(flown, j, row)
+        (nominal if math.isinf(row.lost_s) else lost)[i].append(track)
+        if math.isinf(row.lost_s):
+            speed[i] = max(speed[i], float(np.linalg.norm(track.v_m_s, axis=1).max()))
     return [
         _judge(
             Fitted(
@@ -252,7 +246,7 @@ def track_of(flown: Rehearsal, j: int, row: Row) -> Track:
     count = int(np.searchsorted(motion.t_s, end + 1e-9))
     start = motion.p_m[j, 0]
     track = Track(motion.t_s[:count], motion.p_m[j, :count] - start, motion.v_m_s[j, :count])
-    return track if math.isinf(row.lost_s) else _drifted(track)
+    return _drifted(track)
 
 
 def _drifted(track: Track) -> Track:
