@@ -1,6 +1,6 @@
 """A thin ArduCopter: modes, arming, guided targets, throttle path, landing, safety, telemetry, around any `Plant`.
 
-Behaves as ArduCopter 4.7 was read and flown to behave (see docs/ardupilot.md for the facts); what a test of maneuvers never meets
+Behaves as ArduCopter 4.7 was read and flown to behave; what a test of maneuvers never meets
 (missions, tuning, other frames) is left out. Time is a count of ticks: nothing here looks at the host's clock or draws from an
 unseeded source, so equal messages at equal vehicle times give equal flights.
 """
@@ -45,8 +45,13 @@ class Autopilot:
         capacity_ah: float = 5.0,
     ) -> None:
         self.plant, self.motion, self.boot = plant, plant.motion, boot or Boot()
-        rate = {"SCHED_LOOP_RATE": round(1.0 / plant.tick_s), "MOT_THST_HOVER": plant.hover_throttle}
-        self.store = ParameterStore(rate | dict(parameters or {}))
+        own = {
+            "SCHED_LOOP_RATE": round(1.0 / plant.tick_s),
+            "MOT_THST_HOVER": plant.hover_throttle,
+            "BATT_CAPACITY": round(1e3 * capacity_ah),
+            "SIM_BATT_CAP_AH": capacity_ah,
+        }
+        self.store = ParameterStore(own | dict(parameters or {}))
         self.encoder, self.streams = Encoder(), Streams()
         self.sensors = Sensors(
             plant.motion, plant.tick_s, seed, noise, self.store["INS_ACCEL_FILTER"], self.store["INS_GYRO_FILTER"]
@@ -58,7 +63,7 @@ class Autopilot:
         self.outbox: list[bytes] = []
         self.ticks = 0
         self.mode, self.armed, self.landed = modes.STABILIZE, False, True
-        self.armed_s = self.landed_s = 0.0
+        self.armed_s = self.landed_s = self.disarmed_s = 0.0
         self.capacity_ah = capacity_ah
         self._text_id = 0
         self._holding = False
@@ -171,7 +176,7 @@ class Autopilot:
         if self.armed and not force and not self.landed:
             return False
         if self.armed:
-            self.armed = False
+            self.armed, self.disarmed_s = False, self.time_s
             self.say("Disarming motors")
             self.outbox.append(telemetry.heartbeat(self))
         return True

@@ -53,8 +53,8 @@ _TABLE: tuple[tuple[str, int, float], ...] = (
     ("SIM_SPEEDUP", REAL32, 1.0), ("SIM_BATT_VOLTAGE", REAL32, 25.2), ("SIM_BATT_CAP_AH", REAL32, 5.0), ("SIM_RC_FAIL", INT8, 0),
     ("SIM_GPS1_ENABLE", INT8, 1),
     # Not in ArduPilot: 1 lets the vehicle's time go only as far as the client grants (see `lockstep`); the pilot's mode switch and
-    # throttle stick (-1: untouched).
-    ("SIM_LOCKSTEP", INT8, 0), ("SIM_PILOT_MODE", INT8, -1), ("SIM_PILOT_THR", INT16, 1500),
+    # throttle stick (-1: untouched); the charge below which a landed, disarmed vehicle is given a full battery (0: never).
+    ("SIM_BATT_SWAP", REAL32, 0.4), ("SIM_LOCKSTEP", INT8, 0), ("SIM_PILOT_MODE", INT8, -1), ("SIM_PILOT_THR", INT16, 1500),
 )  # fmt: skip
 
 

@@ -73,6 +73,7 @@ class Server:
     ) -> None:
         self.host = Host(build_vehicle(options), lockstep=options.lockstep)
         self.speed = options.speed
+        self.host.vehicle.store.set("SIM_SPEEDUP", options.speed)
         self._tcp, self._udp = tcp, udp
         self._clients: list[_Client] = []
         self._datagrams: dict[tuple[str, int], _Client] = {}

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _LAND_DISARM_S = 1.5
 _TIMESYNC_S = 10.0
+_SWAP_S = 3.0
 _BOOT_TEXTS = (
     (0.9, "Barometer 1 calibration complete"), (1.4, "ArduPilot Ready"), (1.4, "AHRS: DCM active"),
     (3.4, "EKF3 IMU0 initialised"), (3.4, "AHRS: EKF3 active"), (4.8, "EKF3 IMU0 tilt alignment complete"),
@@ -42,6 +43,7 @@ class Watch:
         self._landing(t_s)
         if not v.armed:
             self._breaches = 0
+            self._swap(t_s)
             return
         self._fence()
         self._crashed(t_s)
@@ -84,6 +86,13 @@ class Watch:
         patience = _LAND_DISARM_S if landing else v.store["DISARM_DELAY"] or math.inf
         if rest >= patience and (landing or v.landed):
             v.disarm(force=True)
+
+    def _swap(self, t_s: float) -> None:
+        """The ground crew: a landed vehicle with an empty pack gets a full one."""
+        v = self._v
+        if v.plant.battery.charge < v.store["SIM_BATT_SWAP"] and t_s - v.disarmed_s >= _SWAP_S:
+            v.replace_battery()
+            v.say("SIM battery replaced")
 
     def _fence(self) -> None:
         v = self._v

@@ -272,3 +272,17 @@ def test_position_targets_in_both_frames(bare):
     c.run(60.0)
     assert not c.vehicle.armed
     assert math.hypot(c.motion.px, c.motion.py) < 0.5
+
+
+def test_a_landed_vehicle_with_an_empty_battery_gets_a_full_one(bare):
+    c = bare.Client(**bare.QUIET, voltage_v=22.6)
+    c.airborne(2.0)
+    assert c.vehicle.plant.battery.voltage < 22.6
+    c.mode(LAND)
+    c.run(12.0)
+    assert not c.vehicle.armed
+    assert c.vehicle.plant.battery.voltage > 25.0
+    assert "SIM battery replaced" in c.texts
+    kept = bare.Client(**bare.QUIET, voltage_v=22.6, parameters={"SIM_BATT_SWAP": 0})
+    kept.run(10.0)
+    assert kept.motion.voltage < 22.7
