@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import sqrt
 from typing import Protocol
 
@@ -92,21 +92,25 @@ class JsonBackend:
         self.steps = self.frames_lost = 0
         self._frame = -1
         self._answer = b""
-        self._stopped = False
+        self._stopped = self._finishing = False
 
     def stop(self) -> None:
         """End `run` within a moment; from any thread."""
         self._stopped = True
 
-    def run(self, alive: Callable[[], bool] | None = None) -> None:
-        """Answer until `stop`, or until `alive` says no (asked when the firmware is silent)."""
+    def finish(self) -> None:
+        """End `run` when the firmware falls silent: one that waits for an answer would not notice that its parent is gone."""
+        self._finishing = True
+
+    def run(self) -> None:
+        """Answer until `stop`, or after `finish` until the firmware is silent."""
         sock, receive = self._socket, self._socket.recvfrom
         try:
             while not self._stopped:
                 try:
                     packet, peer = receive(256)
                 except TimeoutError:
-                    if alive is not None and not alive():
+                    if self._finishing:
                         return
                     continue
                 except ConnectionRefusedError:  # the firmware went away between its packet and our answer

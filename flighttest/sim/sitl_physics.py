@@ -171,7 +171,7 @@ def serve_inherited(descriptor: int, options: SimOptions) -> None:
     def watch() -> None:
         while os.read(0, 4096):
             pass
-        backend.stop()
+        backend.finish()
 
     threading.Thread(target=watch, daemon=True).start()
     backend.run()

@@ -146,6 +146,19 @@ class TestServer:
         assert json.loads(firmware.recv(2000))["timestamp"] == pytest.approx(1 / 800)
         assert backend.steps == 1
 
+    def test_finishes_only_when_the_firmware_is_silent(self):
+        backend = JsonBackend(MotorPlant())
+        thread = threading.Thread(target=backend.run, daemon=True)
+        thread.start()
+        backend.finish()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as firmware:
+            firmware.settimeout(5.0)
+            firmware.connect(("127.0.0.1", backend.port))
+            firmware.send(outputs(0, [1000] * 4))
+            assert firmware.recv(2000)
+        thread.join(5.0)
+        assert not thread.is_alive()
+
     def test_a_taken_port_is_said(self, served):
         backend, _ = served
         with pytest.raises(LinkError, match=str(backend.port)):
