@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from flighttest.identify.solve import Normal
+from flighttest.identify.problem import Problem
+from flighttest.identify.solve import Normal, Solution
 
 FloatArray = NDArray[np.float64]
 
@@ -94,3 +95,21 @@ def inflation_of(residuals: list[FloatArray]) -> float:
     bottom = sum(float(r @ r) for r in residuals if r.size > 3)
     rho = min(max(top / bottom, 0.0), 0.98) if bottom > 0 else 0.0
     return (1 + rho) / (1 - rho)
+
+
+def covariance_of(problem: Problem, solution: Solution) -> Covariance:
+    """Cluster-robust covariance of the free parameters that have an effect and are not at a bound."""
+    active = tuple(n for n in solution.free if n not in solution.blind and n not in solution.at_bound)
+    residuals = [
+        made.residual[j, :, k] / solution.noise.channel[c]
+        for part, made in zip(problem.parts, solution.evaluations, strict=True)
+        for k, c in enumerate(part.outputs)
+        for j in range(len(part.responses))
+    ]
+    return cluster_covariance(solution.normal, active, inflation_of(residuals))
+
+
+def std_of(covariance: Covariance, name: str) -> float:
+    """Standard error of one parameter."""
+    i = covariance.names.index(name)
+    return float(np.sqrt(covariance.matrix[i, i]))

@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from flighttest.errors import FitError
-from flighttest.identify.covariance import Covariance, cluster_covariance, inflation_of, interval_factor
-from flighttest.identify.identifiability import judge, voltage_spread_at_equal_throttle
+from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
+from flighttest.identify.identifiability import ALPHA_HOPELESS, judge, voltage_spread_at_equal_throttle, voltage_varies
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
 from flighttest.identify.problem import Noise, Problem, Select
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.solve import FitStatus, Solution, solve, start_noise
+from flighttest.identify.ties import TieTest, tie_tests
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
 from flighttest.segments.model import Segment
@@ -46,18 +46,6 @@ class Estimate:
     identifiable: bool
     why: str = ""
     fly: str = ""
-
-
-@dataclass(frozen=True)
-class TieTest:
-    """Wald test of a tie: p_value under "the two are equal"."""
-
-    name: str
-    source: str
-    difference: float
-    std: float
-    p_value: float
-    sentence: str
 
 
 @dataclass(frozen=True)
@@ -142,12 +130,17 @@ def fit(
     _check_names(model, [*(frozen or {}), *(ties or {}), *(ties or {}).values()])
     onset = onset_delay(segments)
     begin = {**start_values(segments, model, onset), **(start or {}), **(frozen or {})}
-    problem = Problem.build(
-        segments, model, filters=filters, select=select, values=begin, fixed=tuple(frozen or {}), ties=ties
-    )
-    solution = _best(problem, robust, model.start(start))
-    covariance = covariance_of(problem, solution)
     spread = voltage_spread_at_equal_throttle(segments)
+    held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
+    for _ in range(2):
+        fixed = (*(frozen or {}), *held)
+        problem = Problem.build(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
+        solution = _best(problem, robust, model.start(start))
+        covariance = covariance_of(problem, solution)
+        if "alpha" not in covariance.names or std_of(covariance, "alpha") < ALPHA_HOPELESS:
+            break
+        # K and alpha cannot be told apart: K is then the gain at the voltage flown, with alpha held where it starts.
+        held = ("alpha",)
     estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))
@@ -165,24 +158,12 @@ def fit(
         quality=channel_quality(problem, solution),
         valid=valid_range(problem),
         outliers=_outliers(problem, solution),
-        ties=_tie_tests(segments, model, filters, select, solution, ties or {}, tuple(frozen or {}), robust),
+        ties=tie_tests(segments, model, filters, select, solution, ties or {}, tuple(frozen or {}), robust),
         notes=_notes(problem, solution, model),
         problem=problem,
         solution=solution,
         voltage_spread_v=spread,
     )
-
-
-def covariance_of(problem: Problem, solution: Solution) -> Covariance:
-    """Cluster-robust covariance of the free parameters that have an effect and are not at a bound."""
-    active = tuple(n for n in solution.free if n not in solution.blind and n not in solution.at_bound)
-    residuals = [
-        made.residual[j, :, k] / solution.noise.channel[c]
-        for part, made in zip(problem.parts, solution.evaluations, strict=True)
-        for k, c in enumerate(part.outputs)
-        for j in range(len(part.responses))
-    ]
-    return cluster_covariance(solution.normal, active, inflation_of(residuals))
 
 
 def _check_names(model: Model, names: Sequence[str]) -> None:
@@ -295,36 +276,6 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
         why,
         known.fly,
     )
-
-
-def _tie_tests(
-    segments: Sequence[Segment],
-    model: Model,
-    filters: Mapping[str, float] | None,
-    select: Select,
-    tied: Solution,
-    ties: Mapping[str, str],
-    frozen: tuple[str, ...],
-    robust: bool,
-) -> tuple[TieTest, ...]:
-    """Fit once more without the ties and ask whether each pair differs."""
-    if not ties:
-        return ()
-    problem = Problem.build(segments, model, filters=filters, select=select, values=tied.values, fixed=frozen)
-    free = solve(problem, robust=robust)
-    covariance = covariance_of(problem, free)
-    tests = []
-    for name, source in ties.items():
-        if name not in covariance.names or source not in covariance.names:
-            continue
-        weights = np.array([(n == name) * 1.0 - (n == source) * 1.0 for n in covariance.names])
-        std, dof = covariance.of(weights)
-        difference = free.values[name] - free.values[source]
-        p = float(2 * stats.t.sf(abs(difference) / std, dof)) if std > 0 else 0.0
-        verdict = "the data supports the tie" if p > 0.05 else "the data speaks against the tie"
-        sentence = f"{name} - {source} = {difference:.3g} +- {std:.2g}: {verdict} (p = {p:.3f})"
-        tests.append(TieTest(name, source, difference, std, p, sentence))
-    return tuple(tests)
 
 
 def _outliers(problem: Problem, solution: Solution) -> tuple[Outlier, ...]:

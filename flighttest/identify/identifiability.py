@@ -13,6 +13,8 @@ from flighttest.segments.model import Segment
 
 ALPHA_STD = 0.3
 ALPHA_SHARE = 0.2
+ALPHA_HOPELESS = 1.0  # a standard error beyond this says nothing: alpha is held, so that K is still found
+VOLTAGE_STD = 0.004  # of ln U, below which alpha is held from the beginning (0.1 V on 22 V)
 WEAK_SHARE = 0.25
 WEAK_DELAY_S = 0.01
 CORRELATED = 0.98
@@ -23,7 +25,7 @@ _FLY = {
     "d_z": "thrust", "T_d_attitude": "roll_pitch", "T_d_yaw_rate": "yaw_rate", "T_d_thrust": "thrust", "T_d": "thrust",
 }  # fmt: skip
 _WHY_BLIND = {
-    "alpha": "the battery voltage was not recorded, or did not vary at equal throttle",
+    "alpha": "the battery voltage was not recorded or hardly varied; it was held, and K is the gain at the voltage flown",
     "d_z": "the vehicle did not move along its vertical axis while velocity was recorded",
     "d_x": "the vehicle did not move along its forward axis while velocity was recorded",
     "d_y": "the vehicle did not move along its left axis while velocity was recorded",
@@ -56,10 +58,12 @@ def judge(
 ) -> Known:
     """Verdict on one parameter. std: None where none was estimated; partner: the parameter it is most correlated with."""
     fly = maneuver_for(param, reveals)
-    if blind or std is None:
+    if blind:
         return Known(False, _WHY_BLIND.get(param.name, f"nothing in this data depends on {param.name}"), fly)
     if at_bound:
         return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
+    if std is None:
+        return Known(False, "no error could be estimated for it", fly)
     share = std / abs(value) if value else float("inf")
     if param.name == "alpha":
         spread = (
@@ -75,12 +79,22 @@ def judge(
     if param.unit == "s" and param.name.startswith("T_d"):
         good, limit = std < WEAK_DELAY_S, f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
     else:
-        good = std < max(WEAK_SHARE * abs(value), 0.25 * param.scale)
+        good = std < max(WEAK_SHARE * abs(value), 0.0 if param.lower > 0 else 0.25 * param.scale)
         limit = f"{std:.2g} {param.unit} on a value of {value:.3g}"
     if good:
         return Known(True)
     with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
     return Known(False, f"its standard error is {limit}{with_whom}", fly)
+
+
+def voltage_varies(segments: Sequence[Segment], nominal_voltage_v: float) -> bool:
+    """Whether voltage was recorded and varies enough for alpha to be worth estimating."""
+    means = [float(np.nanmean(u)) for s in segments if np.isfinite(u := s.y.get("voltage_v", np.full(1, np.nan))).any()]
+    inside = [float(np.nanstd(s.y["voltage_v"])) for s in segments if np.isfinite(s.y.get("voltage_v", np.nan)).any()]
+    if not means or min(means) <= 0:
+        return False
+    spread = float(np.hypot(np.std(means), np.mean(inside)))
+    return spread / nominal_voltage_v > VOLTAGE_STD
 
 
 def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | None:

@@ -30,6 +30,7 @@ Select = Literal["paper", "all"]
 
 STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
 ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
+FEW_STEPS = 6  # fewer steps than this of a block, beside free flight, are no campaign
 DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
 
 
@@ -370,4 +371,8 @@ def _as_in_the_paper(segments: Sequence[Segment], members: list[int], block: Blo
         kinds = {kind for axis, kind in STEP_KIND.items() if axis in block.name}
         every = [i for i in members if segments[i].kind in kinds]
         steps = [i for i in every if not _amplitude(segments[i]) > ATTITUDE_STEP_MAX_RAD] or every
-    return steps or [i for i in members if segments[i].kind == "free"] or members
+    free = [i for i in members if segments[i].kind == "free"]
+    if len(steps) < FEW_STEPS and free:
+        # A pilot's flight with the odd step in it, no campaign: the flight is the data.
+        return sorted({*steps, *free})
+    return steps or members

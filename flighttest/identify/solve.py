@@ -267,8 +267,11 @@ def _cost(
     total = 0.0
     for i, (part, made) in enumerate(zip(problem.parts, at.made, strict=True)):
         std = np.array([noise.channel[c] for c in part.outputs])
-        z = np.abs(made.residual) / std
-        rho = np.where(z > SPIKE_STDS, 2 * SPIKE_STDS * z - SPIKE_STDS**2, z**2) if robust else z**2
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # a trial step may diverge: its cost is then infinite, and it is refused
+            z = np.abs(made.residual) / std
+            rho = np.where(z > SPIKE_STDS, 2 * SPIKE_STDS * z - SPIKE_STDS**2, z**2) if robust else z**2
         w = weight[[r.index for r in part.responses]]
         total += float((rho * part.mask * w[:, None, None]).sum())
         total += float((((at.local[i] - centres[i]) / prior_std(part, noise)) ** 2).sum())
