@@ -97,7 +97,9 @@ class _Importer:
         self.losses = [*file.losses, *_gap_sentences(log), *log.notes, *times.losses]
         for name, fields in _NEEDED.items():
             if name in self.tables and not all(field in self.tables[name][0] for field in fields):
-                self.losses.append(f"{name} was not used: its format declares no {', '.join(fields)} (an unknown or damaged FMT)")
+                self.losses.append(
+                    f"{name} was not used: its format declares no {', '.join(fields)} (an unknown or damaged FMT)"
+                )
                 del self.tables[name]
         self.derived: dict[str, str] = {}
         self.choices: dict[str, str] = {}

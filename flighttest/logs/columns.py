@@ -75,7 +75,7 @@ def parse_columns(text: str, file: str = "columns.yaml") -> ColumnMap:
         raise RecordingError(f"{file}: empty")  # unreachable: a document without root has problems
     fields = document.mapping(document.root, _KEYS)
     columns, quaternions = _columns(document, fields["columns"]) if "columns" in fields else ({}, {})
-    if not columns and not quaternions:
+    if not columns and not quaternions and not document.problems:
         document.problem(
             document.root.line, "columns", "the map names no column", "add `columns:` with channel: {from: ...}"
         )

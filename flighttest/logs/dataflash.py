@@ -171,12 +171,12 @@ class _Reader:
                 good[b] = True
                 i, position = k, end
                 continue
-            if not lengths[b]:
-                self.unknown[int(types[b])] = self.unknown.get(int(types[b]), 0) + 1
             i = b + 1
             following = int(hits[i]) if i < n else size
             if i >= n and not final:
                 return good, position
+            if not lengths[b]:
+                self.unknown[int(types[b])] = self.unknown.get(int(types[b]), 0) + 1
             self._lose(base + position, following - position)
             position = following
         if final and position < size:

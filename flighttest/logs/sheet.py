@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import struct
+import warnings
 import zlib
 from dataclasses import dataclass, field
 from typing import Any
@@ -144,16 +146,25 @@ def _text(file: LogFile, data: bytes) -> Sheet:
             f"{file.path}: the table has no rows", "it needs a line of column names and lines of values"
         )
     separator = max(",;\t", key=lambda mark: lines[0].count(mark))
+    skipped: list[int] = []
     try:
-        frame = pd.read_csv(
-            io.StringIO(text), sep=separator, comment="#", skipinitialspace=True, on_bad_lines="warn", low_memory=False,
-            index_col=False, skip_blank_lines=True,
-        )  # fmt: skip
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", pd.errors.ParserWarning)
+            frame = pd.read_csv(
+                io.StringIO(text), sep=separator, comment="#", skipinitialspace=True, on_bad_lines="warn", low_memory=False,
+                index_col=False, skip_blank_lines=True,
+            )  # fmt: skip
+        skipped = [int(n) for one in caught for n in re.findall(r"Skipping line (\d+)", str(one.message))]
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
         raise RecordingError(
             f"{file.path}: this is no table: {error}", "see docs/formats.md for plain tables"
         ) from error
-    return _sheet(file, frame)
+    sheet = _sheet(file, frame)
+    if skipped:
+        sheet.losses.append(
+            f"{len(skipped)} lines have too many values and were left out (the first is line {skipped[0]})"
+        )
+    return sheet
 
 
 def _sheet(file: LogFile, frame: pd.DataFrame) -> Sheet:

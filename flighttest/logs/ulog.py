@@ -16,7 +16,7 @@ from pyulog.exceptions import ULogException
 from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
-from flighttest.logs.timing import held_union, ordered
+from flighttest.logs.timing import held_union, ordered, outliers
 from flighttest.recording import Marker, Provenance, Recording, Series
 
 FloatArray = NDArray[np.float64]
@@ -49,12 +49,37 @@ def import_ulog(path: Path) -> Recording:
     try:
         # pyulog tells of damage on standard output; it belongs into the losses.
         with contextlib.redirect_stdout(words):
-            log = ULog(io.BytesIO(data), _TOPICS, disable_str_exceptions=True)
+            log = ULog(_Forward(data), _TOPICS, disable_str_exceptions=True)
     except _DAMAGED as error:
         raise RecordingError(
             f"{path}: this ULog file is damaged in its definitions: {error!r}", "copy it anew"
         ) from error
-    return _Importer(path, file, log, words.getvalue()).recording()
+    try:
+        return _Importer(path, file, log, words.getvalue()).recording()
+    except _DAMAGED as error:
+        # Damaged definitions can make any field anything; in a sound file the same error would be ours.
+        if log.file_corruption:
+            raise RecordingError(f"{path}: this ULog file is damaged: {error!r}", "copy it anew") from error
+        raise
+
+
+class _Forward(io.BytesIO):
+    """A file that pyulog cannot walk in circles: where a message claims to be longer than the file, pyulog steps back by the claimed
+    length, to before that message, and would read the same bytes for ever."""
+
+    _message = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As any file; the place of the last three-byte message header is kept."""
+        if size == 3:
+            self._message = self.tell()
+        return super().read(size)
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """As any file, but a relative step never ends before the message it steps back over."""
+        if whence == 1 and self.tell() + offset < self._message:
+            return super().seek(self._message + 1)
+        return super().seek(offset, whence)
 
 
 class _Importer:
@@ -65,7 +90,7 @@ class _Importer:
         self.losses = list(file.losses)
         self.derived: dict[str, str] = {}
         self.filters: dict[str, float] = {}
-        self.parameters = {str(k): float(v) for k, v in log.initial_parameters.items()}
+        self.parameters = {str(k): float(v) for k, v in log.initial_parameters.items() if isinstance(v, (int, float))}
         if log.file_corruption:
             first = next((line for line in words.splitlines() if line.strip()), "some messages could not be read")
             self.losses.append(f"the file is damaged: {first.strip()}")
@@ -123,7 +148,13 @@ class _Importer:
         stamp = fields["timestamp"]
         if "timestamp_sample" in fields and bool(np.all(fields["timestamp_sample"] > 0)):
             stamp = fields["timestamp_sample"]
-        return np.asarray(stamp, dtype=np.float64) * 1e-6, fields
+        t_s = np.asarray(stamp, dtype=np.float64) * 1e-6
+        wild = outliers(t_s)
+        if wild.any():
+            sentence = f"{name}: {int(np.count_nonzero(wild))} messages with a damaged time stamp were dropped"
+            self.losses += [sentence] if sentence not in self.losses else []
+            fields = {field: values[~wild] for field, values in fields.items()}
+        return t_s[~wild], fields
 
     def _series(self, t_s: FloatArray, values: FloatArray, names: tuple[str, ...], what: str) -> Series:
         return ordered(t_s, {name: values[:, i] for i, name in enumerate(names)}, what, self.losses)
@@ -262,6 +293,8 @@ class _Importer:
                     Marker(float(state.t_s[i]), "mode", _NAV_STATES.get(number, f"mode {number}"), {"mode": number})
                 )
         for stamp, name, value in self.log.changed_parameters:
+            if not isinstance(value, (int, float)):
+                continue
             before = self.parameters.get(str(name))
             self.parameters[str(name)] = float(value)
             if before is not None and before != float(value):

@@ -24,7 +24,9 @@ class DataflashWriter:
         kind = kind if kind is not None else 10 + len(self.kinds)
         size = 3 + struct.calcsize("<" + "".join(STRUCT[c] for c in codes))
         self.kinds[name] = kind, codes
-        self.data += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, name.encode(), codes.encode(), labels.encode())
+        self.data += b"\xa3\x95\x80" + struct.pack(
+            "<BB4s16s64s", kind, size, name.encode(), codes.encode(), labels.encode()
+        )
 
     def write(self, name: str, *values: object) -> None:
         kind, codes = self.kinds[name]
@@ -36,7 +38,9 @@ class DataflashWriter:
         return path
 
 
-def guided_flight(seconds: float = 4.0, rate_hz: float = 100.0, wrap: bool = False, start_us: int = 50_000_000) -> DataflashWriter:
+def guided_flight(
+    seconds: float = 4.0, rate_hz: float = 100.0, wrap: bool = False, start_us: int = 50_000_000
+) -> DataflashWriter:
     """Copter 4.6-like: hover, then a roll step of +0.2 rad (NED) for 1 s at t = 1 s, targets at 50 Hz."""
     w = DataflashWriter()
     w.format("PARM", "QNff", "TimeUS,Name,Value,Default")
@@ -101,7 +105,10 @@ def ulog_bytes():
         out += message("B", bytes(40))
         formats = {
             "vehicle_attitude": ("uint64_t timestamp;float[4] q;", "Q4f"),
-            "vehicle_attitude_setpoint": ("uint64_t timestamp;float[4] q_d;float[3] thrust_body;float yaw_sp_move_rate;", "Q4f3ff"),
+            "vehicle_attitude_setpoint": (
+                "uint64_t timestamp;float[4] q_d;float[3] thrust_body;float yaw_sp_move_rate;",
+                "Q4f3ff",
+            ),
             "sensor_combined": ("uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;", "Q3f3f"),
             "battery_status": ("uint64_t timestamp;float voltage_v;float current_a;", "Qff"),
             "vehicle_status": ("uint64_t timestamp;uint8_t nav_state;uint8_t arming_state;", "QBB"),
