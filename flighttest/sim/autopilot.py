@@ -88,6 +88,11 @@ class Autopilot:
         return bool(self.store["SIM_GPS1_ENABLE"]) and self.time_s >= self.boot.gps_s
 
     @property
+    def armable(self) -> bool:
+        """Whether the arming checks pass."""
+        return self.armed or self._arming_refusal() is None
+
+    @property
     def taking_off(self) -> bool:
         """Whether it climbs to its take-off height."""
         return self.mode == modes.GUIDED and self.navigator.take_off_m is not None and not self.landed

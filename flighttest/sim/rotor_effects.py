@@ -102,6 +102,11 @@ EFFECTS: dict[str, Effect] = {
         known=False,
     ),
     "sticking_esc": Effect({"band": 0.025}, "the ESCs ignore throttle changes smaller than this", known=False),
+    "back_emf": Effect(
+        {"resistance": 1.5},
+        "motors without a governor: thrust from duty, voltage and back-EMF; resistive over back-EMF voltage at full throttle",
+        known=False,
+    ),
     "swirl": Effect(
         {"rate_1_s": 0.45}, "a side force to the left of the flight, 1/s of the horizontal airspeed", known=False
     ),

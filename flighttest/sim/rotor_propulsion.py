@@ -23,6 +23,7 @@ class Propulsion:
         ratio = on.get("thrust_asymmetry", {}).get("ln_sigma_ratio", 0.0)
         self._up, self._down = vehicle.ramp_1_s * exp(0.5 * ratio), vehicle.ramp_1_s * exp(-0.5 * ratio)
         self._blend = on.get("rotor_speed_lag", {}).get("rotor_lag", 0.0)
+        self._resistance = on.get("back_emf", {}).get("resistance", 0.0)
         self._fade, self._sag, self._ring = on.get("thrust_fade"), on.get("voltage_sag"), on.get("resonance")
         self._filtered = self._stuck = self.ramp = 0.0
         self._heat = self._drop = self.drop_logged = 0.0
@@ -35,10 +36,19 @@ class Propulsion:
     def voltage_gain(self, sensed_v: float) -> float:
         """Static thrust at the voltage that acts, as a multiple of that at nominal voltage."""
         v = self._v
-        gain: float = ((sensed_v - self._drop) / v.nominal_voltage_v) ** v.alpha
+        ratio = (sensed_v - self._drop) / v.nominal_voltage_v
+        gain: float = ratio**v.alpha if not self._resistance else self._ungoverned(ratio)
         if self._fade:
             gain *= 1.0 - self._fade["fade_depth"] * self._heat
         return gain
+
+    def _ungoverned(self, ratio: float) -> float:
+        """The same for motors that only see a duty of the battery's voltage: speed solves w + a w^2 = (1 + a) duty U / U_n."""
+        a, x = self._resistance, max(self.ramp, 1e-4)
+        speed = sqrt(x)
+        drive = (speed + a * x) * ratio  # the duty that gives this thrust at nominal voltage, at this voltage
+        found = (sqrt(1.0 + 4.0 * a * drive) - 1.0) / (2.0 * a)
+        return found * found / x
 
     def common(self, h: float, throttle: float, roll: float, pitch: float, gain: float, spinning: bool) -> float:
         """Static thrust of all rotors, N, one step on. roll, pitch: the attitude target, rad."""

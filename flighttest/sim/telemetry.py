@@ -72,6 +72,10 @@ class Vehicle(Protocol):
         """Whether the estimator uses GPS."""
 
     @property
+    def armable(self) -> bool:
+        """Whether the arming checks pass."""
+
+    @property
     def taking_off(self) -> bool:
         """Whether it climbs to its take-off height."""
 
@@ -208,12 +212,13 @@ def _battery(v: Vehicle) -> bytes:
 
 def _sys_status(v: Vehicle) -> bytes:
     sensors = 0x5361_FC2F if v.has_position else 0x5361_FC0F
+    health = sensors if v.armable else sensors & ~book.MAV_SYS_STATUS_PREARM_CHECK
     used = v.charge_used_ah
     left = max(0, min(100, int(100.0 * (1.0 - used / v.capacity_ah))))
     volts = min(max(round(v.sensors.voltage() * 1e3), 0), 65534)
     return v.encoder.message(
         book.MAVLink_sys_status_message(
-            sensors, sensors, sensors, 250, volts, _short(v.motion.current, 100), left, 0, 0, 0, 0, 0, 0
+            sensors, sensors, health, 250, volts, _short(v.motion.current, 100), left, 0, 0, 0, 0, 0, 0
         )
     )
 
