@@ -81,7 +81,7 @@ def compare(first: Path, second: Path, progress: Progress = SILENT) -> Result:
                 to_error(p.value, p.std),
                 to_error(q.value, q.std),
                 unit(p.unit),
-                percent(change, 2),
+                percent(change),
                 f"{z:+.1f}" if np.isfinite(z) else "-",
                 word,
             )

@@ -105,7 +105,7 @@ def _accuracy(found: Fit) -> str:
     ]
     if not named:
         return ""
-    return "The model explains " + join([f"{percent(r2, 4)} of {w}" for w, r2 in named]) + "."
+    return "The model explains " + join([f"{percent(r2, 2)} of {w}" for w, r2 in named]) + "."
 
 
 def _onset(found: Fit) -> str:

@@ -93,7 +93,7 @@ def _tests(found: Currency) -> Section:
                 (
                     t.subset if index == 0 else "",
                     name,
-                    Cell(percent(change, 2), "bad" if moved else "plain"),
+                    Cell(percent(change), "bad" if moved else "plain"),
                     f"{z:+.1f}",
                     f"{t.p_value:.2g}" if index == 0 else "",
                     Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if index == 0 else "",

@@ -59,9 +59,9 @@ def _findings(data: Data) -> Section:
         verdict = str(item.get("verdict", ""))
         head = f"{item.get('title') or item['term']} ({item['term']}): {TERM_WORDS.get(verdict, verdict.lower())}."
         blocks.append(Paragraph(head, TERM_TONES.get(verdict, "plain")))
-        said = [str(item[k]) for k in ("plain", "sentence") if item.get(k)]
+        said = item.get("sentence") or item.get("plain")
         if said:
-            blocks.append(Paragraph(" ".join(_sentence(s) for s in said)))
+            blocks.append(Paragraph(_sentence(str(said))))
         if item.get("equation"):
             blocks.append(Code(str(item["equation"])))
         if item.get("parameters"):
@@ -130,7 +130,7 @@ def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
     rows: list[tuple[Cell | str, ...]] = []
     for channel, h in held.items():
         low, high = (h.get("gain_95") or (None, None))[:2]
-        gain = "-" if low is None or high is None else f"{percent(low, 2)} to {percent(high, 2)}"
+        gain = "-" if low is None or high is None else f"{percent(low)} to {percent(high)}"
         better = low is not None and low > 0
         after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
         rows.append((channel, number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), gain))
@@ -191,7 +191,7 @@ def _limits(data: Data) -> Section:
         )
     left = (data.get("unexplained") or {}).get("excess_share")
     if left is not None:
-        blocks.append(Paragraph(f"Left unexplained: {percent(float(left), 2)} of the error above the noise floor."))
+        blocks.append(Paragraph(f"Left unexplained: {percent(float(left))} of the error above the noise floor."))
     notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
     if notes:
         blocks.append(Bullets(notes))

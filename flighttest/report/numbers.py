@@ -54,9 +54,12 @@ def interval(low: float | None, high: float | None, std: float | None = None) ->
     return f"{number(low, 3)} to {number(high, 3)}"
 
 
-def percent(share: float | None, digits: int = 2) -> str:
-    """A share as per cent."""
-    return "-" if share is None or not math.isfinite(share) else f"{number(100 * share, digits)} %"
+def percent(share: float | None, places: int = 1) -> str:
+    """A share as per cent, with so many decimals."""
+    if share is None or not math.isfinite(share):
+        return "-"
+    text = f"{100 * share:.{places}f}"
+    return f"{text.removeprefix('-') if float(text) == 0 else text} %"
 
 
 def duration(seconds: float) -> str:

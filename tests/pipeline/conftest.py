@@ -1,0 +1,31 @@
+"""Synthetic flights, made once."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+
+def _module():
+    spec = importlib.util.spec_from_file_location("synthetic", Path(__file__).with_name("synthetic.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def synthetic():
+    """The module that makes flights."""
+    return _module()
+
+
+@pytest.fixture(scope="session")
+def flight_csv(synthetic, tmp_path_factory):
+    """A flight of the paper's vehicle as a plain table."""
+    return synthetic.write_csv(tmp_path_factory.mktemp("flight") / "flight.csv")
+
+
+@pytest.fixture(scope="session")
+def worn_csv(synthetic, tmp_path_factory):
+    """The same vehicle with 6 % less thrust."""
+    return synthetic.write_csv(tmp_path_factory.mktemp("worn") / "worn.csv", seed=1, gain=0.94)

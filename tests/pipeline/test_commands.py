@@ -1,0 +1,158 @@
+"""The whole command line on a foreign table: import, segment, fit, validate, report, export, compare, status."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flighttest.cli import main as cli_main
+
+TRUTH = {
+    "omega_phi": 25.43,
+    "zeta_phi": 0.44,
+    "sigma_r": 21.54,
+    "sigma_t": 20.36,
+    "K": 54.55,
+    "alpha": 1.71,
+    "d_x": 0.39,
+    "d_z": 0.51,
+    "T_d": 0.1,
+}
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*argv):
+        code = cli_main.call([str(a) for a in argv])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def model(flight_csv, tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "model.yaml"
+    assert cli_main.call(["fit", str(flight_csv), "-o", str(path), "--json"]) == 0
+    return path
+
+
+def test_fit_finds_the_vehicle(call, flight_csv):
+    code, out, _ = call("fit", flight_csv, "--json")
+    assert code == 0
+    found = json.loads(out)["parameters"]
+    for name, value in TRUTH.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.04), name
+        assert found[name]["identifiable"]
+
+
+def test_import_makes_a_run_that_says_the_same_as_the_table(call, flight_csv, tmp_path):
+    run = tmp_path / "run"
+    code, out, _ = call("import", flight_csv, "-o", run, "--json")
+    assert code == 0
+    assert json.loads(out)["channels"]["attitude"]["rate_hz"] == pytest.approx(50.0)
+    direct = json.loads(call("segment", flight_csv, "--json")[1])
+    stored = json.loads(call("segment", run, "--json")[1])
+    assert stored["used"] == direct["used"] > 40
+    code, _, err = call("import", flight_csv, "-o", flight_csv.parent)
+    assert code == 2
+    assert "no run folder" in err
+
+
+def test_report_of_a_run_and_the_history(call, flight_csv, tmp_path):
+    run = tmp_path / "runs" / "2026-01-02T03-04-05-thrust"
+    call("import", flight_csv, "-o", run)
+    code, out, _ = call("report", run)
+    assert code == 0
+    assert (run / "report.html").stat().st_size > 1_000_000
+    assert (run / "segments.parquet").is_file()
+    assert (run / "fit.yaml").is_file()
+    code, out, _ = call("runs", tmp_path / "runs", "--html", "--json")
+    assert code == 0
+    (listed,) = json.loads(out)["runs"]
+    assert listed["when"] == "2026-01-02 03:04:05"
+    assert listed["parameters"]["K"]["value"] == pytest.approx(54.55, rel=0.02)
+    assert (tmp_path / "runs" / "history.html").is_file()
+
+
+def test_validate_export_and_compare(call, model, worn_csv, tmp_path):
+    code, out, _ = call("validate", model, worn_csv, "-o", tmp_path / "v.html", "--json")
+    assert code == 0
+    assert {e["model"] for e in json.loads(out)["errors"]} >= {
+        "FULL",
+        "LINEARISED",
+        "NO_DRAG",
+        "NO_BATTERY",
+        "ONLY_DELAY",
+        "HOLD",
+    }
+    assert (tmp_path / "v.html").is_file()
+    code, out, _ = call("export", model, "--to", "json", "-o", tmp_path / "x", "--json")
+    assert code == 0
+    assert (tmp_path / "x" / "model.json").is_file()
+    code, out, _ = call("compare", model, worn_csv, "--json")
+    assert code == 0
+    assert "K" in json.loads(out)["differing"]
+    assert "omega_phi" not in json.loads(out)["differing"]
+
+
+def test_status_sees_worn_propellers_and_not_the_same_vehicle(call, model, flight_csv, worn_csv, tmp_path):
+    code, out, _ = call("status", "--model", model, worn_csv, "--out", tmp_path, "-o", tmp_path / "status", "--json")
+    assert code == 4
+    found = json.loads(out)
+    assert found["verdict"] == "STALE"
+    assert [t["subset"] for t in found["tests"] if t["alarm"]] == ["thrust"]
+    assert "thrust per throttle fell" in found["sentence"]
+    assert "UNTESTABLE" in found["battery"]["sentence"]
+    assert (tmp_path / "status" / "thrust_again.yaml").is_file()
+    code, out, _ = call("status", "--model", model, flight_csv, "--out", tmp_path, "--json")
+    assert code == 0
+    assert json.loads(out)["verdict"] == "CURRENT"
+
+
+def test_the_scripts_status_writes_can_be_flown(call, model, worn_csv, tmp_path):
+    call("status", "--model", model, worn_csv, "--out", tmp_path, "-o", tmp_path / "status")
+    for script in Path(tmp_path / "status").glob("*.yaml"):
+        code, out, _ = call("check", script, "--json")
+        assert code == 0, out
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ("fit", "nowhere"),
+        ("segment", "nowhere.BIN"),
+        ("validate", "nowhere.yaml", "x"),
+        ("status", "--model", "nowhere.yaml"),
+        ("report", "nowhere"),
+        ("export", "nowhere.yaml", "--to", "c"),
+        ("compare", "a", "b"),
+        ("check", "no_such_maneuver"),
+        ("check", "thrust", "--vehicle", "nowhere.yaml"),
+        ("diagnose", "nowhere"),
+        ("import", "nowhere.csv", "-o", "x"),
+    ],
+)
+def test_missing_files_are_bad_input(call, argv, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(*argv)
+    assert code == 2, err
+    assert "error:" in err
+
+
+def test_bad_fit_options_are_bad_input(call, flight_csv):
+    for options in (("--term", "nope"), ("--freeze", "alpha"), ("--tie", "d_y"), ("--freeze", "nope=1")):
+        code, _, err = call("fit", flight_csv, *options)
+        assert code in (2, 3), (options, err)
+        assert "error:" in err
+
+
+def test_garbage_is_no_traceback(call, tmp_path):
+    junk = tmp_path / "junk.bin"
+    junk.write_bytes(bytes(range(256)) * 50)
+    for suffix in (".bin", ".tlog", ".ulg", ".csv", ".parquet", ".xyz"):
+        path = tmp_path / f"junk{suffix}"
+        path.write_bytes(junk.read_bytes())
+        code, _, err = call("fit", path)
+        assert code in (2, 3), (suffix, err)
+        assert "error:" in err
