@@ -6,6 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flighttest.errors import RecordingError
+from flighttest.logs import import_log
+from flighttest.recording import Recording
+
 STRUCT = {
     "a": "32h", "b": "b", "B": "B", "h": "h", "H": "H", "i": "i", "I": "I", "f": "f", "d": "d", "g": "e", "n": "4s", "N": "16s",
     "Z": "64s", "c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "b", "q": "q", "Q": "Q",
@@ -86,6 +90,19 @@ def guided_flight(
 @pytest.fixture
 def dataflash() -> type[DataflashWriter]:
     return DataflashWriter
+
+
+@pytest.fixture
+def attempt():
+    """Import a log that may be damaged: a Recording, or the RecordingError that refuses it. Anything else is a crash."""
+
+    def run(path: Path) -> Recording | RecordingError:
+        try:
+            return import_log(path)
+        except RecordingError as error:
+            return error
+
+    return run
 
 
 @pytest.fixture

@@ -102,7 +102,7 @@ def test_a_damaged_time_stamp_is_dropped(flight, tmp_path):
 
 
 @pytest.mark.parametrize(("suffix", "pack"), [(".gz", gzip.compress), (".xz", lzma.compress)])
-def test_compressed_logs_are_read_as_they_are(flight, tmp_path, suffix, pack):
+def test_compressed_logs_are_read_as_they_are(flight, attempt, tmp_path, suffix, pack):
     data = bytes(flight(1.0).data)
     plain, packed = tmp_path / "a.BIN", tmp_path / f"b.BIN{suffix}"
     plain.write_bytes(data)
@@ -111,12 +111,8 @@ def test_compressed_logs_are_read_as_they_are(flight, tmp_path, suffix, pack):
     assert a.provenance.sha256 == b.provenance.sha256 != ""
     np.testing.assert_array_equal(a.channel("f_z_m_s2")[1], b.channel("f_z_m_s2")[1])
     packed.write_bytes(pack(data)[:-2000])
-    try:
-        cut_off = import_log(packed)
-    except RecordingError as error:
-        assert error.hint
-    else:
-        assert any("compressed" in loss for loss in cut_off.provenance.losses)
+    cut_off = attempt(packed)
+    assert isinstance(cut_off, RecordingError) or any("compressed" in loss for loss in cut_off.provenance.losses)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +138,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         import_log(tmp_path)
 
 
-def test_damage_never_crashes_and_is_never_silent(flight, tmp_path):
+def test_damage_never_crashes_and_is_never_silent(flight, attempt, tmp_path):
     rng = np.random.default_rng(5)
     data = bytes(flight(0.6).data)
     path = tmp_path / "a.BIN"
@@ -155,13 +151,12 @@ def test_damage_never_crashes_and_is_never_silent(flight, tmp_path):
             a = int(rng.integers(0, len(hurt) - 500))
             del hurt[a : a + int(rng.integers(1, 400))]
         path.write_bytes(hurt)
-        try:
-            r = import_log(path)
-        except RecordingError as error:
-            assert str(path) in str(error)
-        else:
-            told += bool(r.provenance.losses)
-            assert np.diff(r.t_span_s)[0] < 5.0
+        r = attempt(path)
+        if isinstance(r, RecordingError):
+            assert str(path) in str(r)
+            continue
+        told += bool(r.provenance.losses)
+        assert np.diff(r.t_span_s)[0] < 5.0
     assert told > 20
 
 

@@ -240,7 +240,7 @@ def test_a_thrust_stand_is_told_that_it_is_no_flight(shared_data, tmp_path):
         import_log(shared_data / "thrust_stand" / "data" / "single_rotor" / "xNova-SR-ramp.csv", tmp_path / "m.yaml")
 
 
-def test_bytes_of_any_kind_never_crash(tmp_path):
+def test_bytes_of_any_kind_never_crash(attempt, tmp_path):
     rng = np.random.default_rng(3)
     buffer = io.BytesIO()
     pd.DataFrame({"t_s": np.arange(50) * 0.02, "roll_rad": 0.1, "throttle": 0.3}).to_parquet(buffer)
@@ -251,7 +251,5 @@ def test_bytes_of_any_kind_never_crash(tmp_path):
             for place in rng.integers(0, len(hurt), rng.integers(1, 20)):
                 hurt[place] = rng.integers(0, 256)
             (tmp_path / name).write_bytes(hurt)
-            try:
-                import_log(tmp_path / name)
-            except RecordingError as error:
-                assert name in str(error)
+            r = attempt(tmp_path / name)
+            assert not isinstance(r, RecordingError) or name in str(r)

@@ -23,7 +23,7 @@ def test_px4_topics_become_channels(tmp_path, ulog_bytes):
     assert [m.label for m in r.markers if m.kind == "mode"] == ["OFFBOARD"]
 
 
-def test_damage_never_crashes(tmp_path, ulog_bytes):
+def test_damage_never_crashes(attempt, tmp_path, ulog_bytes):
     rng = np.random.default_rng(11)
     data = ulog_bytes()
     path = tmp_path / "a.ulg"
@@ -33,9 +33,7 @@ def test_damage_never_crashes(tmp_path, ulog_bytes):
         for place in rng.integers(0, len(hurt), rng.integers(1, 20)):
             hurt[place] = rng.integers(0, 256)
         path.write_bytes(hurt)
-        try:
-            import_log(path)
-            read += 1
-        except RecordingError as error:
-            assert "a.ulg" in str(error)
+        r = attempt(path)
+        read += not isinstance(r, RecordingError)
+        assert not isinstance(r, RecordingError) or "a.ulg" in str(r)
     assert read > 3
