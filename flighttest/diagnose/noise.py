@@ -123,8 +123,11 @@ def _pure_error(
 ) -> tuple[float, float, float, float] | None:
     """(pure error mean square of bin means, its degrees of freedom, lack-of-fit mean square of bin means, its degrees)."""
     raw = rows.open_residual
-    at = rows.channel == c
-    by_segment = {i: np.flatnonzero(at & (rows.segment == i)) for members in cells.values() for i in members}
+    at = np.flatnonzero(rows.channel == c)
+    at = at[np.argsort(rows.segment[at], kind="stable")]
+    starts = np.searchsorted(rows.segment[at], np.arange(len(segments) + 1))
+    by_segment = {i: at[starts[i] : starts[i + 1]] for members in cells.values() for i in members}
+    known = {i: covariates(segments[i]) for i in by_segment}
     square, dof, lack, lack_dof = 0.0, 0.0, 0.0, 0.0
     bins: dict[tuple[str, int], list[tuple[FloatArray, float, float]]] = {}
     for key, members in cells.items():
@@ -136,13 +139,16 @@ def _pure_error(
             since = segments[i].t_s[rows.sample[rows_i]] - segments[i].t_step_s
             which = np.floor(since / BIN_S).astype(int)
             x = raw[rows_i]
-            for b in np.unique(which):
-                table.setdefault(int(b), []).append((i, float(x[which == b].mean())))
+            first = int(which.min())
+            count = np.bincount(which - first)
+            total = np.bincount(which - first, x)
+            for k in np.flatnonzero(count):
+                table.setdefault(int(k) + first, []).append((i, float(total[k] / count[k])))
         for b, entries in table.items():
             if len(entries) < 2:
                 continue
             means = np.array([e[1] for e in entries])
-            covs = np.array([covariates(segments[e[0]]) for e in entries])
+            covs = np.array([known[e[0]] for e in entries])
             covs = covs - covs.mean(axis=0)
             spread = means - means.mean()
             for z, d in zip(covs, spread, strict=True):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.model import Rival, Untestable
-from flighttest.diagnose.screen import ABSORBED, Variant, amplitude_variants, orthonormal
+from flighttest.diagnose.screen import ABSORBED, orthonormal
 from flighttest.diagnose.search import LEAST_FLOORS, Search
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
@@ -45,19 +45,10 @@ def _has(segment: Segment, name: str) -> bool:
     return name in segment.y and bool(np.isfinite(segment.y[name]).any())
 
 
-def variants_of(search: Search) -> list[Variant]:
-    """Every candidate outside the model, as screened last."""
-    rows = search.ground.rows
-    terms = [
-        t for t in search.pool if t.amplitudes and not t.shapes and {p.name for p in t.amplitudes} <= set(rows.names)
-    ]
-    return amplitude_variants(rows, [t for t in terms if t.id not in search.judged]) + search.shaped_variants()
-
-
 def rivals_of(search: Search, term: str) -> tuple[Rival, ...]:
     """Candidates that would explain what `term` explains, by the cosine of what is left of both; confusable ones and near ones."""
     assert search.now is not None
-    rows = search.ground.rows
+    rows = search.now.rows
     own = [n for n in search.now.names if search.now.model.term_of(n) == term]
     rest = [n for n in search.now.names if n not in own]
     basis = orthonormal(rows.columns(rest))
@@ -65,7 +56,7 @@ def rivals_of(search: Search, term: str) -> tuple[Rival, ...]:
     effect = effect - basis @ (basis.T @ effect)
     length = float(np.linalg.norm(effect))
     found: dict[str, float] = {}
-    for v in variants_of(search):
+    for v in search.variants():
         columns = v.columns - basis @ (basis.T @ v.columns)
         if np.linalg.norm(columns) < ABSORBED * np.linalg.norm(v.columns) or length == 0:
             continue
@@ -83,12 +74,12 @@ def rivals_of(search: Search, term: str) -> tuple[Rival, ...]:
 def detectable(search: Search) -> dict[str, tuple[float, str]]:
     """Candidate to (smallest amplitude that would have been noticed, its parameter), infinite where none would."""
     assert search.floor is not None
-    ground = search.ground
-    rows = ground.rows
+    assert search.ground is not None
+    ground, rows = search.ground, search.ground.rows
     found: dict[str, tuple[float, str]] = {}
     worst = max(ground.inflation.values(), default=1.0)
     of_place = places(rows, search.bench.segments)
-    for v in variants_of(search):
+    for v in search.variants():
         own = v.columns - ground.basis @ (ground.basis.T @ v.columns)
         for k in range(own.shape[1]):
             others = orthonormal(np.delete(own, k, axis=1)) if own.shape[1] > 1 else np.zeros((own.shape[0], 0))
@@ -99,9 +90,8 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
                 level = np.inf
             else:
                 level = STANDARD_ERRORS * float(np.sqrt(worst / information))
-                open_column = rows.open_columns([name])[:, 0] if name in rows.names else alone * rows.scale
                 sizes = [
-                    float(np.sqrt(np.mean(open_column[at] ** 2))) / search.floor.of(c)
+                    float(np.sqrt(np.mean(v.open_columns[at, k] ** 2))) / search.floor.of(c)
                     for (c, _), at in of_place.items()
                 ]
                 level = max(level, LEAST_FLOORS / max(max(sizes, default=0.0), 1e-12))

@@ -28,13 +28,18 @@ ABSORBED = 1e-3  # a candidate of which less than this is left beside the presen
 
 @dataclass(frozen=True)
 class Variant:
-    """A candidate with its shapes fixed. columns: (n, q) whitened sensitivities to `names`; a secant (one column, no name) where the term
-    has no amplitude: the whole change it makes."""
+    """A candidate with its shapes fixed. columns: (n, q) whitened sensitivities to `names`, open_columns in the channels' units; a
+    secant (one column, no name) where the term has no amplitude: the whole change it makes."""
 
     term: Term
     shapes: Mapping[str, float]
     names: tuple[str, ...]
     columns: FloatArray
+    open_columns: FloatArray
+
+    def whitened_anew(self, ratio: FloatArray) -> Variant:
+        """The same, whitened by other standard deviations: ratio (n,) is old over new."""
+        return Variant(self.term, self.shapes, self.names, self.columns * ratio[:, None], self.open_columns)
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,7 @@ def amplitude_variants(rows: Rows, terms: Sequence[Term]) -> list[Variant]:
     for term in terms:
         names = tuple(p.name for p in term.amplitudes if p.name in rows.names)
         if names and not term.shapes:
-            found.append(Variant(term, {}, names, rows.columns(names)))
+            found.append(Variant(term, {}, names, rows.columns(names), rows.open_columns(names)))
     return found
 
 
@@ -128,7 +133,7 @@ def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Ter
             there = bench.moved(changed, state, setting)
             columns = bench.secant(model, state, changed, there)[:, None]
             if np.isfinite(columns).all():
-                found.append(Variant(term, setting, (), columns))
+                found.append(Variant(term, setting, (), columns, columns * (base.scale * (base.sample >= 0))[:, None]))
     scaled = [t for t in terms if t.amplitudes]
     if not scaled:
         return found
@@ -144,7 +149,7 @@ def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Ter
             own = tuple(p.name for p in t.amplitudes)
             columns = rows.columns(own)
             if k < len(settings[t.id]) and np.isfinite(columns).all():
-                found.append(Variant(t, settings[t.id][k], own, columns))
+                found.append(Variant(t, settings[t.id][k], own, columns, rows.open_columns(own)))
     return found
 
 

@@ -3,7 +3,7 @@
 A step forward takes the candidate with the best information criterion among those whose score is beyond chance for the whole catalogue
 (sign flips, 1 %), refits it jointly with everything, and keeps it when all of these hold:
 - the information criterion with the effective sample size falls by 10 or more (odds of 150 to 1);
-- somewhere (a channel in a kind of maneuver) the effect is at least half the noise floor: below that it is nobody's business;
+- somewhere (a channel in a kind of maneuver) the effect has at least half the power of the noise floor (0.7 of its amplitude);
 - there, it takes away at least 5 % of the held-out excess over the floor;
 - its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise).
 After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place.
@@ -12,7 +12,7 @@ After each step, terms that no longer meet this are taken out again, and each is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 LEAST_BIC = 10.0
-LEAST_FLOORS = 0.5
+LEAST_FLOORS = 0.7
 LEAST_GAIN = 0.05
 TRIES = 4  # candidates refitted per step before the step is given up
 MOST_TERMS = 12
+SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
 
 
 @dataclass(frozen=True)
@@ -94,75 +95,66 @@ class Search:
     judged: dict[str, Judged] = field(default_factory=dict)
     scores: list[Score] = field(default_factory=list)
     refused: dict[str, Judged] = field(default_factory=dict)
-    _shaped: list[Variant] = field(default_factory=list)
+    ground: Ground | None = None
+    _variants: list[Variant] = field(default_factory=list)
+    _scale: FloatArray | None = None
+    _left_out: dict[str, tuple[Fitted, Fitted]] = field(default_factory=dict)
 
     def run(self, model: Model, start: State) -> None:
         """Fit the base, then search. What is done is kept on interruption."""
         self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
-        fresh = False
-        while len(self.judged) < MOST_TERMS:
-            if not fresh:
-                self._screen(shapes=not self._shaped)
-                fresh = True
-            if self._forward():
-                self._backward()
-                fresh = False
-                continue
-            if self.judged and self._shaped and self._shapes_are_old():
-                self._screen(shapes=True)
-                if self._forward():
-                    self._backward()
-                    fresh = False
-                    continue
-            break
+        self._linearise(shapes=True)
+        self._score()
+        while len(self.judged) < MOST_TERMS and self._forward():
+            self._backward()
+            self._score()
         self._swap()
-        self._screen(shapes=self._shapes_are_old())
+        if self.judged:
+            self._linearise(shapes=False)
+            self._score()
 
     # Steps.
 
-    def _pool(self) -> list[Term]:
+    def _linearise(self, shapes: bool) -> None:
+        """Columns of every candidate at the present optimum. They change little as terms join, and a refit follows each choice: they are
+        taken at the start and at the end."""
         assert self.now is not None
-        return [t for t in self.pool if t.id not in self.now.model.terms or t.id in self.now.dormant]
-
-    def _shapes_are_old(self) -> bool:
-        return self._shapes_at != (self.now.model.terms if self.now else ())
-
-    _shapes_at: tuple[str, ...] = ()
-
-    def _screen(self, shapes: bool) -> None:
-        """Scores of everything not in the model, at the present optimum."""
-        assert self.now is not None
-        pool = self._pool()
+        pool = [t for t in self.pool if t.id not in self.now.model.terms or t.id in self.now.dormant]
         plain = [t for t in pool if t.amplitudes and not t.shapes]
         everything = self.now.model.with_terms(*plain)
         there = self.bench.moved(everything, self.now.state)
-        names = (*self.now.names, *(p.name for t in plain for p in t.amplitudes))
-        names = tuple(dict.fromkeys(n for n in names if n in self.bench.problem(everything).names))
-        rows = self.bench.rows(everything, there, names)
-        ground = Ground.at(rows, [n for n in self.now.names if n in names])
+        known = self.bench.problem(everything).names
+        self.progress("screening the catalogue")
+        rows = self.bench.rows(everything, there, tuple(p.name for t in plain for p in t.amplitudes if p.name in known))
+        old = [v for v in self._rescaled(rows.scale) if v.term.shapes]
+        self._variants = amplitude_variants(rows, plain)
         if shapes:
-            self._shaped = []
             self.progress("screening shapes")
-            base = self.bench.rows(self.now.model, self.now.state, self.now.names)
             shaped = [t for t in pool if t.shapes]
-            self._shaped = shape_variants(self.bench, self.now.model, self.now.state, shaped, base)
-            self._shapes_at = self.now.model.terms
-            self._shape_scale = self.now.rows.scale
-        self.ground = ground
-        variants = amplitude_variants(rows, plain) + self.shaped_variants()
-        self.scores = with_chance(ground, [s for v in variants if (s := score(ground, v)) is not None])
+            self._variants += shape_variants(self.bench, self.now.model, self.now.state, shaped, rows)
+        else:
+            self._variants += old
+        self._scale = rows.scale
 
-    def shaped_variants(self) -> list[Variant]:
-        """Candidates with shapes that are not in the model, as last evaluated, whitened as the present rows."""
+    def _rescaled(self, scale: FloatArray) -> list[Variant]:
+        if self._scale is None:
+            return []
+        ratio = self._scale / scale
+        return [v.whitened_anew(ratio) for v in self._variants]
+
+    def variants(self) -> list[Variant]:
+        """Every candidate outside the model, whitened as the present rows."""
         assert self.now is not None
-        scale = self.ground.rows.scale
-        return [
-            replace(v, columns=v.columns * (self._shape_scale / scale)[:, None])
-            for v in self._shaped
-            if v.term.id not in self.now.model.terms or v.term.id in self.now.dormant
-        ]
+        inside = set(self.now.model.terms) - self.now.dormant
+        return [v for v in self._rescaled(self.now.rows.scale) if v.term.id not in inside]
+
+    def _score(self) -> None:
+        """Scores of everything not in the model, at the present optimum."""
+        assert self.now is not None
+        self.ground = Ground.at(self.now.rows, self.now.names)
+        self.scores = with_chance(self.ground, [s for v in self.variants() if (s := score(self.ground, v)) is not None])
 
     def _forward(self) -> bool:
         assert self.now is not None
@@ -180,7 +172,8 @@ class Search:
                     break
                 if s.p_value > FALSE_ALARM_RATE or s.bic > -LEAST_BIC:
                     continue
-                linear, _ = size_in_floors(self.ground.rows, self._open_effect(s), self.bench.segments, self.floor)
+                change = s.variant.open_columns @ s.estimate
+                linear, _ = size_in_floors(self.now.rows, change, self.bench.segments, self.floor)
                 if linear < 0.5 * LEAST_FLOORS:
                     continue
             tries += 1
@@ -218,25 +211,25 @@ class Search:
                 self.progress(f"{term} leaves the model")
 
     def _swap(self) -> None:
-        """Try each accepted term against its rivals, when the others are in the model."""
+        """Try each accepted term against a rival that points the same way, now that the others are in the model."""
         assert self.now is not None
         for term in list(self.judged):
             without = self.without(term)
-            plain = [t for t in self._pool() if t.amplitudes and not t.shapes]
-            everything = without.model.with_terms(*plain)
-            names = (*without.names, *(p.name for t in plain for p in t.amplitudes))
-            names = tuple(dict.fromkeys(n for n in names if n in self.bench.problem(everything).names))
-            rows = self.bench.rows(everything, self.bench.moved(everything, without.state), names)
-            ground = Ground.at(rows, [n for n in without.names if n in names])
-            rivals = best_per_term([s for v in amplitude_variants(rows, plain) if (s := score(ground, v)) is not None])
-            judged = self.judge(term, without, self.now, self.judged[term].p_value)
-            self.judged[term] = judged
+            self.judged[term] = self.judge(term, without, self.now, self.judged[term].p_value)
+            ground = Ground.at(without.rows, without.names)
+            candidates = [
+                v
+                for v in self._rescaled(without.rows.scale)
+                if v.term.id not in without.model.terms or v.term.id in without.dormant
+            ]
+            rivals = best_per_term([s for v in candidates if v.term.id != term and (s := score(ground, v)) is not None])
             for rival in rivals[:1]:
-                if rival.bic > judged.bic:
+                if rival.bic > SAME * self.judged[term].bic:
                     break
+                self.progress(f"trying {rival.variant.term.id} in place of {term}")
                 fitted = self._with(rival, without)
                 other = self.judge(rival.variant.term.id, without, fitted, FALSE_ALARM_RATE)
-                if other.kept and other.bic < judged.bic - LEAST_BIC:
+                if other.kept and other.bic < self.judged[term].bic - LEAST_BIC:
                     self.now = fitted
                     del self.judged[term]
                     self.judged[other.term] = other
@@ -254,13 +247,6 @@ class Search:
             ),
             default=0.0,
         )
-
-    def _open_effect(self, s: Score) -> FloatArray:
-        """(n,) what a candidate would change in predictions, in units of the channels; a secant's whitened effect stands for it."""
-        rows = self.ground.rows
-        if not s.variant.names or not set(s.variant.names) <= set(rows.names):
-            return s.effect * rows.scale * (rows.sample >= 0)
-        return rows.open_columns(s.variant.names) @ s.estimate
 
     # Fits.
 
@@ -288,6 +274,14 @@ class Search:
 
     def without(self, term: str) -> Fitted:
         """The present model refitted without one of its terms."""
+        assert self.now is not None
+        kept = self._left_out.get(term)
+        if kept is None or kept[0] is not self.now:
+            kept = self.now, self._refitted_without(term)
+            self._left_out[term] = kept
+        return kept[1]
+
+    def _refitted_without(self, term: str) -> Fitted:
         assert self.now is not None
         if term in self.dormant:
             off = {p.name: float(p.off or 0.0) for t in self.pool if t.id == term for p in t.amplitudes}
