@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.plan.model import FloatArray, Predictor
-from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, Rehearsal, Row, rehearse, sample
-from flighttest.plan.room import Room, Track, box
+from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, rehearse, sample
+from flighttest.plan.room import GATE_SLACK_M, Room, Track, box
 from flighttest.script.profiles import Cell, Piece
 
 # Six time constants of the paper's thrust lag: less than this after the delay shows nothing.
@@ -30,7 +30,7 @@ DRIFT_S = 2.5
 # A stop takes no longer: at 6 m/s and half of gravity.
 STOP_S = 2.2
 # Times hover, against climbing and against falling; gentler where the script asks for a height, which may be near the ground.
-VERTICAL_STOP, GENTLE_STOP = (0.3, 1.8), (0.7, 1.4)
+VERTICAL_STOP, GENTLE_STOP = STOP_SHARES, (0.7, 1.4)
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,10 @@ def _has_start(f: Fitted, setting: Setting) -> bool:
     room = setting.room
     lowest = max(room.inner_low[2] - low, room.outer_low[2] - lost_low)
     highest = min(room.inner_high[2] - high, room.outer_high[2] - lost_high)
+    reach_low = min(track.reach_m[0] for track in f.nominal)
+    reach_high = max(track.reach_m[1] for track in f.nominal)
+    lowest = max(lowest, room.gate_m[0] + GATE_SLACK_M - reach_low)
+    highest = min(highest, room.gate_m[1] - GATE_SLACK_M - reach_high)
     start = lowest if f.cell.height_m is None else f.cell.height_m
     return bool(lowest - 1e-9 <= start <= highest + 1e-9)
 
@@ -190,8 +194,12 @@ def _slack(
     planned, lost = p[:, :, 0], p[:, :, 1:]
     low, high = planned.min(axis=(1, 2))[:, 2], planned.max(axis=(1, 2))[:, 2]
     lost_low, lost_high = lost.min(axis=(1, 2, 3))[:, 2], lost.max(axis=(1, 2, 3))[:, 2]
+    reach_low = flown.reach_low_m.reshape(p.shape[:-1])[:, :, 0].min(axis=(1, 2))
+    reach_high = flown.reach_high_m.reshape(p.shape[:-1])[:, :, 0].max(axis=(1, 2))
     start_low = np.maximum(room.inner_low[2] - low, room.outer_low[2] - lost_low) + SLACK_M
     start_high = np.minimum(room.inner_high[2] - high, room.outer_high[2] - lost_high) - SLACK_M
+    start_low = np.maximum(start_low, room.gate_m[0] + GATE_SLACK_M - reach_low)
+    start_high = np.minimum(start_high, room.gate_m[1] - GATE_SLACK_M - reach_high)
     heights = np.array([cells[option.cell].height_m or math.nan for option in options])
     start = np.where(np.isnan(heights), 0.5 * (start_low + start_high), heights)
     tall = np.minimum(start - start_low, start_high - start)
@@ -245,7 +253,11 @@ def track_of(flown: Rehearsal, j: int, row: Row) -> Track:
         end = row.lost_s + GUID_TIMEOUT_S + DRIFT_S
     count = int(np.searchsorted(motion.t_s, end + 1e-9))
     start = motion.p_m[j, 0]
-    track = Track(motion.t_s[:count], motion.p_m[j, :count] - start, motion.v_m_s[j, :count])
+    reach = (
+        float(flown.reach_low_m[j, :count].min() - start[2]),
+        float(flown.reach_high_m[j, :count].max() - start[2]),
+    )
+    track = Track(motion.t_s[:count], motion.p_m[j, :count] - start, motion.v_m_s[j, :count], reach)
     return _drifted(track)
 
 
@@ -261,6 +273,7 @@ def _drifted(track: Track) -> Track:
         np.append(track.t_s, track.t_s[-1] + 3.0 / rate),
         np.vstack([track.p_m, end]),
         np.vstack([track.v_m_s, track.v_m_s[-1]]),
+        track.reach_m,
     )
 
 

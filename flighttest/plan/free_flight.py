@@ -37,7 +37,14 @@ def fly_waypoints(f: Fitted, setting: Setting, reset: Reset, zone: Zone) -> Fitt
     tracks = []
     for j, one in enumerate(rows):
         track = track_of(flown, j, one)
-        tracks.append(Track(track.t_s, track.p_m + origin, track.v_m_s))
+        tracks.append(
+            Track(
+                track.t_s,
+                track.p_m + origin,
+                track.v_m_s,
+                (track.reach_m[0] + path[0][3], track.reach_m[1] + path[0][3]),
+            )
+        )
     speed = float(np.linalg.norm(tracks[0].v_m_s, axis=1).max())
     found = replace(f, nominal=tracks[:1], lost=tracks[1:], speed_m_s=speed)
     if speed > setting.speed_max_m_s:

@@ -20,6 +20,9 @@ BoolArray = NDArray[np.bool_]
 GRID_S = 0.02
 # Below this the vehicle counts as standing: what is left is the reset's.
 STANDING_M_S = 0.3
+# What the supervisor stops with, times hover, against climbing and falling; and how late it acts at most.
+STOP_SHARES = (0.3, 1.8)
+REACTION_S = 0.25
 # Longest stop that is looked for.
 STOP_MAX_S = 4.0
 # GUID_TIMEOUT as preflight demands it: how long the autopilot holds the last target once targets stop.
@@ -60,9 +63,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """Motion of all rows, and how long each stop took: counter_s, vertical_s (n,), throttle of the vertical one (n,)."""
+    """Motion of all rows, and how long each stop took: counter_s, vertical_s (n,), throttle of the vertical one (n,).
+
+    reach_low_m, reach_high_m: (n, m) heights between which the vehicle stays if the supervisor stops it at that moment.
+    """
 
     motion: Motion
+    reach_low_m: FloatArray
+    reach_high_m: FloatArray
     counter_s: FloatArray
     vertical_s: FloatArray
     vertical_throttle: FloatArray
@@ -126,6 +134,7 @@ class _Policy:
         self.attitude_ahead = predictor.delay_s + predictor.attitude_lag_s
         self.thrust_ahead = predictor.delay_s + predictor.thrust_lag_s
         self.before: FloatArray | None = None
+        self.sent: list[FloatArray] = []
         self.last = self.table[:, 0].copy()
         paths: dict[tuple[tuple[float, float, float, float], ...], list[int]] = {}
         for i, row in enumerate(rows):
@@ -156,6 +165,7 @@ class _Policy:
             targets[level] = 0.0
             targets[level, 3] = (self.hover * (1.0 + wanted / 9.81))[level]
         self.last = targets
+        self.sent.append(targets[:, 3].copy())
         return targets
 
     def _steer(self, now: Snapshot, targets: FloatArray) -> None:
@@ -225,4 +235,16 @@ def rehearse(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: fl
         duration,
         dt_s,
     )
-    return Rehearsal(motion, policy.counter_s, policy.vertical_s, policy.vertical_throttle)
+    low, high = _reach(motion, np.stack(policy.sent, axis=1), policy.hover)
+    return Rehearsal(motion, low, high, policy.counter_s, policy.vertical_s, policy.vertical_throttle)
+
+
+def _reach(motion: Motion, throttle: FloatArray, hover: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the gate foresees (see `flight.gate`): this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
+    z, v = motion.p_m[:, :, 2], motion.v_m_s[:, :, 2]
+    asked = np.column_stack([throttle, throttle[:, -1:]])[:, : z.shape[1]]
+    push = 9.81 * (asked / hover[:, None] - 1.0)
+    then = v + push * REACTION_S
+    h = z + v * REACTION_S + 0.5 * push * REACTION_S**2
+    end = h + then * np.abs(then) / (2.0 * 9.81 * np.where(then > 0.0, 1.0 - STOP_SHARES[0], STOP_SHARES[1] - 1.0))
+    return np.minimum(np.minimum(z, h), end), np.maximum(np.maximum(z, h), end)

@@ -13,17 +13,23 @@ from flighttest.vehicle.model import Zone
 
 # What a fence's BRAKE can be relied on for, of ArduCopter's 7.5 m/s^2.
 BRAKE_M_S2 = 4.0
+# The gate judges what is measured; measured heights differ from predicted ones by as much.
+GATE_SLACK_M = 0.4
 AXIS_WORDS = ("along the zone", "across the zone", "in height")
 
 
 @dataclass(frozen=True)
 class Room:
-    """Where the vehicle may be: inner box for the flight as planned, outer for a lost link; (3,) low and high, zone frame."""
+    """Where the vehicle may be: inner box for the flight as planned, outer for a lost link; (3,) low and high, zone frame.
+
+    gate_m: (low, high) heights the gate allows, counting where the supervisor's stop would end.
+    """
 
     inner_low: FloatArray
     inner_high: FloatArray
     outer_low: FloatArray
     outer_high: FloatArray
+    gate_m: tuple[float, float]
 
     @classmethod
     def of(cls, zone: Zone, limits: Limits) -> Room:
@@ -31,43 +37,54 @@ class Room:
         low = np.array([zone.x_m[0], zone.y_m[0], zone.z_m[0]])
         high = np.array([zone.x_m[1], zone.y_m[1], zone.z_m[1]])
         inner_low, inner_high = low + zone.margin_m, high - zone.margin_m
+        floor = float(low[2])
         if limits.floor_m is not None:
-            inner_low[2], low[2] = limits.floor_m, 0.5 * limits.floor_m
+            floor = limits.floor_m
+            inner_low[2], low[2] = floor, 0.5 * floor
         inner_low[2] = max(inner_low[2], limits.height_m[0])
         inner_high[2] = min(inner_high[2], limits.height_m[1])
-        return cls(inner_low, inner_high, low, high)
+        gate = (max(floor, limits.height_m[0]), min(float(high[2]), limits.height_m[1]))
+        return cls(inner_low, inner_high, low, high, gate)
 
 
 @dataclass(frozen=True)
 class Track:
-    """A predicted flight relative to its start, vehicle's starting heading along x: p_m, v_m_s (m, 3), t_s (m,)."""
+    """A predicted flight relative to its start, vehicle's starting heading along x: p_m, v_m_s (m, 3), t_s (m,).
+
+    reach_m: (low, high) heights it would stay between if the supervisor stopped it at its worst moment.
+    """
 
     t_s: FloatArray
     p_m: FloatArray
     v_m_s: FloatArray
+    reach_m: tuple[float, float] = (0.0, 0.0)
 
     def turned(self, angle_rad: float) -> Track:
         """The same flight with the vehicle turned by angle_rad."""
         c, s = math.cos(angle_rad), math.sin(angle_rad)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Track(self.t_s, self.p_m @ turn.T, self.v_m_s @ turn.T)
+        return Track(self.t_s, self.p_m @ turn.T, self.v_m_s @ turn.T, self.reach_m)
 
 
 @dataclass(frozen=True)
 class Excess:
-    """By how much a flight leaves its room: metres, seconds from the leg's start, which axis and side, with the link lost or not."""
+    """By how much a flight leaves its room: metres, seconds from the leg's start, which axis and side, and when: as planned, with
+    the link lost, or stopped by the supervisor."""
 
     metres: float
     t_s: float
     axis: int
     high: bool
     lost: bool
+    stopped: bool = False
 
     @property
     def words(self) -> str:
         """Where it leaves, as an operator would say it."""
         side = ("below the floor", "above the ceiling")[self.high] if self.axis == 2 else AXIS_WORDS[self.axis]
         lost = " with the link lost at the worst moment" if self.lost else ""
+        if self.stopped:
+            return f"{self.metres:.2f} m {side} if it had to be stopped at the worst moment"
         return f"{max(self.metres, 0.01):.{1 if self.metres >= 0.1 else 2}f} m {side} at {self.t_s:.1f} s{lost}"
 
 
@@ -130,6 +147,9 @@ def _place(
     lost_low, lost_high = box(turned_lost) if turned_lost else (low, high)
     # Starts that keep the flight as planned inside, and those that contain a lost link without a fence as well.
     from_inner, to_inner = room.inner_low - low, room.inner_high - high
+    reach = _reach(nominal)
+    from_inner[2] = max(from_inner[2], room.gate_m[0] + GATE_SLACK_M - reach[0])
+    to_inner[2] = min(to_inner[2], room.gate_m[1] - GATE_SLACK_M - reach[1])
     from_outer, to_outer = (
         np.maximum(from_inner, room.outer_low - lost_low),
         np.minimum(to_inner, room.outer_high - lost_high),
@@ -170,6 +190,10 @@ def worst(nominal: list[Track], lost: list[Track], room: Room, start: FloatArray
     for track in nominal:
         over = _beyond(track.p_m + start, room.inner_low, room.inner_high)
         found = _larger(found, _excess(track, over, lost=False))
+    below, above = _reach(nominal)
+    for metres, high in ((room.gate_m[0] - start[2] - below, False), (start[2] + above - room.gate_m[1], True)):
+        if metres > 1e-3:
+            found = _larger(found, Excess(float(metres), 0.0, 2, high, lost=False, stopped=True))
     for track in lost:
         p = track.p_m + start
         over = _beyond(p, room.outer_low, room.outer_high)
@@ -189,6 +213,12 @@ def worst(nominal: list[Track], lost: list[Track], room: Room, start: FloatArray
                     over[:, axis, side] = np.minimum(over[:, axis, side], speed**2 / (2.0 * BRAKE_M_S2) - margin)
         found = _larger(found, _excess(track, over, lost=True))
     return found
+
+
+def _reach(tracks: list[Track]) -> tuple[float, float]:
+    return min((track.reach_m[0] for track in tracks), default=0.0), max(
+        (track.reach_m[1] for track in tracks), default=0.0
+    )
 
 
 def _beyond(p: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
