@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flighttest.report.document import Figure, Panel, Trace
-from flighttest.report.fit_sections import KIND_WORDS, cell_words
+from flighttest.report.fit_sections import KIND_WORDS
 from flighttest.report.numbers import unit
 
 MAX_OVERLAYS = 6
@@ -16,7 +16,7 @@ Data = Mapping[str, Any]
 
 
 def heat_map(data: Data) -> Figure | None:
-    """RMS error in noise floors by cell and channel, before and after."""
+    """RMS error in noise floors by kind of step, phase and channel, before and after; one colour scale."""
     cells = [c for c in data.get("residual_map") or () if c.get("phase") != "before"]
     if not cells:
         return None
@@ -24,19 +24,22 @@ def heat_map(data: Data) -> Figure | None:
     columns = list(dict.fromkeys(_column(c) for c in cells))
     panels = []
     for key, title in (("before_floors", "base model"), ("after_floors", "with what was left out")):
-        values = {(str(c["channel"]), _column(c)): c.get(key) for c in cells}
         if key == "after_floors" and not data.get("findings"):
             continue
-        table = [[_number(values.get((ch, col))) for col in columns] for ch in channels]
+        worst: dict[tuple[str, str], float] = {}
+        for c in cells:
+            place = str(c["channel"]), _column(c)
+            worst[place] = max(worst.get(place, 0.0), _number(c.get(key)))
+        table = [[worst.get((ch, col), float("nan")) for col in columns] for ch in channels]
         panels.append(Panel(title, "", "", (Trace(columns, channels, "noise floors", "other", "heat", z=table),)))
-    caption = "RMS error in units of the noise floor, by channel and by step and phase: 1 is noise alone."
-    return Figure("where", tuple(panels), caption, 1, max(260, 170 + 22 * len(channels)))
+    caption = "RMS error in units of the noise floor, the worst step of each kind and phase: 1 is noise alone."
+    return Figure("where", tuple(panels), caption, 2, max(280, 190 + 24 * len(channels)))
 
 
 def _column(cell: Data) -> str:
-    words = cell_words(cell.get("cell") or {})
     kind = KIND_WORDS.get(str(cell.get("kind")), str(cell.get("kind")))
-    return f"{kind} {words} {cell.get('phase', '')}".strip()
+    phase = str(cell.get("phase", ""))
+    return kind if phase == "flight" else f"{kind}, {phase}".rstrip(", ")
 
 
 def _number(value: Any) -> float:

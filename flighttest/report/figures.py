@@ -38,8 +38,15 @@ def specification(figure: Figure) -> dict[str, Any]:
         "columns": figure.columns,
         "height": figure.height_px,
         "legend": _legend(figure),
-        "panels": [_panel(panel) for panel in figure.panels],
+        "panels": [_panel(panel, _heat_top(figure)) for panel in figure.panels],
     }
+
+
+def _heat_top(figure: Figure) -> float | None:
+    """The largest value of all heat maps of a figure, so that they share one scale."""
+    values = [np.asarray(t.z, dtype=float) for p in figure.panels for t in p.traces if t.mode == "heat"]
+    finite = [v[np.isfinite(v)] for v in values]
+    return max((float(v.max()) for v in finite if v.size), default=None)
 
 
 def _legend(figure: Figure) -> list[dict[str, Any]]:
@@ -55,7 +62,7 @@ def _legend(figure: Figure) -> list[dict[str, Any]]:
     return list(entries.values())
 
 
-def _panel(panel: Panel) -> dict[str, Any]:
+def _panel(panel: Panel, heat_top: float | None = None) -> dict[str, Any]:
     axis = {"gridcolor": "@grid", "linecolor": "@grid", "zerolinecolor": "@grid", "automargin": True}
     layout: dict[str, Any] = {
         "title": {"text": panel.title, "font": {"size": 13}, "x": 0.02, "xanchor": "left", "y": 0.97},
@@ -78,10 +85,10 @@ def _panel(panel: Panel) -> dict[str, Any]:
     else:
         layout["xaxis"] = {**axis, "title": {"text": panel.x_label, "standoff": 6}}
         layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
-    return {"data": [_trace(trace) for trace in panel.traces], "layout": layout}
+    return {"data": [_trace(trace, heat_top) for trace in panel.traces], "layout": layout}
 
 
-def _trace(trace: Trace) -> dict[str, Any]:
+def _trace(trace: Trace, heat_top: float | None = None) -> dict[str, Any]:
     label = trace.group or trace.name
     spec: dict[str, Any] = {"x": _numbers(trace.x), "y": _numbers(trace.y), "name": trace.name, "legendgroup": label}
     if not trace.shown:
@@ -96,6 +103,8 @@ def _trace(trace: Trace) -> dict[str, Any]:
             "z": [_numbers(row) for row in trace.z],
             "colorscale": "@heat",
             "hoverongaps": False,
+            "zmin": 0.0,
+            "zmax": heat_top,
             "colorbar": {"thickness": 10, "title": {"text": trace.name, "side": "right"}, "outlinewidth": 0},
         }
     if trace.mode == "errorbars":
