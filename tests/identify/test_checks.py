@@ -1,0 +1,60 @@
+"""Cross-checks of a fit: the paper's alternation, residual tests, expected errors of a script."""
+
+import numpy as np
+import pytest
+
+from flighttest.identify.alternation import alternation
+from flighttest.identify.expected import ASSUMED, expected_of
+from flighttest.identify.fit import fit
+from flighttest.identify.problem import Noise
+from flighttest.identify.residuals import residual_tests
+from flighttest.physics.model import Model
+from tests.identify.campaign import QUIET, TRUTH, campaign
+
+
+def test_the_papers_alternation_finds_the_same_thrust_and_drag(found):
+    result = alternation(found)
+    assert result.settled
+    for name, value in result.values.items():
+        assert value == pytest.approx(TRUTH[name], rel=0.06), name
+
+
+def test_the_alternation_needs_both_halves(flown):
+    assert alternation(fit([s for s in flown if s.kind == "throttle_step"])) is None
+
+
+def test_residuals_of_the_right_model_do_not_follow_the_commands(found):
+    tests = {t.channel: t for t in residual_tests(found.problem, found.solution)}
+    assert not any(t.follows for t in tests.values())
+    assert "does not follow the roll command" in tests["roll_rad"].sentence
+
+
+def test_residuals_of_a_loop_that_is_too_slow_follow_its_command(flown):
+    wrong = fit(flown, frozen={"omega_phi": 14.0, "zeta_phi": 0.8})
+    tests = {t.channel: t for t in residual_tests(wrong.problem, wrong.solution)}
+    assert tests["roll_rad"].follows
+    assert not tests["pitch_rad"].follows
+
+
+def test_expected_errors_are_those_the_fit_finds():
+    """With white noise and a constant disturbance per response, as assumed, the forecast is the spread of estimates."""
+    noise = {**QUIET, "attitude": 0.003, "rate": 0.02, "force": 0.3, "velocity": 0.05, "disturbance": 0.1}
+    assumed = Noise(
+        {**ASSUMED.channel, "roll_rad": 0.003, "pitch_rad": 0.003, "v_x_m_s": 0.05, "v_y_m_s": 0.05, "v_z_m_s": 0.05},
+        {**dict.fromkeys(ASSUMED.disturbance, 1e-3), "a_d_x_m_s2": 0.1, "a_d_y_m_s2": 0.1, "a_d_z_m_s2": 0.1},
+    )
+    flown = campaign(21, noise=noise, thrust_repeats=2, tilt_repeats=1)
+    result = fit(flown, robust=False)
+    forecast = {e.name: e for e in expected_of(flown, Model(), Model().start({**TRUTH}), assumed)}
+    model = np.sqrt(np.diag(result.covariance.model))
+    for name in ("omega_phi", "sigma_r", "sigma_t", "K", "alpha", "d_x", "d_z"):
+        assert forecast[name].std == pytest.approx(model[result.covariance.names.index(name)], rel=0.3), name
+    assert forecast["K"].std_twice == pytest.approx(forecast["K"].std / np.sqrt(2))
+
+
+def test_a_script_of_yaw_steps_tells_nothing_about_drag(flown):
+    yaw = [s for s in flown if s.kind == "yaw_rate_step"]
+    forecast = {e.name: e for e in expected_of(yaw, Model(), Model().start())}
+    assert forecast["omega_phi"].std is None
+    assert "nothing" in forecast["omega_phi"].sentence
+    assert forecast["sigma_r"].best[0][0].startswith("yaw rate step")
