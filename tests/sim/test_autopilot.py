@@ -286,3 +286,20 @@ def test_a_landed_vehicle_with_an_empty_battery_gets_a_full_one(bare):
     kept = bare.Client(**bare.QUIET, voltage_v=22.6, parameters={"SIM_BATT_SWAP": 0})
     kept.run(10.0)
     assert kept.motion.voltage < 22.7
+
+
+def test_nothing_the_vehicle_sends_tells_what_is_hidden(bare):
+    def sent(**options):
+        c = bare.Client(**bare.QUIET, **options)
+        c.send(book.MAVLink_param_request_list_message(1, 1))
+        c.command(512, 148)
+        c.airborne(3.0)
+        return (
+            [(m.param_id, m.param_value) for m in c.got["PARAM_VALUE"]],
+            c.last("AUTOPILOT_VERSION").to_dict(),
+            c.texts,
+        )
+
+    hide = {"angle_boost": {}, "reference_shaping": {}, "steady_wind": {"w_north": 1.0}}
+    for airframe in ("paper", "rotor"):
+        assert sent(airframe=airframe, hide=hide) == sent(airframe=airframe)
