@@ -147,7 +147,9 @@ class Document:
                 value = node.value
         unit_words = f" in {unit}" if unit else ""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            hint = hint or (f"write the number alone, without its unit{unit_words}" if isinstance(value, str) else "")
+            hint = hint or (
+                f"write the number alone{unit_words and ',' + unit_words}" if isinstance(value, str) else ""
+            )
             self.wrong(node, f"expected a number{unit_words}, found {kind_of(value)}", hint)
             return None
         try:

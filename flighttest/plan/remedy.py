@@ -26,14 +26,23 @@ def remedy(
     fit = _durations(f, setting, wish_m, headings_rad)
     if fit:
         return fit
-    low, high = box(f.nominal)
-    need, have = high - low, setting.room.inner_high - setting.room.inner_low
+    # What the flight itself needs, or what it takes to be lost in.
+    lost = placement.excess.lost
+    room = setting.room
+    low, high = box([*f.nominal, *f.lost] if lost else f.nominal)
+    need = high - low
+    have = room.outer_high - room.outer_low if lost else room.inner_high - room.inner_low
     axis = placement.excess.axis
     if float(have.min()) <= 0.0:
         return "the zone with its margin and height_m leave no room at all: widen one of them"
+    words = "with the link lost it needs" if lost else "it needs"
+    if axis == 2 and need[2] < have[2]:
+        return (
+            "no start height suits both the flight and a lost link: make the step smaller, or give the zone more height"
+        )
     if axis == 2:
-        return f"it needs {need[2]:.1f} m of height where {have[2]:.1f} m are free: make the step smaller"
-    return f"it needs {max(need[0], need[1]):.1f} m where {max(have[0], have[1]):.1f} m are free: make the step smaller"
+        return f"{words} {need[2]:.1f} m of height where {have[2]:.1f} m are free: make the step smaller"
+    return f"{words} {max(need[0], need[1]):.1f} m where {max(have[0], have[1]):.1f} m are free: make the step smaller"
 
 
 def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> str:

@@ -65,7 +65,7 @@ def test_the_example_of_the_formats_page():
         ("rate_hz", "rate_Hz", 6, "rate_Hz", "unknown key", "`rate_hz`"),
         ("rate_hz: 50", "rate_hz: .nan", 6, "rate_hz", "not a finite", ""),
         ("rate_hz: 50", "rate_hz: 50000", 6, "rate_hz", "outside 5 to 400", ""),
-        ("rate_hz: 50", "rate_hz: 50 Hz", 6, "rate_hz", "expected a number", "without its unit"),
+        ("rate_hz: 50", "rate_hz: 50 Hz", 6, "rate_hz", "expected a number", "the number alone, in Hz"),
         ("mode: GUIDED_NOGPS", "mode: GUIDED_NOGSP", 5, "mode", "not one of", "`GUIDED_NOGPS`"),
         ("tilt_abort_deg: 50", "tilt_abort_deg: 30", 8, "limits.tilt_abort_deg", "not above", "overshoots"),
         ("throttle: [0.0, 0.6]", "throttle: [0.6, 0.0]", 8, "limits.throttle", "not below", "lower number first"),
