@@ -32,6 +32,7 @@ _REACH_BACK_S = 1.0  # inputs are kept this long before the first sample, so tha
 _MARK_EARLY_S = 0.3  # a mark and the target that follows it leave in any order
 _MARK_LATE_S = 3.0
 _SAME_CELL = {"amplitude_rad": 0.012, "rate_rad_s": 0.03, "throttle_0": 0.004, "throttle_1": 0.004, "height_m": 0.2}
+_ENDED = {"LINK_LOST": Flaw.LINK_LOST, "TAKE_OVER": Flaw.TAKE_OVER, "NOT_SETTLED": Flaw.NOT_SETTLED}
 _FREE_STRETCH_S = 15.0
 _FREE_MARGIN_S = 1.0
 _PAUSE_S = 1.0
@@ -183,6 +184,9 @@ class _Cutter:
         flaws = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
         if mark is not None and response.kind != "free" and not response.cell and Flaw.REFERENCE_MOVED not in flaws:
             flaws = (*flaws, Flaw.REFERENCE_MOVED)
+        if mark is not None and mark.outcome not in ("", "FLOWN"):
+            ended = _ENDED.get(mark.outcome, Flaw.ABORTED)
+            flaws = flaws if ended in flaws else (*flaws, ended)
         yaw = y["yaw_rad"] if "yaw_rad" in y else np.full(t_s.size, np.nan)
         known = np.flatnonzero(np.isfinite(yaw))
         heading = float(np.interp(response.t_step_s, t_s[known], yaw[known])) if known.size else float("nan")

@@ -17,8 +17,11 @@ _KINDS = {
     "roll": ("roll_step",), "pitch": ("pitch_step",), "yaw": ("yaw_rate_step",), "yawrate": ("yaw_rate_step",),
     "yaw_rate": ("yaw_rate_step",), "thrust": ("throttle_step", "tilt_throttle"), "throttle": ("throttle_step", "tilt_throttle"),
 }  # fmt: skip
-_OVER = {"reset", "end", "done", "settle", "abort", "take_over", "link_lost", "landing", "idle"}
-_LEAD = {"entry", "hold_0", "goto", "climb"}
+_PHASES = frozenset({"phase", "abort", "take_over", "link_lost"})
+_OVER = frozenset({"reset", "end", "done", "abort", "take_over", "link_lost", "landing"})
+_OUTCOMES = {"abort": "ABORTED", "take_over": "TAKE_OVER", "link_lost": "LINK_LOST"}
+_LEAD = frozenset({"entry", "hold_0"})
+_AFTER = frozenset({"coast", "settle", "stop", "counter"})
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class Marked:
 
     kinds: what the mark says it is (empty: anything). t_step_s: where the mark puts the step, None where it does not say. record_s: where
     a stretch without a step is worth cutting into windows, None for nowhere. repeat 0: to be counted. numbered: a step number of a table
-    made the mark, which says neither what the step is nor where exactly.
+    made the mark, which says neither what the step is nor where exactly. outcome: how the leg ended, where that was recorded.
     """
 
     name: str
@@ -39,12 +42,15 @@ class Marked:
     maneuver: str = ""
     repeat: int = 0
     numbered: bool = False
+    outcome: str = ""
     data: Mapping[str, Any] = field(default_factory=dict)
 
 
 def marked(recording: Recording) -> list[Marked]:
     """All marked stretches in order of time; empty for a recording nobody marked."""
     legs = [m for m in recording.markers if m.kind == "leg"]
+    known = [m for m in legs if "kind" in m.data]
+    legs = known or legs
     if legs:
         return [_leg(recording, m, legs[i + 1].t_s if i + 1 < len(legs) else None) for i, m in enumerate(legs)]
     return _texts(recording)
@@ -52,12 +58,14 @@ def marked(recording: Recording) -> list[Marked]:
 
 def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:
     end = next_s if next_s is not None else recording.t_span_s[1]
-    phases = [m for m in recording.markers if m.kind == "phase" and leg.t_s - 1e-3 <= m.t_s < end]
-    over = next((m.t_s for m in phases if m.label in _OVER - {"settle"} and m.t_s > leg.t_s), None)
-    end = min(end, over) if over is not None else end
+    phases = [m for m in recording.markers if m.kind in _PHASES and leg.t_s - 1e-3 <= m.t_s < end]
+    over = next((m for m in phases if m.label in _OVER and m.t_s > leg.t_s), None)
+    end = min(end, over.t_s) if over is not None else end
+    outcome = next((str(m.data["outcome"]) for m in phases if "outcome" in m.data), "")
+    if not outcome and over is not None and over.label in _OUTCOMES:
+        outcome = _OUTCOMES[over.label]
     step = next((m.t_s for m in phases if m.label == "step"), None)
-    first = next((m.t_s for m in phases if m.label not in _LEAD), leg.t_s)
-    last = next((m.t_s for m in phases if m.t_s > first and m.label in _OVER | {"coast"}), end)
+    first, last = _recorded(phases, leg.t_s, end)
     words = leg.label.split("/")
     repeat = _REPEAT.match(words[-1])
     kind = str(leg.data.get("kind", ""))
@@ -72,8 +80,21 @@ def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:
         maneuver=str(leg.data.get("maneuver", words[0] if len(words) > 1 else "")),
         repeat=int(leg.data.get("repeat", repeat.group(1) if repeat else 0)),
         numbered="step" in leg.data,
+        outcome=outcome,
         data=leg.data,
     )
+
+
+def _recorded(phases: list[Marker], start_s: float, end_s: float) -> tuple[float, float]:
+    """Where the leg's record lies: by the plan's own flags, else by what phases are called."""
+    if any("record" in m.data for m in phases):
+        wanted = [m for m in phases if m.data.get("record")]
+        begin = wanted[0].t_s if wanted else start_s
+        after = [m.t_s for m in phases if m.t_s > begin and m.data.get("record") is False]
+    else:
+        begin = next((m.t_s for m in phases if m.label not in _LEAD), start_s)
+        after = [m.t_s for m in phases if m.t_s > begin and m.label in _AFTER]
+    return begin, min([*after, end_s])
 
 
 def _texts(recording: Recording) -> list[Marked]:

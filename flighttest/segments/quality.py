@@ -19,6 +19,7 @@ _BEFORE_S = 0.15
 _RATE_MAX_RAD_S = 0.35  # mean before a tilt step; a vehicle that hovers stays below 0.1
 _ERROR_MAX_RAD = 0.12
 _CLIP_M_S2 = 15.95 * 9.80665  # the usual accelerometers end at 16 g
+_GUIDED_NOGPS = 20
 _SILENCE_S = 0.25
 _GAP_S = 0.1
 _PRIMARY = {
@@ -82,8 +83,9 @@ def _events(recording: Recording, response: Response) -> set[Flaw]:
             continue
         if marker.kind in _MARKED:
             found.add(_MARKED[marker.kind])
-        elif marker.kind == "mode":
-            found.add(Flaw.TAKE_OVER if marker.t_s > response.start_s else Flaw.WRONG_MODE)
+        elif marker.kind == "mode" and marker.t_s > response.start_s and marker.data.get("mode") != _GUIDED_NOGPS:
+            # Into the maneuver's own mode is no take-over: HEARTBEAT may tell of it a second late.
+            found.add(Flaw.TAKE_OVER)
     return found
 
 
