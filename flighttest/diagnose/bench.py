@@ -33,6 +33,8 @@ FIRST_NOISE = {"roll_rad": 0.02, "pitch_rad": 0.02, "r_rad_s": 0.1} | {
 FIRST_DISTURBANCE = {"roll_d_rad": 0.01, "pitch_d_rad": 0.01, "yaw_rate_d_rad_s": 0.02} | {
     f"a_d_{axis}_m_s2": 0.3 for axis in "xyz"
 }
+DISTURBANCE = -2
+BLIND = 1.0  # whitened sum of squares of a parameter's usual change: less is below one sample's noise in all the data
 LEAST_DISTURBANCE = 0.05  # of the first guess: a prior never shrinks to nothing
 
 
@@ -51,7 +53,7 @@ class State:
 
 @dataclass(frozen=True)
 class Rows:
-    """Linearised residuals, one row per sample and channel (and one per prior of a local, with sample -1).
+    """Linearised residuals, one row per sample and channel, and one per prior of a local (sample -1, DISTURBANCE for disturbances).
 
     residual (n,), jacobian (n, p): whitened, locals projected out (a step d of the parameters lowers the residual by jacobian @ d);
     open_residual, open_jacobian: in units of the channel, with only initial states projected out: what the model predicts of a response
@@ -204,7 +206,7 @@ class Bench:
             given = np.concatenate([given, piece.r_prior], axis=1)
             given[:, n * n_y + n_f :] = 0.0
             scale = np.concatenate([np.broadcast_to(std, (m, n, n_y)).reshape(m, -1), np.ones((m, n_l))], axis=1)
-            sample = np.concatenate([np.repeat(np.arange(n), n_y), np.full(n_l, -1)])
+            sample = np.concatenate([np.repeat(np.arange(n), n_y), np.full(n_f, -1), np.full(n_l - n_f, DISTURBANCE)])
             code = np.concatenate([np.tile([channels.index(c) for c in part.outputs], n), np.full(n_l, -1)])
             measured = np.concatenate([np.ones(n * n_y), np.zeros(n_l)])
             keep = np.concatenate([part.mask.reshape(m, -1), np.ones((m, n_l), dtype=bool)], axis=1)
@@ -226,6 +228,18 @@ class Bench:
         segment, sample, channel = (cat[k].astype(np.intp) for k in (5, 6, 7))
         self._bases = bases
         return Rows(cat[0], cat[1], cat[2], cat[3], cat[4], segment, sample, channel, channels, tuple(names))
+
+    def blind(self, model: Model, state: State) -> frozenset[str]:
+        """Base parameters that change nothing in this data (the voltage exponent where no voltage varies): left where they are."""
+        names = self.problem(model).names
+        found = set()
+        linear = self._linear(model, state, names)
+        for k, name in enumerate(names):
+            scale = model.param[name].scale
+            power = sum(float(np.sum(piece.j_p[..., k] ** 2)) for piece in linear) * scale**2
+            if model.param[name].kind == "base" and power < BLIND:
+                found.add(name)
+        return frozenset(found)
 
     def secant(self, model: Model, state: State, changed: Model, there: State) -> FloatArray:
         """(n,) whitened change of the simulation from one model to another, locals projected out as in the last call of `rows`.

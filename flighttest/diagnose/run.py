@@ -12,10 +12,12 @@ from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
+from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, short
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
 from flighttest.diagnose.search import Search
+from flighttest.diagnose.unknown import describe
 from flighttest.errors import FitError
 from flighttest.identify.fit import default_model, has_attitude_references
 from flighttest.identify.onset import onset_delay, start_values
@@ -188,6 +190,12 @@ def _assembled(
     named = {f.term for f in findings} | {u.term for u in unseen}
     share = excess_after / excess_before if excess_before > 0 else 0.0
     verdict = _verdict(bool(findings), excess_before, excess_after, share, bool(located), samples_over)
+    formulas: list[dict[str, Any]] = []
+    if verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
+        tell("describing what has no name")
+        for search in searches:
+            assert search.floor is not None
+            formulas += describe(search, segments, groups, search.floor)
     final = Model(
         (*model.terms, *accepted),
         model.nominal_voltage_v,
@@ -218,6 +226,8 @@ def _assembled(
         overlays=tuple(overlaid),
         candidates=tuple(candidates),
         cost={"added_parameters": len(after_table) - len(before_table), "held_out_groups": group_name},
+        unknown=tuple(formulas),
+        mass=mass_test(previous, after_table),
         notes=tuple(notes),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.bench import Bench, Rows, State
+from flighttest.diagnose.bench import DISTURBANCE, Bench, Rows, State
 from flighttest.diagnose.noise import inflation
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
@@ -182,6 +182,11 @@ def score(ground: Ground, variant: Variant) -> Score | None:
         n_total += n_eff
         if before_ss > 0:
             bic += n_eff * float(np.log(max(after_ss, 1e-12) / before_ss))
+    # What a constant force explains, responses had to call their own disturbance.
+    at = ground.rows.sample == DISTURBANCE
+    before_ss, after_ss = float(r[at] @ r[at]), float(after[at] @ after[at])
+    if before_ss > 0 and after_ss > 0:
+        bic += at.sum() * float(np.log(after_ss / before_ss))
     bic += q * float(np.log(max(n_total, 2.0)))
     noise_std = np.sqrt(np.maximum(np.diag(inverse), 0) * max(ground.inflation.values(), default=1.0))
     return Score(variant, own, estimate, noise_std, float(left.max()), bic, 0.0)

@@ -96,12 +96,14 @@ class Search:
     scores: list[Score] = field(default_factory=list)
     refused: dict[str, Judged] = field(default_factory=dict)
     ground: Ground | None = None
+    blind: frozenset[str] = frozenset()
     _variants: list[Variant] = field(default_factory=list)
     _scale: FloatArray | None = None
     _left_out: dict[str, tuple[Fitted, Fitted]] = field(default_factory=dict)
 
     def run(self, model: Model, start: State) -> None:
         """Fit the base, then search. What is done is kept on interruption."""
+        self.blind = self.bench.blind(model, start)
         self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
@@ -251,7 +253,9 @@ class Search:
     # Fits.
 
     def _fit(self, model: Model, state: State, dormant: frozenset[str], iterations: int = 8) -> Fitted:
-        names = tuple(n for n in self.bench.problem(model).names if model.term_of(n) not in dormant)
+        names = tuple(
+            n for n in self.bench.problem(model).names if model.term_of(n) not in dormant and n not in self.blind
+        )
         fitted = self.bench.fit(model, state, names, iterations=iterations)
         return Fitted(model, names, fitted, self.bench.rows(model, fitted, names), dormant)
 

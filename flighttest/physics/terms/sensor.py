@@ -19,8 +19,8 @@ def _offset(s: Signals, p: Values, _x: Values) -> Contribution:
 
 def _offset_param(axis: str) -> Param:
     return Param(
-        f"offset_{axis}", f"δ_{axis}", "rad", 0.02, -0.3, 0.3, 0.01, f"{axis} of the thrust axis in the frame of the reported attitude",
-        "level calibration, centre of mass: 0 to 3 deg",
+        f"offset_{axis}", f"δ_{axis}", "rad", 0.02, -0.17, 0.17, 0.01, f"{axis} of the thrust axis in the frame of the reported attitude",
+        "level calibration, centre of mass: 0 to 3 deg; ArduPilot limits its trim to 10 deg",
     )  # fmt: skip
 
 

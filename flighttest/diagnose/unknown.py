@@ -1,0 +1,133 @@
+"""Physics without a name: where it acts and what shape it has, by a small sparse regression on physical state functions.
+
+What stays of the specific force (or of the attitude loops' angles) is regressed on functions of the vehicle's state, forward, one
+function at a time, as long as the prediction of groups not used improves by 5 %, and never more than four. The formula describes; it
+is not a name, and holds only inside the range of the data it came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.judge import folds_of
+from flighttest.diagnose.locate import VARIABLES, sampled
+from flighttest.diagnose.model import short
+from flighttest.diagnose.noise import Floor
+from flighttest.diagnose.search import Search
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+MOST_FUNCTIONS = 4
+LEAST_GAIN = 0.05
+WORTH = 1.5  # a channel is described when its mean square is this many times the floor's
+
+SYMBOLS = {
+    "speed_forward_m_s": "u", "speed_left_m_s": "v", "speed_up_m_s": "w", "tilt_rad": "tilt", "heading_rad": "psi", "height_m": "h",
+    "throttle": "T", "throttle_rate_1_s": "dT/dt", "voltage_v": "U", "time_since_takeoff_s": "t", "time_since_command_s": "t_c",
+}  # fmt: skip
+
+
+def _functions(variables: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Formula to values: powers, products with speed, periodic in heading."""
+    found: dict[str, FloatArray] = {}
+    for name, x in variables.items():
+        s = SYMBOLS[name]
+        if name == "heading_rad":
+            found["cos(psi)"], found["sin(psi)"] = np.cos(x), np.sin(x)
+            continue
+        found[s] = x
+        found[f"{s}^2"] = x**2
+        if name.startswith("speed"):
+            found[f"|{s}| {s}"] = np.abs(x) * x
+        if name == "height_m":
+            found["1/(h + 0.2)^2"] = 1 / (np.maximum(x, 0.0) + 0.2) ** 2
+        if name in ("time_since_command_s", "time_since_takeoff_s"):
+            found[f"exp(-{s}/0.5 s)"] = np.exp(-np.maximum(x, 0.0) / 0.5)
+    for a in ("speed_forward_m_s", "speed_left_m_s", "speed_up_m_s"):
+        for b in ("throttle", "height_m", "tilt_rad"):
+            if a in variables and b in variables:
+                found[f"{SYMBOLS[a]} {SYMBOLS[b]}"] = variables[a] * variables[b]
+    return found
+
+
+def describe(search: Search, segments: Sequence[Segment], groups: IntArray, floor: Floor) -> list[dict[str, Any]]:
+    """Formulas for the channels whose residual stays above the floor; forces and angles, not velocities (which follow from forces)."""
+    assert search.now is not None
+    rows = search.now.rows
+    variables = sampled(rows, segments)
+    found = []
+    for c, name in enumerate(rows.channels):
+        if name.startswith("v_"):
+            continue
+        at = np.flatnonzero(rows.channel == c)
+        good = at[np.all([np.isfinite(x[at]) for x in variables.values()], axis=0)] if variables else at
+        r = rows.open_residual[good]
+        if good.size < 200 or float(np.mean(r**2)) < WORTH * floor.of(name) ** 2:
+            continue
+        table = {k: v for k, v in _functions({k: x[good] for k, x in variables.items()}).items() if np.ptp(v) > 1e-9}
+        fold = folds_of(groups)[rows.segment[good]]
+        chosen, left = _sparse(r, table, fold)
+        if not chosen:
+            continue
+        columns = np.stack([np.ones(r.size), *(table[k] for k in chosen)], axis=1)
+        weights = np.linalg.lstsq(columns, r, rcond=None)[0]
+        formula = f"{weights[0]:+.3g} " + " ".join(f"{w:+.3g} {k}" for w, k in zip(weights[1:], chosen, strict=True))
+        used = [
+            n
+            for n, s in SYMBOLS.items()
+            if n in variables and any(s in k.replace("(", " ").replace(")", " ").split() or s in k for k in chosen)
+        ]
+        found.append(
+            {
+                "channel": short(name),
+                "port": "specific force" if name.startswith(("f_", "a_")) else "attitude loop",
+                "formula": f"{short(name)} residual = {formula}",
+                "functions": chosen,
+                "coefficients": weights.tolist(),
+                "heldout_share": left,
+                "valid": {n: [float(variables[n][good].min()), float(variables[n][good].max())] for n in used},
+                "symbols": {SYMBOLS[n]: VARIABLES[n][0] for n in used},
+            }
+        )
+    return found
+
+
+def _sparse(r: FloatArray, table: dict[str, FloatArray], fold: IntArray) -> tuple[list[str], float]:
+    """Forward choice by grouped held-out error; (functions, share of the held-out mean square they leave)."""
+    names = list(table)
+    if not names:
+        return [], 1.0
+    scale = {k: float(np.std(v)) or 1.0 for k, v in table.items()}
+    every = np.stack([np.ones(r.size), *(table[k] / scale[k] for k in names)], axis=1)
+    folds = np.unique(fold)
+    if folds.size < 2:
+        return [], 1.0
+    grams = [
+        (every[fold == f].T @ every[fold == f], every[fold == f].T @ r[fold == f], float(r[fold == f] @ r[fold == f]))
+        for f in folds
+    ]
+    gram, moment = sum(g[0] for g in grams), sum(g[1] for g in grams)
+    total = sum(g[2] for g in grams)
+
+    def held(columns: list[int]) -> float:
+        error = 0.0
+        for own_gram, own_moment, own_power in grams:
+            h = (gram - own_gram)[np.ix_(columns, columns)] + 1e-9 * r.size * np.eye(len(columns))
+            w = np.linalg.solve(h, (moment - own_moment)[columns])
+            error += own_power - 2 * w @ own_moment[columns] + w @ own_gram[np.ix_(columns, columns)] @ w
+        return float(error) / total
+
+    chosen, best = [0], held([0])
+    while len(chosen) <= MOST_FUNCTIONS:
+        trials = [(held([*chosen, k]), k) for k in range(1, len(names) + 1) if k not in chosen]
+        value, k = min(trials)
+        if value > best * (1 - LEAST_GAIN):
+            break
+        chosen, best = [*chosen, k], value
+    return [names[k - 1] for k in chosen[1:]], best
