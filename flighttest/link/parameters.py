@@ -140,10 +140,11 @@ def read(session: Session, name: str) -> float | None:
     return back[1] if back else None
 
 
-def write(session: Session, name: str, value: float, known: dict[str, float]) -> None:
+def write(session: Session, name: str, value: float, known: dict[str, float], *, stops_time: bool = False) -> None:
     """Set one parameter (by the name the vehicle knows) and read it back. LinkError where it does not hold the value.
 
-    known: the vehicle's parameters; updated.
+    known: the vehicle's parameters; updated. stops_time: the echo of the setting is taken as its read-back, since after it the
+    vehicle's time stands still.
     """
     if name not in known:
         other = other_name(name, value)
@@ -161,10 +162,10 @@ def write(session: Session, name: str, value: float, known: dict[str, float]) ->
                 param_type=book.MAV_PARAM_TYPE_REAL32,
             )
         )
-        session.await_message(
+        echo = session.await_message(
             lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, _ANSWER_S * max(session.clock.pace, 1.0)
         )
-        answer = _ask(session, name)
+        answer = echo if stops_time else _ask(session, name)
         if answer is not None:
             seen = float(answer.param_value)
             known[name] = seen

@@ -1,0 +1,220 @@
+"""The cockpit: one cycle of the flight, and the helm, the only place from which an attitude target leaves.
+
+The pilot always wins: the HEARTBEAT that shows a mode nobody here asked for mutes the port before the cycle that received it ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_room_m
+from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightProgress, OnProgress
+from flighttest.flight.recorder import Recorder
+from flighttest.flight.state import StateReader, VehicleState
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.session import Session
+from flighttest.mavlink import CopterMode, mode_name
+from flighttest.mavlink.dialect import Message, is_armed
+from flighttest.plan import AttitudeTarget
+
+PROGRESS_EVERY_S = 0.25
+
+
+@dataclass
+class Stops:
+    """What the operator asked for: `count()` is how often Ctrl-C was pressed."""
+
+    count: Callable[[], int]
+
+    @property
+    def orderly(self) -> bool:
+        """Stop after making the vehicle safe."""
+        return self.count() >= 1
+
+    @property
+    def now(self) -> bool:
+        """Let go at once."""
+        return self.count() >= 2
+
+
+class Cockpit:
+    """Everything a flying procedure needs. `cycle` lets one period pass; `steer` sends one target or says why not."""
+
+    def __init__(
+        self,
+        vehicle: ArduPilot,
+        gate: GateLimits,
+        recorder: Recorder,
+        *,
+        rate_hz: float,
+        stops: Stops,
+        on_progress: OnProgress | None = None,
+    ) -> None:
+        self.vehicle = vehicle
+        self.session: Session = vehicle.session
+        self.gate = gate
+        self.recorder = recorder
+        self.period_s = 1.0 / rate_hz
+        self.reader = StateReader(self.session)
+        self.state: VehicleState = self.reader.read()
+        self.hover_throttle = gate.hover_throttle
+        self._stops = stops
+        self._on_progress = on_progress
+        self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
+        self._next_progress_s = -math.inf
+        self._counts: tuple[float, dict[str, int]] = (0.0, {})
+        self._expected: set[int] = set()
+        self._owned = False
+        self._was_armed = False
+        self._before = -1
+        self.taken_over = False
+        self.session.listen(self._watch)
+
+    # -- whose vehicle it is -------------------------------------------------------------------------------------------------
+
+    def own(self) -> None:
+        """From now on a change of mode, or a disarming, that was not asked for is a take-over."""
+        self._owned = True
+        self._was_armed = self.vehicle.armed
+        self.expect()
+
+    def disown(self) -> None:
+        """Mode changes and disarming are fine again (landing, or the pilot flies by agreement)."""
+        self._owned = False
+
+    def expect(self, *modes: CopterMode) -> None:
+        """Modes that are about to be asked for: seeing one of them is no take-over, the present one stays allowed until then."""
+        self._before = self.vehicle.mode
+        self._expected = {self._before, *(int(m) for m in modes)}
+
+    def _watch(self, message: Message, t_s: float) -> None:
+        if message.get_type() != "HEARTBEAT" or not self._owned:
+            return
+        mode = int(message.custom_mode)
+        if mode not in self._expected:
+            self.session.port.mute()
+            self.taken_over = True
+            self._owned = False
+            self.recorder.event("take_over", mode_name(mode), t_s, {"mode": mode})
+            raise FlightEnded(FlightOutcome.TAKE_OVER)
+        if self._was_armed and not is_armed(message):
+            self._owned = False
+            self.recorder.event("note", "disarmed in flight", t_s)
+            raise FlightEnded(FlightOutcome.DISARMED)
+        self._was_armed = is_armed(message)
+        if len(self._expected) > 1 and mode != self._before:
+            self._expected = {mode}
+        self._before = mode
+
+    # -- time ----------------------------------------------------------------------------------------------------------------
+
+    def cycle(self) -> VehicleState:
+        """Let one period of the vehicle's time pass and read the state. Raises FlightEnded on a take-over."""
+        self.session.advance(self.session.now_s() + self.period_s)
+        return self.after()
+
+    def until(self, t_s: float) -> VehicleState:
+        """Let time pass until the vehicle's clock shows t_s."""
+        self.session.advance(t_s)
+        return self.after()
+
+    def after(self) -> VehicleState:
+        """What every cycle ends with: state, take-over, progress."""
+        self.recorder.flush()
+        self.state = self.reader.read()
+        self._report()
+        return self.state
+
+    @property
+    def stop_asked(self) -> bool:
+        """Whether the operator wants an orderly stop."""
+        return self._stops.orderly
+
+    @property
+    def stop_now(self) -> bool:
+        """Whether the operator wants to let go at once."""
+        return self._stops.now
+
+    # -- targets -------------------------------------------------------------------------------------------------------------
+
+    def steer(self, target: AttitudeTarget, yaw_rad: float, with_rate: bool = False) -> tuple[Refusal, ...]:
+        """Send a target if the gate lets it pass; else send nothing and say why. yaw_rad: the heading for the quaternion."""
+        found = refusals(target, self.state, self.gate)
+        if not found and not self.taken_over:
+            rate = target.yaw_rate_rad_s if with_rate else None
+            self.vehicle.steer(target.roll_rad, target.pitch_rad, yaw_rad, rate, target.throttle)
+        return found
+
+    def release_target(self) -> AttitudeTarget:
+        """Level, with the throttle that stops the present climb or descent, else hover. Always passes the gate."""
+        climb = self.state.climb_m_s if self.state.silence_s < 0.5 else None
+        throttle = self.hover_throttle
+        if climb is not None:
+            # Proportional inside half a metre per second, so that a stop does not swing.
+            low, high = self.gate.stop_throttle
+            wanted = self.hover_throttle * (1.0 - 0.8 * climb / 0.5)
+            throttle = min(max(wanted, low), high)
+        return AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle)
+
+    def release(self) -> None:
+        """Send level attitude with a stopping or hover throttle."""
+        yaw = self.state.attitude_rad[2] if self.state.attitude_rad else 0.0
+        refused = self.steer(self.release_target(), yaw)
+        assert not refused, "letting go must always pass"
+
+    def use_hover(self, throttle: float) -> None:
+        """Fly with this hover throttle from now on, in the gate as well."""
+        self.hover_throttle = throttle
+        self.gate = replace(
+            self.gate, hover_throttle=throttle, stop_throttle=stop_throttles(self.gate.limits, throttle)
+        )
+
+    # -- telling -------------------------------------------------------------------------------------------------------------
+
+    def tell(self, **changes: Any) -> None:
+        """Change what the live view shows: fields of FlightProgress."""
+        self._progress = replace(self._progress, **changes)
+
+    def _report(self) -> None:
+        now = self.session.now_s()
+        if self._on_progress is None or now < self._next_progress_s:
+            return
+        pace = max(self.session.clock.pace, 1.0)
+        self._next_progress_s = now + PROGRESS_EVERY_S * pace
+        since, counts = self._counts
+        span = now - since
+        rates = {
+            name: (self.session.counts.get(name, 0) - counts.get(name, 0)) / span
+            for name in ("ATTITUDE", "HIGHRES_IMU", "LOCAL_POSITION_NED")
+            if span > 0
+        }
+        if span > 2.0:
+            self._counts = (now, dict(self.session.counts))
+        state = self.state
+        room = math.nan
+        if state.position_m is not None and state.velocity_m_s is not None:
+            room = zone_room_m(state, self.gate)
+        self._on_progress(
+            replace(
+                self._progress,
+                t_s=now,
+                zone_margin_m=room,
+                height_m=state.height_m if state.height_m is not None else math.nan,
+                speed_m_s=state.speed_m_s if state.speed_m_s is not None else math.nan,
+                voltage_v=state.voltage_v if state.voltage_v is not None else math.nan,
+                voltage_min_v=self.gate.limits.voltage_min_v,
+                link_loss=self.session.port.loss_share,
+                silence_s=state.silence_s,
+                rates_hz=rates,
+                mode=mode_name(state.mode),
+                stopping=self.stop_asked,
+            )
+        )
+
+
+def sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
+    """The refusals as their sentences."""
+    return tuple(r.value for r in found)

@@ -1,0 +1,327 @@
+"""`fly`: connect, check, record, fly, restore. The order of one flight, and its end whatever happens."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import flighttest
+from flighttest.errors import FlighttestError, LinkError, PreflightError
+from flighttest.flight import preflight
+from flighttest.flight.cockpit import Cockpit, Stops
+from flighttest.flight.gate import GateLimits, stop_throttles
+from flighttest.flight.legs import Airframe
+from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightResult, OnProgress
+from flighttest.flight.recorder import Recorder
+from flighttest.flight.scheduler import Scheduler
+from flighttest.link import lockstep
+from flighttest.link import parameters as params
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import Transport, open_transport
+from flighttest.mavlink.dialect import book
+from flighttest.plan import Plan
+from flighttest.recording.store import read_events
+
+POSITION_WAIT_S = 90.0
+_LISTEN_AFTER_TAKE_OVER_S = 2.0
+_SLOW_STREAMS = ("ATTITUDE", "HIGHRES_IMU", "RAW_IMU", "LOCAL_POSITION_NED", "BATTERY_STATUS", "ATTITUDE_TARGET")
+
+OnStage = Callable[[str], None]
+
+
+def _say_nothing(_text: str) -> None:
+    return None
+
+
+def legs_flown(run_dir: Path) -> frozenset[str]:
+    """Ids of the legs that were flown to their end in a run folder."""
+    markers, _ = read_events(run_dir)
+    return frozenset(str(m.data["leg"]) for m in markers if m.data.get("outcome") == "FLOWN" and "leg" in m.data)
+
+
+def fly(
+    plan: Plan,
+    link_url: str,
+    run_dir: Path,
+    *,
+    transport: Transport | None = None,
+    set_params: bool = False,
+    waive: Collection[str] = (),
+    resume: Path | None = None,
+    skip: Collection[str] = (),
+    on_progress: OnProgress | None = None,
+    on_stage: OnStage = _say_nothing,
+    stop_requested: Callable[[], int] = lambda: 0,
+    confirm: Callable[[str], bool] | None = None,
+    weather: str = "",
+) -> FlightResult:
+    """Fly a plan on a vehicle and record it into run_dir.
+
+    link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
+    asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. resume: a run folder whose flown legs
+    are left out; skip: further leg ids. stop_requested: how often the operator asked to stop (1: land, 2: let go now). confirm: asked once
+    before arming.
+
+    LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
+    """
+    session = Session(Port(transport if transport is not None else open_transport(link_url)))
+    recorder = Recorder(run_dir, session.clock.ground_s, _manifest(plan, link_url, weather, resume), plan)
+    session.port.tap(recorder.tap)
+    flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested))
+    left_out = frozenset(skip) | (legs_flown(resume) if resume is not None else frozenset())
+    try:
+        return flight.run(set_params, frozenset(waive), left_out, confirm)
+    finally:
+        session.port.close()
+
+
+def _manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> dict[str, Any]:
+    vehicle = plan.vehicle
+    return {
+        "name": plan.script.name,
+        "started": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+        "versions": {"flighttest": flighttest.__version__},
+        "script": {"name": plan.script.name, "sha256": plan.script.sha256, "path": plan.script.path},
+        "connect": url,
+        "vehicle": {
+            "name": vehicle.name,
+            "firmware": vehicle.firmware,
+            "nominal_voltage_v": vehicle.nominal_voltage_v,
+            "hover_throttle": vehicle.hover_throttle,
+            "mass_kg": vehicle.mass_kg,
+            "rotor_height_m": vehicle.rotor_height_m,
+        },
+        "components": {name: dict(fields) for name, fields in vehicle.components.items()},
+        "parameters": {},
+        "firmware": "",
+        "clock": {},
+        "weather": weather,
+        "outcome": "the program ended before the flight did",
+        **({"resumes": str(resume)} if resume is not None else {}),
+    }
+
+
+class _Flight:
+    """One flight from the first HEARTBEAT to the restored parameters."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        session: Session,
+        recorder: Recorder,
+        on_progress: OnProgress | None,
+        say: OnStage,
+        stops: Stops,
+    ) -> None:
+        self.plan = plan
+        self.session = session
+        self.recorder = recorder
+        self.vehicle = ArduPilot(session)
+        self.notes: list[str] = []
+        self._on_progress = on_progress
+        self._say = say
+        self._stops = stops
+        self._parameters: dict[str, float] = {}
+        self._changes: preflight.ParameterChanges | None = None
+
+    def run(
+        self, set_params: bool, waived: frozenset[str], left_out: frozenset[str], confirm: Callable[[str], bool] | None
+    ) -> FlightResult:
+        scheduler: Scheduler | None = None
+        outcome = FlightOutcome.VEHICLE_REFUSED
+        why = ""
+        try:
+            cockpit = self._prepare(set_params, waived)
+            if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
+                raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
+            scheduler = Scheduler(cockpit, self.plan, self._airframe(), left_out)
+            try:
+                outcome = scheduler.fly()
+            except FlightEnded as ended:
+                outcome, why = ended.outcome, ended.why
+            except LinkError as error:
+                # The vehicle is in the air, or may be: land it with what is left of the link, then say what happened.
+                why = str(error)
+                outcome = self._land_after(scheduler, error)
+        except FlighttestError as error:
+            self.recorder.manifest["outcome"] = str(error)
+            raise
+        finally:
+            left = self._close(scheduler)
+        if why:
+            self.notes.append(why)
+        self.recorder.manifest.update(
+            outcome=outcome.value,
+            outcome_name=outcome.name,
+            legs=[
+                {"id": r.leg, "outcome": r.outcome.name, "why": list(r.why)}
+                for r in (scheduler.results if scheduler else [])
+            ],
+            notes=[*self.notes, *(scheduler.notes if scheduler else [])],
+            parameters_left=left,
+        )
+        self._say("writing the channels")
+        self.recorder.finish(self.session, self.plan)
+        results = tuple(scheduler.results) if scheduler else ()
+        notes = tuple(self.recorder.manifest["notes"])
+        return FlightResult(outcome, self.recorder.run_dir, results, notes, left)
+
+    # -- before --------------------------------------------------------------------------------------------------------------
+
+    def _prepare(self, set_params: bool, waived: frozenset[str]) -> Cockpit:
+        session, vehicle = self.session, self.vehicle
+        self._say("connecting")
+        beat = session.connect()
+        if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            raise LinkError("the vehicle is not ArduPilot", "PX4 is flown with `firmware: px4` in vehicle.yaml")
+        self._say("reading parameters")
+        self._parameters = params.read_all(session)
+        simulator = preflight.is_simulator(self._parameters)
+        if lockstep.PARAMETER in self._parameters:
+            if self._parameters[lockstep.PARAMETER] != 1.0:
+                params.write(session, lockstep.PARAMETER, 1.0, self._parameters, stops_time=True)
+            session.enter_lock_step()
+            self.recorder.use_clock(session.clock.ground_s)
+        firmware = vehicle.firmware()
+        self.recorder.manifest.update(
+            firmware=f"ArduCopter {firmware}" if firmware else "", parameters=self._parameters
+        )
+        self.recorder.save_manifest()
+        self._say("asking for telemetry")
+        refused = vehicle.set_rates(preflight.RATES_HZ)
+        self.notes += [f"{name} was refused: {why}" for name, why in refused.items()]
+        if "HIGHRES_IMU" in refused:
+            vehicle.set_rates({"RAW_IMU": preflight.RATES_HZ["HIGHRES_IMU"]})
+        cockpit = Cockpit(
+            vehicle,
+            self._gate(),
+            self.recorder,
+            rate_hz=self.plan.rate_hz,
+            stops=self._stops,
+            on_progress=self._on_progress,
+        )
+        self._wait_for_position(cockpit)
+        rates = vehicle.measure_rates(list(_SLOW_STREAMS))
+        cockpit.after()
+        rc = session.latest.get("RC_CHANNELS")
+        situation = preflight.Situation(
+            self.plan, self._parameters, cockpit.state, rates, firmware, beat.type, simulator,
+            rc_live=rc is not None and rc.message.chancount > 0,
+        )  # fmt: skip
+        self._say("checking the vehicle")
+        found = preflight.checks(situation)
+        if simulator:
+            self.notes.append("a simulator: live RC input and a fence were not asked for; parameters are set as needed")
+        if set_params or simulator:
+            found = self._mend(found, waived)
+        self.notes += preflight.waiver_notes(found, waived)
+        preflight.refuse(found, waived)
+        self._place_zone(cockpit)
+        self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
+        self.recorder.save_manifest()
+        return cockpit
+
+    def _mend(self, found: list[preflight.Check], waived: frozenset[str]) -> list[preflight.Check]:
+        self._changes = preflight.ParameterChanges(self.session, self._parameters)
+        left = []
+        for check in found:
+            if check.set and check.name not in waived:
+                self._changes.apply(check.set, self._note)
+            else:
+                left.append(check)
+        self.recorder.manifest.update(parameters=self._parameters, parameters_changed=self._changes.pending)
+        self.recorder.save_manifest()
+        return left
+
+    def _note(self, text: str) -> None:
+        self.notes.append(text)
+        self.recorder.event("note", text, self.session.now_s())
+
+    def _gate(self) -> GateLimits:
+        plan = self.plan
+        hover = plan.vehicle.hover_throttle
+        return GateLimits(
+            plan.limits,
+            plan.vehicle.zone,
+            hover,
+            stop_throttles(plan.limits, hover),
+            needs_position=plan.reset.by == "guided",
+        )
+
+    def _airframe(self) -> Airframe:
+        accel_deg = params.by_either_name(self._parameters, "ATC_ACC_Y_MAX")
+        shaped = self._parameters.get("ATC_RATE_FF_ENAB", 1.0) != 0.0
+        return Airframe(
+            angle_boost=self._parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0,
+            yaw_accel_max_rad_s2=math.radians(accel_deg) if accel_deg and shaped else 0.0,
+        )
+
+    def _wait_for_position(self, cockpit: Cockpit) -> None:
+        """After boot the estimate needs half a minute and more; without a position only its absence is noted."""
+        wanted = self.plan.reset.by == "guided"
+        deadline = self.session.now_s() + (POSITION_WAIT_S if wanted else 5.0)
+        self._say("waiting for the vehicle's position estimate")
+        while self.session.now_s() < deadline and not (cockpit.state.position_ok and cockpit.state.attitude_rad):
+            cockpit.until(self.session.now_s() + 0.5)
+        if not wanted and not cockpit.state.position_ok:
+            self.notes.append("no position: zone and speed are not judged; height, tilt and the fence are")
+
+    def _place_zone(self, cockpit: Cockpit) -> None:
+        """Where the zone's origin is in the vehicle's local frame."""
+        if not cockpit.state.position_ok:
+            return
+        home = self.vehicle.home_m()
+        if home is None:
+            state = cockpit.state
+            assert state.position_m is not None
+            home = np.asarray(state.position_m) + cockpit.reader.origin_m
+            self.notes.append("the vehicle states no home: its present place is taken")
+        zone = self.plan.vehicle.zone
+        if zone.origin is not None:
+            origin = self.vehicle.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+            if origin is None:
+                raise LinkError("the vehicle does not state its origin", "use `zone: {origin: home}`")
+            place = self.vehicle.local_m(zone.origin[0], zone.origin[1], origin, float(home[2]))
+            if float(np.hypot(*(place - home)[:2])) > 500.0:
+                raise PreflightError([("the flight zone is more than 500 m from home", "correct the zone's origin")])
+            home = place
+        cockpit.reader.origin_m = home
+        cockpit.after()
+        self.recorder.manifest["zone_origin_local_m"] = [round(float(v), 3) for v in home]
+
+    # -- after ---------------------------------------------------------------------------------------------------------------
+
+    def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
+        if self.session.silence_s > 5.0 or not self.vehicle.armed:
+            return FlightOutcome.LINK_LOST if self.session.silence_s > 5.0 else FlightOutcome.VEHICLE_REFUSED
+        self._note(f"landing after: {error.message}")
+        try:
+            scheduler.land()
+        except FlightEnded as ended:
+            return ended.outcome
+        return FlightOutcome.VEHICLE_REFUSED
+
+    def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
+        """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
+        left: dict[str, float] = {}
+        if self._changes is not None:
+            try:
+                left = self._changes.restore()
+            except FlighttestError as error:
+                left = self._changes.pending
+                self.notes.append(str(error))
+        if left:
+            text = ", ".join(f"{name} {value:g}" for name, value in left.items())
+            self.notes.append(f"not restored, set by hand: {text}")
+        if self.session.port.muted and not self.session.lock_step:
+            self.session.advance(self.session.now_s() + _LISTEN_AFTER_TAKE_OVER_S)
+        self.recorder.flush(force=True)
+        self.recorder.save_manifest()
+        return left

@@ -1,0 +1,180 @@
+"""The gate: may this target leave, and if not, why. Pure; it drops, it never clamps.
+
+Level attitude with a stopping or hover throttle always passes: one may always let go.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from flighttest.flight.state import VehicleState
+from flighttest.mavlink import CopterMode
+from flighttest.plan import AttitudeTarget
+from flighttest.script.model import Limits
+from flighttest.vehicle.model import Zone
+
+G_M_S2 = 9.81
+EPSILON = 1e-6  # a target exactly on a limit passes, also after the rounding of degrees
+
+
+class Refusal(Enum):
+    """Why a target may not leave. The value is the sentence shown to the reader."""
+
+    NOT_A_NUMBER = "the target is not a number"
+    TARGET_TILT = "the target tilts more than the script allows"
+    TARGET_THROTTLE = "the target's throttle is outside the script's limits"
+    TARGET_YAW_RATE = "the target's yaw rate is above the limit"
+    MODE = "the autopilot is not in the maneuver's mode"
+    DISARMED = "the vehicle is not armed"
+    LINK = "nothing was heard from the vehicle for too long"
+    TELEMETRY_OLD = "attitude telemetry is missing or too old"
+    POSITION_OLD = "position telemetry is missing or too old"
+    EKF = "the autopilot's state estimate is not healthy"
+    MEASURED_TILT = "the vehicle tilts more than the abort limit"
+    HEIGHT = "the vehicle is, or cannot be stopped from getting, outside the height limits"
+    ZONE = "the vehicle is, or cannot be stopped from getting, outside the flight zone"
+    SPEED = "the vehicle is faster than the speed limit"
+    BATTERY = "the battery's 2 s mean voltage is below the limit"
+    VOLTAGE_UNKNOWN = "no battery voltage is known, though the script limits it"
+
+
+@dataclass(frozen=True)
+class GateLimits:
+    """What the gate judges by.
+
+    zone: without its margin: the plan keeps the margin, the gate keeps the wall. reaction_s: from the last good target until a
+    stop acts (delay, lag, telemetry age). brake_m_s2: horizontal deceleration of the abort mode. stop_throttle: what the
+    supervisor sends to stop (a climb, a descent). needs_position: without it (no satellite fix) zone and speed cannot be
+    judged and are left to the height limits and the fence.
+    """
+
+    limits: Limits
+    zone: Zone
+    hover_throttle: float
+    stop_throttle: tuple[float, float]
+    mode: int = int(CopterMode.GUIDED_NOGPS)
+    needs_position: bool = True
+    reaction_s: float = 0.25
+    brake_m_s2: float = 4.0
+    attitude_age_max_s: float = 0.3
+    position_age_max_s: float = 0.5
+    silence_max_s: float = 0.5
+
+
+def stop_throttles(limits: Limits, hover_throttle: float) -> tuple[float, float]:
+    """Throttle that stops a climb, and one that stops a descent: as the plan foresees them, never zero (attitude needs some)."""
+    low, high = limits.throttle
+    climb = min(max(low, 0.3 * hover_throttle), hover_throttle)
+    return climb, max(min(high, 1.8 * hover_throttle), hover_throttle)
+
+
+def releases(target: AttitudeTarget, gate: GateLimits) -> bool:
+    """Whether a target lets go: level, no yaw rate, a throttle between the stopping ones."""
+    low, high = gate.stop_throttle
+    level = target.roll_rad == 0.0 and target.pitch_rad == 0.0 and target.yaw_rate_rad_s == 0.0
+    return level and low - EPSILON <= target.throttle <= high + EPSILON
+
+
+def refusals(target: AttitudeTarget, state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
+    """Every reason why this target may not leave now; empty when it may."""
+    if releases(target, gate):
+        return ()
+    found = _target(target, gate.limits)
+    if Refusal.NOT_A_NUMBER in found:
+        return tuple(found)
+    found += _readiness(state, gate)
+    found += _motion(target, state, gate)
+    return tuple(found)
+
+
+def _target(target: AttitudeTarget, limits: Limits) -> list[Refusal]:
+    parts = (target.roll_rad, target.pitch_rad, target.yaw_rate_rad_s, target.throttle)
+    if not all(math.isfinite(part) for part in parts):
+        return [Refusal.NOT_A_NUMBER]
+    found = []
+    tilt = math.acos(math.cos(target.roll_rad) * math.cos(target.pitch_rad))
+    if max(tilt, abs(target.roll_rad), abs(target.pitch_rad)) > limits.tilt_target_max_rad + EPSILON:
+        found.append(Refusal.TARGET_TILT)
+    if not limits.throttle[0] - EPSILON <= target.throttle <= limits.throttle[1] + EPSILON:
+        found.append(Refusal.TARGET_THROTTLE)
+    if abs(target.yaw_rate_rad_s) > limits.yaw_rate_max_rad_s + EPSILON:
+        found.append(Refusal.TARGET_YAW_RATE)
+    return found
+
+
+def _readiness(state: VehicleState, gate: GateLimits) -> list[Refusal]:
+    found = []
+    if state.mode != gate.mode:
+        found.append(Refusal.MODE)
+    if not state.armed:
+        found.append(Refusal.DISARMED)
+    if not state.silence_s <= gate.silence_max_s:
+        found.append(Refusal.LINK)
+    if state.attitude_rad is None or not state.attitude_age_s <= gate.attitude_age_max_s:
+        found.append(Refusal.TELEMETRY_OLD)
+    if gate.needs_position and (state.position_m is None or not state.position_age_s <= gate.position_age_max_s):
+        found.append(Refusal.POSITION_OLD)
+    if not state.ekf_ok or (gate.needs_position and not state.position_ok):
+        found.append(Refusal.EKF)
+    if gate.limits.voltage_min_v > 0:
+        if state.voltage_v is None:
+            found.append(Refusal.VOLTAGE_UNKNOWN)
+        elif not state.voltage_v >= gate.limits.voltage_min_v:
+            found.append(Refusal.BATTERY)
+    return found
+
+
+def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits) -> list[Refusal]:
+    found = []
+    tilt = state.tilt_rad
+    if tilt is not None and not tilt <= gate.limits.tilt_abort_rad + EPSILON:
+        found.append(Refusal.MEASURED_TILT)
+    if state.height_m is not None and not height_inside(target, state, gate):
+        found.append(Refusal.HEIGHT)
+    if gate.needs_position and state.position_m is not None and state.velocity_m_s is not None:
+        if not zone_inside(state, gate):
+            found.append(Refusal.ZONE)
+        if not math.hypot(*state.velocity_m_s) <= gate.limits.speed_max_m_s + EPSILON:
+            found.append(Refusal.SPEED)
+    return found
+
+
+def height_inside(target: AttitudeTarget, state: VehicleState, gate: GateLimits) -> bool:
+    """Whether the vehicle, stopped from now on as hard as the supervisor would, stays inside the height limits and the zone's."""
+    low = max(gate.limits.height_m[0], gate.zone.z_m[0])
+    high = min(gate.limits.height_m[1], gate.zone.z_m[1])
+    assert state.height_m is not None
+    bottom, top = stopping_heights(target.throttle, state.height_m, state.climb_m_s or 0.0, gate)
+    return low - EPSILON <= bottom and top <= high + EPSILON
+
+
+def stopping_heights(throttle: float, height_m: float, climb_m_s: float, gate: GateLimits) -> tuple[float, float]:
+    """Lowest and highest height, m, of a vehicle that takes this throttle for the reaction time and is stopped then."""
+    push = G_M_S2 * (throttle / gate.hover_throttle - 1.0)
+    then = climb_m_s + push * gate.reaction_s
+    h = height_m + climb_m_s * gate.reaction_s + 0.5 * push * gate.reaction_s**2
+    climb_stop, descent_stop = (abs(G_M_S2 * (t / gate.hover_throttle - 1.0)) for t in gate.stop_throttle)
+    end = h + then * abs(then) / (2.0 * max(climb_stop if then > 0 else descent_stop, 0.5))
+    return min(height_m, h, end), max(height_m, h, end)
+
+
+def zone_inside(state: VehicleState, gate: GateLimits) -> bool:
+    """Whether the vehicle, braked after the reaction time, stays between the zone's walls."""
+    return zone_room_m(state, gate) >= -EPSILON
+
+
+def zone_room_m(state: VehicleState, gate: GateLimits) -> float:
+    """Least distance, m, between a wall and any place on the way to a stop; negative outside."""
+    assert state.position_m is not None
+    assert state.velocity_m_s is not None
+    here = gate.zone.from_world([state.position_m[0], state.position_m[1], 0.0])
+    speed = math.hypot(state.velocity_m_s[0], state.velocity_m_s[1])
+    reach = gate.reaction_s + speed / (2.0 * gate.brake_m_s2)
+    way = gate.zone.from_world([state.velocity_m_s[0] * reach, state.velocity_m_s[1] * reach, 0.0])
+    room = math.inf
+    for axis, (low, high) in enumerate((gate.zone.x_m, gate.zone.y_m)):
+        for place in (float(here[axis]), float(here[axis] + way[axis])):
+            room = min(room, place - low, high - place)
+    return room

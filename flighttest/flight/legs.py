@@ -1,0 +1,178 @@
+"""Flying one leg: entry into GUIDED_NOGPS, the profile target by target with its marks, and what a refusal leads to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from flighttest.flight import supervisor
+from flighttest.flight.cockpit import Cockpit, sentences
+from flighttest.flight.gate import Refusal
+from flighttest.flight.outcome import LegOutcome, LegResult
+from flighttest.flight.recorder import mark_id
+from flighttest.flight.reset import HoldLoop, Start
+from flighttest.link.ardupilot import LaggedYaw
+from flighttest.mavlink import CopterMode
+from flighttest.plan import AttitudeTarget, Leg
+from flighttest.plan.outer_loop import along
+
+_LINK = {Refusal.LINK, Refusal.TELEMETRY_OLD}
+_ENTRY_S = 3.0
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """What flying needs to know of the autopilot. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX; 0 is unlimited."""
+
+    angle_boost: bool = False
+    yaw_accel_max_rad_s2: float = 0.0
+
+
+def rest(cockpit: Cockpit, leg: Leg) -> LegResult:
+    """Record a leg on the ground with motors off; nothing but its marks is sent."""
+    begin(cockpit, leg)
+    start = cockpit.session.now_s()
+    for phase in leg.phases:
+        _mark(cockpit, leg, phase.name)
+        cockpit.until(start + phase.end_s)
+    finish(cockpit, leg, LegOutcome.FLOWN)
+    return LegResult(leg.id, LegOutcome.FLOWN)
+
+
+def begin(cockpit: Cockpit, leg: Leg) -> None:
+    """Note that a leg begins, with all that tells it from others."""
+    cockpit.recorder.event(
+        "leg",
+        leg.id,
+        cockpit.session.now_s(),
+        {
+            "leg": leg.id,
+            "mark": mark_id(leg.id),
+            "maneuver": leg.maneuver,
+            "kind": leg.kind,
+            "cell": dict(leg.cell),
+            "repeat": leg.repeat,
+            "heading_rad": leg.heading_rad,
+            "t_step_s": leg.t_step_s,
+            "duration_s": leg.duration_s,
+            "hover_throttle": cockpit.hover_throttle,
+        },
+    )
+
+
+def finish(cockpit: Cockpit, leg: Leg, outcome: LegOutcome, why: tuple[str, ...] = ()) -> LegResult:
+    """Mark a leg's end and note how it ended."""
+    word = {LegOutcome.FLOWN: "end", LegOutcome.LINK_LOST: "link_lost"}.get(outcome, "abort")
+    cockpit.vehicle.mark(mark_id(leg.id), word)
+    cockpit.recorder.event(
+        "phase", "end", cockpit.session.now_s(), {"leg": leg.id, "outcome": outcome.name, "why": list(why)}
+    )
+    return LegResult(leg.id, outcome, why)
+
+
+def _mark(cockpit: Cockpit, leg: Leg, phase: str) -> None:
+    cockpit.vehicle.mark(mark_id(leg.id), "_".join(phase.split()))
+    record = next((p.record for p in leg.phases if p.name == phase), False)
+    cockpit.recorder.event("phase", phase, cockpit.session.now_s(), {"leg": leg.id, "record": record})
+
+
+def enter_nogps(cockpit: Cockpit) -> bool:
+    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle says that it is there: the mode keeps the last flight's
+    throttle until the first target.
+
+    Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
+    """
+    asked_s = cockpit.session.now_s()
+
+    def hover() -> None:
+        ack = cockpit.session.latest.get("COMMAND_ACK")
+        if ack is not None and ack.t_s >= asked_s and ack.message.command == 176 and ack.message.result == 0:
+            cockpit.release()
+
+    if not supervisor.enter(cockpit, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
+        return False
+    cockpit.release()
+    return True
+
+
+def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe) -> LegResult:
+    """Fly one leg from a settled hover in GUIDED_NOGPS. Never falls silent: ends in a release, or in the abort mode."""
+    begin(cockpit, leg)
+    steering = _Profile(cockpit, leg, airframe) if leg.profile is not None else _Path(cockpit, leg, airframe)
+    start = cockpit.session.now_s()
+    phase_now = ""
+    tick = 0
+    while True:
+        t_s = cockpit.session.now_s() - start
+        if t_s >= leg.duration_s - 1e-6:
+            break
+        target, yaw, with_rate = steering.at(t_s)
+        refused = cockpit.steer(target, yaw, with_rate)
+        if refused:
+            return _refused(cockpit, leg, refused)
+        phase = next((p.name for p in reversed(leg.phases) if t_s >= p.start_s - 1e-6), "")
+        if phase != phase_now:
+            phase_now = phase
+            _mark(cockpit, leg, phase)
+            cockpit.tell(phase=phase)
+        if cockpit.stop_asked:
+            reached = supervisor.abort(cockpit, ("the operator asked to stop",))
+            return finish(cockpit, leg, LegOutcome.STOPPED, (f"in {reached.name}",))
+        # On a grid from the leg's start; a host that was held up drops ticks instead of sending them late in a burst.
+        tick = max(tick + 1, math.floor((cockpit.session.now_s() - start) / cockpit.period_s + 1e-6) + 1)
+        cockpit.until(start + tick * cockpit.period_s)
+    cockpit.release()
+    return finish(cockpit, leg, LegOutcome.FLOWN)
+
+
+def _refused(cockpit: Cockpit, leg: Leg, refused: tuple[Refusal, ...]) -> LegResult:
+    why = sentences(refused)
+    reached = supervisor.abort(cockpit, why)
+    lost = bool(_LINK & set(refused))
+    if lost:
+        cockpit.recorder.event("link_lost", leg.id, cockpit.session.now_s(), {"leg": leg.id})
+    outcome = LegOutcome.LINK_LOST if lost else LegOutcome.REFUSED
+    return finish(cockpit, leg, outcome, (*why, f"the vehicle went to {reached.name}"))
+
+
+class _Profile:
+    """Targets of a profile, with the heading for the quaternion."""
+
+    def __init__(self, cockpit: Cockpit, leg: Leg, airframe: Airframe) -> None:
+        assert leg.profile is not None
+        self._profile = leg.profile
+        # Always from the present heading: a quaternion of "no rotation" points North.
+        self._yaw0 = cockpit.state.attitude_rad[2] if cockpit.state.attitude_rad else leg.heading_rad
+        self._lagged = LaggedYaw(self._yaw0, airframe.yaw_accel_max_rad_s2)
+        self._turning = False
+        self._last_s = 0.0
+
+    def at(self, t_s: float) -> tuple[AttitudeTarget, float, bool]:
+        """Target, heading for the quaternion, and whether body rates go along, at t_s from the leg's start."""
+        target = self._profile(t_s)
+        self._turning = self._turning or target.yaw_rate_rad_s != 0.0
+        if not self._turning:
+            self._last_s = t_s
+            return target, self._yaw0, False
+        yaw = self._lagged.advance(target.yaw_rate_rad_s, t_s - self._last_s)
+        self._last_s = t_s
+        return target, yaw, True
+
+
+class _Path:
+    """Targets that follow waypoints by the outer loop."""
+
+    def __init__(self, cockpit: Cockpit, leg: Leg, airframe: Airframe) -> None:
+        self._cockpit = cockpit
+        self._leg = leg
+        self._loop = HoldLoop(cockpit, airframe.angle_boost)
+
+    def at(self, t_s: float) -> tuple[AttitudeTarget, float, bool]:
+        """Target and heading at t_s from the leg's start."""
+        zone = self._cockpit.gate.zone
+        place, pace = along(self._leg.waypoints, t_s)
+        world = tuple(float(x) for x in zone.to_world(place))
+        speed = tuple(float(x) for x in zone.to_world(pace))
+        goal = Start((world[0], world[1], world[2]), self._leg.heading_rad, 0.0)
+        target, yaw = self._loop.target(goal, (speed[0], speed[1], speed[2]))
+        return target, yaw, False

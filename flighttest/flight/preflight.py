@@ -1,0 +1,332 @@
+"""Preflight: everything that would ruin the data or the vehicle, each with its remedy; and setting parameters, to be restored.
+
+A simulator is excused from what only a field has (a live RC link, a fence), and the notes say so.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+
+from flighttest.errors import LinkError, PreflightError
+from flighttest.flight.state import VehicleState
+from flighttest.link import parameters as params
+from flighttest.link.session import Session
+from flighttest.mavlink.dialect import book
+from flighttest.plan import Plan
+
+THRUST_AS_THRUST = 8
+TIMEOUT_S = 0.2
+LOG_BITS = 980991  # fast attitude, fast IMU, motors: what ArduPilot's log needs for a fit (flown)
+_LOG_NEEDED = {
+    0: "fast attitude: the attitude response",
+    18: "fast IMU: the thrust response",
+    17: "MOTB: battery compensation",
+}
+_FENCE_BRAKE = 4
+_FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
+_FS_CONTINUE_GUIDED = 4
+RATE_SHARE = 0.8
+
+RATES_HZ: dict[str, float] = {
+    "HEARTBEAT": 10.0,
+    "ATTITUDE": 100.0,
+    "HIGHRES_IMU": 100.0,
+    "LOCAL_POSITION_NED": 50.0,
+    "ATTITUDE_TARGET": 50.0,
+    "BATTERY_STATUS": 10.0,
+    "GLOBAL_POSITION_INT": 5.0,
+    "VFR_HUD": 10.0,
+    "SERVO_OUTPUT_RAW": 10.0,
+    "EKF_STATUS_REPORT": 5.0,
+    "RC_CHANNELS": 5.0,
+}
+"""Message rates asked for, Hz. HEARTBEAT at 10 Hz, so that a pilot's mode switch is seen within a tenth of a second."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding. name: what `--waive` takes. what and remedy: for the reader. set: parameters that would mend it."""
+
+    name: str
+    what: str
+    remedy: str
+    set: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """All that the checks look at. parameters by the vehicle's names; rates_hz as measured."""
+
+    plan: Plan
+    parameters: dict[str, float]
+    state: VehicleState
+    rates_hz: Mapping[str, float]
+    firmware: str
+    vehicle_type: int
+    simulator: bool
+    rc_live: bool
+
+    def value(self, name: str) -> float | None:
+        """A parameter by either name."""
+        return params.by_either_name(self.parameters, name)
+
+
+def is_simulator(parameters: Mapping[str, float]) -> bool:
+    """Whether the vehicle is a simulator: only those have SIM_ parameters."""
+    return any(name.startswith("SIM_") for name in parameters)
+
+
+def checks(s: Situation) -> list[Check]:
+    """Everything that speaks against flying this plan now."""
+    return [*_plan(s), *_firmware(s), *_guided(s), *_safety(s), *_data(s), *_readiness(s)]
+
+
+def _plan(s: Situation) -> list[Check]:
+    if s.plan.legs:
+        return []
+    refused = "; ".join(f"{leg}: {what}" for leg, what, _ in s.plan.refusals[:3])
+    return [Check("plan", f"the plan has no leg that can be flown ({refused})", "run `flighttest check` on the script")]
+
+
+def _firmware(s: Situation) -> list[Check]:
+    found = []
+    if s.vehicle_type not in _MULTICOPTERS:
+        found.append(Check("frame", "the vehicle is not a multirotor", "connect to a multirotor"))
+    version = re.match(r"(\d+)\.(\d+)", s.firmware)
+    if version is None:
+        found.append(
+            Check("firmware", "the vehicle does not state its firmware version", "update it to Copter 4.6 or newer")
+        )
+    else:
+        seen = (int(version[1]), int(version[2]))
+        turning = any(leg.kind.startswith("yaw") for leg in s.plan.legs)
+        needed = (4, 6) if turning else (4, 3)
+        if seen < needed:
+            what = "yaw rate targets" if turning else "attitude targets with thrust"
+            found.append(
+                Check(
+                    "firmware",
+                    f"firmware {s.firmware} is too old for {what}",
+                    f"update it to Copter {needed[0]}.{needed[1]} or newer",
+                )
+            )
+    return found
+
+
+def _guided(s: Situation) -> list[Check]:
+    found = []
+    options = s.value("GUID_OPTIONS")
+    if options is None:
+        found.append(Check("GUID_OPTIONS", "the vehicle has no GUID_OPTIONS", "is it ArduCopter 4.1 or newer?"))
+    elif not int(options) & THRUST_AS_THRUST:
+        wanted = int(options) | THRUST_AS_THRUST
+        found.append(
+            Check(
+                "GUID_OPTIONS",
+                f"GUID_OPTIONS is {int(options)}: the throttle would be taken as a climb rate",
+                f"set GUID_OPTIONS to {wanted} (or use --set-params)",
+                {"GUID_OPTIONS": float(wanted)},
+            )
+        )
+    timeout = s.value("GUID_TIMEOUT")
+    if timeout is None or timeout > TIMEOUT_S + 1e-3:
+        found.append(
+            Check(
+                "GUID_TIMEOUT",
+                f"GUID_TIMEOUT is {timeout if timeout is None else round(timeout, 2)} s: a lost link would hold the throttle so long",
+                f"set GUID_TIMEOUT to {TIMEOUT_S} (or use --set-params)",
+                {"GUID_TIMEOUT": TIMEOUT_S},
+            )
+        )
+    blocked = int(s.value("FLTMODE_GCSBLOCK") or 0)
+    if blocked:
+        found.append(
+            Check(
+                "FLTMODE_GCSBLOCK",
+                f"FLTMODE_GCSBLOCK is {blocked}: it may forbid the modes this flight needs",
+                "set FLTMODE_GCSBLOCK to 0 (or use --set-params)",
+                {"FLTMODE_GCSBLOCK": 0.0},
+            )
+        )
+    if int(s.value("SYSID_ENFORCE") or 0) or int(s.value("MAV_OPTIONS") or 0) & 1:
+        found.append(
+            Check(
+                "SYSID_ENFORCE",
+                "the vehicle listens to one ground station only",
+                "set SYSID_ENFORCE to 0 (from 4.7 on: MAV_OPTIONS without bit 0)",
+            )
+        )
+    return found
+
+
+def _safety(s: Situation) -> list[Check]:
+    found = []
+    options = int(s.value("FS_OPTIONS") or 0)
+    if options & _FS_CONTINUE_GUIDED:
+        wanted = options & ~_FS_CONTINUE_GUIDED
+        found.append(
+            Check(
+                "FS_OPTIONS",
+                f"FS_OPTIONS is {options}: the vehicle would go on in guided mode without RC",
+                f"set FS_OPTIONS to {wanted} (or use --set-params)",
+                {"FS_OPTIONS": float(wanted)},
+            )
+        )
+    if s.simulator:
+        return found
+    if not s.rc_live:
+        found.append(
+            Check(
+                "rc",
+                "no live RC input is seen",
+                "switch the transmitter on; its mode switch is how the pilot takes over",
+            )
+        )
+    zone = s.plan.vehicle.zone
+    reach = max(abs(v) for v in (*zone.x_m, *zone.y_m)) * 1.5 + 5.0
+    kinds = int(s.value("FENCE_TYPE") or 0)
+    good = (
+        int(s.value("FENCE_ENABLE") or 0) == 1
+        and kinds & _FENCE_ALTITUDE
+        and kinds & (_FENCE_CIRCLE | _FENCE_POLYGON)
+        and int(s.value("FENCE_ACTION") or 0) == _FENCE_BRAKE
+        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + 20.0
+    )
+    if not good:
+        wanted_fence = {
+            "FENCE_ENABLE": 1.0,
+            "FENCE_TYPE": float(_FENCE_ALTITUDE | _FENCE_CIRCLE),
+            "FENCE_ACTION": float(_FENCE_BRAKE),
+            "FENCE_ALT_MAX": float(round(zone.z_m[1] + 5.0)),
+            "FENCE_RADIUS": float(max(round(reach), 30)),
+        }
+        text = ", ".join(f"{k} {v:g}" for k, v in wanted_fence.items())
+        found.append(
+            Check(
+                "fence",
+                "no fence that brakes at the height and distance of the flight zone",
+                f"set {text} (or use --set-params)",
+                wanted_fence,
+            )
+        )
+    return found
+
+
+def _data(s: Situation) -> list[Check]:
+    found = []
+    bits = s.value("LOG_BITMASK")
+    missing = [text for bit, text in _LOG_NEEDED.items() if bits is not None and not int(bits) >> bit & 1]
+    if bits is not None and missing:
+        wanted = int(bits) | LOG_BITS
+        found.append(
+            Check(
+                "LOG_BITMASK",
+                f"LOG_BITMASK is {int(bits)}: the onboard log would lack {'; '.join(missing)}",
+                f"set LOG_BITMASK to {wanted} (or use --set-params)",
+                {"LOG_BITMASK": float(wanted)},
+            )
+        )
+    wanted_hz = {"ATTITUDE": 0.5 * RATES_HZ["ATTITUDE"], "BATTERY_STATUS": 1.0}
+    if s.plan.reset.by == "guided":
+        wanted_hz["LOCAL_POSITION_NED"] = 10.0
+    if s.rates_hz.get("HIGHRES_IMU", 0.0) < RATE_SHARE * 25.0 and s.rates_hz.get("RAW_IMU", 0.0) < RATE_SHARE * 25.0:
+        wanted_hz["HIGHRES_IMU"] = 25.0
+    for name, rate in wanted_hz.items():
+        seen = s.rates_hz.get(name, 0.0)
+        if seen < RATE_SHARE * rate:
+            found.append(
+                Check(
+                    "rates",
+                    f"{name} arrives at {seen:.1f} Hz, needed are {rate:.0f} Hz",
+                    "use a faster link, or stop other ground stations that set rates",
+                )
+            )
+    return found
+
+
+def _readiness(s: Situation) -> list[Check]:
+    found = []
+    limit = s.plan.limits.voltage_min_v
+    voltage = s.state.voltage_v
+    if limit > 0 and voltage is None:
+        found.append(Check("battery", "no battery voltage is reported", "set up the battery monitor (BATT_MONITOR)"))
+    elif limit > 0 and voltage is not None and voltage <= limit:
+        found.append(
+            Check("battery", f"the battery has {voltage:.1f} V, the script's limit is {limit:.1f} V", "charge it")
+        )
+    if s.plan.reset.by == "guided" and not s.state.position_ok:
+        found.append(
+            Check(
+                "position",
+                "the vehicle has no position yet, which `reset: by: guided` needs",
+                "wait for a satellite fix, or use `by: attitude`",
+            )
+        )
+    if s.state.armed:
+        found.append(Check("armed", "the vehicle is armed already", "land and disarm it first"))
+    if s.state.attitude_rad is None:
+        found.append(Check("attitude", "no attitude is reported", "check the link"))
+    elif (s.state.tilt_rad or 0.0) > 0.35:
+        found.append(Check("attitude", "the vehicle stands tilted by more than 20 deg", "stand it level"))
+    return found
+
+
+_MULTICOPTERS = frozenset(
+    {
+        book.MAV_TYPE_QUADROTOR, book.MAV_TYPE_HEXAROTOR, book.MAV_TYPE_OCTOROTOR, book.MAV_TYPE_TRICOPTER,
+        book.MAV_TYPE_COAXIAL, book.MAV_TYPE_DODECAROTOR, book.MAV_TYPE_DECAROTOR,
+    }
+)  # fmt: skip
+
+
+class ParameterChanges:
+    """Parameters set for this flight, verified, and restored afterwards."""
+
+    def __init__(self, session: Session, known: dict[str, float]) -> None:
+        self._session = session
+        self._known = known
+        self._before: dict[str, float] = {}
+
+    def apply(self, wanted: Mapping[str, float], note: Callable[[str], None]) -> None:
+        """Set parameters. LinkError where one does not take."""
+        for name, value in wanted.items():
+            own = name if name in self._known else (params.other_name(name, 0.0) or (name, 0.0))[0]
+            before = self._known.get(own)
+            if before is None:
+                raise LinkError(f"the vehicle has no parameter {name}", "set it up by hand, or waive its check")
+            self._before.setdefault(own, before)
+            params.write(self._session, name, value, self._known)
+            note(f"{own} set from {before:g} to {self._known[own]:g}; it is restored after the flight")
+
+    @property
+    def pending(self) -> dict[str, float]:
+        """What still has to be restored: name to value."""
+        return dict(self._before)
+
+    def restore(self) -> dict[str, float]:
+        """Put everything back, verified; what could not be, with the value it should have."""
+        left: dict[str, float] = {}
+        for name, value in reversed(list(self._before.items())):
+            if self._session.port.muted:
+                left[name] = value
+                continue
+            try:
+                params.write(self._session, name, value, self._known)
+            except LinkError:
+                left[name] = value
+        self._before = {}
+        return left
+
+
+def refuse(found: list[Check], waived: Collection[str]) -> None:
+    """PreflightError with all findings that are not waived by name."""
+    left = [check for check in found if check.name not in waived]
+    if left:
+        raise PreflightError([(check.what, check.remedy) for check in left])
+
+
+def waiver_notes(found: list[Check], waived: Collection[str]) -> list[str]:
+    """A sentence for each finding that was waived: it goes into the record."""
+    return [f"waived {check.name}: {check.what}" for check in found if check.name in waived]

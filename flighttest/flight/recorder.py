@@ -1,0 +1,175 @@
+"""The recorder: raw.tlog with every frame of both directions, events.jsonl, manifest, script and plan, as the flight goes on.
+
+What the program has seen is handed to the operating system at least every 0.2 s, so that killing the program loses at most 0.5 s.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from flighttest.errors import RecordingError
+from flighttest.link.session import Session
+from flighttest.mavlink import StreamDecoder
+from flighttest.mavlink.dialect import Message
+from flighttest.plan import Plan
+from flighttest.recording import Marker, Provenance, Recording
+from flighttest.recording.store import (
+    RAW_NAME,
+    file_sha256,
+    write_events_header,
+    write_manifest,
+    write_recording,
+)
+
+FLUSH_EVERY_S = 0.2
+_STAMP = struct.Struct(">Q")
+
+
+class Recorder:
+    """Writes one run folder. ground_s: the ground's clock for the stamps of raw.tlog, s since 1970. host_s: for flushing."""
+
+    def __init__(
+        self,
+        run_dir: Path,
+        ground_s: Callable[[], float],
+        manifest: Mapping[str, Any],
+        plan: Plan,
+        host_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.run_dir = run_dir
+        run_dir.mkdir(parents=True, exist_ok=True)
+        self._ground_s = ground_s
+        self._host_s = host_s
+        self._tlog = (run_dir / RAW_NAME).open("wb")
+        self._events = (run_dir / "events.jsonl").open("w", encoding="utf-8")
+        self._flushed_s = host_s()
+        self._decoder = StreamDecoder()
+        self._last_us = 0
+        self.markers: list[Marker] = []
+        self.manifest: dict[str, Any] = dict(manifest)
+        write_events_header(self._events)
+        (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8")
+        (run_dir / "plan.json").write_text(json.dumps(plan_as_data(plan), indent=1), encoding="utf-8")
+        self.save_manifest()
+
+    def use_clock(self, ground_s: Callable[[], float]) -> None:
+        """Stamp by another ground clock from now on (lock-step has begun)."""
+        self._ground_s = ground_s
+
+    def tap(self, frame: bytes, message: Message) -> None:
+        """Write one frame; given to `Port.tap`."""
+        us = max(
+            int(self._ground_s() * 1e6), self._last_us
+        )  # a record whose time goes back cannot be read by other tools
+        self._last_us = us
+        self._tlog.write(_STAMP.pack(us) + frame)
+        self._decoder.add(us * 1e-6, message)
+        if self._host_s() - self._flushed_s >= FLUSH_EVERY_S:
+            self.flush(force=True)
+
+    def event(self, kind: str, label: str, t_s: float, data: Mapping[str, Any] | None = None) -> None:
+        """Write one event; its kinds are those of `Marker`."""
+        marker = Marker(t_s, kind, label, dict(data or {}))
+        self.markers.append(marker)
+        line = {"t_s": round(t_s, 6), "kind": kind, "label": label, **({"data": marker.data} if marker.data else {})}
+        self._events.write(json.dumps(line, default=str) + "\n")
+        self._events.flush()
+
+    def flush(self, *, force: bool = False) -> None:
+        """Hand what is buffered to the operating system, if it is time."""
+        now = self._host_s()
+        if force or now - self._flushed_s >= FLUSH_EVERY_S:
+            self._tlog.flush()
+            self._flushed_s = now
+
+    def save_manifest(self) -> None:
+        """Write the manifest as it stands."""
+        write_manifest(self.run_dir, self.manifest)
+
+    def finish(self, session: Session, plan: Plan) -> Recording | None:
+        """Close the files and write the channels; None when too little was recorded to decode."""
+        self._tlog.close()
+        self._events.close()
+        try:
+            decoded = self._decoder.result(session.vehicle_system or None)
+        except RecordingError as error:
+            self.manifest["losses"] = [error.message]
+            self.save_manifest()
+            return None
+        self.manifest["clock"] = {
+            "offset_s": decoded.clock.offset_s,
+            "error_s": decoded.clock.error_s,
+            "method": "lock-step" if session.lock_step else decoded.clock.method,
+        }
+        self.save_manifest()
+        notes = tuple(m for m in decoded.markers if m.kind == "note" and m.data.get("from_vehicle"))
+        recording = Recording(
+            name=self.run_dir.name,
+            series=decoded.series,
+            markers=tuple(sorted((*self.markers, *notes), key=lambda m: m.t_s)),
+            provenance=Provenance(
+                source=str(self.run_dir / RAW_NAME),
+                importer="flight",
+                sha256=file_sha256(self.run_dir / RAW_NAME),
+                firmware=str(self.manifest.get("firmware", "")),
+                parameters=self.manifest.get("parameters", {}),
+                components=plan.vehicle.components,
+                vehicle=self.manifest.get("vehicle", {}),
+                clock=self.manifest["clock"],
+                losses=decoded.losses,
+                filters=known_filters(self.manifest.get("parameters", {})),
+                derived=decoded.derived,
+                reference_clock=decoded.reference_clock,
+            ),
+        )
+        write_recording(self.run_dir, recording)
+        return recording
+
+
+def known_filters(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Measurement filters that the vehicle's parameters name: channel group to cut-off, Hz."""
+    cutoff = float(parameters.get("INS_ACCEL_FILTER", 0.0))
+    return {"specific_force": cutoff} if cutoff > 0 else {}
+
+
+def plan_as_data(plan: Plan) -> dict[str, Any]:
+    """The plan as plain JSON types: what was going to be flown, leg by leg."""
+    return {
+        "format": "plan/1",
+        "script": plan.script.name,
+        "script_sha256": plan.script.sha256,
+        "rate_hz": plan.rate_hz,
+        "legs": [
+            {
+                "id": leg.id,
+                "mark": mark_id(leg.id),
+                "maneuver": leg.maneuver,
+                "kind": leg.kind,
+                "cell": dict(leg.cell),
+                "repeat": leg.repeat,
+                "start_m": list(leg.start_m),
+                "heading_rad": leg.heading_rad,
+                "duration_s": leg.duration_s,
+                "t_step_s": leg.t_step_s,
+                "phases": [
+                    {"name": p.name, "start_s": p.start_s, "end_s": p.end_s, "record": p.record} for p in leg.phases
+                ],
+                "voltage_v": leg.voltage_v,
+                "motors_off": leg.motors_off,
+            }
+            for leg in plan.legs
+        ],
+        "refusals": [list(r) for r in plan.refusals],
+        "notes": list(plan.notes),
+    }
+
+
+def mark_id(leg_id: str) -> str:
+    """The leg's id as it fits into a mark: no spaces, at most 32 bytes, the end kept (it tells repeats apart)."""
+    word = "_".join(leg_id.split())
+    return word if len(word.encode()) <= 32 else word.encode()[-32:].decode(errors="ignore")

@@ -1,0 +1,197 @@
+"""Bringing the vehicle back between steps: by the autopilot's own position control, by our outer loop, or by the pilot.
+
+Each returns whether the vehicle is at the start and settled, and the hover throttle measured while it hovered there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from flighttest import frames
+from flighttest.flight.cockpit import Cockpit, sentences
+from flighttest.flight.gate import Refusal
+from flighttest.flight.state import VehicleState
+from flighttest.flight.supervisor import enter
+from flighttest.mavlink import CopterMode
+from flighttest.plan import AttitudeTarget
+from flighttest.plan.outer_loop import OuterLoop
+
+NEAR_M = 0.6
+SLOW_M_S = 0.35
+FACING_RAD = 0.12
+_TIMEOUT_BASE_S = 25.0
+_SLOWEST_M_S = 0.7
+_YAW_SLEW_RAD_S = 0.8
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a leg begins: position about the zone's origin (NWU, m), heading (NWU, rad), and how long to be still, s."""
+
+    position_m: tuple[float, float, float]
+    yaw_rad: float
+    settle_s: float
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """How a reset ended. refused: the gate's reasons where our own loop was stopped by it."""
+
+    settled: bool
+    hover_throttle: float | None = None
+    refused: tuple[Refusal, ...] = ()
+    why: str = ""
+
+
+class Settling:
+    """Counts how long the vehicle has been where it should be; the mean throttle over that time is its hover throttle."""
+
+    def __init__(self, start: Start, near_m: float = NEAR_M) -> None:
+        self._start = start
+        self._near_m = near_m
+        self._since_s: float | None = None
+        self._throttles: list[float] = []
+
+    def done(self, state: VehicleState, throttle: float | None) -> bool:
+        """Take in the state now; True when it has been still for long enough."""
+        if not self.here(state):
+            self._since_s = None
+            self._throttles.clear()
+            return False
+        if self._since_s is None:
+            self._since_s = state.t_s
+        if throttle is not None and throttle > 0.0:
+            self._throttles.append(throttle)
+        return state.t_s - self._since_s >= self._start.settle_s
+
+    def here(self, state: VehicleState) -> bool:
+        """Near, slow and facing right; what is not known is not asked."""
+        goal = self._start
+        if state.attitude_rad is None or state.silence_s > 0.5:
+            return False
+        turn = abs(float(frames.wrap_angle(state.attitude_rad[2] - goal.yaw_rad)))
+        if turn > FACING_RAD or (state.tilt_rad or 0.0) > 0.15:
+            return False
+        if state.position_ok and state.position_m is not None and state.velocity_m_s is not None:
+            off = math.dist(state.position_m, goal.position_m)
+            return off <= self._near_m and math.hypot(*state.velocity_m_s) <= SLOW_M_S
+        height_off = abs(state.height_m - goal.position_m[2]) if state.height_m is not None else 0.0
+        return height_off <= 2 * self._near_m and abs(state.climb_m_s or 0.0) <= SLOW_M_S
+
+    @property
+    def hover_throttle(self) -> float | None:
+        """Mean throttle while settled, None when it is not known."""
+        return float(np.mean(self._throttles)) if self._throttles else None
+
+
+def _commanded_throttle(cockpit: Cockpit) -> float | None:
+    """What the autopilot's own controller commands now: ATTITUDE_TARGET.thrust is before the tilt boost, which is what we send, too."""
+    heard = cockpit.session.latest.get("ATTITUDE_TARGET")
+    if heard is None or cockpit.session.now_s() - heard.t_s > 0.5:
+        return None
+    return float(heard.message.thrust)
+
+
+def _timeout_s(state: VehicleState, start: Start) -> float:
+    distance = math.dist(state.position_m, start.position_m) if state.position_m is not None else 10.0
+    return _TIMEOUT_BASE_S + start.settle_s + distance / _SLOWEST_M_S
+
+
+def guided(cockpit: Cockpit, start: Start) -> Arrived:
+    """By GUIDED's own position control."""
+    if not enter(cockpit, CopterMode.GUIDED, meanwhile=None):
+        return Arrived(False, why="the vehicle did not enter GUIDED")
+    settling = Settling(start)
+    goal = np.asarray(start.position_m) + cockpit.reader.origin_m
+    deadline = cockpit.session.now_s() + _timeout_s(cockpit.state, start)
+    next_ask = -math.inf
+    while cockpit.session.now_s() < deadline:
+        if cockpit.stop_asked:
+            return Arrived(False, why="stopped")
+        now = cockpit.session.now_s()
+        if now >= next_ask:  # repeated: a lost request must not leave the vehicle waiting
+            cockpit.vehicle.go_to(goal, start.yaw_rad)
+            next_ask = now + 2.0
+        state = cockpit.cycle()
+        if settling.done(state, _commanded_throttle(cockpit)):
+            return Arrived(True, settling.hover_throttle)
+    return Arrived(False, why="the vehicle did not settle at the start")
+
+
+def attitude(cockpit: Cockpit, start: Start, angle_boost: bool) -> Arrived:
+    """By an outer loop of ours over attitude targets; without horizontal position only height and heading are brought back."""
+    if cockpit.state.mode != CopterMode.GUIDED_NOGPS and not enter(cockpit, CopterMode.GUIDED_NOGPS):
+        return Arrived(False, why="the vehicle did not enter GUIDED_NOGPS")
+    loop = HoldLoop(cockpit, angle_boost)
+    settling = Settling(start, near_m=1.0)
+    deadline = cockpit.session.now_s() + _timeout_s(cockpit.state, start)
+    while cockpit.session.now_s() < deadline:
+        if cockpit.stop_asked:
+            return Arrived(False, why="stopped")
+        target, yaw = loop.target(start)
+        refused = cockpit.steer(target, yaw)
+        if refused:
+            return Arrived(False, refused=refused, why="; ".join(sentences(refused)))
+        state = cockpit.cycle()
+        if settling.done(state, target.throttle * math.cos(target.roll_rad) * math.cos(target.pitch_rad)):
+            return Arrived(True, settling.hover_throttle)
+    return Arrived(False, why="the vehicle did not settle at the start")
+
+
+def by_pilot(cockpit: Cockpit, start: Start, timeout_s: float = 300.0) -> Arrived:
+    """The pilot flies to the start and switches to GUIDED_NOGPS when ready; until then nothing is sent but heartbeats.
+
+    The pilot is told by the live view. Never re-enters the mode by itself.
+    """
+    cockpit.disown()
+    cockpit.tell(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
+    deadline = cockpit.session.now_s() + timeout_s
+    left = cockpit.state.mode != CopterMode.GUIDED_NOGPS
+    while cockpit.session.now_s() < deadline:
+        if cockpit.stop_asked:
+            return Arrived(False, why="stopped")
+        state = cockpit.cycle()
+        left = left or state.mode != CopterMode.GUIDED_NOGPS
+        if left and state.mode == CopterMode.GUIDED_NOGPS and state.armed:
+            cockpit.own()
+            return Arrived(True)
+    return Arrived(False, why="the pilot did not hand over")
+
+
+class HoldLoop:
+    """The outer loop with what it must remember: the heading it turns through and the throttle that holds height."""
+
+    def __init__(self, cockpit: Cockpit, angle_boost: bool) -> None:
+        self._cockpit = cockpit
+        self._boost = angle_boost
+        self._loop = OuterLoop(tilt_max_rad=min(0.35, cockpit.gate.limits.tilt_target_max_rad))
+        self._yaw = cockpit.state.attitude_rad[2] if cockpit.state.attitude_rad else 0.0
+        self._hover = cockpit.hover_throttle
+
+    def target(
+        self, goal: Start, goal_v_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> tuple[AttitudeTarget, float]:
+        """The next target towards a goal, and the heading for its quaternion."""
+        cockpit, state = self._cockpit, self._cockpit.state
+        dt = cockpit.period_s
+        turn = float(frames.wrap_angle(goal.yaw_rad - self._yaw))
+        self._yaw = float(frames.wrap_angle(self._yaw + min(max(turn, -_YAW_SLEW_RAD_S * dt), _YAW_SLEW_RAD_S * dt)))
+        yaw_now = state.attitude_rad[2] if state.attitude_rad else self._yaw
+        height = state.height_m if state.height_m is not None else goal.position_m[2]
+        climb = state.climb_m_s or 0.0
+        known = state.position_m is not None and state.velocity_m_s is not None and state.position_age_s < 0.5
+        p = (*state.position_m[:2], height) if known and state.position_m else (*goal.position_m[:2], height)
+        v = (*state.velocity_m_s[:2], climb) if known and state.velocity_m_s else (0.0, 0.0, climb)
+        wanted_climb = min(max(goal_v_m_s[2] + goal.position_m[2] - height, -1.0), 1.0)
+        # Slow integral on the hover throttle: a battery that sags, or a wrong vehicle.yaml, must not leave a lasting height error.
+        self._hover *= 1.0 + 0.15 * dt * (wanted_climb - climb)
+        self._hover = min(max(self._hover, 0.5 * cockpit.hover_throttle), 1.6 * cockpit.hover_throttle)
+        row = self._loop.steer(p, v, yaw_now, goal.position_m, goal_v_m_s, goal.yaw_rad, self._hover, self._boost)[0]
+        roll, pitch = (float(row[0]), float(row[1])) if known else (0.0, 0.0)
+        low, high = cockpit.gate.limits.throttle
+        # The loop is ours and may saturate; the gate judges what it asks for, and would drop a target beyond the script's range.
+        throttle = min(max(float(row[3]), low), high)
+        return AttitudeTarget(0.0, roll, pitch, 0.0, throttle), self._yaw

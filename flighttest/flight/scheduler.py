@@ -1,0 +1,227 @@
+"""The scheduler: rest, arm, take off, then leg after leg (reset, settle, enter, fly), then land. A state machine on the vehicle's clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from flighttest.errors import LinkError
+from flighttest.flight import legs as flying
+from flighttest.flight import reset, supervisor
+from flighttest.flight.cockpit import Cockpit, sentences
+from flighttest.flight.gate import Refusal
+from flighttest.flight.legs import Airframe
+from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
+from flighttest.mavlink import CopterMode
+from flighttest.plan import AttitudeTarget, Leg, Plan
+
+REFUSED_LEGS_MAX = 3
+RETRIES = 1  # of a leg that the link interrupted or that did not settle
+_RESET_GUESS_S = 10.0
+_TAKE_OFF_S = 40.0
+_LAND_S = 120.0
+HOVER_WARNING = 0.10
+
+
+@dataclass
+class Scheduler:
+    """Flies a plan. results: one per leg tried, in order. skip: ids of legs that are already there."""
+
+    cockpit: Cockpit
+    plan: Plan
+    airframe: Airframe
+    skip: Collection[str] = ()
+    results: list[LegResult] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    _reset_s: float = _RESET_GUESS_S
+
+    def fly(self) -> FlightOutcome:
+        """The whole flight, down to the ground. FlightEnded where it ended by something else than the plan or the operator."""
+        todo = [leg for leg in self.plan.legs if leg.id not in self.skip]
+        on_ground = [leg for leg in todo if leg.motors_off]
+        in_air = [leg for leg in todo if not leg.motors_off]
+        for leg in on_ground:
+            self._show(leg, todo, "resting with motors off")
+            self.results.append(flying.rest(self.cockpit, leg))
+            if self.cockpit.stop_asked:
+                return FlightOutcome.OPERATOR_STOP
+        if not in_air:
+            return FlightOutcome.COMPLETED
+        self.take_off()
+        outcome = self._legs(in_air)
+        if outcome is not FlightOutcome.OPERATOR_ABORT:
+            self.land()
+        return outcome
+
+    # -- up and down ---------------------------------------------------------------------------------------------------------
+
+    def take_off(self) -> None:
+        """Arm and climb to the reset height."""
+        cockpit, vehicle = self.cockpit, self.cockpit.vehicle
+        height = self.plan.reset.to_m[2]
+        by_position = self.plan.reset.by != "attitude"
+        cockpit.tell(
+            legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
+        )
+        vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
+        vehicle.arm()
+        cockpit.own()
+        cockpit.recorder.event("note", "armed", cockpit.session.now_s())
+        cockpit.tell(doing="taking off", next=self.plan.legs[0].id)
+        if by_position:
+            answer = vehicle.take_off(height)
+            if not answer.accepted:
+                raise LinkError(
+                    f"take-off was refused ({answer.sentence})", "mend what the vehicle says, then fly again"
+                )
+            self._climb(height)
+        else:
+            self._climb_by_throttle(height)
+
+    def _climb(self, height: float) -> None:
+        deadline = self.cockpit.session.now_s() + _TAKE_OFF_S
+        while self.cockpit.session.now_s() < deadline:
+            state = self.cockpit.cycle()
+            if state.height_m is not None and state.height_m >= height - 0.5:
+                return
+        raise LinkError(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s", "look at its messages")
+
+    def _climb_by_throttle(self, height: float) -> None:
+        """Without a position: throttle up gently over level attitude, hold at the height."""
+        cockpit = self.cockpit
+        deadline = cockpit.session.now_s() + _TAKE_OFF_S
+        began = cockpit.session.now_s()
+        while cockpit.session.now_s() < deadline:
+            state = cockpit.state
+            climb = state.climb_m_s or 0.0
+            if state.height_m is not None and state.height_m >= height - 0.5:
+                return
+            ramp = min((cockpit.session.now_s() - began) / 4.0, 1.0)
+            throttle = cockpit.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
+            yaw = state.attitude_rad[2] if state.attitude_rad else 0.0
+            refused = cockpit.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
+            assert not refused, "level targets around hover always pass"
+            cockpit.cycle()
+        raise LinkError(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s", "is its height known?")
+
+    def land(self) -> None:
+        """LAND where it is; it disarms by itself."""
+        cockpit = self.cockpit
+        cockpit.tell(doing="landing", next="", phase="")
+        if not supervisor.enter(cockpit, CopterMode.LAND, 10.0, self._meanwhile):
+            raise FlightEnded(FlightOutcome.LINK_LOST, "LAND was never confirmed")
+        cockpit.disown()
+        deadline = cockpit.session.now_s() + _LAND_S
+        while cockpit.session.now_s() < deadline:
+            if not cockpit.cycle().armed:
+                cockpit.recorder.event("note", "landed", cockpit.session.now_s())
+                return
+        self.notes.append(f"the vehicle was still armed {_LAND_S:.0f} s after LAND")
+
+    def _meanwhile(self) -> None:
+        if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+            self.cockpit.release()
+
+    # -- legs ----------------------------------------------------------------------------------------------------------------
+
+    def _legs(self, todo: list[Leg]) -> FlightOutcome:
+        refused_legs = 0
+        for index, leg in enumerate(todo):
+            for attempt in range(1 + RETRIES):
+                if self._battery_low():
+                    return FlightOutcome.BATTERY
+                result = self._one(leg, todo[index:], "again: " if attempt else "")
+                self.results.append(result)
+                if result.outcome not in (LegOutcome.LINK_LOST, LegOutcome.NOT_SETTLED):
+                    break
+            if self.cockpit.stop_now:
+                if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+                    supervisor.abort(self.cockpit, ("the operator asked to stop at once",))
+                return FlightOutcome.OPERATOR_ABORT
+            if self.cockpit.stop_asked:
+                return FlightOutcome.OPERATOR_STOP
+            if result.outcome is LegOutcome.REFUSED:
+                refused_legs += 1
+                if Refusal.BATTERY.value in result.why:
+                    return FlightOutcome.BATTERY
+                if Refusal.EKF.value in result.why or refused_legs >= REFUSED_LEGS_MAX:
+                    return FlightOutcome.ABORTED_BY_GATE
+        return FlightOutcome.COMPLETED
+
+    def _one(self, leg: Leg, remaining: list[Leg], prefix: str) -> LegResult:
+        cockpit = self.cockpit
+        self._show(leg, remaining, f"{prefix}going to the start")
+        began = cockpit.session.now_s()
+        arrived = self._reset(leg)
+        if not arrived.settled:
+            if arrived.refused:
+                supervisor.abort(cockpit, sentences(arrived.refused))
+                return LegResult(leg.id, LegOutcome.REFUSED, sentences(arrived.refused))
+            cockpit.recorder.event("note", f"{leg.id}: {arrived.why}", cockpit.session.now_s())
+            outcome = LegOutcome.STOPPED if arrived.why == "stopped" else LegOutcome.NOT_SETTLED
+            return LegResult(leg.id, outcome, (arrived.why,))
+        self._use_hover(arrived.hover_throttle)
+        self._reset_s += 0.3 * (cockpit.session.now_s() - began - self._reset_s)
+        if not flying.enter_nogps(cockpit):
+            return LegResult(leg.id, LegOutcome.NOT_SETTLED, ("the vehicle did not enter GUIDED_NOGPS",))
+        self._show(leg, remaining, "flying")
+        return flying.fly_leg(cockpit, leg.flown_with(cockpit.hover_throttle, self.airframe.angle_boost), self.airframe)
+
+    def _reset(self, leg: Leg) -> reset.Arrived:
+        world = self.cockpit.gate.zone.to_world(leg.start_m)
+        start = reset.Start(
+            (float(world[0]), float(world[1]), float(world[2])), leg.heading_rad, self.plan.reset.settle_s
+        )
+        if self.plan.reset.by == "guided":
+            return reset.guided(self.cockpit, start)
+        if self.plan.reset.by == "attitude":
+            return reset.attitude(self.cockpit, start, self.airframe.angle_boost)
+        return reset.by_pilot(self.cockpit, start)
+
+    def _use_hover(self, measured: float | None) -> None:
+        stated = self.plan.vehicle.hover_throttle
+        if measured is None:
+            return
+        if not 0.4 * stated <= measured <= 2.5 * stated:
+            self._note(f"measured hover throttle {measured:.3f} is absurd beside the stated {stated:.3f}; not used")
+            return
+        nominal = self.plan.vehicle.nominal_voltage_v
+        voltage = self.cockpit.state.voltage_v
+        if abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.05:
+            self._note(
+                f"hover throttle measured {measured:.3f}, stated {stated:.3f}: more than 10 % off; correct vehicle.yaml"
+            )
+        self.cockpit.use_hover(measured)
+
+    def _note(self, text: str) -> None:
+        key = text.split(" measured")[0]
+        if not any(note.startswith(key) for note in self.notes):
+            self.notes.append(text)
+            self.cockpit.recorder.event("note", text, self.cockpit.session.now_s())
+
+    def _battery_low(self) -> bool:
+        voltage, limit = self.cockpit.state.voltage_v, self.plan.limits.voltage_min_v
+        return voltage is not None and limit > 0 and voltage < limit
+
+    # -- words ---------------------------------------------------------------------------------------------------------------
+
+    def _time_left(self, remaining: Collection[Leg]) -> float:
+        return sum(leg.duration_s for leg in remaining) + len(remaining) * self._reset_s
+
+    def _show(self, leg: Leg, remaining: list[Leg], doing: str) -> None:
+        following = remaining[1] if len(remaining) > 1 else None
+        number = next((i for i, other in enumerate(self.plan.legs) if other.id == leg.id), 0)
+        self.cockpit.tell(
+            leg=number + 1,
+            legs=len(self.plan.legs),
+            doing=f"{doing}: {describe(leg)}" if doing else describe(leg),
+            phase="",
+            next=describe(following) if following is not None else "land",
+            time_left_s=self._time_left(remaining),
+        )
+
+
+def describe(leg: Leg) -> str:
+    """A leg in an operator's words: its id and where it points."""
+    return f"{leg.id}, heading {-math.degrees(leg.heading_rad) % 360.0:.0f} deg"

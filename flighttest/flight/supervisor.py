@@ -1,0 +1,93 @@
+"""What happens when a target was refused: let go in the same cycle, ask for the abort mode, never fall silent until it is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from flighttest.flight.cockpit import Cockpit
+from flighttest.flight.outcome import FlightEnded, FlightOutcome
+from flighttest.flight.state import VehicleState
+from flighttest.mavlink import CopterMode, mode_name
+
+ASK_EVERY_S = 0.2
+NEXT_MODE_AFTER_S = 1.5
+GIVE_UP_AFTER_S = 30.0  # of silence: the vehicle's own failsafes have long acted
+_STICK_MID = 0.5
+_STICK_DEAD_ZONE = 0.1  # THR_DZ is 100 of 1000 by default
+
+
+def abort_modes(state: VehicleState) -> tuple[CopterMode, ...]:
+    """Modes to ask for, in order. Not RTL: it climbs and crosses the zone.
+
+    BRAKE with a position; LOITER or ALT_HOLD only while the throttle stick is inside its dead zone at mid, since they take the
+    climb rate from it; else LAND.
+    """
+    stick_mid = state.throttle_stick is not None and abs(state.throttle_stick - _STICK_MID) <= _STICK_DEAD_ZONE
+    modes: list[CopterMode] = []
+    if state.position_ok:
+        modes.append(CopterMode.BRAKE)
+        if stick_mid:
+            modes.append(CopterMode.LOITER)
+    elif stick_mid:
+        modes.append(CopterMode.ALT_HOLD)
+    return (*modes, CopterMode.LAND)
+
+
+def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
+    """Bring the vehicle into its abort mode and return it. The first release leaves before anything else.
+
+    Level targets go out every cycle until HEARTBEAT shows the mode. FlightEnded when the pilot takes over, or the link stays silent.
+    """
+    cockpit.release()
+    state = cockpit.state
+    modes = abort_modes(state)
+    cockpit.recorder.event("abort", "; ".join(why) or "abort", state.t_s, {"modes": [m.name for m in modes]})
+    cockpit.expect(*modes, CopterMode.GUIDED_NOGPS)
+    return _until_mode(cockpit, modes, cockpit.release)
+
+
+def _until_mode(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
+    began = cockpit.session.now_s()
+    next_ask = began
+    heard_again = began
+    index = 0
+    while True:
+        now = cockpit.session.now_s()
+        if now >= next_ask:
+            if cockpit.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
+                index = min(index + 1, len(modes) - 1)
+            cockpit.vehicle.ask_mode(modes[index])
+            next_ask = now + ASK_EVERY_S
+        state = cockpit.cycle()
+        if state.mode in modes and state.mode_age_s < 1.5 and state.silence_s < 1.0:
+            reached = CopterMode(state.mode)
+            cockpit.expect(reached)
+            cockpit.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
+            return reached
+        if state.silence_s >= 1.0:
+            heard_again = cockpit.session.now_s()
+            if state.silence_s > GIVE_UP_AFTER_S:
+                raise FlightEnded(FlightOutcome.LINK_LOST)
+        meanwhile()
+
+
+def enter(
+    cockpit: Cockpit, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
+) -> bool:
+    """Ask for a mode every 0.2 s until HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
+    cockpit.expect(mode)
+    deadline = cockpit.session.now_s() + timeout_s
+    next_ask = -1.0
+    while True:
+        now = cockpit.session.now_s()
+        if now >= next_ask:
+            cockpit.vehicle.ask_mode(mode)
+            next_ask = now + ASK_EVERY_S
+        state = cockpit.cycle()
+        if state.mode == mode:
+            cockpit.expect(mode)
+            return True
+        if now > deadline:
+            return False
+        if meanwhile is not None:
+            meanwhile()
