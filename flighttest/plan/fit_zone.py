@@ -165,7 +165,8 @@ def _search(cells: list[Cell], setting: Setting, indices: list[int]) -> list[tup
     best: dict[int, tuple[float, float, tuple[Piece, ...]]] = {}
     for j, option in enumerate(options):
         record = float(low[j] + good[j] * GRID_S) if fits[j] else -1.0
-        score = (round(record, 2), sum(option.before.values()))
+        # Where nothing fits, what comes closest: the coarse search may have been too strict.
+        score = (round(record, 2), sum(option.before.values()) if fits[j] else float(at_good[j]))
         durations = {**option.before, "step": max(record, float(low[j]))}
         if option.cell not in best or score > best[option.cell][:2]:
             best[option.cell] = (*score, _with(cells[option.cell].lead, durations))
