@@ -135,7 +135,8 @@ def _by_references(
         if known.size and start < known[-1] and known[0] < end:
             start, end = max(start, float(known[0])), min(end, float(known[-1]) + references.period_s)
     steps = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
-    steps = sorted((r for r in steps if start <= r.start_s and r.end_s <= end), key=lambda r: r.start_s)
+    steps = [replace(r, end_s=min(r.end_s, end)) for r in steps if start <= r.start_s and r.t_step_s < end]
+    steps.sort(key=lambda r: r.start_s)
     if len(steps) < _FEW_STEPS:
         return [(window, None) for a, b in _recorded(aligned, start, end) for window in windows(a, b)]
     # Between steps lies what brings the vehicle back; only a long stretch without any is a flight of its own.

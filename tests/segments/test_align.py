@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from flighttest.recording import Provenance, Recording, Series
+from flighttest.segments.align import prepare, sample
+
+
+def recording(**groups):
+    return Recording("r", groups, (), Provenance("x", "table"))
+
+
+def at(hz, seconds=10.0, shift=0.0):
+    return shift + np.arange(round(seconds * hz)) / hz
+
+
+def force(t, wave):
+    return Series(t, {"f_x_m_s2": 0 * t, "f_y_m_s2": 0 * t, "f_z_m_s2": wave})
+
+
+def attitude(t, roll):
+    return Series(t, {"roll_rad": roll, "pitch_rad": 0 * t, "yaw_rad": 0 * t})
+
+
+@pytest.mark.parametrize(("hz", "rate"), [(400, 50), (250, 50), (100, 50), (60, 60), (50, 50), (25, 25)])
+def test_the_rate_is_brought_to_about_50_hz(hz, rate):
+    t = at(hz)
+    aligned = prepare(recording(specific_force=force(t, 0 * t), attitude=attitude(t, 0 * t)))
+    times, _ = sample(aligned, 2.0, 8.0)
+    assert 1.0 / np.median(np.diff(times)) == pytest.approx(rate, rel=0.16)
+
+
+@pytest.mark.parametrize("hz", [400, 200, 100, 50])
+def test_averaging_moves_nothing_in_time(hz):
+    t = at(hz)
+    aligned = prepare(recording(specific_force=force(t, 9.81 + t**2), attitude=attitude(t, 0.3 * t)))
+    times, y = sample(aligned, 2.0, 8.0)
+    np.testing.assert_allclose(y["roll_rad"], 0.3 * times, atol=1e-9)
+    np.testing.assert_allclose(y["f_z_m_s2"], 9.81 + times**2, atol=1e-4)
+
+
+def test_yaw_is_read_off_through_its_jump():
+    t = at(100.0)
+    yaw = (2.9 + 0.5 * t + np.pi) % (2 * np.pi) - np.pi
+    aligned = prepare(recording(attitude=Series(t, {"roll_rad": 0 * t, "pitch_rad": 0 * t, "yaw_rad": yaw})))
+    times, y = sample(aligned, 0.0, 2.0)
+    np.testing.assert_allclose(np.diff(y["yaw_rad"]), 0.5 * np.diff(times), atol=1e-9)
+
+
+def test_gaps_are_not_bridged():
+    t = at(50.0)
+    v = Series(t[(t < 4) | (t > 5)], {"v_x_m_s": t[(t < 4) | (t > 5)]})
+    aligned = prepare(recording(specific_force=force(t, 0 * t), velocity=v))
+    times, y = sample(aligned, 3.0, 6.0)
+    missing = np.isnan(y["v_x_m_s"])
+    assert np.array_equal(missing, (times > 3.985) & (times < 5.015))
+
+
+def test_slow_attitude_keeps_its_own_times():
+    ti, ta = at(25.0), at(10.0, shift=0.013)
+    aligned = prepare(recording(specific_force=force(ti, 0 * ti), attitude=attitude(ta, np.sin(5 * ta))))
+    times, y = sample(aligned, 2.0, 4.0)
+    known = np.isfinite(y["roll_rad"])
+    assert known.sum() == 20
+    np.testing.assert_allclose(y["roll_rad"][known], np.sin(5 * times[known]), atol=1e-12)
+    assert np.all(np.diff(times) > 0)
+
+
+def test_world_acceleration_follows_from_force_and_attitude():
+    t = at(50.0)
+    aligned = prepare(recording(specific_force=force(t, 10.0 + 0 * t), attitude=attitude(t, 0.2 + 0 * t)))
+    _, y = sample(aligned, 1.0, 2.0)
+    np.testing.assert_allclose(y["a_y_m_s2"], -10.0 * np.sin(0.2), atol=1e-12)
+    np.testing.assert_allclose(y["a_z_m_s2"], 10.0 * np.cos(0.2) - 9.81, atol=1e-12)
+
+
+def test_nothing_recorded_gives_nothing():
+    t = at(10.0)
+    assert prepare(recording(battery=Series(t, {"voltage_v": 0 * t}))) is None

@@ -1,0 +1,190 @@
+import numpy as np
+import pytest
+
+from flighttest.channels import INPUTS
+from flighttest.recording import Marker
+from flighttest.segments import Flaw, cut
+
+
+def phase(t, leg, label, **data):
+    return Marker(t, "phase", label, {"leg": leg, **data})
+
+
+def test_a_flight_nobody_marked_is_cut_by_its_references(campaign):
+    segments = cut(campaign.recording())
+    assert [s.kind for s in segments] == ["roll_step", "yaw_rate_step", "throttle_step", "throttle_step", "pitch_step"]
+    edges = campaign.edges_s()
+    assert [s.t_step_s for s in segments] == pytest.approx([edges[i] for i in (0, 3, 6, 8, 9)])
+    assert [dict(s.cell) for s in segments] == [
+        {"amplitude_rad": 0.3}, {"rate_rad_s": -1.0}, {"throttle_0": 0.1, "throttle_1": 0.4},
+        {"throttle_0": 0.1, "throttle_1": 0.25}, {"amplitude_rad": -0.2},
+    ]  # fmt: skip
+    assert all(s.usable for s in segments), [s.flaws for s in segments]
+    assert segments[0].context["later_edges_s"] == pytest.approx([edges[1], edges[2]])
+    # The roll record goes on through counter-step and coast, the pair from the onset of T_0 to the end of T_1.
+    assert segments[0].t_s[-1] > edges[2] + 1.9
+    assert segments[2].t_s[0] == pytest.approx(edges[5], abs=0.03)
+    assert segments[2].t_s[-1] == pytest.approx(edges[7], abs=0.03)
+
+
+def test_the_step_is_the_references_edge_not_the_mark(campaign):
+    edge = campaign.edges_s()[0]
+    leg = "roll_pitch/roll+0.30/r2"
+    for offset in (-0.15, 0.0, 0.12):
+        campaign.markers = [
+            Marker(edge - 0.9, "leg", leg, {"leg": leg}),
+            phase(edge - 0.9, leg, "entry"),
+            phase(edge + offset, leg, "step"),
+            phase(edge + 3.9, leg, "end"),
+        ]
+        (segment,) = cut(campaign.recording())
+        assert segment.t_step_s == pytest.approx(edge)
+        assert (segment.name, segment.maneuver, segment.repeat, segment.kind) == (leg, "roll_pitch", 2, "roll_step")
+
+
+def test_the_marked_throttle_step_is_t_1(campaign):
+    edges = campaign.edges_s()
+    leg = "thrust/0.10-0.40/r1"
+    campaign.markers = [
+        Marker(edges[5] - 0.3, "leg", leg, {"leg": leg, "kind": "throttle_step", "repeat": 3, "maneuver": "thrust"}),
+        phase(edges[5], leg, "hold_0", record=False),
+        phase(edges[6] + 0.04, leg, "step", record=True),
+        phase(edges[7] + 0.04, leg, "stop", record=False),
+        phase(edges[8], leg, "end", outcome="FLOWN"),
+    ]
+    (segment,) = cut(campaign.recording())
+    assert (segment.kind, segment.repeat, segment.maneuver) == ("throttle_step", 3, "thrust")
+    assert segment.cell == {"throttle_0": 0.1, "throttle_1": 0.4}
+    assert segment.usable
+
+
+@pytest.mark.parametrize(
+    ("outcome", "flaw"), [("LINK_LOST", Flaw.LINK_LOST), ("TAKE_OVER", Flaw.TAKE_OVER), ("REFUSED", Flaw.ABORTED)]
+)
+def test_a_leg_that_ended_badly_is_rejected_with_its_reason(campaign, outcome, flaw):
+    edge = campaign.edges_s()[0]
+    campaign.markers = [
+        Marker(edge - 0.9, "leg", "a/b/r1", {"leg": "a/b/r1"}), phase(edge, "a/b/r1", "step"),
+        phase(edge + 0.8, "a/b/r1", "end", outcome=outcome),
+    ]  # fmt: skip
+    (segment,) = cut(campaign.recording())
+    assert flaw in segment.flaws
+    assert segment.t_s[-1] <= edge + 0.8
+
+
+def test_texts_of_another_ground_station_name_the_steps(campaign):
+    edges = campaign.edges_s()
+    campaign.markers = [
+        Marker(edges[0], "note", "STEP roll +0.30"), Marker(edges[3] + 0.01, "note", "STEP yawrate +1.0"),
+        Marker(edges[5], "note", "STEP thrust 0.10 0.40"), Marker(edges[8], "note", "END"),
+    ]  # fmt: skip
+    segments = cut(campaign.recording())
+    assert [(s.name, s.kind) for s in segments] == [
+        ("STEP roll +0.30", "roll_step"), ("STEP yawrate +1.0", "yaw_rate_step"), ("STEP thrust 0.10 0.40", "throttle_step")
+    ]  # fmt: skip
+    assert segments[2].t_step_s == pytest.approx(edges[6])
+
+
+def test_a_marked_step_that_was_not_flown_is_kept_and_rejected(fly):
+    flight = fly([(6.0, 0.0, 0.0, 0.0, 0.25)])
+    flight.markers = [Marker(102.0, "note", "STEP roll +0.30"), Marker(105.0, "note", "END")]
+    (segment,) = cut(flight.recording())
+    assert not segment.usable
+    assert Flaw.REFERENCE_MOVED in segment.flaws
+
+
+def test_numbered_steps_of_a_table(campaign):
+    edges = campaign.edges_s()
+    campaign.markers = [
+        Marker(edges[0] - 0.2, "leg", "step 1", {"leg": "step 1", "step": 1.0}), phase(edges[2] + 0.5, "step 1", "end"),
+        Marker(edges[5] - 0.2, "leg", "step 2", {"leg": "step 2", "step": 2.0}), phase(edges[7], "step 2", "end"),
+    ]  # fmt: skip
+    segments = cut(campaign.recording())
+    assert [(s.name, s.kind) for s in segments] == [("step 1", "roll_step"), ("step 2", "throttle_step")]
+    assert segments[0].t_step_s == pytest.approx(edges[0])
+    assert segments[0].t_s[-1] <= edges[2] + 0.5
+
+
+def test_inputs_are_kept_as_edges_and_reach_back(campaign):
+    segment = cut(campaign.recording())[1]
+    assert set(segment.u) == set(INPUTS)
+    t, value = segment.u["yaw_rate_ref_rad_s"]
+    assert t[0] <= segment.t_s[0] - 0.5
+    assert list(value) == [0.0, -1.0, 0.0]
+    assert t[1] == segment.t_step_s
+    assert list(segment.u["roll_ref_rad"][1]) == [0.0]
+
+
+def test_repeats_share_a_cell_and_are_counted(fly, campaign):
+    twice = fly([*campaign.pieces, *campaign.pieces])
+    segments = cut(twice.recording())
+    rolls = [s for s in segments if s.kind == "roll_step"]
+    assert [s.repeat for s in rolls] == [1, 2]
+    assert len({s.cell_key for s in rolls}) == 1
+    assert len({s.name for s in segments}) == len(segments)
+
+
+def test_without_steps_a_flight_becomes_windows(fly):
+    flight = fly([(11.0, 0.0, 0.0, 0.0, 0.25)])
+    segments = cut(flight.recording())
+    assert [s.kind for s in segments] == ["free"] * 4
+    assert all(1.2 <= s.t_s[-1] - s.t_s[0] <= 3.8 for s in segments)
+    assert all(s.usable for s in segments)
+
+
+def test_a_pause_in_the_log_is_no_window(fly):
+    recording = fly([(20.0, 0.0, 0.0, 0.0, 0.25)]).recording()
+    kept = {}
+    for group, series in recording.series.items():
+        keep = (series.t_s < 106) | (series.t_s > 113)
+        kept[group] = type(series)(series.t_s[keep], {n: v[keep] for n, v in series.columns.items()})
+    segments = cut(type(recording)(recording.name, kept, (), recording.provenance))
+    assert segments
+    assert not any(s.t_s[0] < 113 and s.t_s[-1] > 106.1 for s in segments)
+
+
+def test_steps_by_hand_take_time_and_are_found(fly):
+    """A stick is moved over 0.2 s; the target the autopilot makes of it is what was recorded."""
+    ramp = [(0.02, 0.3 * (k + 1) / 10, 0.0, 0.0, 0.25) for k in range(10)]
+    back = [(0.02, 0.3 - 0.3 * (k + 1) / 10, 0.0, 0.0, 0.25) for k in range(10)]
+    one = [(2.0, 0.0, 0.0, 0.0, 0.25), *ramp, (1.5, 0.3, 0.0, 0.0, 0.25), *back]
+    flight = fly([*one, *one, *one, (2.0, 0.0, 0.0, 0.0, 0.25)], derived={"roll_ref_rad": "stands in"})
+    steps = [s for s in cut(flight.recording()) if s.kind == "roll_step"]
+    assert len(steps) == 3
+    assert steps[0].t_step_s == pytest.approx(102.0, abs=0.03)
+    assert steps[0].cell["amplitude_rad"] == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_recording_without_references_becomes_windows(campaign):
+    recording = campaign.recording()
+    series = {g: s for g, s in recording.series.items() if g != "reference"}
+    segments = cut(type(recording)(recording.name, series, (), recording.provenance))
+    assert {s.kind for s in segments} == {"free"}
+    assert all(s.u == {} for s in segments)
+
+
+def test_heading_and_time_in_the_air_are_kept(campaign):
+    campaign.markers = [Marker(100.2, "note", "take-off")]
+    segment = cut(campaign.recording())[-1]
+    assert segment.time_since_takeoff_s == pytest.approx(segment.t_step_s - 100.2)
+    assert segment.heading_rad == pytest.approx(3.0 - 1.5, abs=0.02)
+
+
+def test_the_real_campaign_is_cut_alike_from_both_of_its_logs(shared_data):
+    from flighttest.logs import import_log
+
+    folder = shared_data / "real_firmware_clean"
+    found = [cut(import_log(folder / name)) for name in ("recording.BIN.xz", "recording.tlog.gz")]
+    for segments in found:
+        kinds = [s.kind for s in segments]
+        assert {k: kinds.count(k) for k in set(kinds)} == {
+            "roll_step": 18, "pitch_step": 18, "yaw_rate_step": 8, "throttle_step": 54, "free": 17
+        }  # fmt: skip
+        assert all(s.usable for s in segments)
+        assert all(s.name.split()[1] in ("thrust", "roll", "pitch", "yawrate") for s in segments if s.kind != "free")
+    steps = [[s for s in segments if s.kind != "free"] for segments in found]
+    assert [s.cell for s in steps[0]] == [s.cell for s in steps[1]]
+    # Targets were sent 15 ms (and the time to the next 2.5 ms loop) before they arrived.
+    link = np.array([a.t_step_s - b.t_step_s for a, b in zip(*steps, strict=True)])
+    assert np.all((link > 0.008) & (link < 0.05))
+    assert 0.012 < np.median(link) < 0.025

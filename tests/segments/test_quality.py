@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from flighttest.recording import Marker, Series
+from flighttest.segments import Flaw, cut
+
+
+def first(recording, kind="roll_step"):
+    return next(s for s in cut(recording) if s.kind == kind)
+
+
+def without(recording, group, start, end):
+    series = recording.series[group]
+    keep = (series.t_s < start) | (series.t_s > end)
+    groups = {**recording.series, group: Series(series.t_s[keep], {n: v[keep] for n, v in series.columns.items()})}
+    return type(recording)(recording.name, groups, recording.markers, recording.provenance)
+
+
+def changed(recording, group, name, change):
+    series = recording.series[group]
+    columns = {**series.columns, name: change(series.t_s, series.columns[name].copy())}
+    groups = {**recording.series, group: Series(series.t_s, columns)}
+    return type(recording)(recording.name, groups, recording.markers, recording.provenance)
+
+
+def test_a_sound_response_has_no_flaws(campaign):
+    assert first(campaign.recording()).flaws == ()
+
+
+def test_missing_samples(campaign):
+    edge = campaign.edges_s()[0]
+    assert first(without(campaign.recording(), "attitude", edge + 0.2, edge + 0.5)).flaws == (Flaw.GAP,)
+
+
+def test_silence_of_the_targets(campaign):
+    edge = campaign.edges_s()[0]
+    segment = first(without(campaign.recording(), "reference", edge + 0.2, edge + 0.7))
+    assert segment.flaws == (Flaw.LINK_LOST,)
+
+
+def test_unrest_before_the_step(campaign):
+    edge = campaign.edges_s()[0]
+    moving = changed(campaign.recording(), "rates", "q_rad_s", lambda t, q: np.where(np.abs(t - edge) < 0.2, 0.6, q))
+    assert Flaw.NOT_SETTLED in first(moving).flaws
+    tilted = changed(campaign.recording(), "attitude", "pitch_rad", lambda t, x: np.where(t < edge + 0.1, 0.2, x))
+    assert Flaw.NOT_SETTLED in first(tilted).flaws
+
+
+def test_the_pilot_takes_over(campaign):
+    edge = campaign.edges_s()[0]
+    campaign.markers = [Marker(edge + 0.4, "mode", "LOITER", {"mode": 5})]
+    assert Flaw.TAKE_OVER in first(campaign.recording()).flaws
+
+
+def test_the_mode_of_the_maneuver_is_no_take_over(campaign):
+    campaign.markers = [Marker(campaign.edges_s()[0] + 0.1, "mode", "GUIDED_NOGPS", {"mode": 20})]
+    assert first(campaign.recording()).usable
+
+
+def test_a_sensor_at_its_limit(campaign):
+    edge = campaign.edges_s()[0]
+    clipped = changed(
+        campaign.recording(),
+        "specific_force",
+        "f_z_m_s2",
+        lambda t, f: np.where(np.abs(t - edge - 0.3) < 0.02, 157.0, f),
+    )
+    assert first(clipped).flaws == (Flaw.CLIPPED,)
+
+
+def test_a_channel_of_nothing(campaign):
+    blank = changed(campaign.recording(), "attitude", "roll_rad", lambda t, x: np.where(t > 100.5, np.nan, x))
+    assert Flaw.NOT_A_NUMBER in first(blank).flaws
+
+
+@pytest.mark.parametrize(("seconds", "short"), [(0.25, True), (0.5, False)])
+def test_a_record_that_is_too_short(fly, seconds, short):
+    hover = (1.0, 0.0, 0.0, 0.0, 0.25)
+    step = (seconds, 0.0, 0.0, 0.0, 0.4)
+    flight = fly([hover, step, hover, hover, step, hover, hover, step, (1.0, 0.1, 0.1, 0.0, 0.3)])
+    last = [s for s in cut(flight.recording()) if s.cell.get("throttle_1") == 0.4][-1]
+    assert (Flaw.TOO_SHORT in last.flaws) == short
