@@ -319,3 +319,15 @@ def require(document: Document, fields: Mapping[str, Node], names: Iterable[str]
     for name in names:
         if name not in fields:
             document.problem(line, f"{path}.{name}" if path else name, "this key is missing", f"add `{name}:`")
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes a value out each time it occurs: the reader refuses anchors and aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def write_text(data: Mapping[str, Any]) -> str:
+    """YAML that `Document` reads back, keys in the order given."""
+    return str(yaml.dump(dict(data), Dumper=_Plain, sort_keys=False, width=120, allow_unicode=True))

@@ -13,6 +13,7 @@ from flighttest.currency.assess import assess
 from flighttest.currency.compare import Estimates
 from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
 from flighttest.currency.reflight import needs
+from flighttest.documents import write_text
 from flighttest.errors import FitError, InputError
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
@@ -219,4 +220,4 @@ def shortened(script: str, repeats: int) -> str:
     data = yaml.safe_load(resolve(script).read_text(encoding="utf-8"))
     data["name"] = f"{data['name']}_again"
     data["repeat"] = {**data.get("repeat", {}), "each": repeats}
-    return str(yaml.safe_dump(data, sort_keys=False, width=120))
+    return write_text(data)

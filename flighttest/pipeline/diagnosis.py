@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
+from flighttest.documents import write_text
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
@@ -75,7 +74,7 @@ def diagnose(
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, output, progress)
     tone = VERDICT_TONES.get(found.verdict.name, "plain")
-    script = yaml.safe_dump(dict(found.next_script), sort_keys=False) if found.next_script else ""
+    script = write_text(found.next_script) if found.next_script else ""
     document = Document("diagnosis", found.sentence, tone, diagnosis_sections(data, script), facts)
     return Result(document, data, Status.UNEXPLAINED if found.verdict in UNFINISHED else Status.DONE, found)
 
@@ -103,7 +102,7 @@ def write_diagnosis(
     data = found.to_json()
     script = ""
     if found.next_script:
-        script = str(yaml.safe_dump(dict(found.next_script), sort_keys=False, width=120))
+        script = write_text(found.next_script)
         (folder / "next.yaml").write_text(script, encoding="utf-8")
         data["next_flight"] = "next.yaml"
     (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
