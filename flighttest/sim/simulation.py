@@ -86,22 +86,26 @@ def start_simulator(
     port: int = 0,
     host: str = "127.0.0.1",
     protocol: Literal["tcp", "udp"] = "tcp",
+    peer: tuple[str, int] | None = None,
     in_thread: bool = False,
 ) -> Simulation:
     """Start a simulated vehicle.
 
-    port: 0 takes any free one. tcp: connect to `tcp:HOST:PORT`; udp: send to `udpout:HOST:PORT`. in_thread: no process of its own
-    (for tests; half the speed). LinkError when the port is taken.
+    port: 0 takes any free one. tcp: connect to `tcp:HOST:PORT`; udp: send to `udpout:HOST:PORT`, or listen at `peer` (host, port), which
+    is then sent to from the start, as ground stations expect on port 14550. in_thread: no process of its own (for tests; half the
+    speed). LinkError when the port is taken, InputError for options that cannot be.
     """
     options = options or SimOptions()
+    build_check(options)
     sock = listen(host, port) if protocol == "tcp" else bind_datagrams(host, port)
     number = sock.getsockname()[1]
     url = f"tcp:{host}:{number}" if protocol == "tcp" else f"udpout:{host}:{number}"
+    if protocol == "udp" and peer is not None:
+        url = f"udpin:{peer[0]}:{peer[1]}"
     if in_thread:
-        server = Server(options, tcp=sock) if protocol == "tcp" else Server(options, udp=sock)
-        return Simulation(options, url, None, server)
-    build_check(options)
+        return Simulation(options, url, None, _server(protocol, sock, options, peer))
     words = [sys.executable, "-m", "flighttest.sim", protocol, str(sock.fileno()), options.to_json()]
+    words += [f"{peer[0]}:{peer[1]}"] if peer is not None else []
     # the child reads its standard input only to notice when we are gone
     process = subprocess.Popen(words, stdin=subprocess.PIPE, pass_fds=(sock.fileno(),), start_new_session=True)
     sock.close()
@@ -115,14 +119,19 @@ def build_check(options: SimOptions) -> None:
     build_plant(options)
 
 
-def serve_inherited(protocol: str, descriptor: int, options: SimOptions) -> None:
-    """The child's part: serve on an inherited socket until the parent's end of our standard input closes."""
+def _server(protocol: str, sock: socket.socket, options: SimOptions, peer: tuple[str, int] | None) -> Server:
+    return Server(options, tcp=sock) if protocol == "tcp" else Server(options, udp=sock, udp_peer=peer)
+
+
+def serve_inherited(protocol: str, descriptor: int, options: SimOptions, peer: str = "") -> None:
+    """The child's part: serve on an inherited socket until the parent's end of our standard input closes. peer: HOST:PORT."""
     kind = socket.SOCK_STREAM if protocol == "tcp" else socket.SOCK_DGRAM
     try:
         sock = socket.socket(socket.AF_INET, kind, fileno=descriptor)
     except OSError as error:
         raise LinkError(f"descriptor {descriptor} is no socket: {error.strerror}") from error
-    server = Server(options, tcp=sock) if protocol == "tcp" else Server(options, udp=sock)
+    name, _, number = peer.rpartition(":")
+    server = _server(protocol, sock, options, (name, int(number)) if peer else None)
     server.watch(sys.stdin.fileno())
     os.set_inheritable(descriptor, False)
     server.run()

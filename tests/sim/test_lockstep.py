@@ -136,3 +136,15 @@ def test_what_is_typed_wrong_is_said():
             InProcess(SimOptions(airframe=airframe, hide={"ground_effect": {"radius": 1.0}}))
     with pytest.raises(InputError, match="no airframe"):
         SimOptions(airframe="blimp")  # type: ignore[arg-type]
+
+
+def test_a_waiting_ground_station_is_sent_to():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        ground.bind(("127.0.0.1", 0))
+        ground.settimeout(5.0)
+        with start_simulator(protocol="udp", peer=ground.getsockname()) as simulation:
+            assert simulation.url == f"udpin:127.0.0.1:{ground.getsockname()[1]}"
+            data, _ = ground.recvfrom(2048)
+    kinds = [m.get_type() for m in book.MAVLink(None).parse_buffer(data)]
+    assert kinds
+    assert set(kinds) <= {"HEARTBEAT", "STATUSTEXT"}
