@@ -225,8 +225,6 @@ def _build_steps(kernel: Kernel, sensitivities: bool) -> tuple[ca.Function, ca.F
     state = pack(x, s, z, sz)
     outs = ca.cse([ca.densify(pack(xa, sa, za_, sza_)), ca.densify(pack(ya, dya))])
     outs = [ca.substitute(o, d, local[n_free_x:]) if n_d else o for o in outs]
-    step = ca.Function("step", [state, p, local, node], outs)
-
     x_start = [
         local[block.free_states.index(n)] if n in block.free_states else ca.SX(block.initial[n]) for n in block.states
     ]
@@ -242,7 +240,24 @@ def _build_steps(kernel: Kernel, sensitivities: bool) -> tuple[ca.Function, ca.F
     begun = pack(x, s, ca.vertcat(*z_start) if n_f else ca.SX(0, 1), ca.vertcat(*sz_start) if n_f else ca.SX(0, n_c))
     begun = ca.substitute([begun], [x, s], at)[0]
     initial = ca.Function("initial", [p, local, node], [ca.densify(begun)])
-    return initial, step
+    slopes = [*range(n_x, n_x + n_x * n_c), *range(state.numel() - 2 * n_f * n_c, state.numel())]
+    outs = _without_zeros(state, slopes, begun, outs)
+    return initial, ca.Function("step", [state, p, local, node], outs)
+
+
+def _without_zeros(state: Any, slopes: list[int], begun: Any, outs: list[Any]) -> list[Any]:
+    """Drop sensitivities that are zero for good (a_t does not depend on drag): `slopes` are the state's entries that may be."""
+    start = ca.densify(begun)
+    live = {i for i in slopes if not start[i].is_zero()}
+    while True:
+        dead = [i for i in slopes if i not in live]
+        if not dead:
+            return outs
+        made = ca.substitute(outs, [state[i] for i in dead], [ca.SX(0)] * len(dead))
+        grown = {i for i in dead if not made[0][i].is_zero()}
+        if not grown:
+            return list(ca.cse(made))
+        live |= grown
 
 
 def _filter_rate(w: float, h: Any, a: Any, b: Any, za: Any, zb: Any) -> Any:
