@@ -104,7 +104,11 @@ def _capabilities(v: Autopilot, _: Any) -> int:
 
 def _take_off(v: Autopilot, m: Any) -> int:
     height = _altitude(m)
-    if v.mode != modes.GUIDED or not v.armed or not v.has_position or height <= 0.0 or not math.isfinite(height):
+    if not v.armed or not math.isfinite(height) or height <= 0.0:
+        return FAILED
+    if v.mode == modes.GUIDED_NOGPS:
+        return ACCEPTED  # flown: accepted, and without effect
+    if v.mode != modes.GUIDED or not v.has_position:
         return FAILED
     seen = v.measured()
     v.navigator.goal = GuidedGoal(position=(seen.px, seen.py), height=height, yaw=seen.yaw, stamp_s=v.time_s)

@@ -34,7 +34,7 @@ class SimOptions:
     gust_rms_m_s: float = 0.0
     speed: float = 1.0
     lockstep: bool = False
-    ready_s: float = 22.0
+    ready_s: float = 23.5
     gps_s: float = 41.0
     parameters: Mapping[str, float] = field(default_factory=dict)
     voltage_v: float | None = None

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _LAND_DISARM_S = 1.5
 _TIMESYNC_S = 10.0
 _SWAP_S = 3.0
+_ORIGIN_S = 20.0
 _BOOT_TEXTS = (
     (0.9, "Barometer 1 calibration complete"), (1.4, "ArduPilot Ready"), (1.4, "AHRS: DCM active"),
     (3.4, "EKF3 IMU0 initialised"), (3.4, "AHRS: EKF3 active"), (4.8, "EKF3 IMU0 tilt alignment complete"),
@@ -30,7 +31,7 @@ class Watch:
     def __init__(self, vehicle: Autopilot) -> None:
         self._v = vehicle
         self._texts = list(_BOOT_TEXTS)
-        self._gps_said = self._switch_read = False
+        self._origin_said = self._gps_said = self._switch_read = False
         self._crash = CrashCheck()
         self._breaches = 0
         self._timesync_s = _TIMESYNC_S
@@ -52,9 +53,12 @@ class Watch:
         v = self._v
         while self._texts and self._texts[0][0] <= t_s:
             v.say(self._texts.pop(0)[1])
+        if not self._origin_said and t_s >= min(_ORIGIN_S, v.boot.gps_s) and v.store["SIM_GPS1_ENABLE"]:
+            self._origin_said = True
+            v.say("EKF3 IMU0 origin set")
+            v.say("Field Elevation Set: 584m")
         if v.has_position and not self._gps_said:
             self._gps_said = True
-            v.say("EKF3 IMU0 origin set")
             v.say("EKF3 IMU0 is using GPS")
         if not self._switch_read and t_s >= v.boot.mode_switch_s:
             self._switch_read = True
@@ -104,8 +108,8 @@ class Watch:
             return
         v.say("Max Alt fence breached" if new & 1 else "Circle fence breached", book.MAV_SEVERITY_NOTICE)
         mode = fence_mode(int(v.store["FENCE_ACTION"]), has_position=v.has_position)
-        if mode is not None and v.mode != mode and not v.landed:
-            v.set_mode(mode)
+        if mode is not None and v.mode != mode and not v.landed and v.set_mode(mode):
+            v.say("Manual recovery started")
 
     def _crashed(self, t_s: float) -> None:
         v = self._v

@@ -17,7 +17,7 @@ def test_early_mode_is_undone_and_arming_refused_with_a_reason(bare):
     assert c.last("HEARTBEAT").custom_mode == STABILIZE
     assert c.command(400, 1) == 4
     assert c.texts[-1].startswith("Arm: ")
-    c.run(15.0)
+    c.run(16.5)
     assert c.mode(GUIDED) == 0  # disarmed, any mode may be chosen
     assert c.command(400, 1) == 4
     assert c.texts[-1] == "Arm: Need Position Estimate"
