@@ -243,8 +243,13 @@ def _reach(motion: Motion, throttle: FloatArray, hover: FloatArray) -> tuple[Flo
     """What the gate foresees (see `flight.gate`): this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
     z, v = motion.p_m[:, :, 2], motion.v_m_s[:, :, 2]
     asked = np.column_stack([throttle, throttle[:, -1:]])[:, : z.shape[1]]
-    push = 9.81 * (asked / hover[:, None] - 1.0)
-    then = v + push * REACTION_S
-    h = z + v * REACTION_S + 0.5 * push * REACTION_S**2
-    end = h + then * np.abs(then) / (2.0 * 9.81 * np.where(then > 0.0, 1.0 - STOP_SHARES[0], STOP_SHARES[1] - 1.0))
-    return np.minimum(np.minimum(z, h), end), np.maximum(np.maximum(z, h), end)
+    low, high = z, z
+    # A step ends between two samples: at each, what was asked until now counts as well as what is asked from now on.
+    for throttles in (asked, np.column_stack([asked[:, :1], asked[:, :-1]])):
+        push = 9.81 * (throttles / hover[:, None] - 1.0)
+        then = v + push * REACTION_S
+        h = z + v * REACTION_S + 0.5 * push * REACTION_S**2
+        stop_m_s2 = 9.81 * np.where(then > 0.0, 1.0 - STOP_SHARES[0], STOP_SHARES[1] - 1.0)
+        end = h + then * np.abs(then) / (2.0 * stop_m_s2)
+        low, high = np.minimum(low, np.minimum(h, end)), np.maximum(high, np.maximum(h, end))
+    return low, high
