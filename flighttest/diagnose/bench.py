@@ -162,18 +162,21 @@ class Bench:
         for _ in range(iterations):
             before = state
             linear = self._linear(model, state, names)
-            for _ in range(3):
+            taken = 0
+            for _ in range(10):
                 step = self._step(model, state, names, linear, damping)
                 if step.objective < state.objective:
                     gain = state.objective - step.objective
-                    state, damping = step, max(damping / 5, 1e-7)
-                    if gain < tolerance * state.objective / 10:
+                    state, damping, taken = step, max(damping / 10, 1e-7), taken + 1
+                    if taken == 3 or gain < tolerance * state.objective / 10:
                         break
                     linear = self._residuals_anew(model, state, linear)
+                elif taken:
+                    break  # the Jacobian has grown old
+                elif damping > 1e5:
+                    break
                 else:
-                    damping = min(damping * 10, 1e4)
-                    if damping > 1e3:
-                        break
+                    damping *= 10
             old = state.objective
             if reweigh:
                 state = self._reweighed(model, state)

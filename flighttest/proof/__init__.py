@@ -1,0 +1,1 @@
+"""Sealed cases, a blind diagnosis, a scoreboard. Must not let diagnose see the truth."""

@@ -1,0 +1,79 @@
+"""One campaign flown in this process: the same codec, scheduler and recorder as on a real link, on a vehicle without a socket."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from flighttest.flight.fly import fly
+from flighttest.physics.model import Model
+from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.pipeline.sources import open_recordings
+from flighttest.plan import compile_plan
+from flighttest.script.load import parse_script
+from flighttest.segments import Segment, cut
+from flighttest.sim import InProcess, SimOptions
+from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.vehicle.model import Vehicle, Zone
+
+# Six minutes and less: every kind of step that some entry of the catalogue needs, twice, under changing headings.
+CAMPAIGN = """
+format: maneuver/1
+name: proof
+doc: a short form of the paper's campaign with tilted throttle steps and steps near the ground
+identifies: []
+mode: GUIDED_NOGPS
+rate_hz: 50
+throttle_unit: hover
+limits: {tilt_target_max_deg: 35, tilt_abort_deg: 60, throttle: [0.0, 0.98], height_m: [0.4, 14], floor_m: 0.3, speed_max_m_s: 12}
+reset: {to: [0, 0, 5], heading_deg: [0, 90, 180, 270], by: guided, settle_s: 1}
+steps:
+  - attitude_step: {axis: [roll, pitch], amplitude_rad: [0.2, 0.5], sign: both, hold_s: 1.0, coast_s: 1.5}
+  - yaw_rate_step: {rate_rad_s: [1, 2], sign: both, hold_s: 0.8, coast_s: 1.5}
+  - throttle_pair: {throttle_0: [0.4, 0.8], throttle_1: [1.2, 1.6, 2.0], hold_0_s: {up_to: 0.5}, record_1_s: {up_to: 1.2}}
+  - throttle_pair: {throttle_0: [1.2, 1.5], throttle_1: 0.5, hold_0_s: {up_to: 0.7}, record_1_s: {up_to: 1.0}}
+  - tilt_throttle: {axis: pitch, tilt_rad: 0.35, sign: both, throttle_0: [0.8, 1.3], throttle_1: [0.8, 1.3], hold_0_s: {up_to: 0.6}, record_1_s: {up_to: 0.7}}
+  - throttle_pair: {throttle_0: 1.0, throttle_1: [1.15, 1.3], hold_0_s: 0.3, record_1_s: {up_to: 0.8}, height_m: 0.7}
+repeat: {each: 2, order: interleaved}
+"""
+# A wide field, so that no draw of a vehicle finds a step too long for the zone.
+ZONE = Zone(x_m=(-60.0, 60.0), y_m=(-60.0, 60.0), z_m=(0.3, 40.0), margin_m=1.0)
+
+
+class InProcessTransport:
+    """A `link.transport.Transport` whose other end is a vehicle in this process."""
+
+    def __init__(self, options: SimOptions) -> None:
+        self.io = InProcess(options)
+
+    def send(self, data: bytes) -> None:
+        """To the vehicle."""
+        self.io.send(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What the vehicle has sent; time stands still while nobody grants any."""
+        return self.io.receive()
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def airframe(vehicle_seed: int) -> RotorVehicle:
+    """The vehicle of a trial."""
+    return random_rotor(vehicle_seed)
+
+
+def fly_campaign(options: SimOptions, folder: Path, script: str = CAMPAIGN) -> tuple[Segment, ...]:
+    """Fly the campaign and give what was cut from the raw log. FlighttestError when it could not be flown."""
+    frame = random_rotor(options.vehicle_seed or 0)
+    vehicle = Vehicle(
+        name="sealed", connect="sim", firmware="ardupilot", nominal_voltage_v=frame.nominal_voltage_v,
+        hover_throttle=frame.hover_throttle, zone=ZONE, mass_kg=frame.mass_kg,
+    )  # fmt: skip
+    prior = ModelPredictor(
+        Model(nominal_voltage_v=frame.nominal_voltage_v),
+        {"K": 9.81 / frame.hover_throttle, "omega_phi": 12.0, "omega_theta": 12.0, "zeta_phi": 0.7, "zeta_theta": 0.7},
+    )
+    plan = compile_plan(parse_script(script), vehicle, prior)
+    fly(plan, "sim", folder, transport=InProcessTransport(replace(options, lockstep=True)))
+    return tuple(s for recording in open_recordings([folder]) for s in cut(recording))
