@@ -165,7 +165,7 @@ def test_a_record_of_nothing_is_refused(plan_of):
 
 def test_a_throttle_limit_below_hover_is_refused(plan_of):
     plan = plan_of("attitude_step: {axis: pitch, amplitude_rad: 0.2}", head="limits: {throttle: [0, 0.17]}")
-    assert "throttle 0.19" in plan.refusals[0][1]  # what an empty battery needs to hover
+    assert "asks for throttle 0.2" in plan.refusals[0][1]  # what an empty battery needs to hover
 
 
 def test_what_only_a_fence_contains_is_said(plan_of):
