@@ -114,8 +114,9 @@ def _unrest(references: References | None, response: Response, t_s: FloatArray, 
 
 def _silent(references: References, response: Response) -> bool:
     a = max(int(np.searchsorted(references.t_s, response.start_s)) - 1, 0)
-    b = int(np.searchsorted(references.t_s, response.end_s, side="right")) + 1
-    times = references.t_s[a:b]
-    if times.size < 2:
+    b = int(np.searchsorted(references.t_s, response.end_s, side="right"))
+    # The next target after the end belongs to what is flown next, which may begin much later.
+    times = np.append(references.t_s[a:b], response.end_s)
+    if b - a < 2:
         return True
     return bool(np.max(np.diff(times)) > max(_SILENCE_S, 5.0 * references.period_s))
