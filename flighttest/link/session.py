@@ -93,9 +93,10 @@ class Session:
             if self._grants is not None:
                 self._advance_granted(until_s)
                 return
-            remaining = until_s - self.clock.now_s()
-            self._take(min(max(remaining, 0.0) / max(self.clock.pace, 0.05), _POLL_S))
-            if until_s - self.clock.now_s() <= 0.0:
+            before = self.clock.now_s()
+            self._take(min(max(until_s - before, 0.0) / max(self.clock.pace, 0.05), _POLL_S))
+            now = self.clock.now_s()
+            if now >= until_s or now < before:  # it goes back when the vehicle was booted anew
                 return
 
     def _advance_granted(self, until_s: float) -> None:
@@ -139,10 +140,8 @@ class Session:
         if kind == "TIMESYNC":
             trip = self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
             if trip is not None:
+                self.clock.heard(message.tc1 * 1e-9)
                 self.clock.answered(message.tc1 * 1e-9, trip)
-            self.clock.heard(
-                (message.tc1 or message.ts1) * 1e-9
-            )  # an answer, or the vehicle's own question: both its time
         if self._grants is not None:
             self._grants.heard(message)
         stamp = getattr(message, "time_boot_ms", None)
