@@ -207,7 +207,7 @@ class Autopilot:
             frame = telemetry.MAKERS[i](self)
             if frame is not None:
                 self.outbox.append(frame)
-        if self.ticks % self._second_every == 0:
+        if self.ticks % self._second_every == 0 and not self.streams.interval_s(book.MAVLINK_MSG_ID_HEARTBEAT):
             self.outbox.append(telemetry.heartbeat(self))
 
     def _angle_rules(self, t_s: float) -> bool:
