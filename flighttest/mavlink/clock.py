@@ -21,6 +21,7 @@ _DRIFT_MAX = (
 )
 _WINDOW_S = 10.0  # long enough to hold an undelayed message, short against the changes of a drift
 _PACED_WINDOW_S = 0.5
+_QUICK_S = 1e-3  # round trips this near to the quickest tell the offset as well as it does
 _ONE_WAY_ERROR_S = 0.05  # what a one-way estimate may be wrong by: the shortest delay of a usual telemetry link
 
 
@@ -82,10 +83,11 @@ def estimate_clock(ground_s: ArrayLike, vehicle_s: ArrayLike, round_trips: Array
     if not trips.shape[0]:
         return one_way
     round_trip = trips[:, 2] - trips[:, 0]
-    best = int(np.argmin(round_trip))
-    middle = 0.5 * (trips[best, 0] + trips[best, 2])
-    shift = float(trips[best, 1] - one_way.to_vehicle(middle))
-    return one_way.shifted(shift, 0.5 * float(round_trip[best]), "timesync")
+    best = float(np.min(round_trip))
+    # Of the quickest trips the median: one of them may lie before a simulator took up the ground's pace.
+    quick = trips[round_trip <= best + _QUICK_S]
+    shift = float(np.median(quick[:, 1] - one_way.to_vehicle(0.5 * (quick[:, 0] + quick[:, 2]))))
+    return one_way.shifted(shift, 0.5 * best, "timesync")
 
 
 def _pace(g: FloatArray, v: FloatArray) -> float:

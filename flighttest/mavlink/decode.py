@@ -25,6 +25,9 @@ _GROUPS = tuple(dict.fromkeys(rule.group for rule in RULES))
 _REBOOT_S = 1.0  # the vehicle's time going back by more than this is a reboot, by less a reordered datagram
 _STAMP_TRUST_S = 30.0
 _HALF_MS = 0.5e-3  # time_boot_ms is rounded down
+_STAMP_WANDER_S = (
+    0.01  # TIMESYNC and a sender that knows the clock differ by less over a flight, unless delays are no delays
+)
 _STAMP_AGREEMENT_S = 0.2  # a sender whose stamps stay this near to the vehicle's time stamps on the vehicle's clock
 
 
@@ -130,9 +133,7 @@ class StreamDecoder:
         elif message.latitude or message.longitude:
             self.origins.setdefault(system, (message.latitude * 1e-7, message.longitude * 1e-7))
 
-    def add_columns(
-        self, system: int, kind: str, ground_s: FloatArray, columns: Mapping[str, NDArray[Any]]
-    ) -> None:
+    def add_columns(self, system: int, kind: str, ground_s: FloatArray, columns: Mapping[str, NDArray[Any]]) -> None:
         """Take in all messages of one numeric type of one system at once: ground times (n,), s, and fields (n,) or (n, k)."""
         rows = self.rows[system, kind] = _Rows(_FIELDS[kind])
         rows.ground_s = ground_s
@@ -316,7 +317,24 @@ def _reference(
         error = 0.5 * float(np.percentile(early, 90) - np.percentile(early, 10)) + 1e-3
         clock = clock.shifted(float(np.median(early)) + _HALF_MS, error, "target stamps")
         t_s = clock.to_vehicle(g)
+    elif (
+        clock.method == "timesync"
+        and float(np.ptp(late)) > _STAMP_WANDER_S
+        and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S
+    ):
+        # Sender and vehicle step through time together (a simulator in lock-step): what arrives is no envelope of delays, since the
+        # vehicle may be ahead of the ground. The stamps are exact then.
+        clock = _clock_of_stamps(g, raw["time_boot_ms"] * 1e-3 + _HALF_MS, clock)
+        t_s = clock.to_vehicle(g)
     return _ordered(t_s, reference_columns(raw), "SET_ATTITUDE_TARGET", losses), "ground", clock
+
+
+def _clock_of_stamps(ground_s: FloatArray, stamp_s: FloatArray, clock: ClockEstimate) -> ClockEstimate:
+    """The clock by which targets were stamped, from the first target to the last; beyond them it goes on at the ground's pace."""
+    order = np.argsort(ground_s, kind="stable")
+    g, v = ground_s[order], np.maximum.accumulate(stamp_s[order])
+    rising = np.concatenate([[True], (np.diff(g) > 0) & (np.diff(v) > 0)])
+    return ClockEstimate(g[rising], v[rising], 1.0, max(clock.error_s, 1e-3), "target stamps")
 
 
 def _mode_markers(state: Series) -> list[Marker]:
