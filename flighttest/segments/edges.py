@@ -23,6 +23,7 @@ _THROTTLE_WITH_TILT = 0.08  # level flight asks for hover / cos(tilt): throttle 
 _TILTED = 0.05  # rad
 _PAIR_HOLD_S = 1.6  # a throttle held no longer than this before the next throttle step is that step's T_0
 _RATE_MAX_HZ = 110.0
+_SILENCE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -116,15 +117,18 @@ def plateaus(references: References, tolerance: Tolerance) -> list[Plateau]:
     rows = values[:, known].tolist()
     broken = np.asarray(np.isnan(values[:, known]).any(axis=1)).tolist()
     times = [*t.tolist(), float(t[-1]) + references.period_s]
+    # A long silence ends what was held, as far as anybody knows; a short one is a flaw of the response it falls into.
+    silent = (np.append(np.diff(t), 0.0) > (_SILENCE_S if references.streamed else np.inf)).tolist()
     found: list[Plateau] = []
     begin = 0
     for i in range(1, len(rows) + 1):
         if i < len(rows) and not broken[i] and not broken[begin]:
             anchor, row = rows[begin], rows[i]
-            if all(abs(a - b) <= c for a, b, c in zip(anchor, row, bounds, strict=True)):
+            if not silent[i - 1] and all(abs(a - b) <= c for a, b, c in zip(anchor, row, bounds, strict=True)):
                 continue
-        if not broken[begin] and times[i] - times[begin] >= tolerance.hold_s and i - begin > 1:
-            found.append(Plateau(times[begin], times[i], np.median(values[begin:i], axis=0)))
+        end = times[i - 1] + references.period_s if silent[i - 1] else times[i]
+        if not broken[begin] and end - times[begin] >= tolerance.hold_s and i - begin > 1:
+            found.append(Plateau(times[begin], end, np.median(values[begin:i], axis=0)))
         begin = i
     return found
 

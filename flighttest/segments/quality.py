@@ -79,7 +79,7 @@ def _holes(response: Response, t_s: FloatArray, y: Mapping[str, FloatArray]) -> 
 def _events(recording: Recording, response: Response) -> set[Flaw]:
     found: set[Flaw] = set()
     for marker in recording.markers:
-        if not response.start_s - 0.3 < marker.t_s <= response.end_s:
+        if not response.start_s - 0.3 < marker.t_s < response.end_s:
             continue
         if marker.kind in _MARKED:
             found.add(_MARKED[marker.kind])
@@ -113,10 +113,8 @@ def _unrest(references: References | None, response: Response, t_s: FloatArray, 
 
 
 def _silent(references: References, response: Response) -> bool:
-    a = max(int(np.searchsorted(references.t_s, response.start_s)) - 1, 0)
+    """Whether targets stopped for a while between the start and the end of a response."""
+    a = max(int(np.searchsorted(references.t_s, response.start_s, side="right")) - 1, 0)
     b = int(np.searchsorted(references.t_s, response.end_s, side="right"))
-    # The next target after the end belongs to what is flown next, which may begin much later.
-    times = np.append(references.t_s[a:b], response.end_s)
-    if b - a < 2:
-        return True
-    return bool(np.max(np.diff(times)) > max(_SILENCE_S, 5.0 * references.period_s))
+    times = np.append(np.maximum(references.t_s[a:b], response.start_s), response.end_s)
+    return bool(np.max(np.diff(times), initial=0.0) > max(_SILENCE_S, 5.0 * references.period_s))
