@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from flighttest.errors import InputError
+from flighttest.currency.declared import declared_changes
+from flighttest.errors import FlighttestError, InputError, ScriptError
+from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import open_transport
+from flighttest.pipeline.campaign import analyse
+from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.history import campaigns, vehicle_name
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.simulator import options
+from flighttest.plan import Plan
+from flighttest.recording.store import read_manifest
+from flighttest.report.document import Block, Bullets, Cell, Document, Section, Table, Tone
+from flighttest.report.plain import plain
 from flighttest.sim import start_simulator
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
@@ -74,17 +90,17 @@ def declared_vehicle(request: FlightRequest) -> Vehicle:
 
 
 @contextmanager
-def connection(request: FlightRequest) -> Iterator[str]:
-    """The URL to fly at; starts the built-in vehicle on a free port of this machine where that is what flies."""
+def connection(request: FlightRequest, flight: int = 0) -> Iterator[str]:
+    """The URL to fly at; starts the built-in vehicle, with a fresh battery, where that is what flies."""
     url = target(request)
-    if request.hide and url != BUILTIN:
-        raise InputError(
-            "--hide is for the built-in vehicle", "leave out --connect and --vehicle, or use --connect sim"
-        )
     if url != BUILTIN:
+        if request.hide:
+            raise InputError(
+                "--hide is for the built-in vehicle", "leave out --connect and --vehicle, or use --connect sim"
+            )
         yield url
         return
-    made = options(request.airframe, request.hide, request.seed, request.speed or BUILTIN_SPEED)
+    made = options(request.airframe, request.hide, request.seed + flight, request.speed or BUILTIN_SPEED)
     with start_simulator(made) as simulation:
         yield simulation.url
 
@@ -104,3 +120,147 @@ def previous_model(request: FlightRequest, vehicle: Vehicle) -> ModelFile | None
         return model_file.read(request.model)
     known = [c for c in campaigns(request.out) if vehicle_name(c.folder) in ("", vehicle.name)]
     return known[-1].model if known else None
+
+
+@contextmanager
+def counted_interrupts() -> Iterator[Callable[[], int]]:
+    """While this is open, Ctrl-C is counted instead of raised: once lands, twice lets go."""
+    presses = 0
+
+    def count(_signal: int, _frame: object) -> None:
+        nonlocal presses
+        presses += 1
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: 0
+        return
+    before = signal.signal(signal.SIGINT, count)
+    try:
+        yield lambda: presses
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
+    """Fly the scripts, then analyse what was recorded."""
+    vehicle = declared_vehicle(request)
+    names = request.scripts or (str(_script_of(request.resume)),)
+    previous = previous_model(request, vehicle)
+    prior = predictor_for(request.model, vehicle)
+    compiled = plans(names, vehicle, prior)
+    for plan in compiled:
+        _all_flyable(plan)
+    if previous is not None:
+        _say_changes(previous, vehicle, progress)
+    folders: list[Path] = [] if request.resume is None else [request.resume]
+    ends: list[FlightResult] = []
+    notes: list[str] = []
+    for index, plan in enumerate(compiled):
+        try:
+            ended = _one(request, plan, index, len(compiled), progress)
+        except FlighttestError as error:
+            if not folders:
+                raise
+            notes.append(f"{plan.script.name} was not flown: {error}")
+            break
+        ends.append(ended)
+        folders.append(ended.run_dir)
+        notes += [n for n in ended.notes if n not in notes]
+        if not ended.outcome.usable:
+            notes.append(f"{plan.script.name}: {ended.outcome.value}")
+        if ended.outcome is not FlightOutcome.COMPLETED:
+            break
+    usable = len(ends) == len(compiled) and all(e.outcome.usable for e in ends)
+    if request.fly_only:
+        return _flown(folders, ends, notes, usable)
+    try:
+        return analyse(folders, vehicle=vehicle, previous=previous, notes=notes, usable=usable, progress=progress)
+    except FlighttestError as error:
+        if usable:
+            raise
+        progress.stage(f"nothing to analyse: {error.message}")
+        return _flown(folders, ends, notes, usable)
+
+
+def _script_of(run_dir: Path | None) -> Path:
+    if run_dir is None:
+        raise InputError("nothing to fly", "name a SCRIPT, or a run with --resume")
+    read_manifest(run_dir)
+    path = run_dir / "script.yaml"
+    if not path.is_file():
+        raise InputError(f"{run_dir} keeps no script.yaml", "only a run that was flown can be resumed")
+    return path
+
+
+def _all_flyable(plan: Plan) -> None:
+    """ScriptError when any step is refused: what is flown is what was written."""
+    if not plan.refusals:
+        return
+    reasons: dict[str, list[str]] = {}
+    for leg, what, remedy in plan.refusals:
+        reasons.setdefault(f"{what}; {remedy}" if remedy else what, []).append(leg)
+    lines = [
+        f"{legs[0]}{f' and {len(legs) - 1} more' if len(legs) > 1 else ''}: {why}" for why, legs in reasons.items()
+    ]
+    message = f"{plan.script.name}: {len(plan.refusals)} steps cannot be flown here\n" + "\n".join(lines)
+    raise ScriptError(message, f"see `flighttest check {plan.script.path or plan.script.name}`")
+
+
+def _say_changes(previous: ModelFile, vehicle: Vehicle, progress: Progress) -> None:
+    changes, _ = declared_changes(previous.fingerprint, of_vehicle(vehicle))
+    if changes:
+        named = ", ".join(f"{c.name} ({c.before} is now {c.after})" for c in changes)
+        progress.stage(f"the last model is stale: {named}")
+
+
+def _one(request: FlightRequest, plan: Plan, index: int, count: int, progress: Progress) -> FlightResult:
+    name = plan.script.name
+    folder = new_run(request.out, name, datetime.datetime.now())
+    progress.stage(f"{name} ({index + 1} of {count}): {len(plan.legs)} steps, recorded in {folder}")
+    with connection(request, index) as url, counted_interrupts() as stops:
+        ended = fly(
+            plan,
+            url,
+            folder,
+            set_params=request.set_params,
+            waive=request.waive,
+            resume=request.resume,
+            on_progress=progress.flight,
+            on_stage=progress.stage,
+            stop_requested=stops,
+        )
+    flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
+    progress.stage(f"{name}: {flown} of {len(plan.legs)} steps flown; {ended.outcome.value}")
+    return ended
+
+
+def _flown(folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequence[str], usable: bool) -> Result:
+    """What `--only fly` shows: how the flights ended and where they are."""
+    rows = []
+    for ended in ends:
+        flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
+        tone: Tone = "good" if ended.outcome.usable else "bad"
+        rows.append((str(ended.run_dir), f"{flown} of {len(ended.legs)}", Cell(ended.outcome.value, tone)))
+    blocks: list[Block] = [Table(("run", "steps", "how it ended"), tuple(rows), ("left", "right", "left"))]
+    if notes:
+        blocks.append(Bullets(tuple(notes)))
+    verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
+    data = {
+        "runs": [str(f) for f in folders],
+        "flights": [
+            {"run": str(e.run_dir), "outcome": e.outcome.name, "legs": [plain(leg) for leg in e.legs]} for e in ends
+        ],
+        "notes": list(notes),
+    }
+    document = Document("flight", verdict, "good" if usable else "bad", (Section("flights", "", tuple(blocks)),))
+    return Result(document, data, Status.DONE if usable else Status.UNUSABLE, tuple(ends))
+
+
+def hello(url: str) -> str:
+    """What answers at a URL, in words. LinkError when nothing does."""
+    session = Session(Port(open_transport(url)))
+    try:
+        session.connect()
+        return f"{url}: ArduCopter {ArduPilot(session).firmware()}".strip()
+    finally:
+        session.port.close()
