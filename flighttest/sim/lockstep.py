@@ -18,6 +18,7 @@ equal bytes give equal flights. The protocol:
 5. PARAM_SET SIM_LOCKSTEP = 0 lets the vehicle run freely again. So does the end of the client's connection (a killed client must
    not stop the clock of a flying vehicle), or, over UDP, ten seconds of the host's time without a byte from it.
 
+Over TCP, clients set TCP_NODELAY: a target and a grant in two small writes would otherwise wait 40 ms for an acknowledgement.
 Only the connection that asked for lock-step may grant. Others may listen and send; what they send arrives at the vehicle time of
 its handling.
 """

@@ -17,6 +17,7 @@ class _Flight:
     def __init__(self, url: str) -> None:
         _, host, port = url.split(":")
         self.sock = socket.create_connection((host, int(port)), 5.0)
+        self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # two small writes in a row would wait 40 ms
         self.mav = book.MAVLink(None, srcSystem=245)
         self.parser = book.MAVLink(None)
         self.bytes = b""
