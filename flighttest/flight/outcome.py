@@ -37,6 +37,7 @@ class LegOutcome(Enum):
     NOT_SETTLED = "not begun: the vehicle did not settle at the start"
     TAKE_OVER = "ended by a change of mode"
     STOPPED = "ended by the operator"
+    LEFT_OUT = "left out: the gate had refused this step twice"
 
 
 @dataclass(frozen=True)

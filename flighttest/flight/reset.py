@@ -24,6 +24,7 @@ SLOW_M_S = 0.35
 FACING_RAD = 0.12
 _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
+_ASK_AGAIN_S = 10.0
 _YAW_SLEW_RAD_S = 0.8
 
 
@@ -112,9 +113,10 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
         if cockpit.stop_asked:
             return Arrived(False, why="stopped")
         now = cockpit.session.now_s()
-        if now >= next_ask:  # repeated: a lost request must not leave the vehicle waiting
+        if now >= next_ask:
+            # Repeated, since a request may be lost, but seldom: each one starts the autopilot's turn to the heading anew (flown).
             cockpit.vehicle.go_to(goal, start.yaw_rad)
-            next_ask = now + 2.0
+            next_ask = now + _ASK_AGAIN_S
         state = cockpit.cycle()
         if settling.done(state, _commanded_throttle(cockpit)):
             return Arrived(True, settling.hover_throttle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
@@ -16,7 +17,8 @@ from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, Le
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
 
-REFUSED_LEGS_MAX = 3
+REFUSED_IN_A_ROW_MAX = 4
+REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
 _TAKE_OFF_S = 40.0
@@ -126,8 +128,13 @@ class Scheduler:
     # -- legs ----------------------------------------------------------------------------------------------------------------
 
     def _legs(self, todo: list[Leg]) -> FlightOutcome:
-        refused_legs = 0
+        in_a_row = 0
+        refused_cells: Counter[object] = Counter()
         for index, leg in enumerate(todo):
+            cell = (leg.maneuver, leg.kind, tuple(sorted(leg.cell.items())))
+            if refused_cells[cell] >= REFUSED_CELL_MAX:
+                self.results.append(LegResult(leg.id, LegOutcome.LEFT_OUT))
+                continue
             for attempt in range(1 + RETRIES):
                 if self._battery_low():
                     return FlightOutcome.BATTERY
@@ -141,11 +148,12 @@ class Scheduler:
                 return FlightOutcome.OPERATOR_ABORT
             if self.cockpit.stop_asked:
                 return FlightOutcome.OPERATOR_STOP
+            in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
             if result.outcome is LegOutcome.REFUSED:
-                refused_legs += 1
+                refused_cells[cell] += 1
                 if Refusal.BATTERY.value in result.why:
                     return FlightOutcome.BATTERY
-                if Refusal.EKF.value in result.why or refused_legs >= REFUSED_LEGS_MAX:
+                if Refusal.EKF.value in result.why or in_a_row >= REFUSED_IN_A_ROW_MAX:
                     return FlightOutcome.ABORTED_BY_GATE
         return FlightOutcome.COMPLETED
 

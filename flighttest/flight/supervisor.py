@@ -41,7 +41,17 @@ def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
     cockpit.release()
     state = cockpit.state
     modes = abort_modes(state)
-    cockpit.recorder.event("abort", "; ".join(why) or "abort", state.t_s, {"modes": [m.name for m in modes]})
+    situation = {
+        "modes": [m.name for m in modes],
+        "height_m": state.height_m,
+        "climb_m_s": state.climb_m_s,
+        "position_m": state.position_m,
+        "velocity_m_s": state.velocity_m_s,
+        "tilt_rad": state.tilt_rad,
+        "voltage_v": state.voltage_v,
+        "silence_s": state.silence_s,
+    }
+    cockpit.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
     cockpit.expect(*modes, CopterMode.GUIDED_NOGPS)
     return _until_mode(cockpit, modes, cockpit.release)
 
