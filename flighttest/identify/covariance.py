@@ -18,6 +18,7 @@ from flighttest.identify.solve import Normal, Solution
 
 FloatArray = NDArray[np.float64]
 
+STAMP_S = 1e-3  # resolution of time stamps in MAVLink messages
 MIN_DOF = 2.5  # below this a cluster sum says nothing; the model-based covariance, inflated, stands in
 
 
@@ -106,7 +107,31 @@ def covariance_of(problem: Problem, solution: Solution) -> Covariance:
         for k, c in enumerate(part.outputs)
         for j in range(len(part.responses))
     ]
-    return cluster_covariance(solution.normal, active, inflation_of(residuals))
+    covariance = cluster_covariance(solution.normal, active, inflation_of(residuals))
+    return with_clock_error(covariance, clock_std_s(problem))
+
+
+def clock_std_s(problem: Problem) -> float:
+    """Standard error that the clocks put on every delay alike, s: references stamped on the ground, responses on the vehicle.
+
+    The clock's own error bound as a uniform distribution, and the millisecond to which MAVLink rounds the vehicle's time. Zero where the
+    vehicle stamped both.
+    """
+    found = 0.0
+    for segment in problem.segments:
+        if segment.context.get("reference_clock") == "ground":
+            error = max(float(segment.context.get("clock_error_s", 0.0)), STAMP_S)
+            found = max(found, error / np.sqrt(3.0))
+    return float(found)
+
+
+def with_clock_error(covariance: Covariance, std_s: float) -> Covariance:
+    """The covariance with a common error of all delays added."""
+    delays = np.array([n == "T_d" or n.startswith("T_d_") for n in covariance.names], dtype=float)
+    if std_s <= 0.0 or not delays.any():
+        return covariance
+    extra = std_s**2 * np.outer(delays, delays)
+    return Covariance(covariance.names, covariance.matrix + extra, covariance.model + extra, covariance.dof)
 
 
 def std_of(covariance: Covariance, name: str) -> float:

@@ -209,6 +209,7 @@ class _Cutter:
                 "later_edges_s": response.later_edges_s,
                 "filters": dict(self.recording.provenance.filters),
                 "reference_clock": self.recording.provenance.reference_clock,
+                "clock_error_s": float(self.recording.provenance.clock.get("error_s") or 0.0),
             },
         )
 

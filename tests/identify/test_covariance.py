@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from flighttest.identify.covariance import cluster_covariance, inflation_of, interval_factor
+from flighttest.identify.covariance import (
+    clock_std_s,
+    cluster_covariance,
+    inflation_of,
+    interval_factor,
+    with_clock_error,
+)
 from flighttest.identify.solve import Normal
 
 
@@ -66,3 +72,14 @@ def test_inflation_of_an_autoregressive_residual():
         e[k] = 0.8 * e[k - 1] + rng.standard_normal()
     assert inflation_of([e]) == pytest.approx(9.0, rel=0.1)
     assert inflation_of([rng.standard_normal(20000)]) < 1.1
+
+
+def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):
+    covariance = found.covariance
+    wider = with_clock_error(covariance, 0.002)
+    at = {n: i for i, n in enumerate(covariance.names)}
+    added = wider.matrix - covariance.matrix
+    assert added[at["T_d_thrust"], at["T_d_attitude"]] == pytest.approx(4e-6)
+    assert added[at["T_d_thrust"], at["T_d_thrust"]] == pytest.approx(4e-6)
+    assert np.all(added[at["K"]] == 0.0)
+    assert clock_std_s(found.problem) == 0.0
