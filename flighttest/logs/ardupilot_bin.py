@@ -368,13 +368,13 @@ def known_filters(parameters: dict[str, float]) -> dict[str, float]:
 
 
 def _ended_by_mode(series: Series, state_series: Series | None) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Targets count only in the guided modes: where the mode leaves them, the reference becomes unknown (NaN) until the next target."""
+    """Targets count only in the mode they were sent in: where it changes, the reference becomes unknown (NaN) until the next target."""
     guided = (4.0, 20.0)
     t, columns = series.t_s, dict(series.columns)
     if state_series is None or "mode" not in state_series.columns:
         return t, columns
     mode = state_series.columns["mode"]
-    left = np.flatnonzero(np.isin(mode[:-1], guided) & ~np.isin(mode[1:], guided)) + 1
+    left = np.flatnonzero(np.isin(mode[:-1], guided) & (mode[1:] != mode[:-1])) + 1
     ends = np.setdiff1d(state_series.t_s[left], t)
     order = np.argsort(np.concatenate([t, ends]), kind="stable")
     blank = np.full(ends.size, np.nan)

@@ -6,6 +6,7 @@ accelerometer. Frames of the table become NWU/FLU here.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ Columns = dict[str, FloatArray]
 
 _HALF_TURN_X = np.array([0.0, 1.0, 0.0, 0.0])
 _ANGLES = ("roll", "pitch", "yaw")
+_PIECE_ROWS = 10
+_PIECE_GAP_S = 10.0
 _UPSIDE_DOWN_RAD = np.pi / 2
 _WORLD_GROUPS = ("velocity", "position", "acceleration")
 _BODY_GROUPS = ("rates", "specific_force")
@@ -54,7 +57,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
             losses.append(
                 f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else "")
             )
-    t_s = _time(path, sheet, plan)
+    t_s, pieces = _one_after_another(_time(path, sheet, plan), losses)
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
     _derive(t_s, found, derived)
@@ -67,7 +70,8 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
         )
     if "throttle" in found:
         _check_throttle(path, found["throttle"])
-    markers = _steps(t_s, sheet.column(plan.columns[STEP].columns[0])) if STEP in plan.columns else []
+    step = sheet.column(plan.columns[STEP].columns[0]) if STEP in plan.columns else pieces
+    markers = _steps(t_s, step) if step is not None else []
     return Recording(
         name=path.name.split(".")[0],
         series=series,
@@ -103,6 +107,24 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
             f"{path}: time does not pass: column t_s has {finite.size} usable values", "check the column map"
         )
     return t_s
+
+
+def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, FloatArray | None]:
+    """A table whose time starts anew, as one whose steps were each timed from their own start: the pieces in a row, with their number
+    (n,), else None. A table that is merely out of order stays as it is."""
+    starts = np.flatnonzero(np.diff(t_s) < 0) + 1
+    bounds = np.concatenate([[0], starts, [t_s.size]])
+    if not starts.size or int(np.min(np.diff(bounds))) < _PIECE_ROWS:
+        return t_s, None
+    out, number, end = t_s.copy(), np.zeros(t_s.size), -_PIECE_GAP_S
+    for k, (a, b) in enumerate(pairwise(bounds)):
+        out[a:b] += end + _PIECE_GAP_S - t_s[a]
+        number[a:b] = k + 1.0
+        end = float(np.nanmax(out[a:b]))
+    losses.append(
+        f"time starts anew {starts.size} times: the {starts.size + 1} pieces were put {_PIECE_GAP_S:g} s apart"
+    )
+    return out, number
 
 
 def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:

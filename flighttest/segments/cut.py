@@ -19,7 +19,7 @@ from flighttest.recording import Recording
 from flighttest.segments import edges as ed
 from flighttest.segments.airborne import airborne
 from flighttest.segments.align import Aligned, prepare, sample
-from flighttest.segments.edges import BY_HAND, EXACT, References, Response
+from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, References, Response, Tolerance
 from flighttest.segments.marks import Marked, marked
 from flighttest.segments.model import Flaw, Segment
 from flighttest.segments.quality import flaws_of
@@ -52,10 +52,10 @@ def cut(recording: Recording) -> tuple[Segment, ...]:
     return _named(cutter.segment(response, mark) for response, mark in found)
 
 
-def _responses(references: References | None) -> list[tuple[list[ed.Plateau], list[ed.Edge]]]:
-    if references is None:
+def _responses(references: References | None, exact: Tolerance = EXACT) -> list[tuple[list[ed.Plateau], list[ed.Edge]]]:
+    if references is None or references.t_s.size < 2:
         return []
-    found = ed.chains(ed.plateaus(references, EXACT), EXACT, references.period_s)
+    found = ed.chains(ed.plateaus(references, exact), exact, references.period_s)
     if found:
         return found
     by_hand = ed.chains(ed.plateaus(references, BY_HAND), BY_HAND, references.period_s)
@@ -74,14 +74,15 @@ def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tu
             response = _at_step(rows, mark)
             found.append((response or _missed(references, mark, mark.t_step_s), mark))
             continue
-        late = mark.end_s if mark.numbered else min(mark.start_s + _MARK_LATE_S, mark.end_s)
+        late = min(mark.start_s + _MARK_LATE_S, mark.end_s)
         near = [
             r for r, _, _ in every
-            if mark.start_s - _MARK_EARLY_S <= r.t_step_s < late
-            and (not mark.kinds or r.kind in mark.kinds)
+            if mark.start_s - _MARK_EARLY_S <= r.t_step_s < late and (not mark.kinds or r.kind in mark.kinds)
         ]  # fmt: skip
+        if mark.numbered:
+            near = _in_piece(references, mark)
         if near and (mark.record_s is None or mark.numbered):
-            found.append((_within(near[0], mark) if mark.numbered else near[0], mark))
+            found.append((near[0], mark))
         elif mark.record_s is not None:
             found += [(window, mark) for window in windows(*mark.record_s)]
         elif mark.kinds:
@@ -113,9 +114,14 @@ def _at_step(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]], mark: Marke
     return best[1] if best is not None else None
 
 
-def _within(response: Response, mark: Marked) -> Response:
-    """A response of a numbered step ends where its number does."""
-    return replace(response, end_s=min(max(response.end_s, mark.end_s), mark.end_s, response.t_step_s + 5.0))
+def _in_piece(references: References | None, mark: Marked) -> list[Response]:
+    """Responses inside a numbered piece of a table, which may begin only just before its step."""
+    if references is None:
+        return []
+    inside = (references.t_s >= mark.start_s - 1e-9) & (references.t_s < mark.end_s)
+    piece = replace(references, t_s=references.t_s[inside], values=references.values[inside])
+    found = [r for row, edges in _responses(piece, IN_PIECE) for r in ed.responses(row, edges)]
+    return [replace(r, end_s=min(r.end_s, mark.end_s)) for r in found]
 
 
 def _missed(references: References | None, mark: Marked, t_s: float) -> Response:
@@ -223,8 +229,9 @@ class _Cutter:
         out: dict[str, tuple[FloatArray, FloatArray]] = {}
         for i, name in enumerate(INPUTS):
             values = references.values[a:b, i]
-            if values.size and np.isfinite(values).any():
-                out[name] = ed.compressed(references.t_s[a:b], values)
+            known = np.flatnonzero(np.isfinite(values))
+            if known.size:  # what was asked before the first known target is not known; the first stands for it
+                out[name] = ed.compressed(references.t_s[a:b][known[0] :], values[known[0] :])
         return out
 
 

@@ -37,6 +37,8 @@ class Tolerance:
 
 EXACT = Tolerance((5e-4, 5e-4, 1e-3, 2e-4), 0.12, 0.0)
 """References that a script sent: held to the last digit. (An outer loop between the steps drifts, if slowly.)"""
+IN_PIECE = Tolerance(EXACT.still, 0.015, 0.0)
+"""The same where a table's step number says that there is a step: two samples before it are enough."""
 BY_HAND = Tolerance((0.02, 0.02, 0.06, 0.015), 0.35, 0.5)
 """References from sticks, or an autopilot's own shaped target: changes take time."""
 
@@ -226,7 +228,8 @@ def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> 
     kind = "throttle_step"
     if float(np.max(np.abs(np.nan_to_num(after[:2])))) >= _TILTED:
         kind = "tilt_throttle"
-        cell["amplitude_rad"] = tilt[int(np.argmax(np.abs(np.nan_to_num(after[:2]))))]
+        axis = int(np.argmax(np.abs(np.nan_to_num(after[:2]))))
+        cell["amplitude_rad"], cell["axis"] = tilt[axis], float(axis)
     start = edge.t_s - 0.3
     if k > 0 and edges[k - 1].channel == THROTTLE:
         onset = edges[k - 1].t_s

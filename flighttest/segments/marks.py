@@ -17,6 +17,7 @@ _KINDS = {
     "roll": ("roll_step",), "pitch": ("pitch_step",), "yaw": ("yaw_rate_step",), "yawrate": ("yaw_rate_step",),
     "yaw_rate": ("yaw_rate_step",), "thrust": ("throttle_step", "tilt_throttle"), "throttle": ("throttle_step", "tilt_throttle"),
 }  # fmt: skip
+_ID_MAX = 32
 _PHASES = frozenset({"phase", "abort", "take_over", "link_lost"})
 _OVER = frozenset({"reset", "end", "done", "abort", "take_over", "link_lost", "landing"})
 _OUTCOMES = {"abort": "ABORTED", "take_over": "TAKE_OVER", "link_lost": "LINK_LOST"}
@@ -77,7 +78,10 @@ def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:
         kinds=(kind,) if kind and kind not in ("free", "rest") else (),
         t_step_s=step,
         record_s=None if rest else (first, last),
-        maneuver=str(leg.data.get("maneuver", words[0] if len(words) > 1 else "")),
+        # A mark carries the last 32 bytes of a leg's id: what is left of a maneuver's name then is not its name.
+        maneuver=str(
+            leg.data.get("maneuver", words[0] if len(words) > 1 and len(leg.label.encode()) < _ID_MAX else "")
+        ),
         repeat=int(leg.data.get("repeat", repeat.group(1) if repeat else 0)),
         numbered="step" in leg.data,
         outcome=outcome,

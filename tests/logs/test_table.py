@@ -162,6 +162,15 @@ def test_a_step_column_numbers_legs(tmp_path, t):
     ]  # fmt: skip
 
 
+def test_steps_that_were_each_timed_from_their_own_start(tmp_path, t):
+    two = np.concatenate([t, t])
+    r = import_log(save(tmp_path / "a.csv", t_s=two, roll_rad=two))
+    assert "time starts anew 1 times" in r.provenance.losses[0]
+    assert len(r.series["attitude"]) == 2 * N
+    assert np.max(np.diff(r.series["attitude"].t_s)) == pytest.approx(10.0)
+    assert [m.label for m in r.markers] == ["step 1", "step 2"]
+
+
 @pytest.mark.parametrize(
     ("columns", "words"),
     [

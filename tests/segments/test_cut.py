@@ -105,6 +105,20 @@ def test_numbered_steps_of_a_table(campaign):
     assert segments[0].t_s[-1] <= edges[2] + 0.5
 
 
+def test_a_piece_may_begin_just_before_its_step(fly):
+    flight = fly(
+        [(2.0, 0.0, 0.0, 0.0, 0.25), (0.04, 0.0, 0.0, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0, 0.4), (2.0, 0.3, 0.1, 0.0, 0.25)]
+    )
+    step = flight.edges_s()[1]
+    flight.markers = [
+        Marker(step - 0.04, "leg", "step 7", {"leg": "step 7", "step": 7.0}),
+        phase(step + 1.0, "step 7", "end"),
+    ]
+    (segment,) = cut(flight.recording())
+    assert (segment.kind, segment.t_step_s) == ("throttle_step", pytest.approx(step))
+    assert segment.cell == {"throttle_0": 0.2, "throttle_1": 0.4}
+
+
 def test_inputs_are_kept_as_edges_and_reach_back(campaign):
     segment = cut(campaign.recording())[1]
     assert set(segment.u) == set(INPUTS)
