@@ -24,7 +24,7 @@ SLOW_M_S = 0.35
 FACING_RAD = 0.12
 _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
-_ASK_AGAIN_S = 10.0
+_ASK_AGAIN_S = 0.1
 _YAW_SLEW_RAD_S = 0.8
 
 
@@ -114,7 +114,7 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
             return Arrived(False, why="stopped")
         now = cockpit.session.now_s()
         if now >= next_ask:
-            # Repeated, since a request may be lost, but seldom: each one starts the autopilot's turn to the heading anew (flown).
+            # Streamed: without a new one within GUID_TIMEOUT (0.2 s here) ArduPilot stops turning to the heading (flown).
             cockpit.vehicle.go_to(goal, start.yaw_rad)
             next_ask = now + _ASK_AGAIN_S
         state = cockpit.cycle()
