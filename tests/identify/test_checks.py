@@ -6,6 +6,7 @@ import pytest
 from flighttest.identify.alternation import alternation
 from flighttest.identify.expected import ASSUMED, expected_of
 from flighttest.identify.fit import fit
+from flighttest.identify.prediction import coverage
 from flighttest.identify.problem import Noise
 from flighttest.identify.residuals import residual_tests
 from flighttest.physics.model import Model
@@ -58,3 +59,9 @@ def test_a_script_of_yaw_steps_tells_nothing_about_drag(flown):
     assert forecast["omega_phi"].std is None
     assert "nothing" in forecast["omega_phi"].sentence
     assert forecast["sigma_r"].best[0][0].startswith("yaw rate step")
+
+
+def test_intervals_for_unseen_responses_hold_what_they_promise(found):
+    for c in coverage(found, campaign(31, thrust_repeats=1, tilt_repeats=1, yaw_repeats=1)):
+        assert 0.9 < c.share < 0.99, c
+        assert c.rmse == pytest.approx(c.std, rel=0.25)
