@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -92,6 +93,8 @@ def run(
     )
     context.show.say(flying.announce(request))
     if not yes and flying.needs_consent(request):
+        if not sys.stdin.isatty():
+            raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
         click.confirm("The vehicle will arm and take off. Area clear, pilot ready?", abort=True, err=True)
     with LiveProgress(context.show) as progress:
         result = flying.run(request, progress)

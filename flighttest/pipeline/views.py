@@ -50,9 +50,7 @@ def fit_view(found: Fit, segments: Sequence[Segment], before: Mapping[str, float
         )
         for c, q in found.quality.items()
     )
-    warnings = tuple(
-        dict.fromkeys(f"{p.name}: {e.why}" for p, e in zip(parameters, found.estimates.values(), strict=True) if e.why)
-    )
+    warnings = _warnings(found)
     notes = (*found.notes, *(t.sentence for t in found.ties), *(() if found.onset is None else (_onset(found),)))
     return FitView(
         verdict=_verdict(found, unknown),
@@ -67,6 +65,14 @@ def fit_view(found: Fit, segments: Sequence[Segment], before: Mapping[str, float
         notes=notes,
         warnings=warnings,
     )
+
+
+def _warnings(found: Fit) -> tuple[str, ...]:
+    """What speaks against each parameter; those this data says nothing about in one sentence."""
+    blind = [e.name for e in found.estimates.values() if e.std is None and e.source == "assumed" and e.why]
+    lines = [f"nothing in these recordings tells {join(blind)}"] if blind else []
+    lines += [f"{e.name}: {e.why}" for e in found.estimates.values() if e.why and e.name not in blind]
+    return tuple(dict.fromkeys(lines))
 
 
 def _parameter(model: Model, e: Estimate, before: float | None) -> ParameterView:

@@ -1,0 +1,152 @@
+"""`flighttest run` on the built-in vehicle over a real socket: what it says, leaves behind, resumes and exits with."""
+
+import io
+import json
+import signal
+import threading
+
+import pytest
+
+from flighttest.cli import main as cli_main
+from flighttest.pipeline import flying
+
+SHORT = """
+format: maneuver/1
+name: short
+doc: two yaw rate steps
+identifies: [sigma_r]
+mode: GUIDED_NOGPS
+rate_hz: 50
+limits: {tilt_target_max_deg: 35, tilt_abort_deg: 50, throttle: [0.0, 0.6], height_m: [2, 10], speed_max_m_s: 8, voltage_min_v: 21.0}
+reset: {to: [0, 0, 5], heading_deg: [0, 90], by: guided, settle_s: 1}
+steps:
+  - yaw_rate_step: {rate_rad_s: [1], sign: both, hold_s: 1.0}
+repeat: {each: %d, order: sequential}
+"""
+
+
+@pytest.fixture
+def script(tmp_path):
+    path = tmp_path / "short.yaml"
+    path.write_text(SHORT % 2)
+    return path
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*argv):
+        code = cli_main.call([str(a) for a in argv])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
+    out_dir = tmp_path / "runs"
+    code, out, err = call("run", script, "--out", out_dir, "--json")
+    assert code == 0, err
+    assert err.splitlines()[0].startswith("flying the built-in simulated copter")
+    data = json.loads(out)
+    (run,) = out_dir.iterdir()
+    assert data["runs"] == [str(run)]
+    names = {p.name for p in run.iterdir()}
+    assert {
+        "manifest.yaml",
+        "script.yaml",
+        "plan.json",
+        "raw.tlog",
+        "events.jsonl",
+        "channels",
+        "segments.parquet",
+        "fit.yaml",
+        "report.html",
+    } <= names
+    assert data["segments"] == {"used": 4, "of": 4}
+    assert data["model"]["parameters"]["sigma_r"]["value"] == pytest.approx(21.54, rel=0.03)
+    assert data["model"]["fingerprint"]["components"]["propellers"]
+    # raw.tlog is the truth: the same can be rebuilt from it.
+    code, out, _ = call("import", run / "raw.tlog", "-o", tmp_path / "again", "--json")
+    assert code == 0
+    again = json.loads(call("segment", tmp_path / "again", "--json")[1])
+    assert again["used"] == 4
+
+
+def test_a_stopped_flight_is_resumed(call, script, tmp_path):
+    out_dir = tmp_path / "runs"
+    seen = []
+
+    class Stopper:
+        def stage(self, text):
+            seen.append(text)
+
+        def flight(self, progress):
+            if progress.leg >= 2 and not any(s == "stop" for s in seen):
+                seen.append("stop")
+                signal.raise_signal(signal.SIGINT)
+
+    assert threading.current_thread() is threading.main_thread()
+    request = flying.FlightRequest(scripts=(str(script),), out=out_dir, fly_only=True)
+    first = flying.run(request, Stopper())
+    flown = [leg.leg for leg in first.value[0].legs if leg.outcome.name == "FLOWN"]
+    assert 1 <= len(flown) < 4
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    (run,) = out_dir.iterdir()
+    code, out, err = call("run", "--resume", run, "--out", out_dir, "--json")
+    assert code == 0, err
+    data = json.loads(out)
+    assert data["runs"][0] == str(run)
+    assert data["segments"]["used"] == 4
+
+
+def test_a_dead_link_is_said_and_exits_1(call, script, tmp_path):
+    code, _, err = call("run", script, "--connect", "tcp:127.0.0.1:1", "--out", tmp_path / "runs", "--yes")
+    assert code == 1
+    assert "127.0.0.1:1" in err
+
+
+@pytest.mark.parametrize("url", ["http://x", "tcp:nowhere", "udpin:0.0.0.0:99999", "serial:"])
+def test_bad_urls_are_bad_input(call, script, tmp_path, url):
+    code, _, err = call("run", script, "--connect", url, "--out", tmp_path / "runs", "--yes")
+    assert code == 2, err
+    assert "error:" in err
+
+
+def test_nothing_real_arms_without_a_yes(call, script, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    code, _, err = call("run", script, "--connect", "udpin:127.0.0.1:14555", "--out", tmp_path / "runs")
+    assert code == 2
+    assert "--yes" in err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_the_first_line_names_what_flies(tmp_path):
+    assert "built-in simulated copter" in flying.announce(flying.FlightRequest(("thrust",)))
+    assert "tcp:1.2.3.4:5" in flying.announce(flying.FlightRequest(("thrust",), connect="tcp:1.2.3.4:5"))
+    assert flying.needs_consent(flying.FlightRequest(("thrust",), connect="tcp:1.2.3.4:5"))
+    assert not flying.needs_consent(flying.FlightRequest(("thrust",)))
+
+
+def test_a_vehicle_without_a_connection_never_becomes_the_simulator(call, script, tmp_path):
+    vehicle = tmp_path / "vehicle.yaml"
+    vehicle.write_text(
+        "format: vehicle/1\nname: x\nfirmware: ardupilot\nnominal_voltage_v: 22.2\nhover_throttle: 0.18\n"
+        "zone: {origin: home, x_m: [-15, 15], y_m: [-7.5, 7.5], z_m: [1, 10]}\n"
+    )
+    code, _, err = call("run", script, "--vehicle", vehicle, "--out", tmp_path / "runs")
+    assert code == 2
+    assert "--connect" in err
+
+
+def test_a_script_that_leaves_the_zone_is_not_flown(call, tmp_path):
+    path = tmp_path / "wide.yaml"
+    path.write_text(
+        (SHORT % 1).replace(
+            "yaw_rate_step: {rate_rad_s: [1], sign: both, hold_s: 1.0}",
+            "attitude_step: {axis: roll, amplitude_rad: [0.5], sign: both, hold_s: 6.0, coast_s: 1.0}",
+        )
+    )
+    code, _, err = call("run", path, "--out", tmp_path / "runs")
+    assert code == 2
+    assert "zone" in err
+    assert not (tmp_path / "runs").exists()
