@@ -212,3 +212,12 @@ def test_lowest_voltage_from_the_vehicle(planned, predictor):
 def test_bad_scripts_never_reach_the_planner():
     with pytest.raises(ScriptError):
         load_script(resolve("no_such_maneuver"))
+
+
+def test_headings_and_places_are_in_the_zones_frame(plan_of):
+    turned = replace(DEFAULT_VEHICLE, zone=replace(DEFAULT_VEHICLE.zone, heading_rad=-math.radians(40.0)))
+    step = "attitude_step: {axis: pitch, amplitude_rad: 0.5, sign: positive}"
+    head = "reset: {heading_deg: [0, 180]}"
+    (straight,), (leg,) = plan_of(step, head=head).legs, plan_of(step, turned, head=head).legs
+    assert leg.start_m == straight.start_m
+    assert leg.heading_rad == pytest.approx(straight.heading_rad - math.radians(40.0))
