@@ -265,6 +265,17 @@ class Bench:
             made.append(_project(basis, change[..., None])[..., 0][keep])
         return np.concatenate(made)
 
+    def without_locals(self, column: FloatArray) -> FloatArray:
+        """(n,) a whitened column in the order of the last `rows`, with what locals can copy projected out."""
+        made, first = [], 0
+        for basis, keep in self._bases:
+            inside = np.zeros(keep.shape)
+            size = int(keep.sum())
+            inside[keep] = column[first : first + size]
+            first += size
+            made.append(_project(basis, inside[..., None])[..., 0][keep])
+        return np.concatenate(made)
+
     # Inside one fit.
 
     def _linear(self, model: Model, state: State, names: Sequence[str]) -> list[_Piece]:

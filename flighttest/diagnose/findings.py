@@ -72,6 +72,7 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
             "heldout_gain": judged.gain,
             "p_value": judged.p_value,
             "rms_force_m_s2": force,
+            "rms_force_left_m_s2": _rms_force(search, judged.own),
         },
         rivals=rivals,
         sentence=sentence,
@@ -85,7 +86,7 @@ def _kind(kind: str) -> str:
 
 
 def _rms_force(search: Search, effect: Any) -> float | None:
-    """RMS over all samples of what the term changes in predicted specific force (3 axes), m/s^2; None without that channel."""
+    """RMS over all samples of an effect on specific force (3 axes), m/s^2; None without that channel."""
     assert search.now is not None
     rows = search.now.rows
     total, any_force = 0.0, False

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.bench import Rows
 from flighttest.diagnose.model import Located, short
-from flighttest.diagnose.noise import Floor
+from flighttest.diagnose.noise import Floor, inflation
 from flighttest.frames import rotation_from_euler
 from flighttest.segments.model import Segment
 
@@ -149,7 +149,8 @@ def explained_by(
 
 
 def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0) -> list[Located]:
-    """The places where the mismatch is, worst first: those with an RMS a quarter above the floor in power."""
+    """The places where the mismatch is, worst first: those above the floor beyond chance (`Floor.exceeded`)."""
+    tau = inflation(rows, rows.open_residual)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
     maneuver = {s.kind: s.maneuver or s.kind for s in segments}
@@ -163,7 +164,7 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             r = rows.open_residual[at]
             excess = float(np.sum(r**2)) / floor.of(name) ** 2 - at.size
             excess_all += max(excess, 0.0)
-            if float(np.mean(r**2)) > 1.25 * floor.of(name) ** 2:
+            if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]):
                 places.append((excess, c, name, str(kind), at))
     found = []
     for _, c, name, kind, at in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from flighttest.diagnose.bench import Rows
 from flighttest.segments.model import Segment
@@ -16,6 +17,9 @@ FloatArray = NDArray[np.float64]
 BIN_S = 0.1  # responses of one cell are compared in bins of this width after the step
 EQUATIONS_PER_COVARIATE = 4
 SMALL_CORRELATION = 0.05
+LEAST_RATIO = 1.25
+CHANCE = 0.001
+MEANS_PER_DEGREE = 4.0  # neighbouring 0.1 s means of one response are not independent
 
 
 @dataclass(frozen=True)
@@ -23,16 +27,32 @@ class Floor:
     """std: channel to the spread (in its unit) no model of the recorded inputs explains; from_repeats: channels for which repeats say so,
     the others' floor is their high-frequency residual, which is weaker since it misses slow disturbances.
 
-    mean_square: channel to (lack of fit, pure error) mean squares and their degrees of freedom, where repeats exist.
+    lack_of_fit: channel to (lack of fit, its degrees of freedom, pure error, its degrees) of 0.1 s means, where repeats exist;
+    lack_by_kind: (channel, kind of step) to (mean square of what repeats share over the pure error's, number of cells).
     """
 
     std: Mapping[str, float]
     from_repeats: frozenset[str]
     lack_of_fit: Mapping[str, tuple[float, float, float, float]]
+    lack_by_kind: Mapping[tuple[str, str], tuple[float, int]] = field(default_factory=dict)
 
     def of(self, channel: str) -> float:
         """The floor of one channel."""
         return self.std[channel]
+
+    def exceeded(self, channel: str, kind: str, mean_square: float, count: float) -> bool:
+        """Whether `count` independent samples of this mean square lie above the floor: by a quarter in power at least (half the floor in
+        amplitude), and more than chance would have it (0.1 %, for there are many places to look at). Where steps were repeated it is
+        what the repeats share that counts (lack of fit), since a gusty response is no fault of the model."""
+        ratio = mean_square / self.std[channel] ** 2
+        if ratio <= LEAST_RATIO:
+            return False
+        if (channel, kind) in self.lack_by_kind:
+            lack, cells = self.lack_by_kind[channel, kind]
+            return bool(
+                lack > stats.f.ppf(1 - CHANCE, max(cells, 1), max(self.lack_of_fit[channel][3] / MEANS_PER_DEGREE, 1.0))
+            )
+        return bool(ratio > stats.f.ppf(1 - CHANCE, max(count, 1.0), 1e3))
 
 
 def inflation(rows: Rows, residual: FloatArray | None = None) -> dict[int, float]:
@@ -105,23 +125,27 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
             cells.setdefault(s.cell_key, []).append(i)
     cells = {k: v for k, v in cells.items() if len(v) >= 2}
     std, repeated, lack = {}, set(), {}
+    by_kind: dict[tuple[str, str], tuple[float, int]] = {}
     for c, name in enumerate(rows.channels):
         pure = _pure_error(rows, segments, cells, c) if cells else None
         if pure is None:
             std[name] = max(fast[name], resolution.get(name, 0.0))
             continue
-        pure_ms, pure_dof, lack_ms, lack_dof = pure
+        pure_ms, pure_dof, lack_ms, lack_dof, kinds = pure
+        by_kind |= {(name, kind): (ms / max(pure_ms, 1e-300), cells) for kind, (ms, cells) in kinds.items()}
         pure_ms += fast[name] ** 2  # what moves within a bin
         std[name] = max(float(np.sqrt(pure_ms)), resolution.get(name, 0.0))
         repeated.add(name)
         lack[name] = (lack_ms, lack_dof, pure_ms, pure_dof)
-    return Floor(std, frozenset(repeated), lack)
+    return Floor(std, frozenset(repeated), lack, by_kind)
 
 
 def _pure_error(
     rows: Rows, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
-) -> tuple[float, float, float, float] | None:
-    """(pure error mean square of bin means, its degrees of freedom, lack-of-fit mean square of bin means, its degrees)."""
+) -> tuple[float, float, float, float, dict[str, tuple[float, int]]] | None:
+    """(pure error mean square of bin means, its degrees of freedom, lack of fit likewise, its degrees, kind to (lack of fit, cells))."""
+    kinds: dict[str, list[float]] = {}
+    cells_of: dict[str, int] = {}
     raw = rows.open_residual
     at = np.flatnonzero(rows.channel == c)
     at = at[np.argsort(rows.segment[at], kind="stable")]
@@ -132,6 +156,7 @@ def _pure_error(
     bins: dict[tuple[str, int], list[tuple[FloatArray, float, float]]] = {}
     for key, members in cells.items():
         table: dict[int, list[tuple[int, float]]] = {}
+        cells_of[str(key[0])] = cells_of.get(str(key[0]), 0) + 1  # type: ignore[index]
         for i in members:
             rows_i = by_segment[i]
             if not rows_i.size:
@@ -156,6 +181,7 @@ def _pure_error(
                     (z, d, 1 - 1 / len(entries))
                 )
             lack += len(entries) * means.mean() ** 2
+            kinds.setdefault(str(key[0]), []).append(len(entries) * means.mean() ** 2)  # type: ignore[index]
             lack_dof += 1
     for same in bins.values():
         z = np.stack([e[0] for e in same])
@@ -171,4 +197,5 @@ def _pure_error(
         dof += max(free, 0.0)
     if dof < 3:
         return None
-    return square / dof, dof, lack / lack_dof, lack_dof
+    shared = {kind: (float(np.mean(values)), cells_of[kind]) for kind, values in kinds.items()}
+    return square / dof, dof, lack / lack_dof, lack_dof, shared

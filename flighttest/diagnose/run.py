@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from flighttest.diagnose.baselines import baselines
-from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.bench import RESOLUTION, Bench
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, short
+from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
 from flighttest.diagnose.search import Search
@@ -168,9 +169,9 @@ def _assembled(
             weight = 1.0 / floor.of(name) ** 2
             excess_before += e * weight
             excess_after += last[name] * weight
-        places = locate(base.rows, segments, floor, seed)
+        places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), seed)
         located += places
-        samples_over |= bool(locate(now.rows, segments, floor, seed))
+        samples_over |= bool(locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), seed))
         curves += regime_curves(places, base.rows, now.rows, segments)
         cells += residual_map(base.rows, now.rows, segments, floor)
         overlaid += overlays(base.rows, now.rows, segments)

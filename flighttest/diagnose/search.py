@@ -12,10 +12,11 @@ After each step, terms that no longer meet this are taken out again, and each is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from flighttest.diagnose.bench import RESOLUTION, Bench, Rows, State
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
@@ -182,6 +183,12 @@ class Search:
             self.progress(f"refitting with {s.variant.term.id}")
             fitted = self._with(s)
             judged = self.judge(s.variant.term.id, self.now, fitted, s.p_value)
+            if blunt:
+                # The secant's score means little; what the refit changed is tested in its place, one of as many as there are candidates.
+                chance = consistency(self.now.rows, judged.own) * len(ranked)
+                judged = replace(judged, p_value=min(chance, 1.0))
+                if chance > FALSE_ALARM_RATE and not judged.reason:
+                    judged = replace(judged, reason="what it improves is no more consistent over responses than chance")
             if not judged.kept:
                 self.refused[s.variant.term.id] = judged
                 continue
@@ -299,7 +306,7 @@ class Search:
         assert self.floor is not None
         old = self.floor
         std = {c: min(floor.std[c], old.std.get(c, np.inf)) for c in floor.std}
-        return Floor(std, floor.from_repeats, floor.lack_of_fit)
+        return replace(floor, std=std)
 
     def judge(self, term: str, before: Fitted, after: Fitted, p_value: float) -> Judged:
         """What `after` gains over `before` by one term."""
@@ -334,6 +341,17 @@ class Search:
             if value <= p.lower or value >= p.upper:
                 return f"{name} runs to its bound, {value:.3g} {p.unit}: it stands in for something else"
         return ""
+
+
+def consistency(rows: Rows, own: FloatArray) -> float:
+    """Probability that an effect would go along with the residual as well as it does if responses had random signs."""
+    _, which = np.unique(rows.segment, return_inverse=True)
+    parts = np.bincount(which, np.where(rows.sample >= 0, own / rows.scale * rows.residual, 0.0))
+    spread = float(np.sqrt(np.sum(parts**2)))
+    if spread <= 0:
+        return 1.0
+    # Normal tail of the sign-flip distribution: exact enough, and not bounded by the number of flips drawn.
+    return float(2 * stats.norm.sf(abs(float(parts.sum())) / spread))
 
 
 def standard_errors(rows: Rows, names: tuple[str, ...]) -> FloatArray:

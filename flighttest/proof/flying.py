@@ -32,7 +32,9 @@ steps:
   - yaw_rate_step: {rate_rad_s: [1, 2], sign: both, hold_s: 0.8, coast_s: 1.5}
   - throttle_pair: {throttle_0: [0.4, 0.8], throttle_1: [1.2, 1.6, 2.0], hold_0_s: {up_to: 0.5}, record_1_s: {up_to: 1.2}}
   - throttle_pair: {throttle_0: [1.2, 1.5], throttle_1: 0.5, hold_0_s: {up_to: 0.7}, record_1_s: {up_to: 1.0}}
-  - tilt_throttle: {axis: pitch, tilt_rad: 0.35, sign: both, throttle_0: [0.8, 1.3], throttle_1: [0.8, 1.3], hold_0_s: {up_to: 0.6}, record_1_s: {up_to: 0.7}}
+  - tilt_throttle:
+      {axis: pitch, tilt_rad: 0.35, sign: both, throttle_0: [0.8, 1.3], throttle_1: [0.8, 1.3],
+       hold_0_s: {up_to: 0.6}, record_1_s: {up_to: 0.7}}
   - throttle_pair: {throttle_0: 1.0, throttle_1: [1.15, 1.3], hold_0_s: 0.3, record_1_s: {up_to: 0.8}, height_m: 0.7}
 repeat: {each: 2, order: interleaved}
 """

@@ -1,0 +1,95 @@
+"""Sealed cases: a random vehicle, random conditions and what is hidden, drawn from one seed; the truth is written apart and hashed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from flighttest.sim.rotor_effects import EFFECTS, resolve
+from flighttest.sim.rotor_vehicle import random_rotor
+
+# Shares of trials: clean, one effect, two effects, physics outside the catalogue.
+SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
+FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm
+# Not hidden: linear drag is in the paper's model; delays per channel are in the fit.
+NOT_HIDDEN = ("linear_drag", "channel_delay")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s, resting voltage share."""
+
+    index: int
+    seed: int
+    kind: str
+    vehicle_seed: int
+    flight_seed: int
+    hide: Mapping[str, Mapping[str, float]]
+    noise: float
+    gust_rms_m_s: float
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+    def truth(self) -> str:
+        """As sealed: JSON with sorted keys."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    def sha256(self) -> str:
+        """Of the truth: printed before the diagnosis starts."""
+        return hashlib.sha256(self.truth().encode()).hexdigest()
+
+
+def draw(seed: int, index: int) -> Case:
+    """The case of one trial."""
+    rng = np.random.default_rng([seed, index])
+    kind = str(rng.choice([k for k, _ in SHARES], p=[share for _, share in SHARES]))
+    inside = [k for k, e in EFFECTS.items() if e.known and k not in NOT_HIDDEN]
+    outside = [k for k, e in EFFECTS.items() if not e.known]
+    number = {"clean": 0, "single": 1, "pair": 2, "outside": 1}[kind]
+    chosen = rng.choice(outside if kind == "outside" else inside, size=number, replace=False)
+    vehicle_seed = int(rng.integers(1, 2**31))
+    usual = resolve({str(k): {} for k in chosen}, random_rotor(vehicle_seed))
+    hide = {name: _sized(name, usual[name], rng) for name in map(str, chosen)}
+    return Case(
+        index=index,
+        seed=seed,
+        kind=kind,
+        vehicle_seed=vehicle_seed,
+        flight_seed=int(rng.integers(1, 2**31)),
+        hide=hide,
+        noise=float(rng.uniform(0.6, 1.6)),
+        gust_rms_m_s=float(rng.choice([0.0, 0.0, 0.2])),
+    )
+
+
+# Keys whose size is drawn; the others of an effect (lengths, time constants, widths) keep their usual value.
+_SIZED = {
+    "slung_payload": ("payload_ratio",), "vortex_ring": ("vortex_depth",), "thrust_fade": ("fade_depth",), "voltage_sag": ("sag_v",),
+    "tether": ("stiffness_1_s2",), "updraft": ("speed_m_s",), "gust_front": ("w_north", "w_west"), "resonance": ("gain",),
+}  # fmt: skip
+# Limits bite the harder the lower they are.
+_INVERSE = ("motor_saturation", "rate_limit", "reference_shaping", "yaw_rate_shaping")
+# Shares that cannot exceed one.
+_WHOLE = ("angle_boost", "rotor_speed_lag")
+
+
+def _sized(name: str, usual: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
+    factor = float(np.exp(rng.uniform(np.log(FACTOR[0]), np.log(FACTOR[1]))))
+    if name in _WHOLE:
+        factor = float(rng.uniform(0.6, 1.0))
+    if name in _INVERSE:
+        factor = 1.0 / min(factor, 1.4)
+    keys = _SIZED.get(name, tuple(k for k in usual if k != "shaping_tc"))
+    sign = {k: float(rng.choice([-1.0, 1.0])) for k in keys}
+    signed = name in (
+        "steady_wind",
+        "attitude_offset",
+        "accelerometer_bias",
+        "imu_lever_arm",
+        "roll_pitch_coupling",
+        "gust_front",
+    )
+    return {k: v * factor * (sign[k] if signed else 1.0) if k in keys else v for k, v in usual.items()}

@@ -1,0 +1,218 @@
+"""One sealed trial: fly, diagnose blind, open the truth, measure by ablation, judge."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose import Diagnosis, diagnose
+from flighttest.diagnose.bench import RESOLUTION, Bench, Rows, State
+from flighttest.diagnose.judge import size_in_floors
+from flighttest.diagnose.noise import Floor, floor_of
+from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
+from flighttest.errors import FlighttestError
+from flighttest.identify.onset import onset_delay, start_values
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.compose import block_of
+from flighttest.physics.model import Model
+from flighttest.proof.cases import Case
+from flighttest.proof.flying import fly_campaign
+from flighttest.segments import Segment
+from flighttest.sim import SimOptions
+from flighttest.sim.rotor_vehicle import random_rotor
+
+FloatArray = NDArray[np.float64]
+
+CONFUSABLE = 0.95
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one trial. named: effects the tool named, strongest first; sizes: hidden effect to noise floors after the refit (by
+    ablation); classes: hidden effect to the ids the oracle cannot tell from it; forces: hidden effect to (true, found) RMS force, m/s^2;
+    base_r2: of the base fit alone; gain: share of the excess over the floor that is gone on held-out data."""
+
+    index: int
+    kind: str
+    sha256: str
+    hide: Mapping[str, Mapping[str, float]]
+    named: tuple[str, ...] = ()
+    verdict: str = ""
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    classes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    forces: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    base_r2: float = float("nan")
+    gain: float = float("nan")
+    coverage: float = float("nan")
+    located: bool = False
+    confusable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    error: str = ""
+    truth: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain types."""
+        return asdict(self)
+
+
+def run(case: Case) -> Outcome:
+    """Fly the sealed case, diagnose what was recorded, then open the seal."""
+    sha = case.sha256()
+    try:
+        segments = _flown(case, case.hide)
+        frame = random_rotor(case.vehicle_seed)
+        # Blind: recorded segments and what an operator knows of his vehicle.
+        found = diagnose(segments, nominal_voltage_v=frame.nominal_voltage_v)
+    except FlighttestError as error:
+        return Outcome(case.index, case.kind, sha, case.hide, error=error.message, truth=case.truth())
+    named = tuple(f.term for f in sorted(found.findings, key=lambda f: f.evidence["delta_bic"]))
+    sizes, classes, forces = _measured(case, segments, found, frame.nominal_voltage_v)
+    return Outcome(
+        index=case.index,
+        kind=case.kind,
+        sha256=sha,
+        hide=case.hide,
+        named=named,
+        verdict=found.verdict.name,
+        sizes=sizes,
+        classes=classes,
+        forces=forces,
+        base_r2=_r2(found),
+        gain=1.0 - float(found.unexplained["excess_share"]) if found.located else float("nan"),
+        coverage=float(found.cost.get("coverage", float("nan"))),
+        located=bool(found.located),
+        confusable={f.term: tuple(r.term for r in f.rivals if r.verdict == "CONFUSABLE") for f in found.findings},
+        truth=case.truth(),
+    )
+
+
+def _flown(case: Case, hide: Mapping[str, Mapping[str, float]]) -> tuple[Segment, ...]:
+    options = SimOptions(
+        airframe="rotor", hide={k: dict(v) for k, v in hide.items()}, seed=case.flight_seed, vehicle_seed=case.vehicle_seed,
+        noise=case.noise, gust_rms_m_s=case.gust_rms_m_s,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        return tuple(s for s in fly_campaign(options, Path(folder)) if s.usable)
+
+
+def _r2(found: Diagnosis) -> float:
+    """Of the base fit alone, the mean over channels of 1 - (RMSE / RMS about the first value)^2, over what moves."""
+    values = []
+    for entry in found.baselines.values():
+        hold, base = entry.get("hold the first value"), entry.get("base model, refitted")
+        if hold and base is not None:
+            values.append(1.0 - (base / hold) ** 2)
+    return float(np.median(values)) if values else float("nan")
+
+
+def _measured(
+    case: Case, segments: Sequence[Segment], found: Diagnosis, nominal_voltage_v: float
+) -> tuple[dict[str, float], dict[str, tuple[str, ...]], dict[str, tuple[float, float]]]:
+    """By ablation: the same flight without each hidden effect, and what of the difference the base model cannot copy."""
+    sizes: dict[str, float] = {}
+    classes: dict[str, tuple[str, ...]] = {}
+    forces: dict[str, tuple[float, float]] = {}
+    if not case.hide:
+        return sizes, classes, forces
+    oracle = [_Oracle(segments, block, nominal_voltage_v) for block in ("attitude", "translation")]
+    for name in case.hide:
+        twin = _flown(case, {k: v for k, v in case.hide.items() if k != name})
+        best = 0.0
+        for side in oracle:
+            size, effect = side.size(twin)
+            if size > best:
+                best = size
+                classes[name] = side.alike(name, effect)
+            if side.block == "translation":
+                claimed = next(
+                    (
+                        f.evidence["rms_force_left_m_s2"]
+                        for f in found.findings
+                        if f.term in (name, *classes.get(name, ()))
+                    ),
+                    0.0,
+                )
+                forces[name] = (side.force(effect), float(claimed or 0.0))
+        sizes[name] = best
+        classes.setdefault(name, (name,))
+    return sizes, classes, forces
+
+
+class _Oracle:
+    """One block of the base model on the recording, and what is left of differences beside it."""
+
+    def __init__(self, segments: Sequence[Segment], block: str, nominal_voltage_v: float) -> None:
+        self.segments, self.block = tuple(segments), block
+        self.bench = Bench(self.segments, block)
+        self.model = Model(
+            ("linear_drag", "roll_pitch_coupling") if block == "attitude" else ("linear_drag",), nominal_voltage_v
+        )
+        values = start_values(self.segments, self.model, onset_delay(self.segments))
+        start = self.bench.start(self.model, {k: v + 1.7e-4 if k.startswith("T_d") else v for k, v in values.items()})
+        names = tuple(n for n in self.bench.problem(self.model).names if self.model.term_of(n) != "roll_pitch_coupling")
+        self.state: State = self.bench.fit(self.model, start, names, iterations=15)
+        self.rows: Rows = self.bench.rows(self.model, self.state, names)
+        self.basis = orthonormal(self.rows.columns(names))
+        self.floor: Floor = floor_of(self.rows, self.segments, RESOLUTION)
+
+    def size(self, twin: Sequence[Segment]) -> tuple[float, FloatArray]:
+        """(size in noise floors, its noise taken off; the whitened difference itself with base and locals projected out)."""
+        without = {s.name: s for s in twin}
+        change = np.zeros(self.rows.sample.size)
+        for i, s in enumerate(self.segments):
+            other = without.get(s.name)
+            at = np.flatnonzero((self.rows.segment == i) & (self.rows.sample >= 0))
+            if other is None or not at.size:
+                continue
+            for c in np.unique(self.rows.channel[at]):
+                here = at[self.rows.channel[at] == c]
+                name = self.rows.channels[c]
+                sample = self.rows.sample[here]
+                since = s.t_s[sample] - s.t_step_s
+                twin_y = np.interp(since, other.t_s - other.t_step_s, other.y[name])
+                change[here] = (s.y[name][sample] - twin_y) / self.rows.scale[here]
+        change = self.bench.without_locals(change)
+        left = change - self.basis @ (self.basis.T @ change)
+        size, _ = size_in_floors(self.rows, left * self.rows.scale * (self.rows.sample >= 0), self.segments, self.floor)
+        return float(np.sqrt(max(size**2 - 2.0, 0.0))), left
+
+    def alike(self, name: str, effect: FloatArray) -> tuple[str, ...]:
+        """Ids that cannot be told from the hidden one on this recording: cosine of what is left above 0.95."""
+        known = catalogue()
+        if name not in known or block_of(known[name]) != self.block:
+            return (name,)
+        terms = [t for t in known.values() if block_of(t) == self.block and t.id not in self.model.terms]
+        plain = [t for t in terms if t.amplitudes and not t.shapes]
+        everything = self.model.with_terms(*plain)
+        names = tuple(p.name for t in plain for p in t.amplitudes if p.name in self.bench.problem(everything).names)
+        there = self.bench.moved(everything, self.state)
+        rows = self.bench.rows(everything, there, names)
+        variants = amplitude_variants(rows, plain)
+        variants += shape_variants(self.bench, self.model, self.state, [t for t in terms if t.shapes], rows)
+        own = [(v, v.columns - self.basis @ (self.basis.T @ v.columns)) for v in variants]
+        mine = [(v, c, orthonormal(c)) for v, c in own if v.term.id == name and np.linalg.norm(c) > 1e-9]
+        if not mine:
+            return (name,)
+        _, _, span = max(mine, key=lambda m: float(np.linalg.norm(m[2].T @ effect)))
+        direction = span @ (span.T @ effect)
+        length = float(np.linalg.norm(direction)) or 1.0
+        found = {name}
+        for v, c in own:
+            if np.linalg.norm(c) > 1e-9 and float(np.linalg.norm(orthonormal(c).T @ direction)) / length > CONFUSABLE:
+                found.add(v.term.id)
+        return tuple(sorted(found))
+
+    def force(self, effect: FloatArray) -> float:
+        """RMS over all samples of an effect on specific force, m/s^2, its noise taken off."""
+        total = 0.0
+        for c, name in enumerate(self.rows.channels):
+            if name.startswith("f_"):
+                at = self.rows.channel == c
+                power = float(np.mean((effect[at] * self.rows.scale[at]) ** 2)) if at.any() else 0.0
+                total += max(power - 2 * self.floor.of(name) ** 2, 0.0)
+        return float(np.sqrt(total))
