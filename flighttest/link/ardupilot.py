@@ -256,7 +256,7 @@ class LaggedYaw:
     difference, half again as fast as asked. So the rate is followed at accel_max_rad_s2 (ATC_ACC_Y_MAX; 0 is unlimited) and with a lag.
     """
 
-    def __init__(self, yaw_rad: float, accel_max_rad_s2: float, lag_s: float = 0.12) -> None:
+    def __init__(self, yaw_rad: float, accel_max_rad_s2: float, lag_s: float = 0.2) -> None:
         self.yaw_rad = yaw_rad
         self._rate = 0.0
         self._accel_max = accel_max_rad_s2 if accel_max_rad_s2 > 0 else math.inf
