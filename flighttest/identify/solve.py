@@ -8,7 +8,7 @@ variances are updated beside the parameters. Outlying responses are weighted dow
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -21,6 +21,7 @@ FloatArray = NDArray[np.float64]
 MAX_ITERATIONS = 40
 STEP_TOLERANCE = 0.05  # root mean square parameter step at the end, in standard errors of white noise
 LOCAL_TOLERANCE = 0.05  # the same for the locals, in prior standard deviations, where only they are estimated
+CHORD_TOLERANCE = 3.0  # steps smaller than this, in the same unit, keep the Jacobian
 COST_TOLERANCE = 1e-6  # or: relative decrease of the cost by the last step
 OUTLIER_RATIO = 2.5  # a response whose residual is this many times the median response's is weighted down
 SPIKE_STDS = 5.0  # a sample further out than this is weighted down
@@ -79,6 +80,7 @@ class _State:
     theta: FloatArray
     local: list[FloatArray]
     made: list[PartEvaluation]
+    stale: bool = False  # whether the Jacobian is that of a point close by
 
 
 def solve(
@@ -104,6 +106,8 @@ def solve(
     scale = np.array([p.scale for p in params])
     lower, upper = np.array([p.lower for p in params]), np.array([p.upper for p in params])
     theta = np.clip(np.array([base[n] for n in free]), lower, upper)
+    warm = noise is not None
+    least = 2 if warm or not robust else 4
     noise = noise or start_noise(problem)
     weight = np.ones(len(problem.segments))
 
@@ -120,7 +124,7 @@ def solve(
         previous = noise
         if estimate_noise:
             noise = _update_noise(problem, now, noise, weight, centres, free)
-        if robust and iteration > 2:
+        if robust and (warm or iteration > 2):
             weight = response_weights(problem, now.made, noise)
         hessian, score, backs = _normal(problem, now, noise, weight, centres, free, robust)
         h, g = hessian.sum(axis=0), score.sum(axis=0)
@@ -146,13 +150,22 @@ def solve(
                 x + back_g - np.einsum("mlp,p->ml", back_h, moved)
                 for x, (back_g, back_h) in zip(now.local, backs, strict=True)
             ]
-            trial = _State(target, trial_local, problem.evaluate(at(target), trial_local, free))
+            if active.size and _small(moved, h, active, CHORD_TOLERANCE):
+                # So near that the Jacobian is known: residuals alone cost a fifth.
+                fresh = problem.evaluate(at(target), trial_local)
+                made = [replace(old, residual=new.residual) for old, new in zip(now.made, fresh, strict=True)]
+                trial = _State(target, trial_local, made, stale=True)
+            else:
+                trial = _State(target, trial_local, problem.evaluate(at(target), trial_local, free))
             new_cost = _cost(problem, trial, noise, weight, centres, robust)
             if np.isfinite(new_cost) and new_cost <= cost * (1 + 1e-9) + 1e-9:
                 accepted = True
                 break
             rejected += 1
             damping = max(damping * 10.0, 1e-3)
+        if not accepted and now.stale:
+            now = _State(theta, now.local, problem.evaluate(at(theta), now.local, free))
+            continue
         if not accepted:
             status = FitStatus.NO_DESCENT if not _small(step, h, active, 0.2) else FitStatus.CONVERGED
             break
@@ -165,7 +178,7 @@ def solve(
             and still
             and (flat or _small(moved, h, active, STEP_TOLERANCE))
             and settled
-            and iteration > (3 if robust else 1)
+            and iteration >= least
         ):
             status = FitStatus.CONVERGED
             break
