@@ -23,17 +23,20 @@ _FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
 
 def flip_vector(vector: ArrayLike) -> FloatArray:
     """NED to NWU, FRD to FLU, and back: (..., 3) positions, velocities, accelerations or rates."""
-    return np.asarray(vector, dtype=float) * _FLIP_VECTOR
+    flipped: FloatArray = np.multiply(np.asarray(vector, dtype=float), _FLIP_VECTOR)
+    return flipped
 
 
 def flip_quaternion(q: ArrayLike) -> FloatArray:
     """Attitude FRD-to-NED as FLU-to-NWU, and back: (..., 4)."""
-    return np.asarray(q, dtype=float) * _FLIP_QUATERNION
+    flipped: FloatArray = np.multiply(np.asarray(q, dtype=float), _FLIP_QUATERNION)
+    return flipped
 
 
 def flip_euler(rpy: ArrayLike) -> FloatArray:
     """Roll, pitch, yaw (rad) of FRD in NED as those of FLU in NWU, and back: (..., 3)."""
-    return np.asarray(rpy, dtype=float) * _FLIP_VECTOR
+    flipped: FloatArray = np.multiply(np.asarray(rpy, dtype=float), _FLIP_VECTOR)
+    return flipped
 
 
 def enu_to_nwu(vector: ArrayLike) -> FloatArray:

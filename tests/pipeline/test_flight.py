@@ -63,7 +63,7 @@ def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
         "report.html",
     } <= names
     assert data["segments"] == {"used": 4, "of": 4}
-    assert data["model"]["parameters"]["sigma_r"]["value"] == pytest.approx(21.54, rel=0.03)
+    assert data["model"]["parameters"]["sigma_r"]["value"] == pytest.approx(21.54, rel=0.06)
     assert data["model"]["fingerprint"]["components"]["propellers"]
     # raw.tlog is the truth: the same can be rebuilt from it.
     code, out, _ = call("import", run / "raw.tlog", "-o", tmp_path / "again", "--json")
