@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from flighttest.channels import CHANNELS
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
-from flighttest.recording import Recording
+from flighttest.recording import Recording, Series
 
+# Far beyond any multirotor, far below what a flipped bit in a float makes; by unit.
+_IMPOSSIBLE = {
+    "rad": 1e4, "rad/s": 300.0, "m/s^2": 3e3, "m/s": 1e3, "m": 1e7, "V": 2e3, "A": 1e4, "1": 1e6,
+}  # fmt: skip
 _TABLES = {".csv", ".parquet", ".txt", ".tsv"}
 
 
@@ -17,7 +25,33 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
     path: .BIN, .tlog, .ulg, .csv or .parquet; what it is, is told from its first bytes, then from its name. columns: a column map
     (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
-    path = Path(path)
+    return possible(_read(Path(path), columns))
+
+
+def possible(recording: Recording) -> Recording:
+    """The same without values no vehicle can have (damaged bytes that still read as numbers): they become NaN, and it is said."""
+    series = dict(recording.series)
+    losses: list[str] = []
+    for group, one in recording.series.items():
+        columns = dict(one.columns)
+        for name, values in one.columns.items():
+            with np.errstate(invalid="ignore"):
+                bad = np.abs(values) > _IMPOSSIBLE[CHANNELS[name].unit]
+            if bad.any():
+                columns[name] = np.where(bad, np.nan, values)
+                first = float(one.t_s[np.flatnonzero(bad)[0]])
+                losses.append(
+                    f"{name}: {int(np.count_nonzero(bad))} values are impossible and were dropped (first at {first:.3f} s)"
+                )
+        if losses:
+            series[group] = Series(one.t_s, columns)
+    if not losses:
+        return recording
+    provenance = replace(recording.provenance, losses=(*recording.provenance.losses, *losses))
+    return replace(recording, series=series, provenance=provenance)
+
+
+def _read(path: Path, columns: Path | str | None) -> Recording:
     file = LogFile(path)
     head = file.head()
     if not head:

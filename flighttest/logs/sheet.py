@@ -247,6 +247,8 @@ def _crazyflie_blocks(file: LogFile, data: bytes) -> Sheet:
     raw.update({name: table[name].astype(float) for name in (fixed.names or ())[2:]})
     losses = list(file.losses)
     checked = lost == _CRC_BYTES and zlib.crc32(data[:-_CRC_BYTES]) == int.from_bytes(data[-_CRC_BYTES:], "little")
-    if lost and not checked:
+    if lost == _CRC_BYTES and not checked:
+        losses.append("the checksum at the end of the log does not fit: some of its values are damaged")
+    elif lost and not checked:
         losses.append(f"the last {lost} of {len(data)} bytes could not be read")
     return Sheet(str(file.path), raw, losses, crazyflie=True)

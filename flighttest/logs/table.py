@@ -20,7 +20,7 @@ from flighttest.logs.columns import STEP, TIME, ColumnMap, load_columns, plain_m
 from flighttest.logs.crazyflie import crazyflie_map
 from flighttest.logs.opening import LogFile
 from flighttest.logs.sheet import Sheet, read_sheet
-from flighttest.logs.timing import ordered
+from flighttest.logs.timing import ordered, outliers
 from flighttest.recording import Marker, Provenance, Recording, Series
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +28,7 @@ Columns = dict[str, FloatArray]
 
 _HALF_TURN_X = np.array([0.0, 1.0, 0.0, 0.0])
 _ANGLES = ("roll", "pitch", "yaw")
+_WILD_MAX = 0.05
 _PIECE_ROWS = 10
 _PIECE_GAP_S = 10.0
 _UPSIDE_DOWN_RAD = np.pi / 2
@@ -57,7 +58,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
             losses.append(
                 f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else "")
             )
-    t_s, pieces = _one_after_another(_time(path, sheet, plan), losses)
+    t_s, pieces = _one_after_another(_tame(_time(path, sheet, plan), losses), losses)
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
     _derive(t_s, found, derived)
@@ -107,6 +108,21 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
             f"{path}: time does not pass: column t_s has {finite.size} usable values", "check the column map"
         )
     return t_s
+
+
+def _tame(t_s: FloatArray, losses: list[str]) -> FloatArray:
+    """Without single stamps far from their neighbours: they are damaged (NaN), where the rest makes sense."""
+    usual = float(np.nanmedian(np.abs(np.diff(t_s))))
+    if usual > 0.2:  # too slow a table to tell
+        return t_s
+    wild = outliers(t_s)
+    if not wild.any() or np.count_nonzero(wild) > _WILD_MAX * wild.size:
+        return t_s
+    row = int(np.flatnonzero(wild)[0])
+    losses.append(
+        f"{int(np.count_nonzero(wild))} rows have a damaged time and were dropped (the first is data row {row + 1})"
+    )
+    return np.where(wild, np.nan, t_s)
 
 
 def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, FloatArray | None]:
@@ -243,7 +259,7 @@ def _grouped(t_s: FloatArray, found: Columns, losses: list[str]) -> dict[str, Se
         if not columns:
             continue
         # A slow group in a fast table has empty cells between its samples: they are no gaps.
-        present = np.isfinite(np.stack(list(columns.values()))).any(axis=0)
+        present = np.isfinite(np.stack(list(columns.values()))).any(axis=0) & np.isfinite(t_s)
         if not present.any():
             losses.append(f"{', '.join(columns)}: no values")
             continue
@@ -284,6 +300,8 @@ def _steps(t_s: FloatArray, step: FloatArray) -> list[Marker]:
     starts = np.flatnonzero(np.concatenate([[True], np.diff(number) != 0]))
     markers: list[Marker] = []
     for i in starts:
+        if not np.isfinite(t_s[i]):
+            continue
         if number[i] >= 0:
             label = f"step {number[i]:g}"
             markers.append(Marker(float(t_s[i]), "leg", label, {"leg": label, "step": float(number[i])}))

@@ -47,7 +47,7 @@ def cut(recording: Recording) -> tuple[Segment, ...]:
         return ()
     references = ed.references_of(recording)
     marks = marked(recording)
-    found = _by_marks(references, marks) if marks else _by_references(recording, references, aligned)
+    found = _by_marks(references, marks, aligned) if marks else _by_references(recording, references, aligned)
     cutter = _Cutter(recording, references, aligned)
     return _named(cutter.segment(response, mark) for response, mark in found)
 
@@ -65,7 +65,9 @@ def _responses(references: References | None, exact: Tolerance = EXACT) -> list[
     ]
 
 
-def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tuple[Response, Marked | None]]:
+def _by_marks(
+    references: References | None, marks: Sequence[Marked], aligned: Aligned
+) -> list[tuple[Response, Marked | None]]:
     rows = _responses(references)
     every = [(r, row, edges) for row, edges in rows for r in ed.responses(row, edges)]
     found: list[tuple[Response, Marked | None]] = []
@@ -84,7 +86,8 @@ def _by_marks(references: References | None, marks: Sequence[Marked]) -> list[tu
         if near and (mark.record_s is None or mark.numbered):
             found.append((near[0], mark))
         elif mark.record_s is not None:
-            found += [(window, mark) for window in windows(*mark.record_s)]
+            spans = _recorded(aligned, *mark.record_s)
+            found += [(window, mark) for span in spans for window in windows(*span)]
         elif mark.kinds:
             found.append((_missed(references, mark, mark.start_s), mark))
     return found
@@ -160,7 +163,9 @@ def _recorded(aligned: Aligned, start_s: float, end_s: float) -> list[tuple[floa
     if t.size < 2:
         return []
     pauses = np.flatnonzero(np.diff(t) > _PAUSE_S)
-    bounds = [start_s, *(x for i in pauses for x in (float(t[i]), float(t[i + 1]))), end_s]
+    first = start_s if t[0] - start_s <= _PAUSE_S else float(t[0])
+    last = end_s if end_s - t[-1] <= _PAUSE_S else float(t[-1])
+    bounds = [first, *(x for i in pauses for x in (float(t[i]), float(t[i + 1]))), last]
     return list(zip(bounds[::2], bounds[1::2], strict=True))
 
 
@@ -215,6 +220,7 @@ class _Cutter:
                 "later_edges_s": response.later_edges_s,
                 "filters": dict(self.recording.provenance.filters),
                 "reference_clock": self.recording.provenance.reference_clock,
+                "derived": dict(self.recording.provenance.derived),
                 "clock_error_s": float(self.recording.provenance.clock.get("error_s") or 0.0),
             },
         )

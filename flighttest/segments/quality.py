@@ -63,7 +63,7 @@ def _holes(response: Response, t_s: FloatArray, y: Mapping[str, FloatArray]) -> 
     found: set[Flaw] = set()
     names = [n for n in _PRIMARY.get(response.kind, ()) if n in y]
     if not names:
-        names = [n for n in ("roll_rad", "a_z_m_s2", "v_x_m_s") if n in y][:1]
+        names = [n for n in ("roll_rad", "a_z_m_s2", "f_z_m_s2", "v_x_m_s") if n in y][:1]
     for name in names:
         good = np.isfinite(y[name])
         if np.count_nonzero(good) < 0.2 * t_s.size or np.count_nonzero(good) < 4:

@@ -167,3 +167,14 @@ def test_old_logs_are_read(shared_data):
     assert 0.0 <= np.nanmin(r.channel("throttle")[1]) <= np.nanmax(r.channel("throttle")[1]) <= 1.0
     late = import_log(shared_data / "arducopter_logs" / "copter_3.4_mechanical_failure.bin")
     assert 15.0 < np.nanmedian(late.channel("voltage_v")[1]) < 17.0
+
+
+def test_values_no_vehicle_can_have_are_dropped_and_told(flight, tmp_path):
+    w = flight()
+    data = bytearray(w.data)
+    at = data.find(b"\xa3\x95" + bytes([w.kinds["ATT"][0]]), len(data) // 2)
+    data[at + 3 + 12 : at + 3 + 16] = b"\x00\x00\x80\x7e"  # roll of 8.5e37 degrees
+    (tmp_path / "a.BIN").write_bytes(data)
+    r = import_log(tmp_path / "a.BIN")
+    assert any(loss.startswith("roll_rad: 1 values are impossible") for loss in r.provenance.losses)
+    assert np.isnan(r.channel("roll_rad")[1]).sum() == 1
