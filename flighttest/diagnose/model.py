@@ -126,6 +126,7 @@ class Diagnosis:
     mass: Mapping[str, Any] = field(default_factory=dict)
     next_flight: str | None = None
     next_script: Mapping[str, Any] | None = None
+    next_reason: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     complete: bool = True
     runs: tuple[str, ...] = ()

@@ -14,6 +14,7 @@ from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, short
+from flighttest.diagnose.next_flight import Question, propose
 from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
@@ -197,6 +198,8 @@ def _assembled(
         for search in searches:
             assert search.floor is not None
             formulas += describe(search, segments, groups, search.floor)
+    tell("choosing the next flight")
+    proposal = _next(searches, findings, unseen, {t.id: t for t in pool}) if complete else {}
     final = Model(
         (*model.terms, *accepted),
         model.nominal_voltage_v,
@@ -229,10 +232,48 @@ def _assembled(
         cost={"added_parameters": len(after_table) - len(before_table), "held_out_groups": group_name},
         unknown=tuple(formulas),
         mass=mass_test(previous, after_table),
+        next_flight="next.yaml" if proposal else None,
+        next_script=proposal.get("script"),
+        next_reason={k: v for k, v in proposal.items() if k != "script"},
         notes=tuple(notes),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
+
+
+def _next(
+    searches: Sequence[Search], findings: Sequence[Any], unseen: Sequence[Untestable], terms: Mapping[str, Term]
+) -> dict[str, Any]:
+    """The flight that tells rivals apart; where there are none, one that shows what could not be seen."""
+    for search in searches:
+        assert search.now is not None
+        values = {
+            **search.now.model.start(),
+            **{k: v for s in searches if s.now for k, v in s.now.state.values.items()},
+        }
+        asked = []
+        for f in (f for f in findings if f.term in search.judged):
+            for r in (r for r in f.rivals if r.verdict == "CONFUSABLE"):
+                size = {n: search.now.state.values[n] for n in f.parameters}
+                asked.append(Question(terms[f.term], terms[r.term], size))
+        if asked and (made := propose(search, asked[:2], values)):
+            return made
+    hidden = [u for u in unseen if not u.why.startswith("not recorded")]
+    for search in searches:
+        assert search.now is not None
+        values = {
+            **search.now.model.start(),
+            **{k: v for s in searches if s.now for k, v in s.now.state.values.items()},
+        }
+        here = {t.id for t in search.pool}
+        asked = [
+            Question(terms[u.term], None, {p.name: p.nominal for p in terms[u.term].params})
+            for u in hidden
+            if u.term in here
+        ]
+        if asked and (made := propose(search, asked[:1], values)):
+            return made
+    return {}
 
 
 def _held(h: Any) -> dict[str, Any]:

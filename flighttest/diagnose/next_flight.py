@@ -1,0 +1,176 @@
+"""Which flight would tell: shipped maneuvers are rehearsed with the fitted model, and the one whose data would separate the rivals
+best, or show best what could not be seen, is written as a script.
+
+The expected odds are those of the information the rehearsed data would carry: half the squared length of what of the effect no rival
+and no base parameter can copy, in noise standard deviations, correlation taken into account, as odds to one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import yaml
+
+from flighttest.diagnose.bench import Bench, State
+from flighttest.diagnose.screen import orthonormal
+from flighttest.diagnose.search import Fitted, Search
+from flighttest.errors import FlighttestError
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+from flighttest.physics.simulate import simulate
+from flighttest.script.load import load_script
+from flighttest.script.model import Script
+from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
+from flighttest.script.shipped import resolve, shipped_names
+from flighttest.segments.model import Segment
+
+RATE_HZ = 50.0
+MOST_CELLS = 12
+MOST_REPEATS = 4
+STOP_S = 0.4
+CORRELATED = 10.0  # real residuals are correlated over several samples; rehearsed ones are not
+TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop", "thrust_hover", "roll_pitch")
+
+
+@dataclass(frozen=True)
+class Question:
+    """What the next flight is for: a term, and the rival it must be told from ('' to see the term at all)."""
+
+    term: Term
+    rival: Term | None
+    size: Mapping[str, float]
+
+
+def propose(search: Search, questions: Sequence[Question], values: Mapping[str, float]) -> dict[str, Any]:
+    """The maneuver with the best odds for the first question that any maneuver can answer; {} when none can."""
+    assert search.now is not None
+    for question in questions:
+        names = dict.fromkeys([question.term.reveals, *([question.rival.reveals] if question.rival else []), *TRIED])
+        best: tuple[float, str] | None = None
+        for name in [n for n in names if n in shipped_names()][:5]:
+            try:
+                script = load_script(resolve(name))
+                segments = rehearsed(script, search.now.model, values, search.bench.segments)
+                odds = log_odds(segments, search.now, search.bench.block, question)
+            except (FlighttestError, np.linalg.LinAlgError):
+                continue  # a maneuver this model cannot rehearse is no proposal
+            if best is None or odds > best[0]:
+                best = odds, name
+        if best is not None and best[0] > 1.0:
+            return _proposal(question, best[1], best[0])
+    return {}
+
+
+def _proposal(question: Question, name: str, odds: float) -> dict[str, Any]:
+    script = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
+    rival = question.rival.id if question.rival else None
+    aim = f"to tell {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
+    to_one = math.exp(min(odds, 23.0))
+    script |= {"name": "next", "doc": f"{name}, {aim}; expected odds {to_one:.2g} to 1"}
+    return {
+        "maneuver": name,
+        "separates": [question.term.id, *([rival] if rival else [])],
+        "expected_odds": to_one,
+        "sentence": f"Fly {name} {aim}: expected odds {to_one:.2g} to 1.",
+        "script": script,
+    }
+
+
+def cells_of(script: Script, throttle_unit: float) -> list[Cell]:
+    """Distinct steps of a script, at most a dozen, spread over it."""
+    found = [
+        c
+        for m in script.steps
+        for c in PROFILES[m.profile].cells(m.settings, throttle_unit)
+        if c.lead and not c.waypoints
+    ]
+    found = [c for c in found if not c.motors_off]
+    if len(found) <= MOST_CELLS:
+        return found
+    return [found[int(i)] for i in np.linspace(0, len(found) - 1, MOST_CELLS)]
+
+
+def rehearsed(
+    script: Script, model: Model, values: Mapping[str, float], flown: Sequence[Segment]
+) -> tuple[Segment, ...]:
+    """What the script's steps would record, as the model has it; voltage as in the segments already flown."""
+    hover = model.g_m_s2 / values["K"]
+    volts = [float(np.nanmean(s.y["voltage_v"])) for s in flown if "voltage_v" in s.y] or [model.nominal_voltage_v]
+    headings = script.reset.heading_rad or (0.0,)
+    unit = hover if script.throttle_unit == "hover" else 1.0
+    found = []
+    for repeat in range(min(script.repeat.each, MOST_REPEATS)):
+        for k, cell in enumerate(cells_of(script, unit)):
+            voltage = float(np.quantile(volts, (repeat + 0.5) / max(script.repeat.each, 1)))
+            found.append(
+                _segment(cell, model, values, hover, headings[repeat % len(headings)], voltage, script, repeat, k)
+            )
+    return tuple(found)
+
+
+def _segment(
+    cell: Cell,
+    model: Model,
+    values: Mapping[str, float],
+    hover: float,
+    heading: float,
+    voltage: float,
+    script: Script,
+    repeat: int,
+    k: int,
+) -> Segment:
+    level = hover * (model.nominal_voltage_v / voltage) ** values["alpha"]
+    pieces: list[Piece] = list(cell.lead)
+    if cell.counter is not None:
+        c = cell.counter
+        pieces.append(Piece(c.name, STOP_S, c.roll_rad, c.pitch_rad, c.yaw_rate_rad_s, c.throttle))
+    pieces += [p for p in cell.tail if p.duration_s > 0]
+    line = Timeline(tuple(pieces), level, "angle_boost" in model.terms)
+    t = np.arange(0.0, max(line.duration_s, 0.6), 1.0 / RATE_HZ)
+    targets = [line(float(x)) for x in t]
+    table = {
+        "roll_ref_rad": [x.roll_rad for x in targets], "pitch_ref_rad": [x.pitch_rad for x in targets],
+        "yaw_rate_ref_rad_s": [x.yaw_rate_rad_s for x in targets], "throttle": [x.throttle for x in targets],
+    }  # fmt: skip
+    begin = np.concatenate([[-1.0], t])
+    u = {n: (begin, np.array([v[0], *v])) for n, v in table.items()}
+    height = cell.height_m if cell.height_m is not None else script.reset.to_m[2]
+    start = {"p_z_m": height, "yaw_rad": heading, "a_t_m_s2": model.g_m_s2 * targets[0].throttle / level}
+    y = simulate(model, values, t, start, u, {"voltage_v": (t[[0, -1]], np.array([voltage, voltage]))})
+    y |= {"voltage_v": np.full(t.size, voltage), "height_m": y["p_z_m"]}
+    step = float(next((sum(q.duration_s for q in pieces[:i]) for i, q in enumerate(pieces) if q.record), 0.0))
+    return Segment(
+        name=f"{script.name}-{k}-{repeat}", run="rehearsal", kind=cell.kind, cell=cell.values, repeat=repeat, t_step_s=step,
+        t_s=t, y=y, u=u, maneuver=script.name, heading_rad=heading, time_since_takeoff_s=30.0 + 8.0 * k + 120.0 * repeat,
+    )  # fmt: skip
+
+
+def log_odds(segments: tuple[Segment, ...], now: Fitted, block: str, question: Question) -> float:
+    """Information in nats about the question that this data would carry."""
+    bench = Bench(segments, block)
+    rivals = [t for t in (question.rival,) if t is not None and t.id not in now.model.terms]
+    model = now.model.with_terms(*([question.term] if question.term.id not in now.model.terms else []), *rivals)
+    if not bench.problem(model).parts:
+        return 0.0
+    state = State({**model.start(), **now.state.values}, {}, now.state.noise, np.inf)
+    off = {p.name: float(p.off or 0.0) for t in (question.term, *rivals) for p in t.amplitudes}
+    on = {**off, **dict(question.size)}
+    known = bench.problem(model).names
+    own = [p.name for p in question.term.params if p.name in known]
+    others = [n for n in known if n not in own]
+    rows = bench.rows(model, bench.moved(model, state, on), tuple(known))
+    if question.term.amplitudes:
+        amplitudes = [p for p in question.term.amplitudes if p.name in known]
+        effect = rows.columns([p.name for p in amplitudes]) @ np.array(
+            [on[p.name] - float(p.off or 0.0) for p in amplitudes]
+        )
+    else:
+        without = model.without_terms(question.term.id)
+        effect = bench.secant(model, bench.moved(model, state, on), without, bench.moved(without, state))
+    basis = orthonormal(rows.columns(others))
+    left = effect - basis @ (basis.T @ effect)
+    return 0.5 * float(left @ left) / CORRELATED
