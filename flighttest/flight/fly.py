@@ -181,14 +181,15 @@ class _Flight:
         beat = session.connect()
         if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
             raise LinkError("the vehicle is not ArduPilot", "PX4 is flown with `firmware: px4` in vehicle.yaml")
+        offered = params.offered(session, lockstep.PARAMETER)
+        if offered is not None:
+            if offered != 1.0:
+                params.write(session, lockstep.PARAMETER, 1.0, {lockstep.PARAMETER: offered}, stops_time=True)
+            session.enter_lock_step()
+            self.recorder.use_clock(session.clock.ground_s)
         self._say("reading parameters")
         self._parameters = params.read_all(session)
         simulator = preflight.is_simulator(self._parameters)
-        if lockstep.PARAMETER in self._parameters:
-            if self._parameters[lockstep.PARAMETER] != 1.0:
-                params.write(session, lockstep.PARAMETER, 1.0, self._parameters, stops_time=True)
-            session.enter_lock_step()
-            self.recorder.use_clock(session.clock.ground_s)
         firmware = vehicle.firmware()
         self.recorder.manifest.update(
             firmware=f"ArduCopter {firmware}" if firmware else "", parameters=self._parameters

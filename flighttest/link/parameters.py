@@ -114,11 +114,17 @@ def _request(name: str, index: int, system: int) -> Message:
     )
 
 
-def _ask(session: Session, name: str) -> Message | None:
-    for _ in range(_TRIES):
+def offered(session: Session, name: str) -> float | None:
+    """A parameter that most vehicles do not have: asked for twice, since an unknown name is answered by silence."""
+    answer = _ask(session, name, tries=2, answer_s=0.4)
+    return None if answer is None else float(answer.param_value)
+
+
+def _ask(session: Session, name: str, tries: int = _TRIES, answer_s: float = _ANSWER_S) -> Message | None:
+    for _ in range(tries):
         session.send(_request(name, -1, session.vehicle_system))
         answer = session.await_message(
-            lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, _ANSWER_S * max(session.clock.pace, 1.0)
+            lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, answer_s * max(session.clock.pace, 1.0)
         )
         if answer is not None:
             return answer

@@ -192,5 +192,8 @@ class Session:
                 f"no HEARTBEAT of an autopilot within {timeout_s:.0f} s",
                 "check the URL, that the vehicle is on, and that it sends to this port",
             )
-        self.await_message(lambda m: m.get_type() == "TIMESYNC" and m.tc1 != 0, 3.0)
+        for _ in range(10):
+            self._next_timesync_s = 0.0
+            if self.await_message(lambda m: m.get_type() == "TIMESYNC" and m.tc1 != 0, 0.1) is not None:
+                break
         return beat
