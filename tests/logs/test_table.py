@@ -218,6 +218,15 @@ def test_a_column_map_lists_all_its_problems_with_lines():
     assert "did you mean `deg`" in lines[2]
 
 
+def test_the_map_in_the_documentation_is_one(repository):
+    text = (repository / "docs" / "formats.md").read_text()
+    block = next(b for b in text.split("```") if "format: columns/1" in b).removeprefix("yaml\n")
+    columns = parse_columns(block)
+    assert (columns.world, columns.body, columns.rate_hz) == ("ENU", "FRD", 100)
+    assert columns.columns["v_x_m_s"].columns == ("vel[0]",)
+    assert columns.filters_hz == {"specific_force": 20.0}
+
+
 def test_a_column_that_is_not_there_is_named(tmp_path, t):
     with pytest.raises(RecordingError, match=r"no column 'rol'.*did you mean 'roll'"):
         mapped(tmp_path, "columns:\n  t_s: t\n  roll_rad: rol\n", t=t, roll=0 * t)
