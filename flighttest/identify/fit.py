@@ -179,6 +179,7 @@ def _best(problem: Problem, robust: bool, nominal: Mapping[str, float]) -> Solut
         # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
         coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
         start, noise = coarse.values, coarse.noise
+        problem.values = dict(coarse.values)  # which also sets the integrator's step
     first = solve(problem, start, robust=robust, noise=noise)
     if first.status.good:
         return first

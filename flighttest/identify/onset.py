@@ -145,7 +145,7 @@ def start_values(segments: Sequence[Segment], model: Model, delay: OnsetDelay | 
     for name, kind in (("sigma_r", "yaw_rate_step"), ("sigma_t", "throttle_step")):
         t63 = median([o.t63_s for o in found if o.kind == kind and o.t63_s])
         if t63 is not None:
-            values[name] = 1.0 / max(t63, 0.01)
+            values[name] = 1.0 / max(t63, 1.0 / 30.0)  # an onset seen late makes the rest look quick
     gain = thrust_gain(segments, model.nominal_voltage_v)
     if gain is not None:
         values["K"] = gain
