@@ -27,7 +27,6 @@ class LiveProgress:
         self._started_s = clock()
         self._live: Live | None = None
         self._last_line_s = -float("inf")
-        self._last_leg = ""
 
     def __enter__(self) -> LiveProgress:
         return self
@@ -44,14 +43,15 @@ class LiveProgress:
 
     def flight(self, progress: Any) -> None:
         """The flight went on: redraw the picture, or now and then a line."""
-        if self._show.live:
+        if self._show.live and progress.legs:
             if self._live is None:
                 self._live = Live(console=self._show.side, refresh_per_second=8, transient=True)
                 self._live.start()
             self._live.update(picture(progress))
+        if self._show.live:
             return
         now_s = self._clock()
-        if now_s - self._last_line_s >= PLAIN_EVERY_S:
+        if progress.legs and now_s - self._last_line_s >= PLAIN_EVERY_S:
             self._last_line_s = now_s
             self._show.say(f"{now_s - self._started_s:6.1f} s  {line(progress)}")
 
