@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest.documents import Document, Node, kind_of
 from flighttest.errors import ModelError
+from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
@@ -106,6 +107,9 @@ def as_data(
             for c, q in found.quality.items()
         },
         "outliers": [o.sentence for o in found.outliers],
+        "bootstrap_std": {
+            n: _number(v) for n, v in bootstrap_std(found.solution.normal, found.covariance.names).items()
+        },
         "ties": [t.sentence for t in found.ties],
         "voltage_spread_at_equal_throttle_v": _number(found.voltage_spread_v),
         **(extra_quality or {}),

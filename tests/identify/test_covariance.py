@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.covariance import (
     clock_std_s,
     cluster_covariance,
@@ -83,3 +84,13 @@ def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):
     assert added[at["T_d_thrust"], at["T_d_thrust"]] == pytest.approx(4e-6)
     assert np.all(added[at["K"]] == 0.0)
     assert clock_std_s(found.problem) == 0.0
+
+
+def test_resampling_responses_gives_the_same_errors(found):
+    std = bootstrap_std(found.solution.normal, found.covariance.names)
+    for name in ("K", "alpha", "sigma_t", "d_z", "omega_phi"):
+        robust = np.sqrt(
+            found.covariance.matrix[found.covariance.names.index(name), found.covariance.names.index(name)]
+        )
+        assert std[name] == pytest.approx(robust, rel=0.35), name
+    assert bootstrap_std(Normal(("a",), np.ones((2, 1, 1)), np.zeros((2, 1))), ("a",)) == {}
