@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot_notes import firmware, markers, parameter_changes, parameters, state
-from flighttest.logs.dataflash import Dataflash, Table, read_dataflash
+from flighttest.logs.ardupilot_targets import Targets
+from flighttest.logs.dataflash import Dataflash, Table, read_dataflash, stack
 from flighttest.logs.opening import LogFile
-from flighttest.logs.timing import Times, held_union, ordered
+from flighttest.logs.timing import Times, ordered
 from flighttest.mavlink import offset_m
 from flighttest.recording import Provenance, Recording, Series
 
@@ -112,11 +113,12 @@ class _Importer:
         self._put(series, "attitude", self._attitude(angles))
         self._put(series, "rates", self._rates())
         self._put(series, "specific_force", self._specific_force())
-        self._put(series, "shaped", self._shaped(angles))
+        targets = Targets(self.tables, angles, self.derived, self.losses)
+        self._put(series, "shaped", targets.shaped())
         marks = markers(self.tables, self.losses)
         self._put(series, "state", state(self.tables))
-        self._put(series, "reference", self._reference(series))
-        self._put(series, "output", self._output())
+        self._put(series, "reference", targets.reference(series.get("state")))
+        self._put(series, "output", targets.output())
         self._motion(series)
         self._put(series, "height", self._height(series))
         self._put(series, "battery", self._battery())
@@ -186,104 +188,28 @@ class _Importer:
         if angles is None:
             return None
         name, table, t_s = angles
-        rpy = frames.flip_euler(np.radians(_stack(table, "Roll", "Pitch", "Yaw")))
+        rpy = frames.flip_euler(np.radians(stack(table, "Roll", "Pitch", "Yaw")))
         rpy[:, 2] = frames.wrap_angle(rpy[:, 2])
-        return ordered(t_s, _named(rpy, "roll_rad", "pitch_rad", "yaw_rad"), name, self.losses)
+        return ordered(t_s, named(rpy, "roll_rad", "pitch_rad", "yaw_rad"), name, self.losses)
 
     def _rates(self) -> Series | None:
         rate, imu = self.tables.get("RATE"), self._instance("IMU", "I")
         names = ("p_rad_s", "q_rad_s", "r_rad_s")
         if rate is not None and (imu is None or len(rate[0]) >= 0.9 * len(imu[0])):
-            values = np.radians(_stack(rate[0], "R", "P", "Y"))
-            return ordered(rate[1], _named(frames.flip_vector(values), *names), "RATE", self.losses)
+            values = np.radians(stack(rate[0], "R", "P", "Y"))
+            return ordered(rate[1], named(frames.flip_vector(values), *names), "RATE", self.losses)
         if imu is None:
             return None
         return ordered(
-            imu[1], _named(frames.flip_vector(_stack(imu[0], "GyrX", "GyrY", "GyrZ")), *names), "IMU", self.losses
+            imu[1], named(frames.flip_vector(stack(imu[0], "GyrX", "GyrY", "GyrZ")), *names), "IMU", self.losses
         )
 
     def _specific_force(self) -> Series | None:
         imu = self._instance("IMU", "I")
         if imu is None:
             return None
-        values = frames.flip_vector(_stack(imu[0], "AccX", "AccY", "AccZ"))
-        return ordered(imu[1], _named(values, "f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), "IMU", self.losses)
-
-    def _targets(
-        self, angles: tuple[str, Table, FloatArray] | None, suffix: str
-    ) -> list[tuple[FloatArray, dict[str, FloatArray]]]:
-        """The autopilot's own attitude and yaw rate targets, NWU/FLU, with the channels' suffix."""
-        parts: list[tuple[FloatArray, dict[str, FloatArray]]] = []
-        if angles is not None and "DesRoll" in angles[1] and "DesPitch" in angles[1]:
-            table = angles[1]
-            target = np.radians(_stack(table, "DesRoll", "DesPitch")) * [1.0, -1.0]
-            columns = {f"roll_{suffix}_rad": target[:, 0], f"pitch_{suffix}_rad": target[:, 1]}
-            one = ordered(angles[2], columns, angles[0], [])
-            parts.append((one.t_s, dict(one.columns)))
-        if "RATE" in self.tables:
-            table, t_s = self.tables["RATE"]
-            one = ordered(t_s, {f"yaw_rate_{suffix}_rad_s": -np.radians(table.get("YDes"))}, "RATE", [])
-            parts.append((one.t_s, dict(one.columns)))
-        return parts
-
-    def _shaped(self, angles: tuple[str, Table, FloatArray] | None) -> Series | None:
-        parts = self._targets(angles, "shaped")
-        return held_union(parts) if parts else None
-
-    def _reference(self, series: dict[str, Series]) -> Series | None:
-        throttle = self._throttle_in()
-        guia = self.tables.get("GUIA")
-        if guia is not None:
-            table, t_s = guia
-            columns = {
-                "roll_ref_rad": np.radians(table.get("Roll")),
-                "pitch_ref_rad": -np.radians(table.get("Pitch")),
-                "yaw_rate_ref_rad_s": -np.radians(table.get("YawRt")),
-            }
-            thrust = table.get("Thrust")
-            direct = bool(np.any(thrust > 0)) or "ClimbRt" not in table or not bool(np.any(table.get("ClimbRt") != 0))
-            if direct:
-                columns["throttle"] = thrust
-            one = ordered(t_s, columns, "GUIA", self.losses)
-            parts = [_ended_by_mode(one, series.get("state"))]
-            if not direct and throttle is not None:
-                self.derived["throttle"] = (
-                    "CTUN: the targets were climb rates (GUID_OPTIONS bit 3 not set), so the throttle is the altitude controller's"
-                )
-                parts.append(throttle)
-            return held_union(parts, 0.0) if len(parts) > 1 else Series(*parts[0])
-        parts = self._targets(self._denser("ANG", "ATT"), "ref")
-        for _, columns in parts:
-            for name in columns:
-                self.derived[name] = "the autopilot's own target stands in for the reference: the log has no GUIA"
-        if throttle is not None:
-            self.derived["throttle"] = "CTUN: the throttle the mode asked for, before tilt boost; the log has no GUIA"
-            parts.append(throttle)
-        return held_union(parts) if parts else None
-
-    def _throttle_in(self) -> tuple[FloatArray, dict[str, FloatArray]] | None:
-        return self._ctun("throttle", "ThI", "ThrIn")
-
-    def _ctun(self, channel: str, name: str, old: str) -> tuple[FloatArray, dict[str, FloatArray]] | None:
-        if "CTUN" not in self.tables:
-            return None
-        table, t_s = self.tables["CTUN"]
-        if name in table:
-            values = table.get(name)
-        elif old in table:
-            values = table.get(old) * 1e-3  # 0..1000 before Copter 3.3
-        else:
-            return None
-        one = ordered(t_s, {channel: values}, "CTUN", [])
-        return one.t_s, dict(one.columns)
-
-    def _output(self) -> Series | None:
-        found = self._ctun("throttle_out", "ThO", "ThrOut")
-        if "RATE" in self.tables and "AOut" in self.tables["RATE"][0]:
-            table, t_s = self.tables["RATE"]
-            if found is None or len(table) > found[0].size:
-                return ordered(t_s, {"throttle_out": table.get("AOut")}, "RATE", [])
-        return Series(*found) if found is not None else None
+        values = frames.flip_vector(stack(imu[0], "AccX", "AccY", "AccZ"))
+        return ordered(imu[1], named(values, "f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), "IMU", self.losses)
 
     def _motion(self, series: dict[str, Series]) -> None:
         for name in ("XKF1", "NKF1", "EKF1"):
@@ -291,11 +217,11 @@ class _Importer:
             if ekf is None:
                 continue
             table, t_s = ekf
-            velocity, position = _stack(table, "VN", "VE", "VD"), _stack(table, "PN", "PE", "PD")
+            velocity, position = stack(table, "VN", "VE", "VD"), stack(table, "PN", "PE", "PD")
             if not np.any(velocity):
                 continue
-            self._put(series, "velocity", ordered(t_s, _named(frames.flip_vector(velocity), *_V), name, self.losses))
-            self._put(series, "position", ordered(t_s, _named(frames.flip_vector(position), *_P), name, []))
+            self._put(series, "velocity", ordered(t_s, named(frames.flip_vector(velocity), *_V), name, self.losses))
+            self._put(series, "position", ordered(t_s, named(frames.flip_vector(position), *_P), name, []))
             return
         self._gps(series)
 
@@ -309,7 +235,7 @@ class _Importer:
         table, t_s = gps[0].where(fix), gps[1][fix]
         course = np.radians(table.get("GCrs"))
         ned = np.stack([table.get("Spd") * np.cos(course), table.get("Spd") * np.sin(course), table.get("VZ")], axis=-1)
-        self._put(series, "velocity", ordered(t_s, _named(frames.flip_vector(ned), *_V), "GPS", self.losses))
+        self._put(series, "velocity", ordered(t_s, named(frames.flip_vector(ned), *_V), "GPS", self.losses))
         lat, lon, up = table.get("Lat"), table.get("Lng"), table.get("Alt")
         north, west = offset_m(float(lat[0]), float(lon[0]), lat, lon)
         columns = {"p_x_m": north, "p_y_m": west, "p_z_m": up - up[0]}
@@ -367,31 +293,14 @@ def known_filters(parameters: dict[str, float]) -> dict[str, float]:
     return {group: parameters[name] for group, name in pairs if parameters.get(name, 0.0) > 0}
 
 
-def _ended_by_mode(series: Series, state_series: Series | None) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Targets count only in the mode they were sent in: where it changes, the reference becomes unknown (NaN) until the next target."""
-    guided = (4.0, 20.0)
-    t, columns = series.t_s, dict(series.columns)
-    if state_series is None or "mode" not in state_series.columns:
-        return t, columns
-    mode = state_series.columns["mode"]
-    left = np.flatnonzero(np.isin(mode[:-1], guided) & (mode[1:] != mode[:-1])) + 1
-    ends = np.setdiff1d(state_series.t_s[left], t)
-    order = np.argsort(np.concatenate([t, ends]), kind="stable")
-    blank = np.full(ends.size, np.nan)
-    return np.concatenate([t, ends])[order], {n: np.concatenate([v, blank])[order] for n, v in columns.items()}
-
-
 def _sound(table: Table) -> Table:
     """The fields that are what their name says, text or one number: a damaged FMT can make them anything."""
     raw = {n: v for n, v in table.raw.items() if v.ndim == 1 and (v.dtype.kind == "S") == (n in _TEXTS)}
     return Table(table.format, table.at, raw)
 
 
-def _stack(table: Table, *names: str) -> FloatArray:
-    return np.stack([table.get(name) for name in names], axis=-1)
-
-
-def _named(values: FloatArray, *names: str) -> dict[str, FloatArray]:
+def named(values: FloatArray, *names: str) -> dict[str, FloatArray]:
+    """Columns (n,) of values (n, names) by name."""
     return {name: values[:, i] for i, name in enumerate(names)}
 
 

@@ -252,6 +252,11 @@ def read_dataflash(pieces: Iterable[bytes], wanted: Mapping[str, tuple[str, ...]
     )
 
 
+def stack(table: Table, *names: str) -> NDArray[np.float64]:
+    """Several numeric fields side by side: (n, fields)."""
+    return np.stack([table.get(name) for name in names], axis=-1)
+
+
 def _parse_format(message: bytes) -> Format | None:
     """The layout an FMT message declares; None where it contradicts itself (damaged, or not an FMT at all)."""
     kind, length = message[3], message[4]
