@@ -123,12 +123,23 @@ def _best(normal: Normal, covariance: FloatArray, i: int, problem: Problem) -> t
     each = np.einsum("i,sij,j->s", direction, normal.hessian, direction)
     cells: dict[str, float] = {}
     for segment, value in zip(problem.segments, each, strict=True):
-        words = ", ".join(f"{k} {v:g}" for k, v in sorted(segment.cell.items()))
-        label = f"{segment.kind.replace('_', ' ')} {words}"
+        label = _step_words(segment)
         cells[label] = cells.get(label, 0.0) + float(value)
     total = sum(cells.values()) or 1.0
     ranked = sorted(((c, v / total) for c, v in cells.items()), key=lambda pair: -pair[1])
     return tuple(pair for pair in ranked[:3] if pair[1] > 0.01)
+
+
+def _step_words(segment: Segment) -> str:
+    """A step as a person would call it: 'throttle 0.05 to 0.40', 'roll +0.3 rad', 'yaw rate -2 rad/s'."""
+    kind, cell = segment.kind.removesuffix("_step").replace("_", " "), segment.cell
+    if "throttle_0" in cell and "throttle_1" in cell:
+        return f"{kind} {cell['throttle_0']:.2f} to {cell['throttle_1']:.2f}"
+    if "amplitude_rad" in cell:
+        return f"{kind} {cell['amplitude_rad']:+g} rad"
+    if "rate_rad_s" in cell:
+        return f"{kind} {cell['rate_rad_s']:+g} rad/s"
+    return " ".join([kind, *(f"{k} {v:g}" for k, v in sorted(cell.items()))])
 
 
 def _segment(plan: Plan, leg: Leg, model: Model, values: Mapping[str, float]) -> Segment | None:

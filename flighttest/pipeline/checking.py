@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.identify import model_file
+from flighttest.identify.expected import Expected, expected_errors, expected_of, planned_segments
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
 from flighttest.plan import Plan, compile_plan
 from flighttest.plan import check as check_plan
 from flighttest.report.check_page import check_document
+from flighttest.report.document import Cell, Section, Table
+from flighttest.report.numbers import number, percent, unit
 from flighttest.report.plain import plain
 from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
@@ -42,8 +45,13 @@ def plans(
 def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, verbose: bool = False) -> Result:
     """Plan, duration, battery and predicted envelope of every script, against the zone."""
     declared = load_vehicle(vehicle) if vehicle is not None else DEFAULT_VEHICLE
-    compiled = plans(scripts, declared, predictor_for(model, declared))
-    results = tuple(check_plan(plan) for plan in compiled)
+    prior = predictor_for(model, declared)
+    compiled = plans(scripts, declared, prior)
+    forecast = tuple(expected_errors(plan, prior.model, prior.values) for plan in compiled)
+    results = tuple(
+        replace(check_plan(plan), expected_std={e.name: e.std for e in expected if e.std is not None and _useful(e)})
+        for plan, expected in zip(compiled, forecast, strict=True)
+    )
     zone = declared.zone
     spans = ", ".join(
         f"{n} {low:g} to {high:g}" for n, (low, high) in (("x", zone.x_m), ("y", zone.y_m), ("z", zone.z_m))
@@ -55,5 +63,35 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     }
     refused = any(not r.ok for r in results)
     data: dict[str, Any] = {"scripts": [plain(r) for r in results], "ok": not refused}
+    data["expected"] = {r.name: [plain(e) for e in expected] for r, expected in zip(results, forecast, strict=True)}
     document = check_document(results, facts, verbose=verbose)
+    together = _expected_section(compiled, prior)
+    if together is not None:
+        document = replace(document, sections=(*document.sections, together))
     return Result(document, data, Status.BAD_INPUT if refused else Status.DONE, compiled)
+
+
+def _useful(expected: Expected) -> bool:
+    """Whether a script tells anything worth printing about a parameter."""
+    return expected.std is not None and expected.std < max(0.5 * abs(expected.value), 1e-9)
+
+
+def _expected_section(compiled: Sequence[Plan], prior: ModelPredictor) -> Section | None:
+    """What all scripts together would make known, what more repeats would buy, and which steps tell most."""
+    segments = [s for plan in compiled for s in planned_segments(plan, prior.model, prior.values)]
+    if not segments:
+        return None
+    rows: list[tuple[Cell | str, ...]] = []
+    for e in expected_of(segments, prior.model, prior.values):
+        if e.std is None or e.std_twice is None:
+            rows.append((e.name, "-", unit(e.unit), "-", "-", Cell("nothing here tells it", "quiet")))
+            continue
+        share = percent(e.std / abs(e.value)) if e.value else "-"
+        best = "; ".join(cell for cell, _ in e.best[:2])
+        rows.append((e.name, number(e.std, 2), unit(e.unit), share, number(e.std_twice, 2), best))
+    head = ("parameter", "expected error", "unit", "", "with twice the repeats", "steps that tell most")
+    table = Table(head, tuple(rows), ("left", "right", "left", "right", "right", "left"))
+    lead = (
+        "Standard errors to expect from these scripts, with the prior model and the noise of a usual outdoor vehicle."
+    )
+    return Section("expected", "What it would make known", (table,), lead)

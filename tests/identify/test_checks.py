@@ -58,7 +58,7 @@ def test_a_script_of_yaw_steps_tells_nothing_about_drag(flown):
     forecast = {e.name: e for e in expected_of(yaw, Model(), Model().start())}
     assert forecast["omega_phi"].std is None
     assert "nothing" in forecast["omega_phi"].sentence
-    assert forecast["sigma_r"].best[0][0].startswith("yaw rate step")
+    assert forecast["sigma_r"].best[0][0].startswith("yaw rate ")
 
 
 def test_intervals_for_unseen_responses_hold_what_they_promise(found):
