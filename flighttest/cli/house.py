@@ -27,7 +27,7 @@ def prove(
     output: Path | None,
 ) -> int:
     """Hide effects in simulated flights, diagnose them blind, and print the scoreboard."""
-    from flighttest.pipeline import proving
+    from flighttest.proof import proving
 
     with LiveProgress(context.show) as progress:
         result = proving.prove(trials, generator, seed, workers, scheduler, output, progress)

@@ -23,6 +23,8 @@ FLIPS = 199
 LEAST_EXPLAINED = 0.1
 SHARE_KEPT = 0.9  # a regime may leave out a tenth of the excess if that makes it smaller
 MOST_PLACES = 6
+ORDERED = 0.25
+LEAST_RESPONSES = 12
 
 VARIABLES = {
     "speed_forward_m_s": ("forward speed", "m/s"), "speed_left_m_s": ("speed to the left", "m/s"),
@@ -149,7 +151,7 @@ def explained_by(
 
 
 def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0) -> list[Located]:
-    """The places where the mismatch is, worst first: those above the floor beyond chance (`Floor.exceeded`)."""
+    """The places where the mismatch is, worst first: those above the floor beyond chance (`Floor.exceeded`), or ordered by a variable."""
     tau = inflation(rows, rows.open_residual)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
@@ -164,7 +166,9 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             r = rows.open_residual[at]
             excess = float(np.sum(r**2)) / floor.of(name) ** 2 - at.size
             excess_all += max(excess, 0.0)
-            if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]):
+            if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or _ordered(
+                r, {v: x[at] for v, x in variables.items()}, rows.segment[at], floor.of(name), seed
+            ):
                 places.append((excess, c, name, str(kind), at))
     found = []
     for _, c, name, kind, at in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
@@ -187,6 +191,22 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
         )
         del c
     return found
+
+
+def _ordered(
+    r: FloatArray, variables: Mapping[str, FloatArray], response: NDArray[np.intp], floor: float, seed: int
+) -> bool:
+    """Whether a variable orders the residual although repeats differ as much: they differed in that variable.
+
+    A quarter of the variance or more, in no sign flip of the responses as much, and at least half the floor in amplitude.
+    """
+    if np.unique(response).size < LEAST_RESPONSES:
+        return False
+    for x in variables.values():
+        share, p_value = explained_by(r, x, response, seed)
+        if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.mean(r**2)) >= (0.5 * floor) ** 2:
+            return True
+    return False
 
 
 def _located(

@@ -180,8 +180,10 @@ def _assembled(
         after_table |= parameter_table(now)
         for name in search.judged:
             findings.append(finding(search, name, rivals_of(search, name), groups, seed))
-        levels |= detectable(search)
-        unseen += untestable(search, detectable(search))
+        if search.ground is not None:
+            seen = detectable(search)
+            levels |= seen
+            unseen += untestable(search, seen)
         candidates += _candidates(search)
         base_rmse |= baselines(bench, base, now, segments, previous)
     for term in pool:
@@ -313,7 +315,7 @@ def _candidates(search: Search) -> list[dict[str, Any]]:
 
 def _verdict(any_named: bool, before: float, after: float, share: float, located: bool, still: bool) -> Verdict:
     if not any_named:
-        return Verdict.UNKNOWN_PHYSICS if located and before > LEAST_EXCESS else Verdict.NOTHING_MISSING
+        return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
     if not still or share <= EXPLAINED_SHARE or after < LEAST_EXCESS:
         return Verdict.EXPLAINED
     return Verdict.PARTLY

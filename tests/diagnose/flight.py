@@ -50,12 +50,16 @@ def campaign(repeats: int = 3, throttles: bool = True, tilts: bool = True, yaws:
                     for sign in (1, -1):
                         value = sign * size
                         steps.append(
-                            Step(f"{axis}_step", {"amplitude_rad": value}, 1.6, repeat=r, height=3.0 + r, **{axis: value})
+                            Step(
+                                f"{axis}_step", {"amplitude_rad": value}, 1.6, repeat=r, height=3.0 + r, **{axis: value}
+                            )
                         )
         if yaws:
             for rate in (1.0, 2.0):
                 for sign in (1, -1):
-                    steps.append(Step("yaw_rate_step", {"rate_rad_s": sign * rate}, 1.0, yaw_rate=sign * rate, repeat=r))
+                    steps.append(
+                        Step("yaw_rate_step", {"rate_rad_s": sign * rate}, 1.0, yaw_rate=sign * rate, repeat=r)
+                    )
         if throttles:
             pairs = [(a, b) for a in (0.05, 0.1, 0.15) for b in (0.2, 0.3, 0.4)] + [(a, 0.1) for a in (0.2, 0.25, 0.3)]
             for a, b in pairs:
@@ -72,10 +76,6 @@ def campaign(repeats: int = 3, throttles: bool = True, tilts: bool = True, yaws:
     for k, s in enumerate(steps):
         s.heading = headings[(s.repeat + k) % 4]
     return steps
-
-
-def effect_none(**_):
-    return {}
 
 
 def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, **hidden) -> list[Segment]:
@@ -163,8 +163,7 @@ def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, 
             o_r, o_p = hidden["offset"]
             force = force + (a_t * aero)[:, None] * np.array([np.sin(o_p), -np.sin(o_r), np.cos(o_p) * np.cos(o_r) - 1])
         if "strange" in hidden:
-            force[:, 0] += hidden["strange"] * np.sin(4.0 * pos[:, 2]) * np.tanh(rate[:, 1])
-            force[:, 2] += hidden["strange"] * np.sin(3.0 * pos[:, 2])
+            force[:, 2] += hidden["strange"] * np.sin(1.2 * pos[:, 2])
         force = force + np.einsum("mji,mj->mi", rot, a_d)
         if "payload" in hidden:
             ratio, length = hidden["payload"]

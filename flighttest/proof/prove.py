@@ -1,0 +1,83 @@
+"""`prove`: draw, fly, diagnose blind, open, score; over the cores of this machine or of others."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from flighttest.errors import InputError
+from flighttest.proof.cases import Case, draw
+from flighttest.proof.trial import Outcome, run
+
+Tell = Callable[[str], None]
+
+
+def prove(
+    trials: int,
+    seed: int | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    tell: Tell = lambda _text: None,
+) -> tuple[list[Outcome], int]:
+    """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
+
+    Every seal is told before its trial starts. scheduler: address of a Dask scheduler instead of processes of this machine. An
+    interrupt ends the proof and keeps the trials that are done.
+    """
+    if trials < 1:
+        raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+    cases = [draw(seed, k) for k in range(trials)]
+    for case in cases:
+        tell(f"sealed trial {case.index}: SHA-256 {case.sha256()}")
+    done: list[Outcome] = []
+    try:
+        for outcome in _outcomes(cases, workers, scheduler):
+            done.append(outcome)
+            tell(f"trial {outcome.index} opened ({len(done)} of {trials})")
+    except KeyboardInterrupt:
+        tell(f"interrupted: {len(done)} trials are done")
+    return sorted(done, key=lambda o: o.index), seed
+
+
+def _outcomes(cases: Sequence[Case], workers: int, scheduler: str | None) -> Iterator[Outcome]:
+    if scheduler is not None:
+        try:
+            from distributed import Client
+            from distributed import as_completed as finished
+        except ImportError as error:
+            raise InputError(
+                "--scheduler needs the package `distributed`", "pip install flighttest[cluster]"
+            ) from error
+        with Client(scheduler) as client:
+            yield from (f.result() for f in finished(client.map(run, list(cases))))
+        return
+    if workers <= 1:
+        yield from map(run, cases)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from (f.result() for f in as_completed([pool.submit(run, c) for c in cases]))
+
+
+def commit_of(folder: Path) -> str:
+    """The commit this code is of, where it is a work tree; else 'installed package'."""
+    try:
+        made = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], cwd=folder, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "installed package"
+    return f"commit {made.stdout.strip()}"
+
+
+def write(outcomes: Sequence[Outcome], seed: int, folder: Path) -> None:
+    """proof.json: every outcome with its opened truth."""
+    folder.mkdir(parents=True, exist_ok=True)
+    data = {"format": "proof/1", "seed": seed, "outcomes": [o.to_json() for o in outcomes]}
+    (folder / "proof.json").write_text(json.dumps(data, indent=1, default=float) + "\n", encoding="utf-8")

@@ -1,0 +1,63 @@
+"""`flighttest prove` as a result: the scoreboard as a document for people and as data for programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import flighttest
+from flighttest.errors import InputError
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.proof.prove import commit_of, write
+from flighttest.proof.prove import prove as run_trials
+from flighttest.proof.scoreboard import markdown, score, share
+from flighttest.report.document import Document, Section, Table
+
+GENERATORS = ("rotor",)
+
+
+def prove(
+    trials: int,
+    generator: str = "rotor",
+    seed: int | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    output: Path | None = None,
+    progress: Progress = SILENT,
+) -> Result:
+    """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there."""
+    if generator not in GENERATORS:
+        raise InputError(
+            f"the proof cannot fly the generator {generator!r} by itself",
+            "use --generator rotor; recordings of the real firmware with something hidden are made with "
+            "`flighttest sim --backend sitl --hide ID:key=value` and diagnosed with `flighttest diagnose`",
+        )
+    outcomes, used = run_trials(trials, seed, workers, scheduler, progress.stage)
+    commit = commit_of(Path(flighttest.__file__).parent)
+    found = score(outcomes)
+    if output is not None:
+        write(outcomes, used, output)
+        (output / "proof.md").write_text(markdown(outcomes, used, commit), encoding="utf-8")
+    rows = (
+        ("right class first", share(*found["first"])),
+        ("right class first where the base fit looks good", share(*found["absorbed"])),
+        ("false alarms on clean trials", share(*found["false_alarms"])),
+        ("two effects, both named", share(*found["pairs"])),
+        ("physics outside the catalogue, wrongly named", share(*found["outside_misnamed"])),
+        ("physics outside the catalogue, located", share(*found["outside_located"])),
+    )
+    misses = tuple((str(m["index"]), m["hidden"], f"{m['size']:.1f}", m["why"]) for m in found["misses"])
+    sections = (
+        Section("scoreboard", "Scoreboard", blocks=(Table(("what", "result"), rows),)),
+        Section("misses", "Misses", blocks=(Table(("trial", "hidden", "noise floors", "what happened"), misses),)),
+    )
+    verdict = f"{len(outcomes)} sealed trials of seed {used}: right class first in {share(*found['first'])}."
+    data = {
+        "format": "proof/1",
+        "seed": used,
+        "commit": commit,
+        "score": found,
+        "outcomes": [o.to_json() for o in outcomes],
+    }
+    return Result(
+        Document("proof", verdict, "plain", sections, {"seed": str(used), "code": commit}), data, Status.DONE, outcomes
+    )

@@ -1,0 +1,169 @@
+"""The scoreboard of sealed trials: counts with binomial intervals, power curve, confusion matrix, every miss with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from flighttest.proof.trial import Outcome
+
+COUNTS = 2.0  # noise floors an effect must have to count; below it is in the power curve only
+ABSENT = 0.5  # below this it is not there
+BINS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
+HIGH_R2 = 0.95
+
+
+def interval(k: int, n: int) -> tuple[float, float]:
+    """95 % Clopper-Pearson interval of a share."""
+    if n == 0:
+        return 0.0, 1.0
+    low = float(stats.beta.ppf(0.025, k, n - k + 1)) if k else 0.0
+    high = float(stats.beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    return low, high
+
+
+def share(k: int, n: int) -> str:
+    """'19 of 20, 95 % (75 to 100)'."""
+    if n == 0:
+        return "none flown"
+    low, high = interval(k, n)
+    return f"{k} of {n}, {100 * k / n:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f})"
+
+
+def right(outcome: Outcome, effect: str) -> bool:
+    """Whether the class of a hidden effect was named."""
+    return bool(set(outcome.classes.get(effect, (effect,))) & set(outcome.named))
+
+
+def first_right(outcome: Outcome, effect: str) -> bool:
+    """Whether the class of a hidden effect ranks first."""
+    return bool(outcome.named) and outcome.named[0] in outcome.classes.get(effect, (effect,))
+
+
+def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Every number of the scoreboard, as plain data."""
+    flown = [o for o in outcomes if not o.error]
+    clean = [o for o in flown if all(s < ABSENT for s in o.sizes.values()) and o.kind != "outside"]
+    single = [o for o in flown if o.kind == "single" and any(s >= COUNTS for s in o.sizes.values())]
+    pairs = [o for o in flown if o.kind == "pair" and sum(s >= COUNTS for s in o.sizes.values()) == 2]
+    outside = [o for o in flown if o.kind == "outside" and any(s >= COUNTS for s in o.sizes.values())]
+    first = [o for o in single if first_right(o, next(iter(o.hide)))]
+    absorbed = [o for o in single if o.base_r2 > HIGH_R2]
+    power = []
+    for low, high in pairwise(BINS):
+        inside = [(o, e) for o in flown if o.kind in ("single", "pair") for e, s in o.sizes.items() if low <= s < high]
+        power.append({"from": low, "to": high, "n": len(inside), "named": sum(right(o, e) for o, e in inside)})
+    ratios = [
+        found / true
+        for o in single
+        for e, (true, found) in o.forces.items()
+        if true > 0.02 and found > 0 and right(o, e)
+    ]
+    extra = sum(bool(set(o.named) - {i for c in o.classes.values() for i in c}) for o in single + pairs)
+    return {
+        "trials": len(outcomes),
+        "flown": len(flown),
+        "not_flown": [{"index": o.index, "why": o.error} for o in outcomes if o.error],
+        "first": (len(first), len(single)),
+        "absorbed": (sum(first_right(o, next(iter(o.hide))) for o in absorbed), len(absorbed)),
+        "false_alarms": (sum(bool(o.named) for o in clean), len(clean)),
+        "pairs": (sum(all(right(o, e) for e in o.hide) for o in pairs), len(pairs)),
+        "outside_misnamed": (sum(bool(o.named) for o in outside), len(outside)),
+        "outside_located": (sum(o.located for o in outside), len(outside)),
+        "extra_names": (extra, len(single) + len(pairs)),
+        "force_ratio_median_error": float(np.median(np.abs(np.array(ratios) - 1))) if ratios else None,
+        "force_ratios": len(ratios),
+        "gain_median": float(np.nanmedian([o.gain for o in single + pairs])) if single + pairs else None,
+        "power": power,
+        "confusion": _confusion(single),
+        "misses": _misses(flown),
+    }
+
+
+def _confusion(single: Sequence[Outcome]) -> list[dict[str, Any]]:
+    table: dict[tuple[str, str], int] = {}
+    for o in single:
+        key = next(iter(o.hide)), (o.named[0] if o.named else "nothing")
+        table[key] = table.get(key, 0) + 1
+    return [{"hidden": h, "named": n, "count": c} for (h, n), c in sorted(table.items())]
+
+
+def _misses(flown: Sequence[Outcome]) -> list[dict[str, Any]]:
+    found = []
+    for o in flown:
+        for e, size in o.sizes.items():
+            if o.kind in ("single", "pair") and size >= COUNTS and not right(o, e):
+                why = "named nothing" if not o.named else f"named {', '.join(o.named)}"
+                found.append(
+                    {"index": o.index, "hidden": e, "size": size, "why": why, "class": list(o.classes.get(e, ()))}
+                )
+        if not o.sizes and o.kind == "clean" and o.named:
+            found.append(
+                {"index": o.index, "hidden": "nothing", "size": 0.0, "why": f"named {', '.join(o.named)}", "class": []}
+            )
+        if o.kind == "outside" and o.named:
+            found.append(
+                {"index": o.index, "hidden": next(iter(o.hide)), "size": max(o.sizes.values(), default=0.0),
+                 "why": f"named {', '.join(o.named)}", "class": []}
+            )  # fmt: skip
+    return found
+
+
+def markdown(outcomes: Sequence[Outcome], seed: int, commit: str) -> str:
+    """docs/proof.md."""
+    s = score(outcomes)
+    lines = [
+        "# Proof",
+        "",
+        "Generated by `flighttest prove`; every number below was computed from sealed trials. What is hidden was drawn from the seed, "
+        "written apart and hashed before the diagnosis began.",
+        "",
+        f"- generator: `rotor`; seed {seed}; {s['trials']} trials, {s['flown']} flown; code: {commit}",
+        f"- right class first (effect at least {COUNTS:g} noise floors after the refit): {share(*s['first'])}",
+        f"- the same where the base fit alone has R2 above {HIGH_R2}: {share(*s['absorbed'])}",
+        f"- false alarms on clean trials: {share(*s['false_alarms'])}",
+        f"- two effects, both named: {share(*s['pairs'])}",
+        f"- physics outside the catalogue: wrongly named {share(*s['outside_misnamed'])}; located {share(*s['outside_located'])}",
+        f"- a further name besides the right one: {share(*s['extra_names'])}",
+        f"- magnitude (RMS force): median error {_percent(s['force_ratio_median_error'])} over {s['force_ratios']} effects",
+        f"- share of the excess error gone on held-out steps: median {_percent(s['gain_median'])}",
+        "",
+        "## Power",
+        "",
+        "| effect size, noise floors | hidden | named |",
+        "|---|---|---|",
+        *(f"| {p['from']:g} to {p['to']:g} | {p['n']} | {share(p['named'], p['n'])} |" for p in s["power"]),
+        "",
+        "## Confusion (single effects that count)",
+        "",
+        "| hidden | named first | trials |",
+        "|---|---|---|",
+        *(f"| {c['hidden']} | {c['named']} | {c['count']} |" for c in s["confusion"]),
+        "",
+        "## Misses",
+        "",
+        *(
+            [f"- trial {m['index']}: {m['hidden']} ({m['size']:.1f} floors): {m['why']}" for m in s["misses"]]
+            or ["None."]
+        ),
+        "",
+        "## Seals",
+        "",
+        "| trial | SHA-256 of the truth | hidden | size, floors | named |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {o.index} | `{o.sha256[:16]}` | {', '.join(o.hide) or 'nothing'} | "
+            f"{', '.join(f'{v:.1f}' for v in o.sizes.values()) or '-'} | {', '.join(o.named) or o.error or 'nothing'} |"
+            for o in outcomes
+        ),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None or not np.isfinite(value) else f"{100 * value:.0f} %"

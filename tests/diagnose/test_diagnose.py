@@ -1,0 +1,155 @@
+"""The five verbs on recordings with one concealed effect, made by `flight` (plain numpy, nothing of `physics`)."""
+
+import json
+
+import numpy as np
+import pytest
+from flight import campaign, fly
+
+from flighttest.diagnose import Verdict, diagnose
+from flighttest.errors import FitError
+
+RIVALS = ("steady_wind", "accelerometer_bias", "attitude_offset", "velocity_latency", "ground_effect")
+
+
+def tilts(**hidden):
+    return fly(campaign(2, throttles=False, yaws=False), seed=7, **hidden)
+
+
+@pytest.fixture(scope="module")
+def windy():
+    return diagnose(tilts(wind=(2.5, -1.0, 0.0)), only=RIVALS)
+
+
+@pytest.fixture(scope="module")
+def calm():
+    known = {"K": (54.55 * 1.1, 0.01), "d_x": (0.39 * 1.1, 0.001), "d_y": (0.39 * 1.1, 0.001)}
+    return diagnose(tilts(), only=RIVALS, previous=known)
+
+
+def names(found):
+    return [f.term for f in found.findings]
+
+
+def test_steady_wind_is_named_and_measured(windy):
+    assert names(windy) == ["steady_wind"]
+    assert windy.verdict is Verdict.EXPLAINED
+    wind = windy.findings[0].parameters
+    assert wind["w_north"]["value"] == pytest.approx(2.5, abs=0.15)
+    assert wind["w_west"]["value"] == pytest.approx(-1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "term", "expected"),
+    [
+        ({"bias": (0.3, -0.2, 0.0)}, "accelerometer_bias", {"bias_x": 0.3, "bias_y": -0.2}),
+        ({"offset": (0.02, 0.03)}, "attitude_offset", {"offset_roll": 0.02, "offset_pitch": 0.03}),
+    ],
+)
+def test_wind_bias_and_offset_are_not_mixed_up(hidden, term, expected):
+    found = diagnose(tilts(**hidden), only=RIVALS)
+    assert names(found) == [term]
+    for name, value in expected.items():
+        assert found.findings[0].parameters[name]["value"] == pytest.approx(value, rel=0.15)
+
+
+def test_two_effects_are_both_named():
+    steps = campaign(2, tilts=False, yaws=False)
+    found = diagnose(
+        fly(steps, seed=2, asymmetry=0.6, curve=0.4), only=("thrust_asymmetry", "throttle_curve", "ground_effect")
+    )
+    assert set(names(found)) == {"thrust_asymmetry", "throttle_curve"}
+
+
+def test_nothing_is_missing_where_nothing_is_hidden(calm):
+    found = calm
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.findings == ()
+    assert 0 < found.smallest_detectable["accelerometer_bias"] < 0.3
+    # Nothing was flown near the ground, so ground effect was not absent but unseen.
+    assert "ground_effect" in {u.term for u in found.untestable}
+    assert "ground_effect" not in found.not_needed
+    assert found.next_script["format"] == "maneuver/1"
+
+
+def test_what_was_not_recorded_is_untestable_by_name():
+    blind = [
+        type(s)(
+            **{
+                **{f: getattr(s, f) for f in s.__dataclass_fields__},
+                "y": {k: v for k, v in s.y.items() if k != "height_m"},
+            }
+        )
+        for s in tilts()
+    ]
+    found = diagnose(blind, only=("ground_effect", "steady_wind"))
+    why = {u.term: u.why for u in found.untestable}
+    assert "height_m" in why["ground_effect"]
+
+
+def test_physics_outside_the_catalogue_gets_no_name_but_a_place():
+    found = diagnose(
+        fly(campaign(2, tilts=False, yaws=False), seed=4, strange=1.5), only=("steady_wind", "accelerometer_bias")
+    )
+    assert found.verdict is Verdict.UNKNOWN_PHYSICS
+    assert any(place.channel == "f_z" for place in found.located)
+    assert any("f_z" in f["formula"] for f in found.unknown)
+
+
+def test_located_in_a_sentence_with_numbers(windy):
+    assert windy.located
+    worst = windy.located[0]
+    assert worst.channel in ("v_x", "v_y", "f_x", "f_y")
+    assert "repeats differ by" in worst.sentence
+    assert 0 < worst.excess_share <= 1
+
+
+def test_the_fit_improves_on_what_was_not_used(windy):
+    entry = windy.heldout["v_x"]["all"]
+    assert entry["rmse_after"] < 0.2 * entry["rmse_before"]
+    assert entry["gain_95"][0] > 0
+    assert windy.findings[0].heldout["v_x"]["rmse_before"] > windy.findings[0].heldout["v_x"]["rmse_after"]
+    assert windy.baselines["v_x"]["with what was left out"] < windy.baselines["v_x"]["base model, refitted"]
+
+
+def test_json_is_plain_and_has_the_promised_shape(windy):
+    data = json.loads(json.dumps(windy.to_json()))
+    assert data["format"] == "diagnosis/1"
+    assert data["verdict"] == "EXPLAINED"
+    assert data["findings"][0]["term"] == "steady_wind"
+    assert data["findings"][0]["verdict"] == "SUPPORTED"
+    assert set(data["findings"][0]["heldout"]["v_x"]) >= {"rmse_before", "rmse_after", "floor", "gain_95"}
+    assert data["findings"][0]["evidence"]["delta_bic"] < -10
+    assert {"channel", "maneuver", "regime", "excess_share", "sample_share", "sentence"} <= set(data["located"][0])
+    assert isinstance(data["not_needed"], list)
+    assert "excess_share" in data["unexplained"]
+
+
+def test_accepted_terms_are_in_the_model(windy):
+    assert windy.accepted == ("steady_wind",)
+    assert windy.model.terms == ("body", "linear_drag", "steady_wind")
+    assert windy.values["w_north"] == windy.findings[0].parameters["w_north"]["value"]
+    assert windy.before["d_x"]["value"] != windy.after["d_x"]["value"]
+
+
+def test_too_little_data_is_said():
+    with pytest.raises(FitError, match="only 3 usable responses"):
+        diagnose(tilts()[:3])
+
+
+def test_an_interrupt_keeps_what_is_done():
+    def interrupt(text):
+        if text == "translation: base model fitted":
+            raise KeyboardInterrupt
+
+    found = diagnose(tilts(wind=(2.5, 0, 0)), only=RIVALS, progress=interrupt)
+    assert not found.complete
+    assert any("interrupted" in n for n in found.notes)
+    assert "v_x" in found.heldout
+
+
+def test_a_change_of_mass_is_seen_against_the_previous_model(calm):
+    assert calm.mass["thrust_changed"]
+    assert calm.mass["answer"] in ("mass", "thrust or mass")
+    assert np.isclose(calm.mass["thrust_ratio"], 1 / 1.1, atol=0.01)
+    assert calm.baselines["f_z"]["previous model, as it was"] > 3 * calm.baselines["f_z"]["base model, refitted"]

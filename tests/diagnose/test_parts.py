@@ -1,0 +1,160 @@
+"""The parts of a diagnosis against answers known without it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flighttest.diagnose.bench import Rows
+from flighttest.diagnose.judge import held_out, held_out_groups
+from flighttest.diagnose.locate import explained_by
+from flighttest.diagnose.mass import mass_test
+from flighttest.diagnose.noise import high_frequency, inflation
+from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
+from flighttest.diagnose.unknown import _sparse
+
+
+def rows_of(residual, columns, segments=20, channel=None):
+    n = residual.size
+    each = n // segments
+    return Rows(
+        residual=residual, jacobian=columns, open_residual=residual, open_jacobian=columns, scale=np.ones(n),
+        segment=np.repeat(np.arange(segments), each), sample=np.tile(np.arange(each), segments),
+        channel=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2",),
+        names=tuple(f"p{k}" for k in range(columns.shape[1])),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
+
+
+def test_inflation_of_a_first_order_process(rng):
+    rho, n = 0.8, 40000
+    x = np.zeros(n)
+    e = rng.normal(size=n)
+    for k in range(1, n):
+        x[k] = rho * x[k - 1] + e[k]
+    assert inflation(rows_of(x, np.zeros((n, 0))))[0] == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
+    assert inflation(rows_of(e, np.zeros((n, 0))))[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_high_frequency_noise_is_seen_below_a_slow_error(rng):
+    n = 4000
+    slow = 5 * np.sin(np.arange(n) / 60.0)
+    found = high_frequency(rows_of(slow + rng.normal(0, 0.3, n), np.zeros((n, 0))))
+    assert found["f_z_m_s2"] == pytest.approx(0.3, rel=0.1)
+
+
+def test_screening_ranks_the_true_column_and_says_what_is_chance(rng):
+    n = 4000
+    columns = rng.normal(size=(n, 4))
+    residual = 0.5 * columns[:, 1] + rng.normal(size=n)
+    rows = rows_of(residual, columns)
+    ground = Ground.at(rows, ["p0"])
+    variants = [Variant(*_variant(f"t{k}", k, columns)) for k in (1, 2, 3)]
+    scores = with_chance(ground, [score(ground, v) for v in variants])
+    best = min(scores, key=lambda s: s.bic)
+    assert best.variant.term.id == "t1"
+    assert best.p_value < 0.01
+    assert best.estimate[0] == pytest.approx(0.5, abs=0.06)
+    assert all(s.bic > best.bic + 100 for s in scores if s is not best)
+
+
+def _variant(name, k, columns):
+    one = columns[:, [k]]
+    return SimpleNamespace(id=name), {}, (f"p{k}",), one, one
+
+
+def test_the_false_alarm_rate_holds_for_the_whole_catalogue(rng):
+    alarms = 0
+    for _ in range(60):
+        columns = rng.normal(size=(800, 12)).cumsum(axis=0)
+        rows = rows_of(rng.normal(size=800), columns)
+        ground = Ground.at(rows, ["p0", "p1"])
+        scores = with_chance(
+            ground, [s for k in range(2, 12) if (s := score(ground, Variant(*_variant(f"t{k}", k, columns))))]
+        )
+        alarms += min(s.p_value for s in scores) <= 0.01
+    assert alarms <= 4
+
+
+def test_a_column_the_base_can_copy_is_no_candidate(rng):
+    columns = rng.normal(size=(500, 2))
+    rows = rows_of(rng.normal(size=500), columns)
+    copy = 3 * columns[:, [0]] - columns[:, [1]]
+    assert score(Ground.at(rows, ["p0", "p1"]), Variant(SimpleNamespace(id="t"), {}, ("q",), copy, copy)) is None
+
+
+def test_held_out_residuals_are_those_of_fits_without_the_fold(rng):
+    n = 600
+    columns = rng.normal(size=(n, 2))
+    y = columns @ [1.0, -2.0] + rng.normal(size=n)
+    theta = np.linalg.lstsq(columns, y, rcond=None)[0]
+    rows = rows_of(y - columns @ theta, columns, segments=20)
+    groups = np.arange(20) // 4
+    found = held_out(rows, ("p0", "p1"), groups)
+    for fold in range(5):
+        inside = (groups % 5)[rows.segment] == fold
+        refit = np.linalg.lstsq(columns[~inside], y[~inside], rcond=None)[0]
+        np.testing.assert_allclose(found[inside], y[inside] - columns[inside] @ refit, atol=1e-6)
+
+
+def test_held_out_groups_are_cells_flights_or_pieces():
+    def segment(kind, run, t, **cell):
+        return SimpleNamespace(kind=kind, run=run, t_s=np.array([t, t + 1]), cell_key=(kind, tuple(cell.items())))
+
+    steps = [segment("roll_step", "a", t, amplitude=t % 5) for t in range(20)]
+    groups, what = held_out_groups(steps)
+    assert what == "steps"
+    assert len(set(groups)) == 5
+    flights = [segment("free", f"flight{k % 4}", k) for k in range(12)]
+    assert held_out_groups(flights)[1] == "flights"
+    groups, what = held_out_groups([segment("free", "one", k) for k in range(12)])
+    assert what == "pieces of the flight"
+    assert list(groups) == sorted(groups)
+
+
+def test_explained_variance_sees_a_regime_and_nothing_in_noise(rng):
+    response = np.repeat(np.arange(30), 50)
+    height = np.tile(np.linspace(5, 0, 50), 30)
+    residual = np.where(height < 1, 2.0, 0.0) + rng.normal(0, 0.5, 1500)
+    share, p = explained_by(residual, height, response, 0)
+    assert share > 0.4
+    assert p < 0.01
+    share, p = explained_by(rng.normal(size=1500), height, response, 0)
+    assert share < 0.05
+    assert p > 0.01
+
+
+def test_sparse_regression_keeps_the_one_function_that_is_there(rng):
+    x = rng.normal(size=(600, 6))
+    r = 2.0 * x[:, 3] ** 2 + rng.normal(0, 0.3, 600)
+    table = {f"x{k}": x[:, k] for k in range(6)} | {f"x{k}^2": x[:, k] ** 2 for k in range(6)}
+    chosen, left = _sparse(r, table, np.arange(600) % 5)
+    assert chosen == ["x3^2"]
+    assert left < 0.1
+    assert _sparse(rng.normal(size=600), table, np.arange(600) % 5)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("ratio", "drag_ratio", "drag_std", "answer"),
+    [
+        (0.9, 0.9, 0.002, "mass"),
+        (0.9, 1.0, 0.002, "thrust"),
+        (0.9, 0.9, 0.1, "thrust or mass"),
+        (1.0, 1.0, 0.002, None),
+    ],
+)
+def test_thrust_or_mass(ratio, drag_ratio, drag_std, answer):
+    old = {"K": (50.0, 0.05), "d_x": (0.4, drag_std * 0.4)}
+    new = {"K": {"value": 50.0 * ratio, "std": 0.05}, "d_x": {"value": 0.4 * drag_ratio, "std": drag_std * 0.4}}
+    found = mass_test(old, new)
+    assert found.get("answer") == answer
+    assert found["thrust_changed"] == (answer is not None)
+
+
+def test_orthonormal_drops_what_repeats(rng):
+    x = rng.normal(size=(50, 2))
+    assert orthonormal(np.column_stack([x, x[:, 0] + x[:, 1], np.zeros(50)])).shape == (50, 2)
