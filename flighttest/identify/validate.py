@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from flighttest.errors import FitError
 from flighttest.identify.model_file import ModelFile
+from flighttest.identify.problem import Problem
+from flighttest.identify.residuals import ResidualTest, residual_tests
+from flighttest.identify.solve import solve
 from flighttest.identify.variations import GROUPS, UNITS, Predicted, Start, Variation, measured_channels, runner
 from flighttest.segments.model import Segment
 
@@ -51,13 +54,15 @@ class Figure5:
 
 @dataclass(frozen=True)
 class Validation:
-    """errors: the table; figure: Figure 5 for this flight; starts: how many; sentences: what it means."""
+    """errors: the table; figure: Figure 5 for this flight; starts: how many; sentences: what it means; residuals: of the flight in
+    windows with free initial states: are they noise, and do they follow the commands?"""
 
     errors: tuple[HorizonError, ...]
     figure: Figure5
     starts: int
     segments: tuple[str, ...]
     sentences: tuple[str, ...]
+    residuals: tuple[ResidualTest, ...] = ()
 
     def rmse(self, variation: Variation, group: str, horizon_s: float) -> float | None:
         """One entry of the table, None where it was not measured."""
@@ -103,7 +108,19 @@ def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile
         figures,
     )
     sentences += _verdicts(errors)
-    return Validation(tuple(errors), figure, len(starts), tuple(s.name for s in chosen), tuple(sentences))
+    residuals = _residuals(stored, usable)
+    sentences += [f"{t.channel}: {t.sentence}" for t in residuals if t.follows]
+    return Validation(tuple(errors), figure, len(starts), tuple(s.name for s in chosen), tuple(sentences), residuals)
+
+
+def _residuals(stored: ModelFile, segments: Sequence[Segment]) -> tuple[ResidualTest, ...]:
+    """Residual tests with the model's parameters, each segment's initial state and disturbance estimated on it."""
+    windows = [s for s in segments if s.kind == "free"] or list(segments)
+    try:
+        problem = Problem.build(windows, stored.model, select="all", values=stored.values)
+    except FitError:  # nothing moves any reference: there is nothing to be independent of
+        return ()
+    return residual_tests(problem, solve(problem, free=(), robust=False))
 
 
 def merged(windows: Sequence[Segment]) -> list[Segment]:

@@ -1,10 +1,12 @@
 """Against a flight the model describes exactly the full model wins, and each simplification loses where it must."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from flighttest.errors import FitError
-from flighttest.identify.model_file import from_fit
+from flighttest.identify.model_file import ModelFile, from_fit
 from flighttest.identify.validate import HORIZONS_S, merged, validate
 from flighttest.identify.variations import GROUPS, Variation
 from flighttest.physics.simulate import simulate
@@ -86,3 +88,20 @@ def test_a_flight_without_throttle_cannot_be_validated(found, flight):
     bare = [Segment(s.name, s.run, s.kind, s.cell, s.repeat, s.t_step_s, s.t_s, s.y, {}) for s in flight]
     with pytest.raises(FitError, match="throttle"):
         validate(from_fit(found), bare)
+
+
+def test_residuals_on_the_flight_are_tested_for_the_commands(table, found, flight):
+    windows = [s for f in flight for s in pieces(f, 4)]
+    right = {t.channel: t for t in validate(from_fit(found), windows).residuals}
+    assert not right["v_x_m_s"].follows
+    wrong = from_fit(found)
+    slow = ModelFile(**{**vars(wrong), "values": {**wrong.values, "omega_phi": 12.0}})
+    tested = {t.channel: t for t in validate(slow, windows).residuals}
+    assert tested["roll_rad"].follows
+    assert "follows the roll command" in tested["roll_rad"].sentence
+
+
+def pieces(segment, count):
+    n = segment.t_s.size // count
+    cuts = [slice(k * n, (k + 1) * n) for k in range(count)]
+    return [replace(segment, t_s=segment.t_s[c], y={n: v[c] for n, v in segment.y.items()}) for c in cuts]
