@@ -34,6 +34,7 @@ from flighttest.report.currency_page import status_document
 from flighttest.report.plain import plain
 from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
+from flighttest.segments import Segment
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
@@ -133,6 +134,11 @@ def reestimate(stored: ModelFile, recordings: Sequence[Recording], progress: Pro
     if not segments:
         raise FitError("no response can be used", "see `flighttest segment`")
     progress.stage(f"estimating again from {len(segments)} responses")
+    return reestimate_segments(stored, segments, recordings[-1].name)
+
+
+def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: str) -> Estimates:
+    """`reestimate` from segments that are already cut."""
     found = identify(segments, stored.model, start=stored.values)
     weak = {
         name: stored.values[name]
@@ -144,7 +150,7 @@ def reestimate(stored: ModelFile, recordings: Sequence[Recording], progress: Pro
     }
     if weak:
         found = identify(segments, stored.model, start=stored.values, frozen=weak)
-    return estimates_of(found, recordings[-1].name)
+    return estimates_of(found, name)
 
 
 def estimates_of(found: Fit, name: str) -> Estimates:

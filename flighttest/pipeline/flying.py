@@ -16,6 +16,7 @@ from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.onboard import fetch
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
@@ -25,8 +26,9 @@ from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.history import campaigns, vehicle_name
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.simulator import options
+from flighttest.pipeline.sources import open_recording
 from flighttest.plan import Plan
-from flighttest.recording.store import read_manifest
+from flighttest.recording.store import MANIFEST_NAME, read_manifest, write_recording
 from flighttest.report.document import Block, Bullets, Cell, Document, Section, Table, Tone
 from flighttest.report.plain import plain
 from flighttest.sim import start_simulator
@@ -264,3 +266,26 @@ def hello(url: str) -> str:
         return f"{url}: ArduCopter {ArduPilot(session).firmware()}".strip()
     finally:
         session.port.close()
+
+
+def fetch_log(url: str, output: Path, number: int | None = None, progress: Progress = SILENT) -> Result:
+    """Download an onboard log: into a file named so, or as onboard.bin into a run folder (made where there is none)."""
+    is_file = output.suffix.lower() in (".bin", ".ulg", ".log")
+    path = output if is_file else output / "onboard.bin"
+    progress.stage(f"connecting to {url}")
+    told = -1
+
+    def tell(share: float) -> None:
+        nonlocal told
+        tenth = int(share * 10)
+        if tenth > told:
+            told = tenth
+            progress.stage(f"downloading: {tenth * 10} %")
+
+    log = fetch(url, path, number, tell)
+    if not is_file and not (output / MANIFEST_NAME).exists():
+        progress.stage("reading the log")
+        write_recording(output, open_recording(path))
+    facts = {"log": f"{log.number} {log.date}".strip(), "size": f"{log.size_bytes / 1e6:.1f} MB", "file": str(path)}
+    document = Document("fetch-log", f"Log {log.number} is in {path}.", "good", (), facts)
+    return Result(document, {"file": str(path), "number": log.number, "date": log.date, "size_bytes": log.size_bytes})
