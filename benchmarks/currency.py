@@ -11,6 +11,7 @@ import json
 import math
 import tempfile
 from collections import Counter
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ import yaml
 from flighttest.currency.compare import Estimates, subset_tests
 from flighttest.errors import FlighttestError
 from flighttest.identify.fit import fit
-from flighttest.identify.model_file import from_fit
+from flighttest.identify.model_file import ModelFile, from_fit
 from flighttest.physics.model import Model
 from flighttest.pipeline.currency import reestimate_segments, tested_part
 from flighttest.proof.flying import fly_campaign
@@ -35,8 +36,9 @@ CHANGES: dict[str, tuple[dict[str, float], str]] = {
     "mass +8 %": ({"mass_kg": 1.08, "hover_throttle": 1.08}, "thrust"),
     "attitude 20 % slower": ({"omega_roll": 0.8, "omega_pitch": 0.8}, "attitude"),
 }
-CAMPAIGN = {"thrust_hover": 2, "roll_pitch": 2, "yaw_rate": 1}
+CAMPAIGN = {"thrust_hover": 1, "roll_pitch": 1, "yaw_rate": 1}
 SPOT = {"spot_check": 1}
+VEHICLES = 1000  # seed of the first vehicle
 
 
 def script(name: str, repeats: int) -> str:
@@ -67,12 +69,17 @@ def flown(vehicle_seed: int, seed: int, factors: dict[str, float], scripts: dict
     return segments
 
 
+@lru_cache(maxsize=1)
+def stored_model(index: int) -> ModelFile:
+    nominal = random_rotor(VEHICLES + index).nominal_voltage_v
+    return from_fit(fit(flown(VEHICLES + index, 100 * index, {}, CAMPAIGN), Model(nominal_voltage_v=nominal)))
+
+
 def pair(index: int, kind: str, scripts: dict[str, int]) -> dict[str, object]:
     factors, wanted = CHANGES[kind]
-    vehicle_seed = 1000 + index
-    nominal = random_rotor(vehicle_seed).nominal_voltage_v
-    stored = from_fit(fit(flown(vehicle_seed, 2 * index, {}, CAMPAIGN), Model(nominal_voltage_v=nominal)))
-    new = reestimate_segments(stored, flown(vehicle_seed, 2 * index + 1, factors, scripts), "new")
+    stored = stored_model(index)
+    flight_seed = 100 * index + 1 + list(CHANGES).index(kind)
+    new = reestimate_segments(stored, flown(VEHICLES + index, flight_seed, factors, scripts), "new")
     names, values, matrix = tested_part(stored)
     base = Estimates("model", names, values, matrix)
     tests = subset_tests(base, new)
