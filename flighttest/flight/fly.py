@@ -237,7 +237,7 @@ class _Flight:
                 self._changes.apply(check.set, self._note)
             else:
                 left.append(check)
-        self.recorder.manifest.update(parameters=self._parameters, parameters_changed=self._changes.pending)
+        self.recorder.manifest.update(parameters=dict(self._parameters), parameters_changed=self._changes.pending)
         self.recorder.save_manifest()
         return left
 

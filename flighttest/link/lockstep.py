@@ -27,8 +27,10 @@ class Grants:
             granted_ms = math.ceil(min(until_s, self.now_s + _GRANT_MAX_S) * 1e3 - 1e-6)
             yield book.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=granted_ms)
 
-    def heard(self, message: Message) -> None:
-        """Look at a message of the simulator."""
+    def heard(self, message: Message) -> bool:
+        """Look at a message of the simulator: whether it is an end mark."""
         if message.get_type() == "SYSTEM_TIME" and message.time_unix_usec == 0:
             self.now_s = max(self.now_s, message.time_boot_ms * 1e-3)
             self.marks += 1
+            return True
+        return False

@@ -11,6 +11,7 @@ from flighttest.link.lockstep import Grants
 from flighttest.link.port import Port
 from flighttest.mavlink.dialect import Message, book, is_vehicle
 
+CONNECT_S = 10.0  # host seconds
 HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 1.0
 _POLL_S = 0.02  # host seconds one receive may block
@@ -142,8 +143,8 @@ class Session:
             if trip is not None:
                 self.clock.heard(message.tc1 * 1e-9)
                 self.clock.answered(message.tc1 * 1e-9, trip)
-        if self._grants is not None:
-            self._grants.heard(message)
+        if self._grants is not None and self._grants.heard(message):
+            return  # the clock's own mark says nothing of the link
         stamp = getattr(message, "time_boot_ms", None)
         if stamp:
             self.clock.heard(stamp * 1e-3)
@@ -181,11 +182,12 @@ class Session:
             self.forget(look)
         return found[0] if found else None
 
-    def connect(self, timeout_s: float = 10.0) -> Message:
+    def connect(self, timeout_s: float | None = None) -> Message:
         """The first HEARTBEAT of an autopilot, and the vehicle's time from TIMESYNC where it answers. LinkError without a HEARTBEAT.
 
         timeout_s is in host seconds: there is no other clock yet.
         """
+        timeout_s = CONNECT_S if timeout_s is None else timeout_s
         beat = self.await_message(lambda m: m.get_type() == "HEARTBEAT", timeout_s)
         if beat is None:
             raise LinkError(

@@ -1,0 +1,131 @@
+"""A vehicle in this process behind a link that can fail as a real one does, and small plans to fly on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from flighttest.flight.gate import GateLimits, stop_throttles
+from flighttest.flight.state import VehicleState
+from flighttest.mavlink.dialect import book, parser
+from flighttest.plan import AttitudeTarget, Leg, Phase, Plan
+from flighttest.script.model import Limits, Repeat, Reset, Script
+from flighttest.sim import InProcess, SimOptions
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import Zone
+
+LIMITS = Limits(
+    tilt_target_max_rad=0.61,
+    tilt_abort_rad=0.87,
+    throttle=(0.0, 0.6),
+    height_m=(2.0, 10.0),
+    speed_max_m_s=8.0,
+    voltage_min_v=21.0,
+)
+
+
+@dataclass
+class FaultyLink:
+    """The built-in vehicle behind a link. down: frames of neither direction pass, except the clock's (lock-step needs them).
+
+    sent: message names in order, with the vehicle's time; hook: called with each message before it is handed over.
+    """
+
+    options: SimOptions
+    down: Callable[[float], bool] = lambda _t: False
+    hook: Callable[[object, float], None] | None = None
+    sent: list[tuple[float, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.sim = InProcess(self.options)
+        self._ours, self._theirs, self._pilot = parser(1, 1), parser(1, 1), parser(255, 190)
+
+    def send(self, data: bytes) -> None:
+        now = self.sim.time_s
+        for message in self._ours.parse_buffer(data) or []:
+            kind = message.get_type()
+            if kind != "SYSTEM_TIME":
+                self.sent.append((now, kind))
+                if self.hook is not None:
+                    self.hook(message, now)
+                if self.down(now):
+                    continue
+            self.sim.send(bytes(message.get_msgbuf()))
+
+    def receive(self, _timeout_s: float) -> bytes:
+        data = self.sim.receive()
+        if not data or not self.down(self.sim.time_s):
+            return data
+        messages = self._theirs.parse_buffer(data) or []
+        return b"".join(bytes(m.get_msgbuf()) for m in messages if m.get_type() == "SYSTEM_TIME")
+
+    def close(self) -> None:
+        pass
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """As the pilot's transmitter, or another ground station, would."""
+        message = book.MAVLink_param_set_message(1, 1, name.encode(), value, book.MAV_PARAM_TYPE_REAL32)
+        self.sim.send(bytes(message.pack(self._pilot)))
+
+
+def options(**changes: object) -> SimOptions:
+    return SimOptions(lockstep=True, ready_s=1.0, gps_s=2.0, **changes)  # type: ignore[arg-type]
+
+
+def make_leg(
+    name: str = "roll+0.30",
+    profile: Callable[[float], AttitudeTarget] | None = None,
+    duration_s: float = 1.5,
+    kind: str = "roll_step",
+) -> Leg:
+    def roll(t_s: float) -> AttitudeTarget:
+        return AttitudeTarget(t_s, 0.3 if 0.3 <= t_s < 0.8 else -0.3 if 0.8 <= t_s < 1.3 else 0.0, 0.0, 0.0, 0.17)
+
+    phases = (
+        Phase("entry", 0.0, 0.3, False),
+        Phase("step", 0.3, 0.8, True),
+        Phase("coast", 0.8, duration_s, False),
+    )
+    return Leg(
+        f"test/{name}/r1",
+        "test",
+        kind,
+        {"amplitude_rad": 0.3},
+        1,
+        (0.0, 0.0, 5.0),
+        0.0,
+        duration_s,
+        0.3,
+        phases,
+        profile or roll,
+    )
+
+
+def make_plan(*legs: Leg, by: str = "guided", limits: Limits = LIMITS) -> Plan:
+    reset = Reset((0.0, 0.0, 5.0), (0.0,), by, 0.5)  # type: ignore[arg-type]
+    script = Script(
+        "test", "", (), "GUIDED_NOGPS", 50.0, "absolute", limits, reset, (), Repeat(), "format: maneuver/1\n", "0" * 64
+    )
+    return Plan(script, DEFAULT_VEHICLE, legs or (make_leg(),), limits, reset, 50.0)
+
+
+GATE = GateLimits(LIMITS, Zone(), 0.18, stop_throttles(LIMITS, 0.18))
+GOOD = VehicleState(
+    t_s=100.0,
+    mode=20,
+    armed=True,
+    mode_age_s=0.05,
+    attitude_rad=(0.0, 0.0, 0.3),
+    attitude_age_s=0.01,
+    velocity_m_s=(0.0, 0.0, 0.0),
+    position_m=(0.0, 0.0, 5.0),
+    position_age_s=0.02,
+    height_m=5.0,
+    climb_m_s=0.0,
+    voltage_v=24.0,
+    ekf_ok=True,
+    position_ok=True,
+    silence_s=0.01,
+)
+HOVER = AttitudeTarget(0.0, 0.0, 0.0, 0.0, 0.18)
+TILTED = AttitudeTarget(0.0, 0.2, 0.0, 0.0, 0.18)

@@ -1,0 +1,207 @@
+"""Whole flights on the built-in vehicle in this process: as planned, with the pilot taking over, with the link lost, refused, stopped."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flighttest.errors import LinkError, PreflightError
+from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, fly, legs_flown
+from flighttest.plan import AttitudeTarget
+from flighttest.recording.store import open_run, read_manifest
+from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
+
+
+def step_time(link: FaultyLink) -> list[float]:
+    """Times of the first marks named `step`, filled while flying."""
+    times: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            times.append(t_s)
+
+    link.hook = hook
+    return times
+
+
+def test_a_flight_as_planned(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    seen: list[FlightProgress] = []
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link, on_progress=seen.append)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert [r.outcome for r in result.legs] == [LegOutcome.FLOWN, LegOutcome.FLOWN]
+    assert legs_flown(run_dir) == {"test/a/r1", "test/b/r1"}
+
+    recording = open_run(run_dir)
+    assert recording.has("roll_rad", "p_rad_s", "roll_ref_rad", "throttle", "f_z_m_s2", "v_x_m_s", "voltage_v", "mode")
+    t_s, reference = recording.channel("roll_ref_rad")
+    marks = [m for m in recording.markers if m.kind == "phase" and m.label == "step"]
+    assert len(marks) == 2
+    edges = t_s[1:][np.diff(reference) > 0.2]
+    for mark in marks:
+        assert np.min(np.abs(edges - mark.t_s)) < 0.025
+    # 0.1 s after the edge and later the vehicle follows to the commanded side: signs agree end to end.
+    t_roll, roll = recording.channel("roll_rad")
+    window = (t_roll > marks[0].t_s + 0.25) & (t_roll < marks[0].t_s + 0.5)
+    assert np.mean(roll[window]) == pytest.approx(0.3, abs=0.08)
+    leg = next(m for m in recording.markers if m.kind == "leg")
+    assert leg.data["cell"] == {"amplitude_rad": 0.3}
+    assert leg.data["kind"] == "roll_step"
+
+    manifest = read_manifest(run_dir)
+    assert manifest["outcome"] == FlightOutcome.COMPLETED.value
+    assert manifest["parameters"]["GUID_OPTIONS"] == 8.0
+    assert link.sim.vehicle.store["GUID_OPTIONS"] == 0.0, "what was set must be restored"
+    assert {p.leg for p in seen} >= {1, 2}
+    assert any(p.zone_margin_m > 5 for p in seen)
+
+
+def test_the_pilot_takes_over_and_not_one_frame_follows(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = step_time(link)
+
+    def pilot(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            began.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", 5.0)  # LOITER
+
+    link.hook = pilot
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    switched = began[0]
+    last_sent = max(t for t, _ in link.sent)
+    # HEARTBEAT comes ten times a second; the cycle that receives it sends nothing more.
+    assert switched <= last_sent <= switched + 0.15
+    assert result.parameters_left["GUID_OPTIONS"] == 0.0
+    assert any("not restored" in note for note in result.notes)
+    recording = open_run(run_dir)
+    assert [m.label for m in recording.markers if m.kind == "take_over"] == ["LOITER"]
+    assert link.sim.vehicle.mode == 5
+
+
+def test_a_lost_link_ends_the_leg_not_the_flight(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = step_time(link)
+    link.down = lambda t: bool(began) and began[0] + 0.1 < t < began[0] + 2.1
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert [r.outcome for r in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN, LegOutcome.FLOWN]
+    recording = open_run(run_dir)
+    assert any(m.kind == "link_lost" for m in recording.markers)
+    # Never silent while the vehicle may hold the step's throttle: level targets went on all the time.
+    targets = [t for t, kind in link.sent if kind == "SET_ATTITUDE_TARGET" and began[0] < t < began[0] + 2.0]
+    assert np.max(np.diff(targets)) < 0.05
+
+
+def test_a_link_that_stays_away_is_an_outcome(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = step_time(link)
+    link.down = lambda t: bool(began) and t > began[0] + 0.1
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.LINK_LOST
+    assert result.parameters_left
+
+
+def test_a_refused_target_is_dropped_and_level_targets_follow_in_the_same_cycle(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    tilts: list[tuple[float, float]] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "SET_ATTITUDE_TARGET":  # type: ignore[attr-defined]
+            q = message.q  # type: ignore[attr-defined]
+            tilts.append((t_s, 2.0 * np.hypot(q[1], q[2])))
+
+    link.hook = look
+    bad = make_leg("bad", lambda t: AttitudeTarget(t, 0.7 if t > 0.5 else 0.0, 0.0, 0.0, 0.17))
+    result = fly(make_plan(bad, make_leg("good")), "sim", run_dir, transport=link)
+    assert [r.outcome for r in result.legs] == [LegOutcome.REFUSED, LegOutcome.FLOWN]
+    assert "the target tilts more than the script allows" in result.legs[0].why
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert max(tilt for _, tilt in tilts) < 0.32, "the refused target must not have left, not even clamped"
+    gaps = np.diff([t for t, _ in tilts])
+    assert np.sort(gaps)[-3:].max() > 0.5  # between the legs the autopilot holds position by itself
+    abort = next(m for m in open_run(run_dir).markers if m.kind == "abort")
+    assert abort.data["modes"][0] == "BRAKE"
+    assert min(abs(t - abort.t_s) for t, _ in tilts) < 1e-3
+
+
+def test_a_step_refused_twice_is_left_out(run_dir: Path) -> None:
+    def bad(name: str) -> object:
+        return make_leg(name, lambda t: AttitudeTarget(t, 0.7, 0.0, 0.0, 0.17))
+
+    result = fly(make_plan(bad("a"), bad("b"), bad("c")), "sim", run_dir, transport=FaultyLink(options()))  # type: ignore[arg-type]
+    assert [r.outcome for r in result.legs] == [LegOutcome.REFUSED, LegOutcome.REFUSED, LegOutcome.LEFT_OUT]
+
+
+def test_ctrl_c_once_lands(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = step_time(link)
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: int(bool(began)))
+    assert result.outcome is FlightOutcome.OPERATOR_STOP
+    assert not link.sim.vehicle.armed
+    assert result.legs[0].outcome is LegOutcome.STOPPED
+    assert not result.parameters_left
+
+
+def test_ctrl_c_twice_leaves_the_vehicle_in_its_abort_mode(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = step_time(link)
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: 2 if began else 0)
+    assert result.outcome is FlightOutcome.OPERATOR_ABORT
+    assert link.sim.vehicle.armed
+    assert link.sim.vehicle.mode == 17
+
+
+def test_an_empty_battery_ends_the_flight_before_the_next_leg(run_dir: Path) -> None:
+    link = FaultyLink(options(voltage_v=23.0))
+    plan = make_plan(make_leg("a"), limits=replace(LIMITS, voltage_min_v=22.9))
+    result = fly(plan, "sim", run_dir, transport=link, waive=["battery"])
+    assert result.outcome is FlightOutcome.BATTERY
+    assert not link.sim.vehicle.armed
+
+
+def test_what_was_flown_is_not_flown_again(run_dir: Path, tmp_path: Path) -> None:
+    fly(make_plan(make_leg("a")), "sim", run_dir, transport=FaultyLink(options()))
+    result = fly(
+        make_plan(make_leg("a"), make_leg("b")),
+        "sim",
+        tmp_path / "again",
+        transport=FaultyLink(options()),
+        resume=run_dir,
+    )
+    assert [r.leg for r in result.legs] == ["test/b/r1"]
+
+
+def test_without_a_position_our_own_loop_brings_it_up_and_holds_height(run_dir: Path) -> None:
+    link = FaultyLink(options(parameters={"SIM_GPS1_ENABLE": 0.0}))
+    result = fly(make_plan(by="attitude"), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED, result
+    assert [r.outcome for r in result.legs] == [LegOutcome.FLOWN]
+
+
+def test_preflight_says_everything_at_once(run_dir: Path) -> None:
+    link = FaultyLink(options(voltage_v=23.0))
+    plan = make_plan(limits=replace(LIMITS, voltage_min_v=24.0))
+    with pytest.raises(PreflightError) as refused:
+        fly(plan, "sim", run_dir, transport=link)
+    assert any("the battery has" in what for what, _ in refused.value.refusals)
+    assert all(remedy for _, remedy in refused.value.refusals)
+    assert not link.sim.vehicle.armed
+    assert link.sim.vehicle.store["GUID_TIMEOUT"] == 3.0, (
+        "what was set must be restored when the flight is refused, too"
+    )
+
+
+def test_nobody_there(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Silence:
+        def send(self, data: bytes) -> None: ...
+        def receive(self, timeout_s: float) -> bytes:
+            return b""
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("flighttest.link.session.CONNECT_S", 0.3)
+    with pytest.raises(LinkError, match="no HEARTBEAT"):
+        fly(make_plan(), "udpin:127.0.0.1:1", run_dir, transport=Silence())
+    assert read_manifest(run_dir)["outcome"].startswith("no HEARTBEAT")
