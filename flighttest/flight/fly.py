@@ -196,7 +196,10 @@ class _Flight:
         )
         self.recorder.save_manifest()
         self._say("asking for telemetry")
-        refused = vehicle.set_rates(preflight.RATES_HZ)
+        rates_hz = (
+            preflight.RATES_HZ if self.plan.reset.by == "guided" else preflight.RATES_HZ | preflight.BLIND_RATES_HZ
+        )
+        refused = vehicle.set_rates(rates_hz)
         self.notes += [f"{name} was refused: {why}" for name, why in refused.items()]
         if "HIGHRES_IMU" in refused:
             vehicle.set_rates({"RAW_IMU": preflight.RATES_HZ["HIGHRES_IMU"]})
@@ -272,7 +275,8 @@ class _Flight:
         while self.session.now_s() < deadline and not (cockpit.state.position_ok and cockpit.state.attitude_rad):
             cockpit.until(self.session.now_s() + 0.5)
         if not wanted and not cockpit.state.position_ok:
-            self.notes.append("no position: zone and speed are not judged; height, tilt and the fence are")
+            source = cockpit.reader.height_source or "nothing: height is not judged"
+            self.notes.append(f"no position: zone and speed are not judged; height is, from {source}")
 
     def _place_zone(self, cockpit: Cockpit) -> None:
         """Where the zone's origin is in the vehicle's local frame."""

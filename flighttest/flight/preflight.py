@@ -44,6 +44,9 @@ RATES_HZ: dict[str, float] = {
 }
 """Message rates asked for, Hz. HEARTBEAT at 10 Hz, so that a pilot's mode switch is seen within a tenth of a second."""
 
+BLIND_RATES_HZ: dict[str, float] = {"SCALED_PRESSURE": 10.0, "DISTANCE_SENSOR": 10.0, "VFR_HUD": 20.0}
+"""What height is read from where there may be no position."""
+
 
 @dataclass(frozen=True)
 class Check:

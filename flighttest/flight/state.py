@@ -18,6 +18,7 @@ from flighttest.mavlink.telemetry import Rule, rules_of
 FloatArray = NDArray[np.float64]
 
 VOLTAGE_MEAN_S = 2.0
+_PRESSURE_SCALE_M, _PRESSURE_EXPONENT = 44330.8, 0.190263  # international standard atmosphere
 _FRESH_S = 1.0  # a preferred message older than this gives way to the next one of its group
 
 
@@ -67,25 +68,50 @@ class StateReader:
         self._session = session
         self.origin_m = np.zeros(3)
         self._voltages: deque[tuple[float, float]] = deque()
+        self.height_source = ""
+        self._climbed_m = 0.0
+        self._climb_heard_s: float | None = None
+        self._ground_hpa: float | None = None
         session.listen(self._listen)
 
     def _listen(self, message: Message, t_s: float) -> None:
-        if message.get_type() not in ("BATTERY_STATUS", "SYS_STATUS"):
+        kind = message.get_type()
+        if kind == "VFR_HUD":
+            self._sum_climb(float(message.climb), t_s)
+        elif kind == "SCALED_PRESSURE" and (self._ground_hpa is None or not self._armed()):
+            before = self._ground_hpa if self._ground_hpa is not None else float(message.press_abs)
+            self._ground_hpa = before + 0.1 * (float(message.press_abs) - before)
+        if kind not in ("BATTERY_STATUS", "SYS_STATUS"):
             return
-        rule = next(r for r in rules_of("battery") if r.message == message.get_type())
+        rule = next(r for r in rules_of("battery") if r.message == kind)
         values = columns_of(rule, message)
         if values and math.isfinite(values["voltage_v"]):
             self._voltages.append((t_s, values["voltage_v"]))
             while self._voltages and t_s - self._voltages[0][0] > VOLTAGE_MEAN_S:
                 self._voltages.popleft()
 
+    def _armed(self) -> bool:
+        beat = self._session.latest.get("HEARTBEAT")
+        return beat is not None and is_armed(beat.message)
+
+    def _sum_climb(self, climb_m_s: float, t_s: float) -> None:
+        """Height by summing the climb rate since arming: drifts, but is all there is without a fix, a rangefinder and pressure."""
+        if not self._armed():
+            self._climbed_m = 0.0
+        elif self._climb_heard_s is not None:
+            self._climbed_m += climb_m_s * min(t_s - self._climb_heard_s, _FRESH_S)
+        self._climb_heard_s = t_s
+
     def _group(self, group: str) -> tuple[dict[str, float], float]:
         """The freshest values of a group by order of preference, and their age, s."""
+        return self._group_named(group, tuple(rule.message for rule in rules_of(group)))
+
+    def _group_named(self, group: str, messages: tuple[str, ...]) -> tuple[dict[str, float], float]:
         now = self._session.now_s()
         best: tuple[Rule, float] | None = None
         for rule in rules_of(group):
             heard = self._session.latest.get(rule.message)
-            if heard is None:
+            if heard is None or rule.message not in messages:
                 continue
             age = now - heard.t_s
             if age <= _FRESH_S:
@@ -144,16 +170,32 @@ class StateReader:
     def _vertical(
         self, now: float, position: tuple[float, ...] | None, velocity: tuple[float, ...] | None, age: float
     ) -> tuple[float | None, float | None]:
-        """Height above home and climb rate: from the local position, else from VFR_HUD, as it is without a satellite fix."""
+        """Height above home and climb rate by what there is: local position, else a rangefinder, a fix, air pressure, summed climb."""
         if position is not None and velocity is not None and age < _FRESH_S:
+            self.height_source = "the position estimate"
             return position[2], velocity[2]
-        whole = self._session.latest.get("GLOBAL_POSITION_INT")
-        hud = self._session.latest.get("VFR_HUD")
-        height = None
-        if whole is not None and now - whole.t_s < _FRESH_S:
-            height = whole.message.relative_alt * 1e-3
-        climb = float(hud.message.climb) if hud is not None and now - hud.t_s < _FRESH_S else None
-        return height, climb
+        climb = self._fresh("VFR_HUD", now)
+        climb_m_s = float(climb.climb) if climb is not None else None
+        ground, ground_age = self._group_named("height", ("RANGEFINDER", "DISTANCE_SENSOR"))
+        fix = self._fresh("GLOBAL_POSITION_INT", now)
+        if ground and ground_age < _FRESH_S:
+            self.height_source = "a rangefinder"
+            return ground["height_m"], climb_m_s
+        if fix is not None and (fix.lat or fix.lon):
+            self.height_source = "the height above home"
+            return fix.relative_alt * 1e-3, climb_m_s
+        air = self._fresh("SCALED_PRESSURE", now)
+        if air is not None and self._ground_hpa is not None:
+            self.height_source = "air pressure"
+            return _PRESSURE_SCALE_M * (1.0 - (air.press_abs / self._ground_hpa) ** _PRESSURE_EXPONENT), climb_m_s
+        if climb is not None:
+            self.height_source = "the climb rate, summed up"
+            return self._climbed_m, climb_m_s
+        return None, None
+
+    def _fresh(self, name: str, now: float) -> Message | None:
+        heard = self._session.latest.get(name)
+        return heard.message if heard is not None and now - heard.t_s < _FRESH_S else None
 
     def _throttle_stick(self) -> float | None:
         rc = self._session.latest.get("RC_CHANNELS")

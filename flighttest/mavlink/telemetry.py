@@ -128,6 +128,11 @@ def _system_status(raw: Raw) -> Columns:
     }
 
 
+def _has_fix(raw: Raw) -> NDArray[np.bool_]:
+    """Without a satellite fix GLOBAL_POSITION_INT is sent all the same, with zeros that mean nothing."""
+    return np.asarray((raw["lat"] != 0) | (raw["lon"] != 0))
+
+
 def _first_battery(raw: Raw) -> NDArray[np.bool_]:
     return np.asarray(raw["id"] == 0)
 
@@ -152,7 +157,15 @@ RULES: tuple[Rule, ...] = (
     Rule("specific_force", "SCALED_IMU", "time_boot_ms", _XYZ, _specific_force(1e-3 * STANDARD_GRAVITY)),
     Rule("specific_force", "RAW_IMU", "time_usec", _XYZ, _specific_force(1e-3 * STANDARD_GRAVITY)),
     Rule("velocity", "LOCAL_POSITION_NED", "time_boot_ms", _V, _velocity(1.0)),
-    Rule("velocity", "GLOBAL_POSITION_INT", "time_boot_ms", _V, _velocity(1e-2)),
+    Rule("velocity", "GLOBAL_POSITION_INT", "time_boot_ms", (*_V, "lat", "lon"), _velocity(1e-2), keep=_has_fix),
+    Rule(
+        "velocity",
+        "VFR_HUD",
+        None,
+        ("climb",),
+        lambda raw: {"v_z_m_s": raw["climb"]},
+        note="climb rate of VFR_HUD: no horizontal velocity was recorded",
+    ),
     Rule("position", "LOCAL_POSITION_NED", "time_boot_ms", ("x", "y", "z"), _local_position),
     Rule(
         "position",
@@ -160,7 +173,7 @@ RULES: tuple[Rule, ...] = (
         "time_boot_ms",
         ("lat", "lon", "relative_alt"),
         _global_position,
-        keep=lambda raw: np.asarray((raw["lat"] != 0) | (raw["lon"] != 0)),
+        keep=_has_fix,
         note="position relative to the first fix, from GLOBAL_POSITION_INT",
     ),
     Rule("height", "RANGEFINDER", None, ("distance",), lambda raw: {"height_m": raw["distance"]}),
@@ -184,8 +197,9 @@ RULES: tuple[Rule, ...] = (
         "height",
         "GLOBAL_POSITION_INT",
         "time_boot_ms",
-        ("relative_alt",),
+        ("relative_alt", "lat", "lon"),
         lambda raw: {"height_m": raw["relative_alt"] * 1e-3},
+        keep=_has_fix,
         note="height above home (GLOBAL_POSITION_INT), taken as level ground",
     ),
     Rule("battery", "BATTERY_STATUS", None, ("id", "voltages", "current_battery"), _battery, keep=_first_battery),
