@@ -81,9 +81,17 @@ class Rows:
         return self.open_jacobian[:, [self.names.index(n) for n in names]]
 
 
+BLOCKS = ("roll_pitch", "yaw", "translation")
+
+
+def part_of(block: str) -> str:
+    """Which bench compares a block of the model: roll and pitch together, yaw rate alone unless a term couples it to them."""
+    return block if block in ("translation", "yaw") else "roll_pitch"
+
+
 @dataclass
 class Bench:
-    """Usable segments of one vehicle and the models tried on them. block: 'attitude' or 'translation': which parts are compared."""
+    """Usable segments of one vehicle and the models tried on them. block: one of `BLOCKS`, which parts are compared."""
 
     segments: tuple[Segment, ...]
     block: str
@@ -96,7 +104,7 @@ class Bench:
         key = (model.terms, tuple(model.extra))
         if key not in self._problems:
             made = Problem.build(self.segments, model, filters=self.filters_hz, select="all")
-            parts = tuple(p for p in made.parts if (p.block.name == "translation") == (self.block == "translation"))
+            parts = tuple(p for p in made.parts if part_of(p.block.name) == self.block)
             reached = {n for part in parts for n in part.block.params}
             self._problems[key] = replace(
                 made, parts=parts, names=tuple(n for n in made.names if n in reached), _kernels={}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flighttest.diagnose.baselines import baselines
-from flighttest.diagnose.bench import RESOLUTION, Bench
+from flighttest.diagnose.bench import BLOCKS, RESOLUTION, Bench
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
@@ -34,6 +34,7 @@ EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as expl
 LEAST_EXCESS = 0.25  # of the noise floor's power: less is nobody's business (half a floor in amplitude)
 # Held at off in the attitude model until it is needed, so that roll and pitch are always compared on the same responses.
 COUPLING = "roll_pitch_coupling"
+PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "the throttle"}
 # Start delays never fall on a sample: there the derivative by the delay is one-sided.
 OFF_GRID_S = 1.7e-4
 
@@ -81,19 +82,19 @@ def diagnose(
     start = _start(usable, model, previous)
     searches: list[Search] = []
     complete, notes = True, []
-    for block in ("attitude", "translation"):
-        if block == "attitude" and not model.attitude_loops:
+    for block in BLOCKS:
+        if block != "translation" and not model.attitude_loops:
             continue
         bench = Bench(usable, block, filters)
         own = Model(
-            (*model.terms, COUPLING) if block == "attitude" else model.terms,
+            (*model.terms, COUPLING) if block == "roll_pitch" else model.terms,
             model.nominal_voltage_v, model.g_m_s2, model.channel_delays, model.attitude_loops, dict(model.extra),
         )  # fmt: skip
         if not bench.problem(own).parts:
-            notes.append(f"nothing in this recording moves the {block} loops: they are left out")
+            notes.append(f"nothing in this recording moves {PLAIN[block]}: it is left out")
             continue
-        dormant = frozenset({COUPLING}) if block == "attitude" and COUPLING not in model.terms else frozenset()
-        here = tuple(t for t in pool if block_of(t) == block and not missing_channels(t, usable))
+        dormant = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
+        here = tuple(t for t in pool if _acts(t, bench, own) and not missing_channels(t, usable))
         search = Search(bench, here, groups, dormant, progress=lambda text, b=block: tell(f"{b}: {text}"))  # type: ignore[misc]
         try:
             search.run(own, bench.start(own, start))
@@ -110,6 +111,14 @@ def diagnose(
             "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
         )
     return _assembled(usable, model, searches, pool, groups, group_name, previous or {}, complete, notes, seed, tell)
+
+
+def _acts(term: Term, bench: Bench, model: Model) -> bool:
+    """Whether a term changes what this bench compares."""
+    if (block_of(term) == "translation") != (bench.block == "translation"):
+        return False
+    known = bench.problem(model if term.id in model.terms else model.with_terms(term)).names
+    return any(p.name in known for p in term.params)
 
 
 def _start(segments: Sequence[Segment], model: Model, previous: Mapping[str, Any] | None) -> dict[str, float]:

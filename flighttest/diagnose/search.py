@@ -83,7 +83,7 @@ class Judged:
 
 @dataclass
 class Search:
-    """One block of the model (attitude or translation) on one bench."""
+    """One block of the model (roll and pitch, yaw rate, or translation) on one bench."""
 
     bench: Bench
     pool: tuple[Term, ...]
@@ -164,12 +164,14 @@ class Search:
         assert self.floor is not None
         ranked = [s for s in best_per_term(self.scores) if s.variant.term.id not in self.refused]
         # A secant says little about a change that the base must answer by moving far: where there are few candidates, all are refitted.
-        ranked.sort(key=lambda s: (bool(s.variant.names), s.bic) if self.bench.block == "attitude" else (False, s.bic))
+        ranked.sort(
+            key=lambda s: (bool(s.variant.names), s.bic) if self.bench.block != "translation" else (False, s.bic)
+        )
         tries = 0
         best: tuple[Judged, Fitted] | None = None
-        wrong = self._worst() > 1 + LEAST_FLOORS**2
+        wrong = not self.judged and self._worst() > 1 + LEAST_FLOORS**2
         for s in ranked:
-            blunt = wrong and self.bench.block == "attitude" and not s.variant.names
+            blunt = wrong and self.bench.block != "translation" and not s.variant.names
             if not blunt:
                 if tries >= TRIES or (best is not None and s.bic > 0.5 * best[0].bic):
                     break

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose import Diagnosis, diagnose
-from flighttest.diagnose.bench import RESOLUTION, Bench, Rows, State
+from flighttest.diagnose.bench import BLOCKS, RESOLUTION, Bench, Rows, State
 from flighttest.diagnose.judge import size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
@@ -20,6 +20,7 @@ from flighttest.errors import FlighttestError
 from flighttest.identify.onset import onset_delay, start_values
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
+from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.proof.cases import Case
 from flighttest.proof.flying import fly_campaign
@@ -119,7 +120,7 @@ def _measured(
     forces: dict[str, tuple[float, float]] = {}
     if not case.hide:
         return sizes, classes, forces
-    oracle = [_Oracle(segments, block, nominal_voltage_v) for block in ("attitude", "translation")]
+    oracle = [_Oracle(segments, block, nominal_voltage_v) for block in BLOCKS]
     for name in case.hide:
         twin = _flown(case, {k: v for k, v in case.hide.items() if k != name})
         best = 0.0
@@ -150,7 +151,7 @@ class _Oracle:
         self.segments, self.block = tuple(segments), block
         self.bench = Bench(self.segments, block)
         self.model = Model(
-            ("linear_drag", "roll_pitch_coupling") if block == "attitude" else ("linear_drag",), nominal_voltage_v
+            ("linear_drag", "roll_pitch_coupling") if block == "roll_pitch" else ("linear_drag",), nominal_voltage_v
         )
         values = start_values(self.segments, self.model, onset_delay(self.segments))
         start = self.bench.start(self.model, {k: v + 1.7e-4 if k.startswith("T_d") else v for k, v in values.items()})
@@ -184,9 +185,11 @@ class _Oracle:
     def alike(self, name: str, effect: FloatArray) -> tuple[str, ...]:
         """Ids that cannot be told from the hidden one on this recording: cosine of what is left above 0.95."""
         known = catalogue()
-        if name not in known or block_of(known[name]) != self.block:
+        if name not in known:
             return (name,)
-        terms = [t for t in known.values() if block_of(t) == self.block and t.id not in self.model.terms]
+        terms = [t for t in known.values() if t.id not in self.model.terms and self._acts(t)]
+        if name not in {t.id for t in terms}:
+            return (name,)
         plain = [t for t in terms if t.amplitudes and not t.shapes]
         everything = self.model.with_terms(*plain)
         names = tuple(p.name for t in plain for p in t.amplitudes if p.name in self.bench.problem(everything).names)
@@ -206,6 +209,12 @@ class _Oracle:
             if np.linalg.norm(c) > 1e-9 and float(np.linalg.norm(orthonormal(c).T @ direction)) / length > CONFUSABLE:
                 found.add(v.term.id)
         return tuple(sorted(found))
+
+    def _acts(self, term: Term) -> bool:
+        if (block_of(term) == "translation") != (self.block == "translation"):
+            return False
+        known = self.bench.problem(self.model.with_terms(term)).names
+        return any(p.name in known for p in term.params)
 
     def force(self, effect: FloatArray) -> float:
         """RMS over all samples of an effect on specific force, m/s^2, its noise taken off."""
