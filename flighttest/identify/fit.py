@@ -9,13 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
-from flighttest.identify.identifiability import ALPHA_HOPELESS, judge, voltage_spread_at_equal_throttle, voltage_varies
+from flighttest.identify.identifiability import (
+    ALPHA_HOPELESS,
+    HOPELESS_SHARE,
+    judge,
+    voltage_spread_at_equal_throttle,
+    voltage_varies,
+)
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
 from flighttest.identify.problem import Noise, Problem, Select
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
@@ -61,7 +68,8 @@ class Outlier:
 class Fit:
     """What identification found. estimates: by name, T_d included; covariance over `covariance.names` (those estimated).
 
-    delays_s: per channel (value, std); onset: the paper's estimate; quality: per channel; notes: what the reader must know.
+    delays_s: per channel (value, std); onset: the paper's estimate; quality: per channel; notes: what the reader must know;
+    checks: plain data of cross-checks made afterwards, for model.yaml's fit_quality.
     """
 
     model: Model
@@ -79,6 +87,7 @@ class Fit:
     problem: Problem = field(repr=False)
     solution: Solution = field(repr=False)
     voltage_spread_v: float | None = None
+    checks: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:
@@ -132,15 +141,15 @@ def fit(
     begin = {**start_values(segments, model, onset), **(start or {}), **(frozen or {})}
     spread = voltage_spread_at_equal_throttle(segments)
     held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
-    for _ in range(2):
+    while True:
         fixed = (*(frozen or {}), *held)
         problem = Problem.build(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
         solution = _best(problem, robust, model.start(start))
         covariance = covariance_of(problem, solution)
-        if "alpha" not in covariance.names or std_of(covariance, "alpha") < ALPHA_HOPELESS:
+        hopeless = _hopeless(solution, covariance)
+        if not hopeless or len(hopeless) == len(covariance.names):
             break
-        # K and alpha cannot be told apart: K is then the gain at the voltage flown, with alpha held where it starts.
-        held = ("alpha",)
+        held = (*held, *hopeless)
     estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))
@@ -164,6 +173,19 @@ def fit(
         solution=solution,
         voltage_spread_v=spread,
     )
+
+
+def _hopeless(solution: Solution, covariance: Covariance) -> tuple[str, ...]:
+    """Parameters to hold at their start, so that the others are still found.
+
+    alpha where it cannot be told from K: K is then the gain at the voltage flown. Where the solver did not end well, whatever it
+    has no more than a hint of: such directions are flat, and it wanders along them.
+    """
+    names = covariance.names
+    lost = {"alpha"} if "alpha" in names and std_of(covariance, "alpha") >= ALPHA_HOPELESS else set()
+    if not solution.status.good:
+        lost |= {n for n in names if std_of(covariance, n) > HOPELESS_SHARE * abs(solution.values[n])}
+    return tuple(n for n in names if n in lost)
 
 
 def _check_names(model: Model, names: Sequence[str]) -> None:

@@ -14,6 +14,7 @@ from flighttest.segments.model import Segment
 ALPHA_STD = 0.3
 ALPHA_SHARE = 0.2
 ALPHA_HOPELESS = 1.0  # a standard error beyond this says nothing: alpha is held, so that K is still found
+HOPELESS_SHARE = 0.5  # of the value: a standard error beyond this leaves no digit
 VOLTAGE_STD = 0.004  # of ln U, below which alpha is held from the beginning (0.1 V on 22 V)
 WEAK_SHARE = 0.25
 WEAK_DELAY_S = 0.01

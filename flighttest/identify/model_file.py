@@ -112,6 +112,7 @@ def as_data(
         },
         "ties": [t.sentence for t in found.ties],
         "voltage_spread_at_equal_throttle_v": _number(found.voltage_spread_v),
+        **found.checks,
         **(extra_quality or {}),
     }
     data: dict[str, Any] = {

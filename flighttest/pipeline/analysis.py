@@ -10,7 +10,7 @@ from typing import Any
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
 from flighttest.identify import model_file
-from flighttest.identify.alternation import alternation
+from flighttest.identify.alternation import cross_checked
 from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
 from flighttest.physics.catalogue import catalogue
@@ -116,7 +116,8 @@ def fit_segments(
         attitude_loops=has_attitude_references(usable),
     )
     progress.stage(f"fitting {len(usable)} responses")
-    return identify(usable, model, frozen=_pairs(options.freeze, "--freeze"), ties=_ties(options.tie))
+    found = identify(usable, model, frozen=_pairs(options.freeze, "--freeze"), ties=_ties(options.tie))
+    return cross_checked(found)
 
 
 def _terms(ids: Sequence[str]) -> tuple[str, ...]:
@@ -156,10 +157,7 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
 def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
     """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
     battery = battery_data(recordings)
-    extra: dict[str, Any] = {"battery": dict(battery)} if battery else {}
-    check = alternation(found) if found.status.good else None
-    if check is not None:
-        extra["alternation"] = {"values": dict(check.values), "rounds": check.rounds, "sentence": check.sentence}
+    extra = {"battery": dict(battery)} if battery else None
     return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
 
 
