@@ -49,6 +49,7 @@ def check(context: Context, scripts: tuple[str, ...], vehicle: Path | None, mode
 @click.option("--resume", type=FOLDER, metavar="RUN", help="Fly what is missing in an interrupted run.")
 @click.option("--set-params", is_flag=True, help="Set what the preflight asks for and restore it afterwards.")
 @click.option("--waive", multiple=True, metavar="CHECK", help="Waive one preflight check by name.")
+@click.option("--weather", default="", metavar="TEXT", help="Kept with the run: wind, temperature, pressure.")
 @click.option("--yes", is_flag=True, help="Do not ask before arming.")
 def run(
     context: Context,
@@ -65,6 +66,7 @@ def run(
     resume: Path | None,
     set_params: bool,
     waive: tuple[str, ...],
+    weather: str,
     yes: bool,
 ) -> int:
     """Fly maneuver scripts, record, cut, fit, diagnose and report.
@@ -90,6 +92,7 @@ def run(
         resume=resume,
         set_params=set_params,
         waive=waive,
+        weather=weather,
     )
     context.show.say(flying.announce(request))
     if not yes and flying.needs_consent(request):

@@ -23,7 +23,7 @@ from flighttest.pipeline.views import fit_view, segment_views
 from flighttest.recording import Recording
 from flighttest.report import fit_sections, html
 from flighttest.report.currency_page import status_document
-from flighttest.report.document import Document, Section, Tone
+from flighttest.report.document import Bullets, Document, Section, Tone
 from flighttest.report.views import FitView
 from flighttest.segments import Segment
 from flighttest.vehicle.model import Vehicle
@@ -68,7 +68,7 @@ def analyse(
         data["model"] = model
     progress.stage("writing the report")
     view = fit_view(found.fit, found.segments) if found.fit is not None else None
-    page = _page(found, view)
+    page = _page(found, view, notes)
     for folder in folders:
         html.write(page, folder / REPORT_NAME)
     data["report"] = str(folders[-1] / REPORT_NAME)
@@ -142,9 +142,11 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
     return words.strip(), tone
 
 
-def _page(found: Analysis, view: FitView | None) -> Document:
+def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Document:
     verdict, tone = _verdict(found, view)
     extra: list[Section] = []
+    if notes:
+        extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(notes)),)))
     if found.currency is not None:
         extra += status_document(found.currency, {}, {}, {}).sections
     return run_document(

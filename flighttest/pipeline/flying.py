@@ -57,6 +57,7 @@ class FlightRequest:
     resume: Path | None = None
     set_params: bool = False
     waive: tuple[str, ...] = ()
+    weather: str = ""
 
 
 def target(request: FlightRequest) -> str:
@@ -230,6 +231,7 @@ def _one(request: FlightRequest, plan: Plan, index: int, count: int, progress: P
             on_progress=progress.flight,
             on_stage=progress.stage,
             stop_requested=stops,
+            weather=request.weather,
         )
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
     progress.stage(f"{name}: {flown} of {len(plan.legs)} steps flown; {ended.outcome.value}")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from flighttest.errors import InputError, RecordingError
+from flighttest.errors import InputError, LinkError, RecordingError
 from flighttest.logs import import_log as read_log
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
@@ -59,18 +60,29 @@ def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
 
 
 def open_recordings(
-    paths: Sequence[Path], columns: Path | None = None, workers: int = 1, progress: Progress = SILENT
+    paths: Sequence[Path],
+    columns: Path | None = None,
+    workers: int = 1,
+    progress: Progress = SILENT,
+    scheduler: str | None = None,
 ) -> tuple[Recording, ...]:
-    """All of them, in order; each name is made unique, since segments carry it."""
-    if workers > 1 and len(paths) > 1:
+    """All of them, in order; each name is made unique, since segments carry it.
+
+    workers: processes on this machine; scheduler: address of a Dask cluster instead, whose workers see the same paths.
+    """
+    read = partial(open_recording, columns=columns)
+    if scheduler is not None:
+        progress.stage(f"reading {len(paths)} recordings on {scheduler}")
+        found = _on_cluster(scheduler, read, [p.resolve() for p in paths])
+    elif workers > 1 and len(paths) > 1:
         progress.stage(f"reading {len(paths)} recordings in {min(workers, len(paths))} processes")
-        with ProcessPoolExecutor(min(workers, len(paths))) as pool:
-            found = list(pool.map(partial(open_recording, columns=columns), paths))
+        with ProcessPoolExecutor(min(workers, len(paths)), mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(read, paths))
     else:
         found = []
         for path in paths:
             progress.stage(f"reading {path}")
-            found.append(open_recording(path, columns))
+            found.append(read(path))
     names: set[str] = set()
     unique = []
     for recording in found:
@@ -84,6 +96,18 @@ def open_recordings(
             else Recording(name, recording.series, recording.markers, recording.provenance)
         )
     return tuple(unique)
+
+
+def _on_cluster(scheduler: str, read: Callable[[Path], Recording], paths: Sequence[Path]) -> list[Recording]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError("--scheduler needs the package `distributed`", "pip install flighttest[cluster]") from error
+    try:
+        with Client(scheduler, timeout="10s") as client:
+            return list(client.gather(client.map(read, list(paths))))
+    except OSError as error:
+        raise LinkError(f"the cluster at {scheduler} does not answer", "is the scheduler running there?") from error
 
 
 def import_log(

@@ -1,0 +1,27 @@
+"""Several recordings at once: processes give the same, a missing cluster is said."""
+
+import numpy as np
+import pytest
+
+from flighttest.errors import FlighttestError
+from flighttest.pipeline.sources import open_recordings
+
+
+def test_processes_give_the_same_bit_for_bit(flight_csv, worn_csv):
+    alone = open_recordings([flight_csv, worn_csv])
+    together = open_recordings([flight_csv, worn_csv], workers=2)
+    assert [r.name for r in alone] == [r.name for r in together]
+    for a, b in zip(alone, together, strict=True):
+        for group in a.series:
+            for name, values in a.series[group].columns.items():
+                assert np.array_equal(values, b.series[group].columns[name], equal_nan=True)
+
+
+def test_the_same_recording_twice_gets_two_names(flight_csv):
+    first, second = open_recordings([flight_csv, flight_csv])
+    assert first.name != second.name
+
+
+def test_a_cluster_that_is_not_there_is_said(flight_csv):
+    with pytest.raises(FlighttestError, match=r"distributed|cluster"):
+        open_recordings([flight_csv], scheduler="tcp://127.0.0.1:1")
