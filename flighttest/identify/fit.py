@@ -20,6 +20,7 @@ from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
     judge,
+    throttle_varies,
     voltage_spread_at_equal_throttle,
     voltage_varies,
 )
@@ -141,6 +142,8 @@ def fit(
     begin = {**start_values(segments, model, onset), **(start or {}), **(frozen or {})}
     spread = voltage_spread_at_equal_throttle(segments)
     held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
+    if not throttle_varies(segments):
+        held = (*held, "sigma_t", "T_d_thrust")
     while True:
         fixed = (*(frozen or {}), *held)
         problem = Problem.build(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)

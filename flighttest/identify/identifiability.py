@@ -15,6 +15,7 @@ ALPHA_STD = 0.3
 ALPHA_SHARE = 0.2
 ALPHA_HOPELESS = 1.0  # a standard error beyond this says nothing: alpha is held, so that K is still found
 HOPELESS_SHARE = 0.5  # of the value: a standard error beyond this leaves no digit
+THROTTLE_STEP = 0.005  # of full throttle: less is no step
 VOLTAGE_STD = 0.004  # of ln U, below which alpha is held from the beginning (0.1 V on 22 V)
 WEAK_SHARE = 0.25
 WEAK_DELAY_S = 0.01
@@ -96,6 +97,11 @@ def voltage_varies(segments: Sequence[Segment], nominal_voltage_v: float) -> boo
         return False
     spread = float(np.hypot(np.std(means), np.mean(inside)))
     return spread / nominal_voltage_v > VOLTAGE_STD
+
+
+def throttle_varies(segments: Sequence[Segment]) -> bool:
+    """Whether any segment moves its throttle: without that, nothing tells the thrust lag or its delay."""
+    return any("throttle" in s.u and float(np.ptp(held(s.u["throttle"], s.t_s))) > THROTTLE_STEP for s in segments)
 
 
 def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | None:
