@@ -172,7 +172,7 @@ def fit(
     """Estimate the parameters of one or several recordings, jointly; write model.yaml where `output` says."""
     options = options or FitOptions()
     declared = load_vehicle(vehicle) if vehicle is not None else None
-    recordings = open_recordings(runs, columns, options.workers, progress)
+    recordings = open_recordings(runs, columns, options.workers, progress, options.scheduler)
     segments = cut_all(recordings, progress)
     found = fit_segments(segments, recordings, declared, options, progress)
     return finish_fit(found, segments, recordings, declared, output, [str(r) for r in runs])
