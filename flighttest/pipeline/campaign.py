@@ -22,7 +22,7 @@ from flighttest.pipeline.sources import open_recordings
 from flighttest.pipeline.views import fit_view, segment_views
 from flighttest.recording import Recording
 from flighttest.report import fit_sections, html
-from flighttest.report.currency_page import status_document
+from flighttest.report.currency_page import TONES, status_document
 from flighttest.report.document import Bullets, Document, Section, Tone
 from flighttest.report.views import FitView
 from flighttest.segments import Segment
@@ -129,17 +129,23 @@ def _status(found: Analysis, usable: bool) -> Status:
 
 
 def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
+    """The sentence on top: the currency first where this flight does not make a model of its own (a spot check)."""
     if view is None:
         return f"No model could be fitted: {found.reason}.", "bad"
-    words = view.verdict
     tone: Tone = "bad" if not view.good else "good" if all(p.known for p in view.parameters) else "warn"
+    parts = [view.verdict]
     if found.diagnosis is not None:
-        words += f" {found.diagnosis.get('sentence', '')}"
+        parts.append(str(found.diagnosis.get("sentence", "")))
         tone = tone if found.explained else "warn"
-    if found.currency is not None and found.currency.verdict is Verdict.STALE:
-        words += " The earlier model is stale: " + found.currency.sentence.removeprefix("Stale: ")
-        tone = "warn"
-    return words.strip(), tone
+    if found.currency is not None:
+        stale = found.currency.verdict is Verdict.STALE
+        if not renewed(found):
+            parts.insert(0, found.currency.sentence)
+            tone = TONES[found.currency.verdict]
+        elif stale:
+            parts.append("The earlier model was stale: " + found.currency.sentence.removeprefix("Stale: "))
+            tone = "warn"
+    return " ".join(p for p in parts if p).strip(), tone
 
 
 def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Document:
