@@ -1,0 +1,173 @@
+"""The safety of a flight on the real ArduCopter SITL: what only the built-in vehicle has seen has not been seen."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import Transport, open_transport
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import parser
+from flighttest.plan import AttitudeTarget
+from flighttest.sim.sitl_launcher import SitlOptions, launch
+from tests.flight.faulty import make_leg, make_plan
+
+pytestmark = pytest.mark.sitl
+
+
+def fast_tilt(t_s: float) -> AttitudeTarget:
+    """0.5 rad for a second: the vehicle is at 5 m/s when the counter-step begins."""
+    return AttitudeTarget(t_s, 0.5 if 0.3 <= t_s < 1.3 else -0.5 if 1.3 <= t_s < 2.0 else 0.0, 0.0, 0.0, 0.155)
+
+
+def full_throttle(t_s: float) -> AttitudeTarget:
+    """T_0 = 0.10, then T_1 = 0.40 for as long as the script's gate lets it."""
+    return AttitudeTarget(t_s, 0.0, 0.0, 0.0, 0.10 if t_s < 0.5 else 0.40 if t_s < 0.9 else 0.05)
+
+
+PROFILES = {"tilt": fast_tilt, "throttle": full_throttle}
+
+
+class Watched:
+    """A link to the vehicle that counts what leaves, and may go down."""
+
+    def __init__(self, inner: Transport) -> None:
+        self.inner = inner
+        self.sent_at: list[float] = []
+        self.down_until = 0.0
+        self.on_step: object = None
+        self._parser = parser(1, 1)
+
+    def send(self, data: bytes) -> None:
+        self.sent_at.append(time.monotonic())
+        for message in self._parser.parse_buffer(data) or []:
+            if message.get_type() == "STATUSTEXT" and message.text.endswith(" step") and callable(self.on_step):
+                self.on_step()
+        if time.monotonic() >= self.down_until:
+            self.inner.send(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        data = self.inner.receive(timeout_s)
+        return data if time.monotonic() >= self.down_until else b""
+
+    def close(self) -> None:
+        self.inner.close()
+
+
+def second_link(sitl) -> ArduPilot:
+    """Another ground station on the same vehicle."""
+    session = Session(Port(open_transport(f"tcp:127.0.0.1:{sitl.base_port + 2}"), system=255, component=190))
+    session.connect()
+    return ArduPilot(session)
+
+
+@pytest.fixture(scope="module")
+def sitl(arducopter):
+    with launch(SitlOptions(airframe="paper", speedup=1.0)) as vehicle:
+        yield vehicle
+
+
+def test_take_over_link_loss_and_kill(sitl, tmp_path):
+    """One vehicle, three flights: each ends with the vehicle safe, so that the next can begin."""
+    link_lost(sitl, tmp_path / "lost")
+    killed(sitl, tmp_path / "tilt", "tilt")
+    killed(sitl, tmp_path / "throttle", "throttle")
+    take_over(sitl, tmp_path / "over")
+
+
+def link_lost(sitl, run_dir):
+    watched = Watched(open_transport(sitl.url))
+
+    def lose() -> None:
+        watched.on_step = None
+        watched.down_until = time.monotonic() + 2.0
+
+    watched.on_step = lose
+    result = fly(make_plan(make_leg()), sitl.url, run_dir, transport=watched)
+    assert result.outcome is FlightOutcome.COMPLETED, result
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN]
+
+
+def take_over(sitl, run_dir):
+    pilot = second_link(sitl)
+    watched = Watched(open_transport(sitl.url))
+    switched: list[float] = []
+
+    def switch() -> None:
+        watched.on_step = None
+        switched.append(time.monotonic())
+        pilot.ask_mode(CopterMode.LOITER)
+
+    watched.on_step = switch
+    result = fly(make_plan(make_leg()), sitl.url, run_dir, transport=watched)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert watched.sent_at[-1] - switched[0] < 0.4
+    pilot.set_mode(CopterMode.LAND)
+    assert (
+        pilot.session.await_message(lambda m: m.get_type() == "HEARTBEAT" and not m.base_mode & 128, 60.0) is not None
+    )
+
+
+def killed(sitl, run_dir: Path, profile: str):
+    watcher = second_link(sitl)
+    watcher.set_rates({"ATTITUDE": 50.0, "LOCAL_POSITION_NED": 50.0})
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.flight.test_on_sitl", sitl.url, str(run_dir), profile],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).resolve().parents[2],
+    )
+    try:
+        assert process.stdout is not None
+        # Read on meanwhile: telemetry that waits in a buffer would be taken for what happens after the kill.
+        while not select.select([process.stdout], [], [], 0.0)[0]:
+            watcher.session.advance(watcher.session.now_s() + 0.05)
+        assert process.stdout.readline().strip() == "step", "the flight ended before its step"
+        watcher.session.advance(watcher.session.now_s() + (0.9 if profile == "tilt" else 0.35))
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    finally:
+        process.kill()
+    killed_s = watcher.session.now_s()
+    tilts: list[tuple[float, float]] = []
+    places: list[tuple[float, float, float]] = []
+    while watcher.session.now_s() < killed_s + 6.0:
+        watcher.session.advance(watcher.session.now_s() + 0.02)
+        attitude = watcher.session.latest["ATTITUDE"].message
+        place = watcher.session.latest["LOCAL_POSITION_NED"].message
+        tilts.append((watcher.session.now_s(), math.acos(math.cos(attitude.roll) * math.cos(attitude.pitch))))
+        places.append((place.x, -place.y, -place.z))
+    # Level within GUID_TIMEOUT (0.2 s) + 1 s, and inside a fence of 30 m about the zone.
+    assert max(tilt for t, tilt in tilts if t > killed_s + 1.2) < 0.12
+    assert max(math.hypot(x, y) for x, y, _ in places) < 30.0
+    assert min(z for *_, z in places) > 0.5
+    assert max(z for *_, z in places) < 18.0
+    assert (run_dir / "raw.tlog").stat().st_size > 100_000
+    watcher.set_mode(CopterMode.LAND)
+    assert (
+        watcher.session.await_message(lambda m: m.get_type() == "HEARTBEAT" and not m.base_mode & 128, 60.0) is not None
+    )
+    watcher.session.port.close()
+
+
+def _fly_to_be_killed(url: str, run_dir: str, profile: str) -> None:
+    watched = Watched(open_transport(url))
+    watched.on_step = lambda: sys.stdout.write("step\n") and sys.stdout.flush()
+    leg = make_leg(profile, PROFILES[profile], 2.5)
+    fly(make_plan(leg), url, Path(run_dir), transport=watched)
+
+
+if __name__ == "__main__":
+    _fly_to_be_killed(*sys.argv[1:])
