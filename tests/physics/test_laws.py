@@ -236,7 +236,7 @@ WITNESSES = {
         {"roll_ref": 1.2, "roll": 0.2, "pitch_ref": -0.1, "pitch": -0.1},
         [2 * 0.44 * 25.43 * (1.0 - 25.43 / 0.88), 0.0, 0.0],
     ),
-    "reference_shaping": ({}, {}, [0.0, 0.3]),
+    "reference_shaping": ({"shaping_ff": 0.0}, {}, [0.0, 0.3]),
     "yaw_rate_shaping": ({}, {}, [0.6]),
     "attitude_extra_pole": ({"attitude_pole_share": 0.5}, {}, [-0.1, 0.3]),
     "slung_payload": ({"payload_ratio": 0.25}, {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}, [0.16, 0.16, -1.6]),
@@ -262,7 +262,7 @@ def simulate(term_id, values, reference, duration_s, dt=0.001):
 
 
 def test_shaping_keeps_the_acceleration_limit_and_arrives():
-    target = simulate("reference_shaping", {"shaping_accel": 10.0, "shaping_tc": 0.15}, 0.5, 1.5)
+    target = simulate("reference_shaping", {"shaping_accel": 10.0, "shaping_tc": 0.15, "shaping_ff": 0.0}, 0.5, 1.5)
     acceleration = np.gradient(np.gradient(target, 0.001), 0.001)
     assert np.abs(acceleration[5:-5]).max() < 10.0 * 1.05
     assert target[-1] == pytest.approx(0.5, abs=2e-3)
@@ -270,9 +270,19 @@ def test_shaping_keeps_the_acceleration_limit_and_arrives():
     assert np.interp(0.9 * 0.5, target, np.arange(target.size) * 0.001) == pytest.approx(0.5, abs=0.12)
 
 
+def test_what_the_rate_loop_is_told_beforehand_makes_the_second_order_follow_the_target():
+    term, ahead = TERMS["reference_shaping"], {}
+    s = signals(flight(roll=0.0, roll_rate=0.0))
+    for share in (0.0, 1.0):
+        x = states(term, 0.0) | {"roll_target_rate_rad_s": 0.7}
+        ahead[share] = float(term.build(s, params(term, shaping_ff=share), x).value["roll_ref"])
+    omega, zeta = s.base["omega_phi"], s.base["zeta_phi"]
+    assert ahead[1.0] - ahead[0.0] == pytest.approx(2 * zeta / omega * 0.7)
+
+
 def test_a_small_step_is_shaped_linearly():
-    small = simulate("reference_shaping", {"shaping_accel": 20.0, "shaping_tc": 0.15}, 0.05, 0.6)
-    large = simulate("reference_shaping", {"shaping_accel": 20.0, "shaping_tc": 0.15}, 0.10, 0.6)
+    small = simulate("reference_shaping", {"shaping_accel": 20.0, "shaping_tc": 0.15, "shaping_ff": 0.0}, 0.05, 0.6)
+    large = simulate("reference_shaping", {"shaping_accel": 20.0, "shaping_tc": 0.15, "shaping_ff": 0.0}, 0.10, 0.6)
     assert np.abs(2 * small - large).max() < 0.006
 
 
