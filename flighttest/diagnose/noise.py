@@ -131,10 +131,10 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
         if pure is None:
             std[name] = max(fast[name], resolution.get(name, 0.0))
             continue
-        pure_ms, pure_dof, lack_ms, lack_dof, kinds = pure
+        pure_ms, pure_dof, lack_ms, lack_dof, kinds, usual_ms = pure
         by_kind |= {(name, kind): (ms / max(pure_ms, 1e-300), cells) for kind, (ms, cells) in kinds.items()}
         pure_ms += fast[name] ** 2  # what moves within a bin
-        std[name] = max(float(np.sqrt(pure_ms)), resolution.get(name, 0.0))
+        std[name] = max(float(np.sqrt(usual_ms + fast[name] ** 2)), resolution.get(name, 0.0))
         repeated.add(name)
         lack[name] = (lack_ms, lack_dof, pure_ms, pure_dof)
     return Floor(std, frozenset(repeated), lack, by_kind)
@@ -142,8 +142,12 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
 
 def _pure_error(
     rows: Rows, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
-) -> tuple[float, float, float, float, dict[str, tuple[float, int]]] | None:
-    """(pure error mean square of bin means, its degrees of freedom, lack of fit likewise, its degrees, kind to (lack of fit, cells))."""
+) -> tuple[float, float, float, float, dict[str, tuple[float, int]], float] | None:
+    """Mean squares of 0.1 s means: (pure error, its degrees of freedom, lack of fit, its degrees, kind to (lack of fit, cells), usual).
+
+    The usual pure error is the median over times since the step, so that a few bins around jittering edges do not raise the floor of
+    all the others.
+    """
     kinds: dict[str, list[float]] = {}
     cells_of: dict[str, int] = {}
     raw = rows.open_residual
@@ -183,6 +187,7 @@ def _pure_error(
             lack += len(entries) * means.mean() ** 2
             kinds.setdefault(str(key[0]), []).append(len(entries) * means.mean() ** 2)  # type: ignore[index]
             lack_dof += 1
+    each: list[tuple[float, float]] = []
     for same in bins.values():
         z = np.stack([e[0] for e in same])
         d = np.array([e[1] for e in same])
@@ -195,7 +200,12 @@ def _pure_error(
             free -= float(np.linalg.matrix_rank(scaled, tol=1e-6))
         square += float(d @ d)
         dof += max(free, 0.0)
-    if dof < 3:
+        if free > 0.5:
+            each.append((float(d @ d) / free, free))
+    if dof < 3 or not each:
         return None
+    each.sort()
+    weight = np.cumsum([w for _, w in each])
+    usual = each[int(np.searchsorted(weight, 0.5 * weight[-1]))][0]
     shared = {kind: (float(np.mean(values)), cells_of[kind]) for kind, values in kinds.items()}
-    return square / dof, dof, lack / lack_dof, lack_dof, shared
+    return square / dof, dof, lack / lack_dof, lack_dof, shared, usual

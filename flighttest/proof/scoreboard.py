@@ -63,6 +63,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         for e, (true, found) in o.forces.items()
         if true > 0.02 and found > 0 and right(o, e)
     ]
+    gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
     extra = sum(bool(set(o.named) - {i for c in o.classes.values() for i in c}) for o in single + pairs)
     return {
         "trials": len(outcomes),
@@ -77,7 +78,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "extra_names": (extra, len(single) + len(pairs)),
         "force_ratio_median_error": float(np.median(np.abs(np.array(ratios) - 1))) if ratios else None,
         "force_ratios": len(ratios),
-        "gain_median": float(np.nanmedian([o.gain for o in single + pairs])) if single + pairs else None,
+        "gain_median": float(np.median(gains)) if gains else None,
         "power": power,
         "confusion": _confusion(single),
         "misses": _misses(flown),

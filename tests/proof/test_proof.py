@@ -1,0 +1,91 @@
+"""Sealed cases and their scoreboard: drawn from a seed, hashed before, counted right."""
+
+import hashlib
+import json
+
+import pytest
+
+from flighttest.errors import InputError
+from flighttest.physics.catalogue import catalogue
+from flighttest.proof.cases import draw
+from flighttest.proof.prove import prove
+from flighttest.proof.scoreboard import interval, markdown, score
+from flighttest.proof.trial import Outcome
+from flighttest.sim.rotor_effects import EFFECTS
+
+
+def test_a_case_is_its_seed_and_the_seal_is_its_truth():
+    assert draw(5, 3) == draw(5, 3)
+    assert draw(5, 3) != draw(6, 3)
+    case = draw(5, 3)
+    assert case.sha256() == hashlib.sha256(case.truth().encode()).hexdigest()
+    assert json.loads(case.truth())["seed"] == 5
+
+
+def test_every_kind_is_drawn_and_only_known_effects_are_hidden():
+    cases = [draw(1, k) for k in range(200)]
+    assert {c.kind for c in cases} == {"clean", "single", "pair", "outside"}
+    for c in cases:
+        assert len(c.hide) == {"clean": 0, "single": 1, "pair": 2, "outside": 1}[c.kind]
+        for name, keys in c.hide.items():
+            assert set(keys) <= set(EFFECTS[name].keys)
+            assert EFFECTS[name].known == (c.kind != "outside")
+            assert (name in catalogue()) == EFFECTS[name].known
+
+
+def outcome(index, kind, hide=(), named=(), sizes=None, classes=None, **more):
+    sizes = dict.fromkeys(hide, 5.0) if sizes is None else sizes
+    return Outcome(
+        index,
+        kind,
+        "00",
+        {h: {} for h in hide},
+        tuple(named),
+        sizes=sizes,
+        classes=classes or {h: (h,) for h in hide},
+        **more,
+    )
+
+
+def test_counts_are_of_what_they_say():
+    outcomes = [
+        outcome(0, "clean"),
+        outcome(1, "clean", named=["steady_wind"]),
+        outcome(2, "single", ["ground_effect"], ["ground_effect"], base_r2=0.99),
+        outcome(3, "single", ["steady_wind"], ["accelerometer_bias"]),
+        outcome(
+            4,
+            "single",
+            ["throttle_curve"],
+            ["voltage_sag"],
+            classes={"throttle_curve": ("throttle_curve", "voltage_sag")},
+        ),
+        outcome(5, "single", ["quadratic_drag"], [], sizes={"quadratic_drag": 1.2}),
+        outcome(6, "pair", ["ground_effect", "steady_wind"], ["steady_wind", "ground_effect"]),
+        outcome(7, "pair", ["ground_effect", "steady_wind"], ["steady_wind"]),
+        outcome(8, "outside", ["updraft"], [], located=True),
+        outcome(9, "outside", ["swirl"], ["steady_wind"], located=True),
+        outcome(10, "single", error="could not fly"),
+    ]
+    s = score(outcomes)
+    assert s["first"] == (2, 3)
+    assert s["absorbed"] == (1, 1)
+    assert s["false_alarms"] == (1, 2)
+    assert s["pairs"] == (1, 2)
+    assert s["outside_misnamed"] == (1, 2)
+    assert s["outside_located"] == (2, 2)
+    assert [m["index"] for m in s["misses"]] == [1, 3, 7, 9]
+    assert {p["n"] for p in s["power"] if p["from"] == 1.0} == {1}
+    text = markdown(outcomes, 1, "commit abc")
+    assert "1 of 2, 50 %" in text
+    assert "trial 3: steady_wind (5.0 floors): named accelerometer_bias" in text
+
+
+def test_binomial_interval_against_the_table():
+    assert interval(19, 20) == pytest.approx((0.7513, 0.9987), abs=2e-4)
+    assert interval(0, 150)[1] == pytest.approx(0.0243, abs=2e-4)
+
+
+def test_no_trials_prove_nothing():
+    with pytest.raises(InputError, match="prove nothing"):
+        prove(0)
