@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -66,9 +67,9 @@ def _section(section: Section) -> str:
 
 def _block(block: Block, key: str) -> str:
     if isinstance(block, Paragraph):
-        return f'<p class="{block.tone}">{escape(block.text)}</p>'
+        return f'<p class="{block.tone}">{_prose(block.text)}</p>'
     if isinstance(block, Bullets):
-        return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in block.items) + "</ul>"
+        return "<ul>" + "".join(f"<li>{_prose(item)}</li>" for item in block.items) + "</ul>"
     if isinstance(block, Facts):
         return _facts(block)
     if isinstance(block, Table):
@@ -77,6 +78,11 @@ def _block(block: Block, key: str) -> str:
         caption = f'<p class="caption">{escape(block.caption)}</p>' if block.caption else ""
         return f"{caption}<pre>{escape(block.text)}</pre>"
     return _figure(block, f"spec-{key}")
+
+
+def _prose(text: str) -> str:
+    """Escaped text with `commands` set as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def _facts(facts: Facts) -> str:

@@ -96,6 +96,11 @@ def test_text_is_escaped_and_specs_survive_the_script_element():
     assert json.loads(specs[0])["panels"][0]["layout"]["title"]["text"] == "roll </script>"
 
 
+def test_commands_in_prose_are_set_as_code():
+    page = html.render(Document("t", "v", sections=(Section("s", "S", (Paragraph("run `flighttest <x>` now"),)),)))
+    assert "<code>flighttest &lt;x&gt;</code>" in page
+
+
 def test_plotly_accepts_every_panel():
     colours = re.compile(r'"@heat"')
     for panel in figures.specification(document().sections[0].blocks[-1])["panels"]:
