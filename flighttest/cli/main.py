@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 import click
@@ -77,6 +78,8 @@ def call(argv: Sequence[str]) -> int:
 
 def main() -> None:
     """Entry point of the `flighttest` program."""
+    # Trial steps of a solver may overflow before they are taken back; that is no news to an operator.
+    warnings.simplefilter("ignore", RuntimeWarning)
     sys.exit(call(sys.argv[1:]))
 
 
