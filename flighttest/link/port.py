@@ -71,7 +71,8 @@ class Port:
         sequence = message.get_seq()
         last = self._sequence.get(source)
         if last is not None:
-            self.frames_lost += (sequence - last - 1) % 256
+            missing = (sequence - last - 1) % 256
+            self.frames_lost += missing if missing < 128 else 0  # a datagram that came twice or late is not 255 lost ones
         self._sequence[source] = sequence
 
     @property

@@ -1,0 +1,91 @@
+"""The record survives: kill -9 loses at most half a second, and any MAVLink tool reads what is there."""
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from pymavlink import mavutil
+
+from flighttest.flight.recorder import Recorder, mark_id
+from flighttest.mavlink.dialect import book, parser
+from flighttest.recording.store import read_events, read_manifest
+from tests.flight.faulty import make_plan
+
+
+def recorder(run_dir: Path, ground_s=time.time) -> Recorder:
+    return Recorder(run_dir, ground_s, {"weather": "calm"}, make_plan())
+
+
+def attitude(k: int, mav) -> tuple[bytes, object]:
+    message = book.MAVLink_attitude_message(20 * k, 0.1, 0, 0, 0, 0, 0)
+    return bytes(message.pack(mav)), message
+
+
+def test_other_tools_read_it_and_time_never_goes_back(run_dir: Path) -> None:
+    times = iter([100.0, 100.02, 99.0, 100.06])
+    made = recorder(run_dir, lambda: next(times))
+    mav = parser(1, 1)
+    for k in range(4):
+        made.tap(*attitude(k, mav))
+    made.flush(force=True)
+    raw = (run_dir / "raw.tlog").read_bytes()
+    assert struct.unpack(">Q", raw[:8])[0] == 100_000_000
+    log = mavutil.mavlink_connection(str(run_dir / "raw.tlog"))
+    found = [log.recv_match(type="ATTITUDE") for _ in range(4)]
+    assert [round(m._timestamp, 2) for m in found] == [100.0, 100.02, 100.02, 100.06]
+
+
+def test_manifest_script_plan_and_events_are_there_from_the_start(run_dir: Path) -> None:
+    made = recorder(run_dir)
+    made.event("note", "hello", 1.5, {"x": 1})
+    assert read_manifest(run_dir)["weather"] == "calm"
+    assert (run_dir / "script.yaml").read_text().startswith("format: maneuver/1")
+    assert '"test/roll+0.30/r1"' in (run_dir / "plan.json").read_text()
+    assert [m.label for m in read_events(run_dir)[0]] == ["hello"]
+
+
+def test_marks_fit_into_one_statustext() -> None:
+    assert mark_id("thrust/0.05-0.40/r3") == "thrust/0.05-0.40/r3"
+    long = mark_id("a very long script name of somebody/0.05-0.40 #2/r13")
+    assert len(long) <= 32
+    assert long.endswith("#2/r13")
+    assert " " not in long
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from tests.flight.test_recorder import attitude, recorder
+from flighttest.mavlink.dialect import parser
+made, mav = recorder(Path(sys.argv[1])), parser(1, 1)
+for k in range(10000):
+    made.tap(*attitude(k, mav))
+    sys.stdout.write(f"{k}\\n"); sys.stdout.flush()
+    time.sleep(0.02)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_kill_9_loses_at_most_half_a_second(run_dir: Path) -> None:
+    root = Path(__file__).resolve().parents[2]
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(run_dir)], stdout=subprocess.PIPE, text=True, cwd=root
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        if int(line) == 60:
+            os.kill(process.pid, signal.SIGKILL)
+            break
+    last = max([60, *(int(line) for line in process.stdout if line.strip().isdigit())])
+    process.wait()
+    log = mavutil.mavlink_connection(str(run_dir / "raw.tlog"))
+    kept = 0
+    while (message := log.recv_match(type="ATTITUDE")) is not None:
+        kept = message.time_boot_ms // 20
+    assert last - kept <= 25, f"{(last - kept) * 0.02} s were lost"
+    assert kept > 30

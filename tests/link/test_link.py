@@ -1,0 +1,311 @@
+"""Ports, clocks and parameters against links that lose, delay and fall silent as real ones do."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from flighttest.errors import InputError, LinkError
+from flighttest.link import parameters
+from flighttest.link.ardupilot import ArduPilot, LaggedYaw
+from flighttest.link.clock import FollowedClock, GrantedClock, TimeSync
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import open_transport
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import book, parser
+
+
+class Host:
+    """A host clock that only moves when told."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class ScriptedVehicle:
+    """A vehicle that answers by a table; each poll of the link takes 20 ms of the host's time. lose: drops the n-th frame sent to it."""
+
+    def __init__(self, host: Host, lose: Callable[[int], bool] = lambda _n: False) -> None:
+        self.host = host
+        self.lose = lose
+        self.values = {"GUID_OPTIONS": 0.0, "ANGLE_MAX": 3000.0, "STUBBORN": 1.0}
+        self.mode = 0
+        self.refuse_arming = 2
+        self.armed = False
+        self.asked: list[str] = []
+        self._count = 0
+        self._in, self._out = parser(0, 0), parser(1, 1)
+        self._pending: list[bytes] = []
+        self._next_beat = 0.0
+
+    def say(self, message: object) -> None:
+        self._pending.append(bytes(message.pack(self._out)))  # type: ignore[attr-defined]
+        self._out.seq = (self._out.seq + 1) % 256
+
+    def send(self, data: bytes) -> None:
+        for m in self._in.parse_buffer(data) or []:
+            self._count += 1
+            if self.lose(self._count):
+                continue
+            self.asked.append(m.get_type())
+            handler = getattr(self, "on_" + m.get_type().lower(), None)
+            if handler is not None:
+                handler(m)
+
+    def on_timesync(self, m: object) -> None:
+        self.say(book.MAVLink_timesync_message(int((self.host.now - 900.0) * 1e9), m.ts1))  # type: ignore[attr-defined]
+
+    def on_param_request_list(self, _m: object) -> None:
+        for index, (name, value) in enumerate(self.values.items()):
+            if index != 1:  # lost on the way the first time
+                self.value(name, value, index)
+
+    def on_param_request_read(self, m: object) -> None:
+        index = m.param_index  # type: ignore[attr-defined]
+        name = list(self.values)[index] if index >= 0 else m.param_id  # type: ignore[attr-defined]
+        if name in self.values:
+            self.value(name, self.values[name], index if index >= 0 else 0xFFFF)
+
+    def on_param_set(self, m: object) -> None:
+        if m.param_id in self.values and m.param_id != "STUBBORN":  # type: ignore[attr-defined]
+            self.values[m.param_id] = m.param_value  # type: ignore[attr-defined]
+
+    def value(self, name: str, value: float, index: int) -> None:
+        self.say(book.MAVLink_param_value_message(name.encode(), value, 9, len(self.values), index))
+
+    def on_command_long(self, m: object) -> None:
+        result = 0
+        if m.command == 176:  # type: ignore[attr-defined]
+            self.mode = int(m.param2) if m.param2 != 9 else self.mode  # type: ignore[attr-defined]
+        if m.command == 400 and self.refuse_arming > 0:  # type: ignore[attr-defined]
+            self.refuse_arming -= 1
+            result = 4
+            self.say(book.MAVLink_statustext_message(2, b"Arm: Gyros inconsistent"))
+        elif m.command == 400:  # type: ignore[attr-defined]
+            self.armed = True
+        if m.command != 511:  # type: ignore[attr-defined]
+            self.say(book.MAVLink_command_ack_message(m.command, result))  # type: ignore[attr-defined]
+
+    def receive(self, timeout_s: float) -> bytes:
+        if self.host.now >= self._next_beat:
+            self._next_beat = self.host.now + 1.0
+            self.say(book.MAVLink_heartbeat_message(2, 3, 129 if self.armed else 1, self.mode, 4, 3))
+        self.host.now += min(max(timeout_s, 1e-3), 0.02)
+        data, self._pending = b"".join(self._pending), []
+        return data
+
+    def close(self) -> None: ...
+
+
+def session_of(vehicle: ScriptedVehicle) -> Session:
+    host = vehicle.host
+    session = Session(Port(vehicle), FollowedClock(host, host))
+    session.connect()
+    return session
+
+
+def test_parameters_by_either_name_verified_and_lost_ones_asked_again() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    known = parameters.read_all(session)
+    assert known == {"GUID_OPTIONS": 0.0, "ANGLE_MAX": 3000.0, "STUBBORN": 1.0}
+    assert parameters.by_either_name(known, "ATC_ANGLE_MAX") == 30.0
+    assert parameters.read(session, "ATC_ANGLE_MAX") == 30.0
+    assert parameters.read(session, "NO_SUCH") is None
+    parameters.write(session, "ATC_ANGLE_MAX", 45.0, known)
+    assert vehicle.values["ANGLE_MAX"] == 4500.0
+    with pytest.raises(LinkError, match="STUBBORN does not take 2"):
+        parameters.write(session, "STUBBORN", 2.0, known)
+    with pytest.raises(LinkError, match="no parameter NO_SUCH"):
+        parameters.write(session, "NO_SUCH", 2.0, known)
+
+
+def test_a_lossy_link_is_asked_again() -> None:
+    vehicle = ScriptedVehicle(Host(), lose=lambda n: n % 3 == 0)
+    session = session_of(vehicle)
+    known = {"GUID_OPTIONS": 0.0}
+    parameters.write(session, "GUID_OPTIONS", 8.0, known)
+    assert vehicle.values["GUID_OPTIONS"] == 8.0
+
+
+def test_a_silent_vehicle_is_an_error_not_a_hang() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    vehicle.lose = lambda _n: True
+    with pytest.raises(LinkError, match="did not answer PARAM_REQUEST_LIST"):
+        parameters.read_all(session)
+    copter = ArduPilot(session)
+    ack = copter.command(400, 1.0)
+    assert ack.result is None
+    assert not ack.accepted
+    assert ack.sentence == "no answer"
+
+
+def test_arming_is_tried_again_and_says_why_it_was_refused() -> None:
+    vehicle = ScriptedVehicle(Host())
+    copter = ArduPilot(session_of(vehicle))
+    copter.arm()
+    assert vehicle.armed
+    vehicle.armed, vehicle.refuse_arming = False, 1000
+    copter.session.advance(copter.session.now_s() + 1.5)
+    with pytest.raises(LinkError, match="Gyros inconsistent"):
+        copter.arm(timeout_s=3.0)
+
+
+def test_a_mode_is_believed_when_heartbeat_shows_it() -> None:
+    vehicle = ScriptedVehicle(Host())
+    copter = ArduPilot(session_of(vehicle))
+    copter.set_mode(CopterMode.GUIDED)
+    assert copter.mode == 4
+    with pytest.raises(LinkError, match="did not enter LAND"):  # accepted, but it never shows
+        copter.set_mode(CopterMode.LAND, timeout_s=3.0)
+
+
+def test_a_muted_port_sends_nothing() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    session.port.mute()
+    asked = len(vehicle.asked)
+    session.advance(session.now_s() + 3.0)
+    assert not session.send(book.MAVLink_param_request_list_message(1, 1))
+    assert len(vehicle.asked) == asked
+
+
+def test_noise_is_counted_and_lost_frames_are_too() -> None:
+    host = Host()
+    vehicle = ScriptedVehicle(host)
+    port = Port(vehicle)
+    for _ in range(5):
+        vehicle.say(book.MAVLink_attitude_message(1000, 0, 0, 0, 0, 0, 0))
+    del vehicle._pending[1:3]
+    vehicle._pending.insert(1, b"noise")
+    assert len(port.receive(0.01)) >= 3
+    assert port.frames_lost == 2
+    assert port.bad_bytes == 5
+
+
+def test_the_followed_clock_goes_by_the_least_delayed_stamp_and_never_back() -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    for k in range(200):
+        t = 50.0 + 0.02 * k - (0.3 if k % 5 else 0.0)
+        host.now = 1000.0 + 0.02 * k
+        before = clock.now_s()
+        clock.heard(t)
+        assert clock.now_s() >= before or k == 0
+    host.now = 1004.0
+    assert clock.now_s() == pytest.approx(54.0, abs=0.01)
+    clock.answered(clock.now_s() + 0.05, 0.02)
+    assert clock.pace == 1.0
+    host.now += 3.0
+    assert clock.now_s() == pytest.approx(57.06, abs=0.02)
+
+
+def test_silence_is_measured_and_a_fast_simulator_keeps_its_pace() -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    for k in range(400):
+        host.now = 1000.0 + 0.01 * k
+        clock.heard(0.1 * k)
+    assert clock.pace == pytest.approx(10.0, rel=0.05)
+    host.now += 1.0
+    assert clock.now_s() == pytest.approx(50.0, rel=0.05)
+
+
+def test_a_granted_clock_stands_still() -> None:
+    clock = GrantedClock(lambda: 1234.5)
+    clock.reach(10.0)
+    assert (clock.now_s(), clock.ground_s()) == (10.0, 1234.0)
+    clock.reach(9.0)
+    assert clock.now_s() == 10.0
+    clock.reach(12.5)
+    assert clock.ground_s() == 1236.5
+
+
+def test_the_quickest_round_trip_counts() -> None:
+    sync = TimeSync()
+    for sent, trip, vehicle in ((100.0, 0.4, 10.3), (101.0, 0.02, 11.01), (102.0, 0.3, 12.02)):
+        ts1 = sync.ask(sent)
+        assert sync.answer(int(vehicle * 1e9), ts1, sent + trip) == pytest.approx(trip, abs=1e-6)
+    assert sync.answer(5, 12345, 0.0) is None
+    offset = sync.offset()
+    assert offset is not None
+    assert offset.offset_s == pytest.approx(90.0, abs=1e-6)
+    assert offset.error_s == pytest.approx(0.01, abs=1e-6)
+
+
+def test_the_lagged_heading_trails_a_bare_integral_and_ends_beside_it() -> None:
+    lagged = LaggedYaw(0.0, 0.0, lag_s=0.2)
+    headings = [lagged.advance(1.0, 0.02) for _ in range(100)]
+    assert headings[4] < 0.05
+    assert headings[-1] == pytest.approx(2.0 - 0.2, abs=0.02)
+    bounded = LaggedYaw(0.0, 1.0, lag_s=0.01)
+    assert bounded.advance(5.0, 0.5) == pytest.approx(0.5 * 0.5 * 0.5)
+
+
+@pytest.mark.parametrize(
+    "url", ["", "tcp:", "udpin:0.0.0.0", "tcp:host:99999", "serial:/dev/x", "http://x:1", "udpin::5"]
+)
+def test_a_bad_url_names_the_good_ones(url: str) -> None:
+    with pytest.raises(InputError, match="udpin:HOST:PORT"):
+        open_transport(url)
+
+
+def test_nobody_listens() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with pytest.raises(LinkError, match=f"cannot open tcp:127.0.0.1:{port}"):
+        open_transport(f"tcp:127.0.0.1:{port}")
+
+
+def test_tcp_connects_again_when_the_other_side_comes_back() -> None:
+    server = socket.create_server(("127.0.0.1", 0))
+    port = server.getsockname()[1]
+    transport = open_transport(f"tcp:127.0.0.1:{port}")
+    first, _ = server.accept()
+    first.sendall(b"one")
+    assert transport.receive(1.0) == b"one"
+    first.close()
+    assert transport.receive(0.2) == b""
+    transport.send(b"lost while away")
+    accepted: list[socket.socket] = []
+    thread = threading.Thread(target=lambda: accepted.append(server.accept()[0]))
+    thread.start()
+    deadline = time.monotonic() + 5.0
+    while not accepted and time.monotonic() < deadline:
+        transport.receive(0.05)
+    thread.join()
+    accepted[0].sendall(b"two")
+    assert transport.receive(1.0) == b"two"
+    transport.send(b"back")
+    assert accepted[0].recv(100) == b"back"
+    transport.close()
+    accepted[0].close()
+    server.close()
+
+
+def test_udp_answers_whoever_sent_and_loses_what_nobody_asked_for() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    listening = open_transport(f"udpin://127.0.0.1:{port}")
+    listening.send(b"to nobody")
+    assert listening.receive(0.01) == b""
+    other = open_transport(f"udpout:127.0.0.1:{port}")
+    other.send(b"a")
+    other.send(b"b")
+    time.sleep(0.05)
+    assert listening.receive(1.0) == b"ab"
+    listening.send(b"back")
+    assert other.receive(1.0) == b"back"
+    listening.close()
+    other.close()

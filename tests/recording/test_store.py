@@ -1,0 +1,105 @@
+"""Run folders: what is written comes back, and what a killed flight leaves is read as far as it goes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flighttest.errors import RecordingError
+from flighttest.recording import Marker, Provenance, Recording, Series
+from flighttest.recording.store import (
+    open_run,
+    read_events,
+    read_manifest,
+    write_events_header,
+    write_manifest,
+    write_recording,
+)
+
+
+@pytest.fixture
+def recording() -> Recording:
+    t_s = np.array([1.0, 1.5, 2.25])
+    return Recording(
+        "r1",
+        {
+            "attitude": Series(t_s, {"roll_rad": np.array([0.1, np.nan, 0.3])}),
+            "battery": Series(t_s[:2], {"voltage_v": np.array([24.0, 23.9])}),
+        },
+        (Marker(1.2, "leg", "a/b/r1", {"cell": {"amplitude_rad": 0.3}}), Marker(1.4, "phase", "step")),
+        Provenance(
+            "raw.tlog", "flight", "ab" * 32, "ArduCopter 4.7.0", {"GUID_OPTIONS": 8.0}, {"battery": {"id": "B07"}},
+            clock={"offset_s": 1.5, "error_s": 0.002, "method": "timesync"}, losses=("a gap",), filters={"specific_force": 20.0},
+            reference_clock="ground",
+        ),
+    )  # fmt: skip
+
+
+def test_what_is_written_comes_back(tmp_path: Path, recording: Recording) -> None:
+    write_recording(tmp_path, recording)
+    back = open_run(tmp_path)
+    assert back.name == recording.name
+    assert back.provenance == recording.provenance
+    assert back.markers == recording.markers
+    for group, series in recording.series.items():
+        np.testing.assert_array_equal(back.series[group].t_s, series.t_s)
+        for name, values in series.columns.items():
+            np.testing.assert_array_equal(back.series[group].columns[name], values)
+
+
+def test_writing_again_keeps_what_others_wrote_and_drops_stale_channels(tmp_path: Path, recording: Recording) -> None:
+    write_manifest(tmp_path, {"weather": "calm", "outcome": "flown"})
+    write_recording(tmp_path, recording)
+    fewer = Recording(recording.name, {"battery": recording.series["battery"]}, (), recording.provenance)
+    write_recording(tmp_path, fewer)
+    assert read_manifest(tmp_path)["weather"] == "calm"
+    assert set(open_run(tmp_path).series) == {"battery"}
+
+
+def test_half_an_event_is_said_and_the_rest_is_read(tmp_path: Path, recording: Recording) -> None:
+    write_recording(tmp_path, recording)
+    with (tmp_path / "events.jsonl").open("a") as stream:
+        stream.write('{"t_s": 3.0, "kind": "pha')
+    back = open_run(tmp_path)
+    assert len(back.markers) == 2
+    assert any("events.jsonl:4" in loss for loss in back.provenance.losses)
+
+
+def test_events_are_sorted_by_time(tmp_path: Path) -> None:
+    with (tmp_path / "events.jsonl").open("w") as stream:
+        write_events_header(stream)
+        for t_s in (2.0, 1.0):
+            stream.write(json.dumps({"t_s": t_s, "kind": "note", "label": "x"}) + "\n")
+    markers, losses = read_events(tmp_path)
+    assert [m.t_s for m in markers] == [1.0, 2.0]
+    assert losses == ()
+
+
+def test_a_killed_flight_names_its_raw_file(tmp_path: Path) -> None:
+    write_manifest(tmp_path, {"name": "x"})
+    (tmp_path / "raw.tlog").write_bytes(b"")
+    with pytest.raises(RecordingError, match=r"flighttest import .*raw\.tlog"):
+        open_run(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["format: run/9\n", "- a\n", "format: [\n", "\xff\xfe"])
+def test_a_bad_manifest_is_one_clear_error(tmp_path: Path, text: str) -> None:
+    (tmp_path / "manifest.yaml").write_bytes(text.encode("latin-1"))
+    with pytest.raises(RecordingError, match=r"manifest\.yaml"):
+        read_manifest(tmp_path)
+
+
+def test_no_run_folder(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no run folder"):
+        open_run(tmp_path)
+    with pytest.raises(RecordingError, match="not a folder"):
+        open_run(tmp_path / "nowhere")
+
+
+def test_a_cut_off_channel_file(tmp_path: Path, recording: Recording) -> None:
+    write_recording(tmp_path, recording)
+    file = tmp_path / "channels" / "attitude.parquet"
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(RecordingError, match=r"attitude\.parquet cannot be read"):
+        open_run(tmp_path)
