@@ -180,7 +180,10 @@ class _Flight:
         self._say("connecting")
         beat = session.connect()
         if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
-            raise LinkError("the vehicle is not ArduPilot", "PX4 is flown with `firmware: px4` in vehicle.yaml")
+            raise LinkError(
+                "the vehicle is not ArduPilot, the only firmware whose flights this version schedules",
+                "fly it with its own tools and import the log (.ulg of PX4)",
+            )
         offered = params.offered(session, lockstep.PARAMETER)
         if offered is not None:
             if offered != 1.0:
@@ -217,7 +220,7 @@ class _Flight:
         rc = session.latest.get("RC_CHANNELS")
         situation = preflight.Situation(
             self.plan, self._parameters, cockpit.state, rates, firmware, beat.type, simulator,
-            rc_live=rc is not None and rc.message.chancount > 0,
+            rc_live=rc is not None and rc.message.chancount > 0, pace=self._pace,
         )  # fmt: skip
         self._say("checking the vehicle")
         found = preflight.checks(situation)
@@ -257,7 +260,15 @@ class _Flight:
             hover,
             stop_throttles(plan.limits, hover),
             needs_position=plan.reset.by == "guided",
+            attitude_age_max_s=0.3 * self._pace,
+            position_age_max_s=0.5 * self._pace,
+            silence_max_s=0.5 * self._pace,
         )
+
+    @property
+    def _pace(self) -> float:
+        """How much faster than real time the vehicle runs, at least 1: what the host takes a moment for is longer for it."""
+        return max(self.session.clock.pace, 1.0)
 
     def _airframe(self) -> Airframe:
         accel_deg = params.by_either_name(self._parameters, "ATC_ACC_Y_MAX")
