@@ -13,9 +13,9 @@ from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
-from flighttest.pipeline.currency import TESTED, judge
+from flighttest.pipeline.currency import judge
 from flighttest.pipeline.diagnosis import UNFINISHED, run_diagnosis, write_diagnosis
-from flighttest.pipeline.history import FIT_NAME
+from flighttest.pipeline.history import FIT_NAME, as_good
 from flighttest.pipeline.reporting import REPORT_NAME, keep_segments, provenance, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
@@ -40,6 +40,7 @@ class Analysis:
     currency: Currency | None = None
     diagnosis: dict[str, Any] | None = None
     explained: bool = True
+    previous: ModelFile | None = None
 
 
 def analyse(
@@ -105,15 +106,14 @@ def _analysis(
             explained = result.verdict not in UNFINISHED
         except FitError as error:
             progress.stage(f"no diagnosis: {error.message}")
-    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained)
+    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained, previous)
 
 
 def renewed(found: Analysis) -> bool:
-    """Whether the campaign makes known everything that currency watches, so that its own model replaces the old one."""
+    """Whether the campaign's own model takes the place of the previous one (a spot check's does not)."""
     if found.fit is None:
         return False
-    wanted = [n for n in TESTED if n in found.fit.estimates]
-    return all(found.fit.estimates[n].identifiable for n in wanted if n != "d_z")
+    return found.previous is None or as_good(model_file.from_fit(found.fit), found.previous)
 
 
 def _status(found: Analysis, usable: bool) -> Status:

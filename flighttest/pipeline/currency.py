@@ -23,7 +23,7 @@ from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
 from flighttest.pipeline.checking import predictor_for
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
-from flighttest.pipeline.history import campaigns
+from flighttest.pipeline.history import campaigns, standing
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.plan import check as check_plan
@@ -62,13 +62,13 @@ def status(
 
 def newest_model(out: Path) -> ModelFile:
     """The model fitted last in a folder of runs."""
-    known = campaigns(out)
-    if not known:
+    found = standing(campaigns(out))
+    if found is None:
         raise InputError(
             f"no model was given, and {out} holds no run with a fit",
             "name one with --model, or fly: flighttest run thrust",
         )
-    return known[-1].model
+    return found.model
 
 
 def judge(

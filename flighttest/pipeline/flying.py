@@ -23,7 +23,7 @@ from flighttest.link.transport import open_transport
 from flighttest.pipeline.campaign import analyse
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.fingerprints import of_vehicle
-from flighttest.pipeline.history import campaigns, vehicle_name
+from flighttest.pipeline.history import campaigns, standing, vehicle_name
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.simulator import options
 from flighttest.pipeline.sources import open_recording
@@ -122,7 +122,8 @@ def previous_model(request: FlightRequest, vehicle: Vehicle) -> ModelFile | None
     if request.model is not None:
         return model_file.read(request.model)
     known = [c for c in campaigns(request.out) if vehicle_name(c.folder) in ("", vehicle.name)]
-    return known[-1].model if known else None
+    found = standing(known)
+    return found.model if found is not None else None
 
 
 @contextmanager

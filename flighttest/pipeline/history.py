@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,33 @@ def campaigns(folder: Path) -> list[Campaign]:
             continue  # an old or broken file must not hide the others
         found[tuple(str(r) for r in stored.runs) or (run.name,)] = Campaign(run, stored)
     return list(found.values())
+
+
+# A new model takes the place of an old one when it knows as much: each of the watched parameters at most so many times as badly.
+AS_GOOD = 2.0
+
+
+def as_good(new: ModelFile, old: ModelFile) -> bool:
+    """Whether a model knows all that another one does, and hardly worse: a spot check does not replace a campaign."""
+    mine, theirs = _known(new), _known(old)
+    return all(name in mine and mine[name] <= AS_GOOD * std for name, std in theirs.items())
+
+
+def _known(model: ModelFile) -> dict[str, float]:
+    names, _, matrix = model.identified
+    return {n: float(matrix[i, i]) ** 0.5 for i, n in enumerate(names) if n in _TESTED}
+
+
+def standing(known: Sequence[Campaign]) -> Campaign | None:
+    """The campaign whose model is in use: the last one that is as good as the one before it, or flown after a declared change."""
+    kept: Campaign | None = None
+    for campaign in known:
+        if kept is not None and not as_good(campaign.model, kept.model):
+            changes, _ = declared_changes(kept.model.fingerprint, campaign.model.fingerprint)
+            if not (changes and set(_known(campaign.model)) >= set(_known(kept.model))):
+                continue
+        kept = campaign
+    return kept
 
 
 def vehicle_name(run: Path) -> str:

@@ -1,0 +1,59 @@
+"""Which model is in use: a spot check does not take the place of a campaign, a new campaign does."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.physics.model import Model
+from flighttest.pipeline.history import Campaign, standing
+
+NAMES = ("omega_phi", "sigma_r", "K", "alpha")
+VALUES = {"omega_phi": 25.0, "sigma_r": 21.0, "K": 54.0, "alpha": 1.7}
+
+
+def model(scale=1.0, names=NAMES, runs=("a",), components="P1"):
+    std = {n: 0.01 * VALUES[n] * scale for n in names}
+    return ModelFile(
+        Model(),
+        {n: StoredParameter(VALUES[n], "", std[n]) for n in names},
+        VALUES,
+        tuple(names),
+        np.diag([std[n] ** 2 for n in names]),
+        {},
+        {"components": {"propellers": {"id": components}}},
+        runs,
+    )
+
+
+def campaign(name, **options):
+    return Campaign(Path(name), model(**options))
+
+
+@pytest.mark.parametrize(
+    ("second", "kept"),
+    [
+        ({"scale": 0.9}, "second"),
+        ({"scale": 1.9}, "second"),
+        ({"scale": 5.0}, "first"),
+        ({"names": ("K",)}, "first"),
+        ({"scale": 5.0, "components": "P2"}, "second"),
+        ({"names": ("K",), "components": "P2"}, "first"),
+    ],
+)
+def test_what_takes_the_place_of_a_model(second, kept):
+    found = standing([campaign("first"), campaign("second", runs=("b",), **second)])
+    assert found.folder.name == kept
+
+
+def test_nothing_flown_nothing_stands():
+    assert standing([]) is None
+
+
+def test_unidentified_parameters_do_not_count():
+    first = campaign("first")
+    weak = {**first.model.parameters, "alpha": replace(first.model.parameters["alpha"], identifiable=False)}
+    second = Campaign(Path("second"), replace(first.model, parameters=weak, runs=("b",)))
+    assert standing([first, second]).folder.name == "first"
