@@ -25,6 +25,8 @@ SLACK_M = 0.1
 LOSS_EVERY_S = 0.2
 ROUNDS = 6
 SEARCH_ROUNDS = 4
+# How long what comes before a step is held, between its shortest and what was asked for; the finer ones only where none of the first fits.
+HOLD_SHARES, FINE_HOLD_SHARES = (1.0, 0.5, 0.0), (0.9, 0.8, 0.7, 0.6, 0.4, 0.3, 0.2, 0.1)
 # How long a drift is flown; what is left of it is continued by the rate at which speed falls at its end.
 DRIFT_S = 2.5
 # A stop takes no longer: at 6 m/s and half of gravity.
@@ -85,7 +87,17 @@ def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
         shorter = [_with(found[i].lead, {"step": _step_of(found[i].lead) - 2 * GRID_S}) for i in tight]
         for i, f in zip(tight, _tracks([cells[i] for i in tight], shorter, setting), strict=True):
             found[i] = f
+    held = [i for i in adjustable if _has_hold(cells[i]) and not _has_start(found[i], setting)]
+    if held:
+        finer = [lead for _, lead in _search([cells[i] for i in held], setting, held, FINE_HOLD_SHARES)]
+        for i, f in zip(held, _tracks([cells[i] for i in held], finer, setting), strict=True):
+            if _has_start(f, setting):
+                found[i] = f
     return found
+
+
+def _has_hold(cell: Cell) -> bool:
+    return any(name != "step" for name in cell.shortest_s)
 
 
 def _step_of(lead: tuple[Piece, ...]) -> float:
@@ -131,14 +143,16 @@ class _Option:
     longest_s: float
 
 
-def _search(cells: list[Cell], setting: Setting, indices: list[int]) -> list[tuple[int, tuple[Piece, ...]]]:
+def _search(
+    cells: list[Cell], setting: Setting, indices: list[int], hold_shares: tuple[float, ...] = HOLD_SHARES
+) -> list[tuple[int, tuple[Piece, ...]]]:
     """Longest record that fits, for each length of what comes before it; then the longest record wins, then the longest hold."""
     options: list[_Option] = []
     for k, cell in enumerate(cells):
         wanted = {piece.name: piece.duration_s for piece in cell.lead}
         before = [name for name in cell.shortest_s if name != "step"]
         least = {name: min(least_s(cell, name, setting), wanted[name]) for name in cell.shortest_s}
-        shares = (1.0, 0.5, 0.0) if before else (1.0,)
+        shares = hold_shares if before else (1.0,)
         for share in shares:
             fixed = {name: round(least[name] + share * (wanted[name] - least[name]), 2) for name in before}
             longest = wanted.get("step", 0.0)

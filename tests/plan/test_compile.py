@@ -8,7 +8,7 @@ import pytest
 from flighttest.errors import ScriptError
 from flighttest.plan import compile_plan
 from flighttest.plan.rehearse import sample
-from flighttest.script.load import load_script
+from flighttest.script.load import load_script, parse_script
 from flighttest.script.shipped import resolve, shipped_names
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.model import Zone
@@ -221,3 +221,26 @@ def test_headings_and_places_are_in_the_zones_frame(plan_of):
     (straight,), (leg,) = plan_of(step, head=head).legs, plan_of(step, turned, head=head).legs
     assert leg.start_m == straight.start_m
     assert leg.heading_rad == pytest.approx(straight.heading_rad - math.radians(40.0))
+
+
+ONE_TIGHT_STEP = """
+format: maneuver/1
+name: tight
+doc: a step for which this ceiling and floor leave a narrow range of holds
+mode: GUIDED_NOGPS
+rate_hz: 50
+throttle_unit: hover
+limits: {tilt_target_max_deg: 35, tilt_abort_deg: 50, throttle: [0.0, 0.9], height_m: [2, 10], speed_max_m_s: 8}
+reset: {to: [0, 0, 5], heading_deg: [0], by: guided, settle_s: 2}
+steps:
+  - throttle_pair: {throttle_0: 0.83, throttle_1: 2.22, hold_0_s: {up_to: 0.6}, record_1_s: {up_to: 1.5}}
+repeat: {each: 1, order: interleaved}
+"""
+
+
+def test_a_hold_between_the_first_tries_is_found_where_none_of_them_fits(predictor):
+    vehicle = replace(DEFAULT_VEHICLE, zone=Zone(x_m=(-30, 30), y_m=(-30, 30), z_m=(1, 30), margin_m=2.0))
+    plan = compile_plan(parse_script(ONE_TIGHT_STEP), vehicle, predictor)
+    assert plan.refusals == ()
+    assert plan.cells[0].start_m[2] + plan.cells[0].low_m[2] >= 3.0 - 1e-3
+    assert plan.cells[0].start_m[2] + plan.cells[0].high_m[2] <= 10.0 + 1e-3
