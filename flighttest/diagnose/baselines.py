@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.bench import Bench, Rows
+from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.model import short
+from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.search import Fitted
 from flighttest.segments.model import Segment
 

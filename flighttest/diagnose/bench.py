@@ -13,73 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.rows import (
+    BLIND,
+    DISTURBANCE,
+    FIRST_DISTURBANCE,
+    FIRST_NOISE,
+    LEAST_DISTURBANCE,
+    RESOLUTION,
+    FloatArray,
+    Rows,
+    State,
+)
 from flighttest.identify.problem import Noise, Problem, prior_std
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-
-# Residuals below these cannot be told from the resolution of the recording.
-RESOLUTION = {
-    "roll_rad": 3e-4, "pitch_rad": 3e-4, "r_rad_s": 1e-3, "f_x_m_s2": 5e-3, "f_y_m_s2": 5e-3, "f_z_m_s2": 5e-3,
-    "a_x_m_s2": 5e-3, "a_y_m_s2": 5e-3, "a_z_m_s2": 5e-3, "v_x_m_s": 3e-3, "v_y_m_s": 3e-3, "v_z_m_s": 3e-3,
-}  # fmt: skip
-FIRST_NOISE = {"roll_rad": 0.02, "pitch_rad": 0.02, "r_rad_s": 0.1} | {
-    f"{k}_{axis}_{unit}": std
-    for k, unit, std in (("f", "m_s2", 0.5), ("a", "m_s2", 0.5), ("v", "m_s", 0.2))
-    for axis in "xyz"
-}
-FIRST_DISTURBANCE = {"roll_d_rad": 0.01, "pitch_d_rad": 0.01, "yaw_rate_d_rad_s": 0.02} | {
-    f"a_d_{axis}_m_s2": 0.3 for axis in "xyz"
-}
-DISTURBANCE = -2
-BLIND = 1.0  # whitened sum of squares of a parameter's usual change: less is below one sample's noise in all the data
-LEAST_DISTURBANCE = 0.05  # of the first guess: a prior never shrinks to nothing
-
-
-@dataclass(frozen=True)
-class State:
-    """A fitted model: parameters, locals by name ((n_segments,), NaN where a segment has none), noise, objective.
-
-    objective: whitened sum of squares, priors of the locals included.
-    """
-
-    values: dict[str, float]
-    local: dict[str, FloatArray]
-    noise: Noise
-    objective: float
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Linearised residuals, one row per sample and channel, and one per prior of a local (sample -1, DISTURBANCE for disturbances).
-
-    residual (n,), jacobian (n, p): whitened, locals projected out (a step d of the parameters lowers the residual by jacobian @ d);
-    open_residual, open_jacobian: in units of the channel, with only initial states projected out: what the model predicts of a response
-    without knowing its disturbance. scale (n,): by which rows were whitened; segment, sample (n,): positions in the bench's segments
-    and in their t_s; channel (n,): index into `channels`, -1 for priors.
-    """
-
-    residual: FloatArray
-    jacobian: FloatArray
-    open_residual: FloatArray
-    open_jacobian: FloatArray
-    scale: FloatArray
-    segment: IntArray
-    sample: IntArray
-    channel: IntArray
-    channels: tuple[str, ...]
-    names: tuple[str, ...]
-
-    def columns(self, names: Sequence[str]) -> FloatArray:
-        """(n, k) columns by name."""
-        return self.jacobian[:, [self.names.index(n) for n in names]]
-
-    def open_columns(self, names: Sequence[str]) -> FloatArray:
-        """(n, k) columns of `open_jacobian` by name."""
-        return self.open_jacobian[:, [self.names.index(n) for n in names]]
-
 
 BLOCKS = ("roll_pitch", "yaw", "translation")
 
@@ -146,10 +93,13 @@ class Bench:
         problem = self.problem(model)
         local = self.locals(problem, state)
         total = 0.0
-        for part, made, at in zip(problem.parts, problem.evaluate(state.values, local), local, strict=True):
-            std = np.array([state.noise.channel[c] for c in part.outputs])
-            total += float(np.sum((made.residual / std) ** 2))
-            total += float(np.sum(((at - part.start_local()) / prior_std(part, state.noise)) ** 2))
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # a step too far may blow up the simulation: then it is infinitely bad
+            for part, made, at in zip(problem.parts, problem.evaluate(state.values, local), local, strict=True):
+                std = np.array([state.noise.channel[c] for c in part.outputs])
+                total += float(np.sum((made.residual / std) ** 2))
+                total += float(np.sum(((at - part.start_local()) / prior_std(part, state.noise)) ** 2))
         return total if np.isfinite(total) else np.inf
 
     def fit(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.bench import Rows, State
 from flighttest.diagnose.noise import Floor, inflation
+from flighttest.diagnose.rows import Rows, State
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

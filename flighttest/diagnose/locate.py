@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.bench import Rows
 from flighttest.diagnose.model import Located, short
 from flighttest.diagnose.noise import Floor, inflation
+from flighttest.diagnose.rows import Rows
 from flighttest.frames import rotation_from_euler
 from flighttest.segments.model import Segment
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from flighttest.diagnose.bench import Bench, State
+from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.rows import State
 from flighttest.diagnose.screen import orthonormal
 from flighttest.diagnose.search import Fitted, Search
 from flighttest.errors import FlighttestError

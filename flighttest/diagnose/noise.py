@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from flighttest.diagnose.bench import Rows
+from flighttest.diagnose.rows import Rows
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.bench import Rows
 from flighttest.diagnose.model import short
+from flighttest.diagnose.rows import Rows
 from flighttest.segments.model import Segment
 
 WORST = 2  # per channel

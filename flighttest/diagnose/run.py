@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flighttest.diagnose.baselines import baselines
-from flighttest.diagnose.bench import BLOCKS, RESOLUTION, Bench
+from flighttest.diagnose.bench import BLOCKS, Bench
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
@@ -18,11 +18,13 @@ from flighttest.diagnose.next_flight import Question, propose
 from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
+from flighttest.diagnose.rows import RESOLUTION
 from flighttest.diagnose.search import Search
 from flighttest.diagnose.unknown import describe
 from flighttest.errors import FitError
 from flighttest.identify.fit import default_model, has_attitude_references
 from flighttest.identify.onset import onset_delay, start_values
+from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -37,6 +39,7 @@ COUPLING = "roll_pitch_coupling"
 PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "the throttle"}
 # Start delays never fall on a sample: there the derivative by the delay is one-sided.
 OFF_GRID_S = 1.7e-4
+DELAYS_DIFFER_S = 0.01
 
 
 def diagnose(
@@ -79,7 +82,7 @@ def diagnose(
         if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
     )
     groups, group_name = held_out_groups(usable)
-    start = _start(usable, model, previous)
+    starts = _starts(usable, model, previous)
     searches: list[Search] = []
     complete, notes = True, []
     for block in BLOCKS:
@@ -97,7 +100,7 @@ def diagnose(
         here = tuple(t for t in pool if _acts(t, bench, own) and not missing_channels(t, usable))
         search = Search(bench, here, groups, dormant, progress=lambda text, b=block: tell(f"{b}: {text}"))  # type: ignore[misc]
         try:
-            search.run(own, bench.start(own, start))
+            search.run(own, min((bench.start(own, values) for values in starts), key=lambda state: state.objective))
         except KeyboardInterrupt:
             complete = False
             notes.append("interrupted: candidates not tried are not in this answer")
@@ -121,11 +124,15 @@ def _acts(term: Term, bench: Bench, model: Model) -> bool:
     return any(p.name in known for p in term.params)
 
 
-def _start(segments: Sequence[Segment], model: Model, previous: Mapping[str, Any] | None) -> dict[str, float]:
-    values = dict(start_values(segments, model, onset_delay(segments)))
+def _starts(
+    segments: Sequence[Segment], model: Model, previous: Mapping[str, tuple[float, float | None]] | None
+) -> list[dict[str, float]]:
+    """From the shape of the responses, and from the previous model where there is one (it may be of another vehicle)."""
+    shape = dict(start_values(segments, model, onset_delay(segments)))
+    found = [shape]
     if previous:
-        values |= {k: float(v[0]) for k, v in previous.items() if k in model.names}
-    return {k: v + OFF_GRID_S if k.startswith("T_d") else v for k, v in values.items()}
+        found.append({**shape, **{k: float(v[0]) for k, v in previous.items() if k in model.names}})
+    return [{k: v + OFF_GRID_S if k.startswith("T_d") else v for k, v in values.items()} for values in found]
 
 
 def _assembled(
@@ -199,6 +206,7 @@ def _assembled(
         missing = missing_channels(term, segments)
         if missing and term.id not in {u.term for u in unseen}:
             unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
+    notes += _delays(after_table)
     tried = {t.id for s in searches for t in s.pool}
     named = {f.term for f in findings} | {u.term for u in unseen}
     share = excess_after / excess_before if excess_before > 0 else 0.0
@@ -285,6 +293,22 @@ def _next(
         if asked and (made := propose(search, asked[:1], values)):
             return made
     return {}
+
+
+def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Channel delays that differ: the model has one per channel, so this needs no term."""
+    known = {n: (float(table[n]["value"]), float(table[n]["std"])) for n in DELAY_PARAM.values() if n in table}
+    if len(known) < 2:
+        return []
+    (late, (most, most_std)), (early, (least, least_std)) = (
+        max(known.items(), key=lambda kv: kv[1][0]), min(known.items(), key=lambda kv: kv[1][0])
+    )  # fmt: skip
+    if most - least < DELAYS_DIFFER_S or most - least < 4 * float(np.hypot(most_std, least_std)):
+        return []
+    return [
+        f"channel_delay: {late} is {1000 * (most - least):.0f} ms longer than {early}; the model has a delay for each channel, "
+        "so that no further term is needed"
+    ]
 
 
 def _held(h: Any) -> dict[str, Any]:

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.bench import DISTURBANCE, Bench, Rows, State
+from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.noise import inflation
+from flighttest.diagnose.rows import DISTURBANCE, Rows, State
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from flighttest.diagnose.bench import RESOLUTION, Bench, Rows, State
+from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
+from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import (
     FALSE_ALARM_RATE,
     Ground,

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose import Diagnosis, diagnose
-from flighttest.diagnose.bench import BLOCKS, RESOLUTION, Bench, Rows, State
+from flighttest.diagnose.bench import BLOCKS, Bench
 from flighttest.diagnose.judge import size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
+from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
 from flighttest.errors import FlighttestError
 from flighttest.identify.onset import onset_delay, start_values

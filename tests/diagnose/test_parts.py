@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose.bench import Rows
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.noise import high_frequency, inflation
+from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
 from flighttest.diagnose.unknown import _sparse
 
