@@ -3,7 +3,7 @@
 A response is a row of nodes: sample times and delayed input edges, merged (see `identify.nodes`). Between nodes inputs are constant, so one
 RK4 step per node is smooth in the state, the parameters and the delay: h = h0 + hd * delay(p) is the piece's length, with hd = +1 for
 a piece that ends at an edge, -1 for one that starts there. Sensitivities are propagated as S_next = A S + B.
-Known second-order Butterworth filters of measured channels are integrated exactly for outputs linear within a piece.
+Known second-order Butterworth filters of measured channels are integrated exactly for outputs quadratic within a piece.
 """
 
 from __future__ import annotations
@@ -170,12 +170,15 @@ def _build_steps(kernel: Kernel, sensitivities: bool) -> tuple[ca.Function, ca.F
         return ca.jacobian(expr, at) @ s_at + ca.jacobian(expr, q) @ spread
 
     s = ca.SX.sym("s", n_x, n_c)
-    s_after = total(after, x, s)
+    filtered = [i for i, n in enumerate(kernel.outputs) if n in kernel.filters_hz]
+    # The state in the middle of the piece, from states and rates at both ends (Hermite): filters see the output bend.
+    middle = 0.5 * (x + after) + h / 8 * (k1 - k4)
+    both = total(ca.vertcat(after, middle) if filtered else after, x, s)
+    s_after, s_middle = both[:n_x, :], both[n_x:, :]
     x1, s1 = ca.SX.sym("x1", n_x), ca.SX.sym("s1", n_x, n_c)
     y1, dy1 = output(x1, e1), None
     dy1 = total(y1, x1, s1)
 
-    filtered = [i for i, n in enumerate(kernel.outputs) if n in kernel.filters_hz]
     n_f = len(filtered)
     z, sz = ca.SX.sym("z", 2 * n_f), ca.SX.sym("sz", 2 * n_f, n_c)
     y0 = output(x, e0)
@@ -183,28 +186,19 @@ def _build_steps(kernel: Kernel, sensitivities: bool) -> tuple[ca.Function, ca.F
     z_after, sz_after = [], []
     h_safe = ca.fmax(h, 1e-7)
     dh = total(h_safe, x, s)
+    xm, sm = ca.SX.sym("xm", n_x), ca.SX.sym("sm", n_x, n_c)
+    y_mid = output(xm, em)
+    dy_mid = total(y_mid, xm, sm)
     for j, i in enumerate(filtered):
         w = 2 * math.pi * kernel.filters_hz[kernel.outputs[i]]
-        e11, e12, e21, e22 = _filter_matrix(w, h_safe)
-        lag = math.sqrt(2.0) / w
-        a, b, za, zb, hh = ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("za"), ca.SX.sym("zb"), h_safe
-        slope = (b - a) / hh
-        start_a, start_b = za - (a - lag * slope), zb - slope
-        new = ca.vertcat(b - lag * slope + e11 * start_a + e12 * start_b, slope + e21 * start_a + e22 * start_b)
-        args_now = [y0[i], y1[i], z[2 * j], z[2 * j + 1]]
-        partial = ca.jacobian(new, ca.vertcat(a, b, za, zb))
-        made = ca.substitute([new, partial], [a, b, za, zb], args_now)
+        symbols = [ca.SX.sym(n) for n in ("y0", "ym", "y1", "z", "z_dot", "h")]
+        new = _filtered(w, *symbols)
+        now = [y0[i], y_mid[i], y1[i], z[2 * j], z[2 * j + 1], h_safe]
+        made = ca.substitute([new, ca.jacobian(new, ca.vertcat(*symbols))], symbols, now)
         z_after.append(made[0])
         if n_c:
-            rows = ca.vertcat(dy0[i, :], dy1[i, :], sz[2 * j, :], sz[2 * j + 1, :])
-            extra = made[1] @ rows
-            delay_free = ca.jacobian(h, p)
-            if delay_free.nnz() and n_p:
-                hs = ca.SX.sym("hs")
-                by_h = _filter_rate(w, hs, a, b, za, zb)
-                by_h = ca.substitute([by_h], [a, b, za, zb, hs], [*args_now, h_safe])[0]
-                extra = extra + by_h @ dh
-            sz_after.append(extra)
+            rows = [dy0[i, :], dy_mid[i, :], dy1[i, :], sz[2 * j, :], sz[2 * j + 1, :], dh]
+            sz_after.append(made[1] @ ca.vertcat(*rows))
     z_next = ca.vertcat(*z_after) if n_f else ca.SX(0, 1)
     sz_next = ca.vertcat(*sz_after) if n_f else ca.SX(0, n_c)
     y_out, dy_out = ca.SX(y1), ca.SX(dy1)
@@ -216,11 +210,12 @@ def _build_steps(kernel: Kernel, sensitivities: bool) -> tuple[ca.Function, ca.F
     def pack(*parts: Any) -> Any:
         return ca.vertcat(*(ca.vec(part) for part in parts))
 
-    advance = ca.Function("advance", [x, s, p, d, node], [after, s_after])
-    observe = ca.Function("observe", [x, s, x1, s1, z, sz, p, d, node], [z_next, sz_next])
+    middles = [middle, s_middle] if filtered else [x, s]
+    advance = ca.Function("advance", [x, s, p, d, node], [after, s_after, *middles])
+    observe = ca.Function("observe", [x, s, xm, sm, x1, s1, z, sz, p, d, node], [z_next, sz_next])
     report = ca.Function("report", [x1, s1, z, sz, p, d, node], [ca.densify(y_out), ca.densify(dy_out)])
-    xa, sa = advance(x, s, p, d, node)
-    za_, sza_ = observe(x, s, xa, sa, z, sz, p, d, node)
+    xa, sa, xma, sma = advance(x, s, p, d, node)
+    za_, sza_ = observe(x, s, xma, sma, xa, sa, z, sz, p, d, node)
     ya, dya = report(xa, sa, za_, sza_, p, d, node)
     state = pack(x, s, z, sz)
     outs = ca.cse([ca.densify(pack(xa, sa, za_, sza_)), ca.densify(pack(ya, dya))])
@@ -260,10 +255,16 @@ def _without_zeros(state: Any, slopes: list[int], begun: Any, outs: list[Any]) -
         live |= grown
 
 
-def _filter_rate(w: float, h: Any, a: Any, b: Any, za: Any, zb: Any) -> Any:
-    """d(filter state after)/dh, (2, 1)."""
+def _filtered(w: float, y0: Any, ym: Any, y1: Any, z: Any, z_dot: Any, h: Any) -> Any:
+    """Filter state (output, its rate) after a piece of length h, exact for the parabola through the piece's ends and middle, (2, 1)."""
     e11, e12, e21, e22 = _filter_matrix(w, h)
-    lag, slope = math.sqrt(2.0) / w, (b - a) / h
-    start_a, start_b = za - (a - lag * slope), zb - slope
-    new = ca.vertcat(b - lag * slope + e11 * start_a + e12 * start_b, slope + e21 * start_a + e22 * start_b)
-    return ca.jacobian(new, h)
+    lag = math.sqrt(2.0) / w
+    bend = ym - 0.5 * (y0 + y1)
+    u2 = -4.0 * bend / h**2
+    u1 = (y1 - y0) / h + 4.0 * bend / h
+    # Particular solution a + b t + u2 t^2 of the filter's equation for the input y0 + u1 t + u2 t^2.
+    b = u1 - 2.0 * lag * u2
+    a = y0 - 2.0 * u2 / w**2 - lag * b
+    off, off_dot = z - a, z_dot - b
+    after = a + b * h + u2 * h**2 + e11 * off + e12 * off_dot
+    return ca.vertcat(after, b + 2.0 * u2 * h + e21 * off + e22 * off_dot)

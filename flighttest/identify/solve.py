@@ -23,6 +23,9 @@ STEP_TOLERANCE = 0.05  # root mean square parameter step at the end, in standard
 LOCAL_TOLERANCE = 0.05  # the same for the locals, in prior standard deviations, where only they are estimated
 CHORD_TOLERANCE = 3.0  # steps smaller than this, in the same unit, keep the Jacobian
 COST_TOLERANCE = 1e-6  # or: relative decrease of the cost by the last step
+BLIND = 1e-4
+MAX_REJECTIONS = 9
+FLAT_STEPS = 4  # steps in a row that do not lower the cost: a kink (an edge passing a sample) or a flat direction
 OUTLIER_RATIO = 2.5  # a response whose residual is this many times the median response's is weighted down
 SPIKE_STDS = 5.0  # a sample further out than this is weighted down
 _START_NOISE = {"m/s^2": 0.3, "m/s": 0.1, "rad": 0.01, "rad/s": 0.05}
@@ -119,7 +122,7 @@ def solve(
     now = _State(theta, begun, problem.evaluate(at(theta), begun, free))
     damping, status, iteration = 1e-3, FitStatus.MAX_ITERATIONS, 0
     blind = np.zeros(len(free), dtype=bool)
-    rejected = 0
+    flat = 0
     for iteration in range(1, max_iterations + 1):
         previous = noise
         if estimate_noise:
@@ -129,21 +132,20 @@ def solve(
         hessian, score, backs = _normal(problem, now, noise, weight, centres, free, robust)
         h, g = hessian.sum(axis=0), score.sum(axis=0)
         sensed = np.diag(h) * scale**2
-        blind = sensed <= 1e-9 * max(float(sensed.max(initial=0.0)), 1e-300)
-        if iteration == 1:
-            blind |= sensed < 1e-6
+        # Information in units of the parameter's own scale: below this its standard error is a hundred scales.
+        blind = sensed < max(1e-14 * float(sensed.max(initial=0.0)), BLIND)
         pushed = ((theta <= lower) & (g < 0)) | ((theta >= upper) & (g > 0))
         active = np.flatnonzero(~blind & ~pushed)
         cost = _cost(problem, now, noise, weight, centres, robust)
         sub = h[np.ix_(active, active)]
         root = np.sqrt(np.diag(sub))
         normal = sub / np.outer(root, root)
-        step = np.zeros(len(free))
+        step, full_step = np.zeros(len(free)), np.zeros(len(free))
+        full_step[active] = _damped(normal, root, g[active], 1e-9)
+        full_step = np.clip(_stepped(theta, full_step, lower), lower, upper) - theta
         accepted = False
-        for _ in range(12):
-            step[active] = (
-                np.linalg.lstsq(normal + damping * np.eye(active.size), g[active] / root, rcond=1e-13)[0] / root
-            )
+        for _ in range(MAX_REJECTIONS):
+            step[active] = _damped(normal, root, g[active], damping)
             target = np.clip(_stepped(theta, step, lower), lower, upper)
             moved = target - theta
             trial_local = [
@@ -161,25 +163,21 @@ def solve(
             if np.isfinite(new_cost) and new_cost <= cost * (1 + 1e-9) + 1e-9:
                 accepted = True
                 break
-            rejected += 1
+            if now.stale:
+                break
             damping = max(damping * 10.0, 1e-3)
         if not accepted and now.stale:
             now = _State(theta, now.local, problem.evaluate(at(theta), now.local, free))
             continue
         if not accepted:
-            status = FitStatus.NO_DESCENT if not _small(step, h, active, 0.2) else FitStatus.CONVERGED
+            status = FitStatus.CONVERGED if _small(full_step, h, active, 0.2) else FitStatus.NO_DESCENT
             break
-        flat = cost - new_cost <= max(COST_TOLERANCE * cost, 0.01)
+        flat = flat + 1 if cost - new_cost <= max(COST_TOLERANCE * cost, 0.01) else 0
         still = bool(active.size) or _locals_settled(problem, now.local, trial.local, noise)
         now, theta = trial, target
         settled = _settled(previous, noise) or not estimate_noise
-        if (
-            damping <= 1e-2
-            and still
-            and (flat or _small(moved, h, active, STEP_TOLERANCE))
-            and settled
-            and iteration >= least
-        ):
+        near = _small(full_step, h, active, STEP_TOLERANCE) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
+        if still and near and settled and iteration >= least:
             status = FitStatus.CONVERGED
             break
         damping = damping / 10.0 if damping > 1e-9 else 0.0
@@ -215,6 +213,13 @@ def _small(step: FloatArray, h: FloatArray, active: NDArray[np.intp], tolerance:
     """Whether a step is small against what the data can resolve."""
     sub = h[np.ix_(active, active)]
     return bool(step[active] @ sub @ step[active] <= tolerance**2 * max(active.size, 1))
+
+
+def _damped(normal: FloatArray, root: FloatArray, g: FloatArray, damping: float) -> FloatArray:
+    """Levenberg's step in the active parameters; normal: the Hessian scaled to a unit diagonal by `root`."""
+    if not root.size:
+        return root
+    return np.asarray(np.linalg.lstsq(normal + damping * np.eye(root.size), g / root, rcond=1e-13)[0] / root)
 
 
 def _stepped(theta: FloatArray, step: FloatArray, lower: FloatArray) -> FloatArray:
