@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.channels import CHANNELS
+from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, short
 from flighttest.diagnose.noise import Floor, inflation
 from flighttest.diagnose.rows import Rows
-from flighttest.frames import rotation_from_euler
+from flighttest.frames import compass_from_yaw, rotation_from_euler
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +29,7 @@ LEAST_RESPONSES = 12
 
 VARIABLES = {
     "speed_forward_m_s": ("forward speed", "m/s"), "speed_left_m_s": ("speed to the left", "m/s"),
-    "speed_up_m_s": ("vertical speed", "m/s"), "tilt_rad": ("tilt", "rad"), "heading_rad": ("heading (NWU)", "rad"),
+    "speed_up_m_s": ("vertical speed", "m/s"), "tilt_rad": ("tilt", "rad"), "heading_rad": ("heading", "rad"),
     "height_m": ("height", "m"), "throttle": ("throttle", ""), "throttle_rate_1_s": ("throttle rate", "1/s"),
     "voltage_v": ("battery voltage", "V"), "time_since_takeoff_s": ("time since take-off", "s"),
     "time_since_command_s": ("time since the last command", "s"),
@@ -222,14 +223,13 @@ def _located(
 ) -> Located:
     unit = CHANNELS[name].unit
     rmse = float(np.sqrt(np.mean(r**2)))
-    words = CHANNELS[name].doc.split(",")[0] if "," in CHANNELS[name].doc and name[0] != "v" else CHANNELS[name].doc
-    head = (
-        f"{short(name)} ({words}) in {kind.replace('_', ' ')}s: {rmse:.3g} {unit} where repeats differ by {floor:.3g}"
-    )
+    words = WORDS.get(name, short(name))
+    flown = "free flight" if kind == "free" else f"{kind.replace('_', ' ')}s"
+    head = f"{words.capitalize()} in {flown}: {rmse:.3g} {unit} where repeats differ by {floor:.3g}"
     regime: dict[str, Any] = {}
     excess_share, sample_share, peak = 1.0, 1.0, float(r[np.argmax(np.abs(r))])
     if x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05:
-        label, v_unit = VARIABLES[variable]
+        label, _ = VARIABLES[variable]
         good = np.isfinite(x)
         power = np.where(good, r**2 - floor**2, 0.0)
         total = float(power.sum())
@@ -249,7 +249,7 @@ def _located(
         bins = np.array_split(np.argsort(x[inside & good]), 5)
         means = [float(np.mean(r[inside & good][b])) for b in bins if b.size]
         peak = max(means, key=abs) if means else peak
-        where = f", {best[1]} {label} {best[2]:.3g} {v_unit}".rstrip() if best[1] else f", along {label}"
+        where = f", {_where(variable, best[1], best[2])}" if best[1] else f", along {label}"
         head += (
             f"{where}, up to {peak:+.2g} {unit}; {100 * excess_share:.0f} % of the excess error lies in {100 * sample_share:.0f} % of the "
             f"samples; {label} explains {100 * share:.0f} % of the residual"
@@ -257,6 +257,16 @@ def _located(
     return Located(
         short(name), maneuver, regime, excess_share, sample_share, head, rmse, floor, unit, peak, share, p_value
     )
+
+
+def _where(variable: str, side: str, level: float) -> str:
+    """A part of a regime as people say it: angles in degrees, headings by the compass."""
+    label, unit = VARIABLES[variable]
+    if variable == "heading_rad":
+        return f"on headings {'right' if side == 'below' else 'left'} of {compass_from_yaw(level):.0f} deg"
+    if unit == "rad":
+        level, unit = math.degrees(level), "deg"
+    return f"{side} {label} {level:.3g} {unit}".rstrip()
 
 
 def regime_curves(

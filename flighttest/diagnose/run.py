@@ -157,7 +157,8 @@ def _assembled(
     cells, curves, overlaid, candidates = [], [], [], []
     before_table: dict[str, Any] = {}
     after_table: dict[str, Any] = {}
-    excess_before, excess_after, samples_over = 0.0, 0.0, False
+    excess_before, excess_after = 0.0, 0.0
+    staying: set[str] = set()
     values = dict(model.start())
     base_rmse: dict[str, dict[str, float]] = {}
     for search in searches:
@@ -188,7 +189,8 @@ def _assembled(
             excess_after += last[name] * weight
         places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), seed)
         located += places
-        samples_over |= bool(locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), seed))
+        left = locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), seed)
+        staying |= {place.channel for place in left}
         curves += regime_curves(places, base.rows, now.rows, segments)
         cells += residual_map(base.rows, now.rows, segments, floor)
         overlaid += overlays(base.rows, now.rows, segments)
@@ -210,13 +212,12 @@ def _assembled(
     tried = {t.id for s in searches for t in s.pool}
     named = {f.term for f in findings} | {u.term for u in unseen}
     share = excess_after / excess_before if excess_before > 0 else 0.0
-    verdict = _verdict(bool(findings), excess_before, excess_after, share, bool(located), samples_over)
+    verdict = _verdict(bool(findings), excess_before, excess_after, share, bool(located), bool(staying))
     formulas: list[dict[str, Any]] = []
     if verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
         tell("describing what has no name")
         for search in searches:
-            assert search.floor is not None
-            formulas += describe(search, segments, groups, search.floor)
+            formulas += describe(search, segments, groups, _with_forces(staying))
     tell("choosing the next flight")
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}) if complete else {}
     final = Model(
@@ -293,6 +294,11 @@ def _next(
         if asked and (made := propose(search, asked[:1], values)):
             return made
     return {}
+
+
+def _with_forces(channels: set[str]) -> set[str]:
+    """A velocity that goes astray was pushed: its force is to be described."""
+    return channels | {f"{force}_{c[2:]}" for c in channels if c.startswith("v_") for force in ("f", "a")}
 
 
 def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:

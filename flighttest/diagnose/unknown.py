@@ -7,7 +7,7 @@ is not a name, and holds only inside the range of the data it came from.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from flighttest.diagnose.judge import folds_of
 from flighttest.diagnose.locate import VARIABLES, sampled
 from flighttest.diagnose.model import short
-from flighttest.diagnose.noise import Floor
 from flighttest.diagnose.search import Search
 from flighttest.segments.model import Segment
 
@@ -25,7 +24,6 @@ IntArray = NDArray[np.intp]
 
 MOST_FUNCTIONS = 4
 LEAST_GAIN = 0.05
-WORTH = 1.5  # a channel is described when its mean square is this many times the floor's
 
 SYMBOLS = {
     "speed_forward_m_s": "u", "speed_left_m_s": "v", "speed_up_m_s": "w", "tilt_rad": "tilt", "heading_rad": "psi", "height_m": "h",
@@ -56,19 +54,21 @@ def _functions(variables: dict[str, FloatArray]) -> dict[str, FloatArray]:
     return found
 
 
-def describe(search: Search, segments: Sequence[Segment], groups: IntArray, floor: Floor) -> list[dict[str, Any]]:
-    """Formulas for the channels whose residual stays above the floor; forces and angles, not velocities (which follow from forces)."""
+def describe(
+    search: Search, segments: Sequence[Segment], groups: IntArray, channels: Collection[str]
+) -> list[dict[str, Any]]:
+    """Formulas for channels (short names) where a mismatch stays; forces and angles, not velocities (which follow from forces)."""
     assert search.now is not None
     rows = search.now.rows
     variables = sampled(rows, segments)
     found = []
     for c, name in enumerate(rows.channels):
-        if name.startswith("v_"):
+        if name.startswith("v_") or short(name) not in channels:
             continue
         at = np.flatnonzero(rows.channel == c)
         good = at[np.all([np.isfinite(x[at]) for x in variables.values()], axis=0)] if variables else at
         r = rows.open_residual[good]
-        if good.size < 200 or float(np.mean(r**2)) < WORTH * floor.of(name) ** 2:
+        if good.size < 200:
             continue
         table = {k: v for k, v in _functions({k: x[good] for k, x in variables.items()}).items() if np.ptp(v) > 1e-9}
         fold = folds_of(groups)[rows.segment[good]]
