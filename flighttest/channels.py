@@ -58,6 +58,18 @@ _TABLE = (
 
 CHANNELS: dict[str, Channel] = {c.name: c for c in _TABLE}
 GROUPS: tuple[str, ...] = tuple(dict.fromkeys(c.group for c in _TABLE))
+# What people read for the channels a model is judged on.
+WORDS: dict[str, str] = {
+    "roll_rad": "roll",
+    "pitch_rad": "pitch",
+    "r_rad_s": "yaw rate",
+    "f_x_m_s2": "specific force forward",
+    "f_y_m_s2": "specific force left",
+    "f_z_m_s2": "specific force up",
+    "v_x_m_s": "velocity north",
+    "v_y_m_s": "velocity west",
+    "v_z_m_s": "velocity up",
+}
 # What holds its value until the next sample; everything else may be interpolated.
 HELD_GROUPS: frozenset[str] = frozenset({"reference", "shaped", "state"})
 INPUTS: tuple[str, ...] = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.channels import CHANNELS
+from flighttest.channels import CHANNELS, WORDS
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.identify.problem import Part, PartEvaluation
 from flighttest.physics.model import Model
@@ -21,17 +21,6 @@ CORRELATED = 0.9
 MAX_OVERLAYS = 40  # per kind: more lines than that are a grey cloud, and megabytes of page
 SETTLED_SHARE = 0.3  # the last part of a throttle response that counts as settled
 _SPECIFIC_FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
-_QUALITY_WORDS = {
-    "roll_rad": "roll",
-    "pitch_rad": "pitch",
-    "r_rad_s": "yaw rate",
-    "f_x_m_s2": "specific force forward",
-    "f_y_m_s2": "specific force left",
-    "f_z_m_s2": "specific force up",
-    "v_x_m_s": "velocity north",
-    "v_y_m_s": "velocity west",
-    "v_z_m_s": "velocity up",
-}
 
 
 def fit_view(found: Fit, segments: Sequence[Segment], before: Mapping[str, float] | None = None) -> FitView:
@@ -40,7 +29,7 @@ def fit_view(found: Fit, segments: Sequence[Segment], before: Mapping[str, float
     unknown = [p.name for p in parameters if p.word in ("weak", "not identifiable")]
     quality = tuple(
         QualityView(
-            _QUALITY_WORDS.get(c, c),
+            WORDS.get(c, c),
             CHANNELS[c].unit,
             q.rmse,
             q.floor,
