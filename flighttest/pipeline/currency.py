@@ -23,7 +23,7 @@ from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
 from flighttest.pipeline.checking import predictor_for
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
-from flighttest.pipeline.history import campaigns, standing
+from flighttest.pipeline.history import TESTED, campaigns, standing, watched
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.plan import check as check_plan
@@ -39,7 +39,7 @@ from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
-TESTED = tuple(n for names in SUBSETS.values() for n in names)
+ALPHA_TELLS = 2.0
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
 SPOT_CHECK = "spot_check"
 
@@ -84,7 +84,9 @@ def judge(
     today = today_fingerprint(recordings, vehicle)
     untestable: list[str] = []
     series: list[Estimates] = []
-    earlier = [c.estimates for c in campaigns(out) if c.follows(stored)] if out is not None else []
+    new = {r.name for r in recordings}
+    known = campaigns(out) if out is not None else []
+    earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
     if recordings:
         try:
             series = [*earlier, reestimate(stored, recordings, progress)]
@@ -109,9 +111,8 @@ def judge(
 
 def tested_part(stored: ModelFile) -> tuple[tuple[str, ...], Any, Any]:
     """Names, values, covariance of the stored parameters that are identified and that currency watches."""
-    names, values, matrix = stored.identified
-    pick = [i for i, n in enumerate(names) if n in TESTED]
-    return tuple(names[i] for i in pick), values[pick], matrix[np.ix_(pick, pick)]
+    found = watched(stored, "model")
+    return found.names, found.values, found.covariance
 
 
 def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any] | None:
@@ -140,25 +141,30 @@ def reestimate(stored: ModelFile, recordings: Sequence[Recording], progress: Pro
 def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: str) -> Estimates:
     """`reestimate` from segments that are already cut."""
     found = identify(segments, stored.model, start=stored.values)
-    weak = {
-        name: stored.values[name]
-        for name in TESTED
-        if name in found.estimates
-        and not found.estimates[name].identifiable
-        and stored.parameters.get(name) is not None
-        and stored.parameters[name].identifiable
-    }
+    weak = {n: stored.values[n] for n in TESTED if n in found.estimates and _tells_less(found, stored, n)}
     if weak:
         found = identify(segments, stored.model, start=stored.values, frozen=weak)
     return estimates_of(found, name)
 
 
+def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
+    """Whether the new recordings know a parameter so badly that the stored value serves the others better.
+
+    alpha, which moves K along, already when it is known half as well as before: the voltage range of a short flight is no change
+    of the vehicle.
+    """
+    kept = stored.parameters.get(name)
+    if kept is None or not kept.identifiable:
+        return False
+    new = found.estimates[name]
+    if not new.identifiable or new.std is None:
+        return True
+    return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
+
+
 def estimates_of(found: Fit, name: str) -> Estimates:
     """The identifiable, watched part of a fit."""
-    good = [n for n in found.covariance.names if n in TESTED and found.estimates[n].identifiable]
-    pick = [found.covariance.names.index(n) for n in good]
-    values = np.array([found.estimates[n].value for n in good])
-    return Estimates(name, tuple(good), values, found.covariance.matrix[np.ix_(pick, pick)])
+    return watched(model_file.from_fit(found), name)
 
 
 def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float] | None:

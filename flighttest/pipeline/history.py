@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from flighttest.currency.compare import Estimates
 from flighttest.currency.declared import declared_changes
 from flighttest.currency.model import SUBSETS
@@ -21,7 +23,7 @@ from flighttest.report.currency_page import HistoryPoint, history_document
 from flighttest.report.document import Document
 
 FIT_NAME = "fit.yaml"
-_TESTED = frozenset(n for names in SUBSETS.values() for n in names)
+TESTED = tuple(n for names in SUBSETS.values() for n in names)
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,7 @@ class Campaign:
     @property
     def estimates(self) -> Estimates:
         """The watched, identified part."""
-        names, values, matrix = self.model.identified
-        kept = Estimates(self.folder.name, names, values, matrix)
-        return kept.select([n for n in names if n in _TESTED])
+        return watched(self.model, self.folder.name)
 
     def follows(self, stored: ModelFile) -> bool:
         """Whether this campaign came after a model's own and nothing declared has changed since."""
@@ -45,6 +45,21 @@ class Campaign:
         last = max((str(r) for r in stored.runs), default="")
         changes, _ = declared_changes(stored.fingerprint, self.model.fingerprint)
         return str(self.model.runs[-1]) > last and not changes
+
+
+def watched(model: ModelFile, name: str) -> Estimates:
+    """The identified parameters that currency watches, with their covariance.
+
+    Few responses know their own scatter badly, so the errors are widened to what the 95 % intervals say (Student's factor).
+    """
+    names, values, matrix = model.identified
+    wide = np.ones(len(names))
+    for i, n in enumerate(names):
+        interval, std = model.parameters[n].interval_95, float(matrix[i, i]) ** 0.5
+        if interval is not None and std > 0.0:
+            wide[i] = max((interval[1] - interval[0]) / (2.0 * 1.96 * std), 1.0)
+    kept = Estimates(name, names, values, matrix * np.outer(wide, wide))
+    return kept.select([n for n in names if n in TESTED])
 
 
 def run_folders(folder: Path) -> list[Path]:
@@ -80,8 +95,8 @@ def as_good(new: ModelFile, old: ModelFile) -> bool:
 
 
 def _known(model: ModelFile) -> dict[str, float]:
-    names, _, matrix = model.identified
-    return {n: float(matrix[i, i]) ** 0.5 for i, n in enumerate(names) if n in _TESTED}
+    found = watched(model, "")
+    return {n: float(found.covariance[i, i]) ** 0.5 for i, n in enumerate(found.names)}
 
 
 def standing(known: Sequence[Campaign]) -> Campaign | None:
