@@ -47,7 +47,8 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
     confusable = [r.term for r in rivals if r.verdict == "CONFUSABLE"]
     force = _rms_force(search, judged.effect)
     numbers = ", ".join(
-        f"{n} {v['value']:.3g} ± {1.96 * v['std']:.1g} {v['unit']}".replace(" 1", " 1") for n, v in parameters.items()
+        f"{n} {v['value']:.3g} ± {1.96 * v['std']:.1g}{'' if v['unit'] == '1' else ' ' + v['unit']}"
+        for n, v in parameters.items()
     )
     sentence = f"{term.plain} ({numbers}); {judged.floors:.2g} noise floors in {short(judged.place[0])} of {_kind(judged.place[1])}"
     if term.family in ("autopilot", "sensor", "link"):

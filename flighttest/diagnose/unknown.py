@@ -88,6 +88,8 @@ def describe(
                 "channel": short(name),
                 "port": "specific force" if name.startswith(("f_", "a_")) else "attitude loop",
                 "formula": f"{short(name)} residual = {formula}",
+                "sentence": f"{short(name)}: what stays follows this formula but for {100 * left:.0f} % of it, inside the range flown; "
+                "it is a description without a name",
                 "functions": chosen,
                 "coefficients": weights.tolist(),
                 "heldout_share": left,
