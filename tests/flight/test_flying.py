@@ -94,7 +94,8 @@ def test_a_lost_link_ends_the_leg_not_the_flight(run_dir: Path) -> None:
     assert np.max(np.diff(targets)) < 0.05
 
 
-def test_a_link_that_stays_away_is_an_outcome(run_dir: Path) -> None:
+def test_a_link_that_stays_away_is_an_outcome(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flighttest.flight.supervisor.GIVE_UP_AFTER_S", 5.0)
     link = FaultyLink(options())
     began = step_time(link)
     link.down = lambda t: bool(began) and t > began[0] + 0.1
@@ -178,6 +179,24 @@ def test_without_a_position_our_own_loop_brings_it_up_and_holds_height(run_dir: 
     result = fly(make_plan(by="attitude"), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.COMPLETED, result
     assert [r.outcome for r in result.legs] == [LegOutcome.FLOWN]
+
+
+def test_the_pilot_brings_it_back_and_says_when(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    plan = make_plan(make_leg("a"), by="pilot")
+    waiting: list[float] = []
+
+    def pilot(progress: FlightProgress) -> None:
+        if "waiting for the pilot" in progress.doing:
+            waiting.append(progress.t_s)
+            if len(waiting) == 8:
+                link.set_parameter("SIM_PILOT_MODE", 20.0)
+
+    result = fly(plan, "sim", run_dir, transport=link, on_progress=pilot)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert [r.outcome for r in result.legs] == [LegOutcome.FLOWN]
+    quiet = [t for t, kind in link.sent if kind == "SET_ATTITUDE_TARGET" and waiting[0] <= t <= waiting[7]]
+    assert quiet == [], "nothing is sent while the pilot flies"
 
 
 def test_preflight_says_everything_at_once(run_dir: Path) -> None:

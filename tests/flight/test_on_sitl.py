@@ -25,6 +25,7 @@ from flighttest.sim.sitl_launcher import SitlOptions, launch
 from tests.flight.faulty import make_leg, make_plan
 
 pytestmark = pytest.mark.sitl
+SPEEDUP = 3.0
 
 
 def fast_tilt(t_s: float) -> AttitudeTarget:
@@ -75,7 +76,7 @@ def second_link(sitl) -> ArduPilot:
 
 @pytest.fixture(scope="module")
 def sitl(arducopter):
-    with launch(SitlOptions(airframe="paper", speedup=1.0)) as vehicle:
+    with launch(SitlOptions(airframe="paper", speedup=SPEEDUP)) as vehicle:
         yield vehicle
 
 
@@ -92,7 +93,7 @@ def link_lost(sitl, run_dir):
 
     def lose() -> None:
         watched.on_step = None
-        watched.down_until = time.monotonic() + 2.0
+        watched.down_until = time.monotonic() + 2.0 / SPEEDUP
 
     watched.on_step = lose
     result = fly(make_plan(make_leg()), sitl.url, run_dir, transport=watched)

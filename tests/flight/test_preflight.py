@@ -1,0 +1,147 @@
+"""Each preflight check on its own: what it refuses, its remedy, what it would set; and that a good vehicle passes."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from flighttest.errors import PreflightError
+from flighttest.flight import preflight
+from flighttest.flight.preflight import Check, Situation, checks, is_simulator, refuse
+from tests.flight.faulty import GOOD, LIMITS, make_leg, make_plan
+
+PARAMETERS = {
+    "GUID_OPTIONS": 8.0,
+    "GUID_TIMEOUT": 0.2,
+    "FLTMODE_GCSBLOCK": 0.0,
+    "FS_OPTIONS": 16.0,
+    "FENCE_ENABLE": 1.0,
+    "FENCE_TYPE": 7.0,
+    "FENCE_ACTION": 4.0,
+    "FENCE_ALT_MAX": 15.0,
+    "LOG_BITMASK": 980991.0,
+}
+RATES = {"ATTITUDE": 100.0, "HIGHRES_IMU": 100.0, "LOCAL_POSITION_NED": 50.0, "BATTERY_STATUS": 10.0}
+
+
+def situation(**changes: Any) -> Situation:
+    parameters = PARAMETERS | changes.pop("parameters", {})
+    state = replace(GOOD, armed=False, mode=0, **changes.pop("state", {}))
+    fields: dict[str, Any] = {
+        "plan": make_plan(),
+        "rates_hz": RATES | changes.pop("rates", {}),
+        "firmware": "4.7.0-dev (97009754)",
+        "vehicle_type": 2,
+        "simulator": False,
+        "rc_live": True,
+    }
+    return Situation(parameters=parameters, state=state, **(fields | changes))
+
+
+def found(**changes: Any) -> list[Check]:
+    return checks(situation(**changes))
+
+
+def test_a_good_vehicle_passes() -> None:
+    assert found() == []
+
+
+REFUSED: list[tuple[str, dict[str, Any], dict[str, float] | None]] = [
+    ("GUID_OPTIONS", {"parameters": {"GUID_OPTIONS": 1.0}}, {"GUID_OPTIONS": 9.0}),
+    ("GUID_TIMEOUT", {"parameters": {"GUID_TIMEOUT": 3.0}}, {"GUID_TIMEOUT": 0.2}),
+    ("GUID_TIMEOUT", {"parameters": {"GUID_TIMEOUT": 0.21}}, {"GUID_TIMEOUT": 0.2}),
+    ("FLTMODE_GCSBLOCK", {"parameters": {"FLTMODE_GCSBLOCK": 64.0}}, {"FLTMODE_GCSBLOCK": 0.0}),
+    ("SYSID_ENFORCE", {"parameters": {"SYSID_ENFORCE": 1.0}}, {}),
+    ("SYSID_ENFORCE", {"parameters": {"MAV_OPTIONS": 1.0}}, {}),
+    ("FS_OPTIONS", {"parameters": {"FS_OPTIONS": 20.0}}, {"FS_OPTIONS": 16.0}),
+    ("LOG_BITMASK", {"parameters": {"LOG_BITMASK": 176126.0}}, None),
+    ("LOG_BITMASK", {"parameters": {"LOG_BITMASK": float(980991 & ~1)}}, {"LOG_BITMASK": 980991.0}),
+    ("fence", {"parameters": {"FENCE_ENABLE": 0.0}}, None),
+    ("fence", {"parameters": {"FENCE_ACTION": 1.0}}, None),
+    ("fence", {"parameters": {"FENCE_TYPE": 1.0}}, None),
+    ("fence", {"parameters": {"FENCE_TYPE": 2.0}}, None),
+    ("fence", {"parameters": {"FENCE_ALT_MAX": 100.0}}, None),
+    ("rc", {"rc_live": False}, {}),
+    ("battery", {"state": {"voltage_v": 21.0}}, {}),
+    ("battery", {"state": {"voltage_v": None}}, {}),
+    ("position", {"state": {"position_ok": False}}, {}),
+    ("attitude", {"state": {"attitude_rad": None}}, {}),
+    ("attitude", {"state": {"attitude_rad": (0.4, 0.0, 0.0)}}, {}),
+    ("rates", {"rates": {"ATTITUDE": 30.0}}, {}),
+    ("rates", {"rates": {"LOCAL_POSITION_NED": 2.0}}, {}),
+    ("rates", {"rates": {"HIGHRES_IMU": 0.0}}, {}),
+    ("rates", {"rates": {"BATTERY_STATUS": 0.0}}, {}),
+    ("firmware", {"firmware": ""}, {}),
+    ("firmware", {"firmware": "4.0.7"}, {}),
+    ("frame", {"vehicle_type": 1}, {}),
+]
+
+
+@pytest.mark.parametrize(("name", "changes", "wanted"), REFUSED)
+def test_each_fault_is_found_alone_with_its_remedy(
+    name: str, changes: dict[str, Any], wanted: dict[str, float] | None
+) -> None:
+    (check,) = found(**changes)
+    assert check.name == name
+    assert len(check.remedy) > 5
+    if wanted is None:
+        assert check.set
+    else:
+        assert check.set == wanted
+
+
+def test_an_armed_vehicle_is_refused() -> None:
+    s = situation()
+    (check,) = checks(replace(s, state=replace(s.state, armed=True)))
+    assert check.name == "armed"
+
+
+def test_raw_imu_stands_in_for_highres_imu() -> None:
+    assert found(rates={"HIGHRES_IMU": 0.0, "RAW_IMU": 100.0}) == []
+
+
+def test_yaw_rate_steps_need_a_newer_firmware() -> None:
+    yaw = make_plan(make_leg(kind="yaw_rate_step"))
+    assert found(firmware="4.5.7") == []
+    assert [c.name for c in found(firmware="4.5.7", plan=yaw)] == ["firmware"]
+    assert found(firmware="4.6.0", plan=yaw) == []
+
+
+def test_without_a_position_the_attitude_reset_is_offered() -> None:
+    (check,) = found(state={"position_ok": False})
+    assert "by: attitude" in check.remedy
+    assert found(state={"position_ok": False}, plan=make_plan(by="attitude"), rates={"LOCAL_POSITION_NED": 0.0}) == []
+
+
+def test_a_plan_that_limits_no_voltage_needs_none() -> None:
+    assert found(state={"voltage_v": None}, plan=make_plan(limits=replace(LIMITS, voltage_min_v=0.0))) == []
+
+
+def test_a_plan_without_legs_is_refused() -> None:
+    empty = replace(make_plan(), legs=(), refusals=(("a", "it leaves the zone", "start lower"),))
+    (check,) = found(plan=empty)
+    assert "it leaves the zone" in check.what
+
+
+def test_a_simulator_is_excused_from_rc_and_fence_only() -> None:
+    excused = {"simulator": True, "rc_live": False, "parameters": {"FENCE_ENABLE": 0.0}}
+    assert found(**excused) == []
+    assert [c.name for c in found(**excused, state={"voltage_v": 20.0})] == ["battery"]
+    assert is_simulator({"SIM_SPEEDUP": 1.0})
+    assert not is_simulator(PARAMETERS)
+
+
+def test_only_a_fast_simulator_may_hold_longer() -> None:
+    slow = {"parameters": {"GUID_TIMEOUT": 2.0}}
+    assert found(simulator=True, pace=10.0, **slow) == []
+    assert [c.name for c in found(simulator=False, pace=10.0, **slow)] == ["GUID_TIMEOUT"]
+    assert [c.name for c in found(simulator=True, pace=1.0, **slow)] == ["GUID_TIMEOUT"]
+
+
+def test_waivers_are_by_name_and_noted() -> None:
+    faults = [*found(rc_live=False), *found(parameters={"GUID_OPTIONS": 0.0})]
+    with pytest.raises(PreflightError) as refused:
+        refuse(faults, {"rc"})
+    assert len(refused.value.refusals) == 1
+    refuse(faults, {"rc", "GUID_OPTIONS"})
+    assert preflight.waiver_notes(faults, {"rc"}) == [f"waived rc: {faults[0].what}"]
