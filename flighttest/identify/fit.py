@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.errors import FitError
+from flighttest.errors import FitError, InputError
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
@@ -194,7 +194,7 @@ def _hopeless(solution: Solution, covariance: Covariance) -> tuple[str, ...]:
 def _check_names(model: Model, names: Sequence[str]) -> None:
     for name in names:
         if name not in model.names:
-            raise FitError(f"the model has no parameter {name!r}", f"it has {', '.join(model.names)}")
+            raise InputError(f"the model has no parameter {name!r}", f"it has {', '.join(model.names)}")
 
 
 def _best(problem: Problem, robust: bool, nominal: Mapping[str, float]) -> Solution:

@@ -37,7 +37,9 @@ def mavsdk_url(url: str) -> str:
     """MAVSDK's form of one of our URLs. InputError for anything else."""
     kind, _, rest = url.strip().partition(":")
     rest = rest.removeprefix("//")
-    if kind not in _SCHEMES or not rest:
+    where, _, last = rest.rpartition(":")
+    known = kind in _SCHEMES and bool(where) and last.isdecimal()
+    if not known or (kind != "serial" and not 0 < int(last) < 65536):
         raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
     return f"{_SCHEMES[kind]}://{rest}"
 

@@ -25,7 +25,12 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
     path: .BIN, .tlog, .ulg, .csv or .parquet; what it is, is told from its first bytes, then from its name. columns: a column map
     (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
-    return possible(_read(Path(path), columns))
+    recording = possible(_read(Path(path), columns))
+    if not any(len(series) > 1 for series in recording.series.values()):
+        raise RecordingError(
+            f"{path}: it holds no measurement of a flight", "was it downloaded completely, and does it cover a flight?"
+        )
+    return recording
 
 
 def possible(recording: Recording) -> Recording:
@@ -57,6 +62,11 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
     if not head:
         raise RecordingError(f"{path} is empty", "was the log downloaded completely?")
     suffix = file.suffix
+    claimed = path.suffix.lower()
+    if claimed in {".gz", ".xz"} and not file.compressed:
+        raise RecordingError(
+            f"{path}: named {claimed}, but not compressed so", "rename it, or copy or download it anew"
+        )
     if head[:3] == b"\xa3\x95\x80" or (suffix == ".bin" and b"\xa3\x95" in head):
         from flighttest.logs.ardupilot_bin import import_ardupilot_bin
 

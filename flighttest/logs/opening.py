@@ -14,6 +14,7 @@ from flighttest.errors import RecordingError
 
 PIECE_BYTES = 16 << 20
 _COMPRESSED = {".gz", ".xz"}
+_GZIP, _XZ = b"\x1f\x8b", b"\xfd7zXZ\x00"
 
 
 class LogFile:
@@ -45,14 +46,20 @@ class LogFile:
         """Of all bytes streamed so far."""
         return self._digest.hexdigest()
 
+    @property
+    def compressed(self) -> bool:
+        """Whether its first bytes are those of a gzip or xz file, whatever it is called."""
+        with self.path.open("rb") as raw:
+            return raw.read(6).startswith((_GZIP, _XZ))
+
     def open(self) -> IO[bytes]:
         """The decompressed bytes as a file object."""
         try:
             with self.path.open("rb") as raw:
                 magic = raw.read(6)
-            if magic[:2] == b"\x1f\x8b":
+            if magic.startswith(_GZIP):
                 return gzip.open(self.path, "rb")  # type: ignore[return-value]
-            if magic == b"\xfd7zXZ\x00":
+            if magic == _XZ:
                 return lzma.open(self.path, "rb")
             return self.path.open("rb", buffering=0)
         except OSError as error:
@@ -61,28 +68,47 @@ class LogFile:
             ) from error
 
     def head(self, size: int = 4096) -> bytes:
-        """The first bytes, without counting as reading; empty where even they cannot be decompressed."""
+        """The first bytes, without counting as reading; RecordingError where not even one can be decompressed."""
         with self.open() as file:
-            try:
-                return file.read(size)
-            except (EOFError, OSError, lzma.LZMAError, zlib.error):
-                return b""
+            piece, broken = _read_all(file, size)
+        if broken is not None and not piece:
+            raise RecordingError(
+                f"{self.path}: the compressed file is damaged from its start ({broken})", "copy or download it anew"
+            )
+        return piece
 
     def pieces(self, size: int = PIECE_BYTES) -> Iterator[bytes]:
         """The bytes in pieces of about `size`; a broken compressed stream ends early and says so in `losses`."""
         with self.open() as file:
-            while True:
+            broken: Exception | None = None
+            while broken is None:
                 try:
-                    piece = file.read(size)
-                except (EOFError, lzma.LZMAError, zlib.error, gzip.BadGzipFile) as error:
-                    self.losses.append(
-                        f"the compressed file is damaged after {self.bytes_read} bytes of the log ({error}); the rest was not read"
-                    )
-                    return
+                    piece, broken = _read_all(file, size)
                 except OSError as error:
                     raise RecordingError(f"{self.path}: reading failed: {error}", "copy the file anew") from error
-                if not piece:
+                if piece:
+                    self.bytes_read += len(piece)
+                    self._digest.update(piece)
+                    yield piece
+                elif broken is None:
                     return
-                self.bytes_read += len(piece)
-                self._digest.update(piece)
-                yield piece
+            self.losses.append(
+                f"the compressed file is damaged after {self.bytes_read} bytes of the log ({broken}); the rest was not read"
+            )
+
+
+def _read_all(file: IO[bytes], size: int) -> tuple[bytes, Exception | None]:
+    """Up to `size` bytes, and what broke the compressed stream: a plain `read` would lose the good bytes before the break."""
+    read = getattr(file, "read1", file.read)
+    parts: list[bytes] = []
+    missing = size
+    while missing > 0:
+        try:
+            part = read(missing)
+        except (EOFError, lzma.LZMAError, zlib.error, gzip.BadGzipFile) as error:
+            return b"".join(parts), error
+        if not part:
+            break
+        parts.append(part)
+        missing -= len(part)
+    return b"".join(parts), None
