@@ -32,6 +32,7 @@ from flighttest.segments.model import Segment
 RATE_HZ = 50.0
 MOST_CELLS = 12
 MOST_REPEATS = 4
+MOST_TRIED = 3  # maneuvers rehearsed per question: those that the terms name, then the general ones
 STOP_S = 0.4
 CORRELATED = 10.0  # real residuals are correlated over several samples; rehearsed ones are not
 TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop", "thrust_hover", "roll_pitch")
@@ -52,7 +53,7 @@ def propose(search: Search, questions: Sequence[Question], values: Mapping[str, 
     for question in questions:
         names = dict.fromkeys([question.term.reveals, *([question.rival.reveals] if question.rival else []), *TRIED])
         best: tuple[float, str] | None = None
-        for name in [n for n in names if n in shipped_names()][:5]:
+        for name in [n for n in names if n in shipped_names()][:MOST_TRIED]:
             try:
                 script = load_script(resolve(name))
                 segments = rehearsed(script, search.now.model, values, search.bench.segments)

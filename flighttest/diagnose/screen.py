@@ -114,7 +114,7 @@ def shape_settings(term: Term) -> list[dict[str, float]]:
     nominal = {p.name: p.nominal for p in term.shapes}
     found: list[dict[str, float]] = []
     for p in term.shapes:
-        for value in p.screen:
+        for value in p.screen if len(p.screen) > 1 or len(term.shapes) == 1 else ():
             setting = {**nominal, p.name: value}
             if setting not in found:
                 found.append(setting)

@@ -151,7 +151,7 @@ vortex_ring = Term(
         ),
         Param(
             "vortex_width", "w_v", "m/s", 1.5, 0.6, 4.0, 0.5, "half width of the region",
-            "Leishman, chapter 2: half an induced velocity", "shape", None, (1.0, 2.0),
+            "Leishman, chapter 2: half an induced velocity", "shape", None, (1.5,),
         ),
     ),
     build=_vortex,
