@@ -126,7 +126,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
         )
     if folder.is_dir() and not (folder / MANIFEST_NAME).exists() and (folder / DIAGNOSIS_NAME).exists():
         return _report_diagnosis(folder, output, progress)
-    recordings = open_recordings([folder], progress=progress)
+    recordings = open_recordings(campaign_of(folder), progress=progress)
     segments = cut_all(recordings, progress)
     found: Fit | None = None
     reason = ""
@@ -135,7 +135,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
     except FitError as error:
         reason = error.message
     view = fit_view(found, segments) if found is not None else None
-    diagnosis = read_diagnosis(folder / DIAGNOSIS_NAME) if folder.is_dir() else None
+    diagnosis = _diagnosis_of(folder)
     document = run_document(
         recordings,
         view,
@@ -145,10 +145,21 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
     )
     target = output or (folder / REPORT_NAME if folder.is_dir() else Path(REPORT_NAME))
     if folder.is_dir():
-        keep_segments(folder, segments)
+        keep_segments(folder, [s for s in segments if s.run == recordings[-1].name])
         if found is not None and not (folder / FIT_NAME).exists():
             model_file.write(folder / FIT_NAME, model_data(found, recordings, None))
     return written(document, target, Status.UNEXPLAINED if found is None else Status.DONE)
+
+
+def campaign_of(folder: Path) -> list[Path]:
+    """The runs that were fitted together with this one, as its fit.yaml names them, the run itself last."""
+    path = folder / FIT_NAME
+    if not folder.is_dir() or not path.is_file():
+        return [folder]
+    names = [str(r) for r in model_file.read(path).runs]
+    here = folder.resolve()
+    others = [here.parent / n for n in names if n != here.name and (here.parent / n / MANIFEST_NAME).is_file()]
+    return [*others, folder] if here.name in names else [folder]
 
 
 def written(document: Document, target: Path, status: Status = Status.DONE) -> Result:
@@ -156,6 +167,14 @@ def written(document: Document, target: Path, status: Status = Status.DONE) -> R
     html.write(document, target)
     short = Document("report", document.verdict, document.tone, (), {"page": str(target)})
     return Result(short, {"report": str(target), "verdict": document.verdict}, status, document)
+
+
+def _diagnosis_of(folder: Path) -> dict[str, Any] | None:
+    """What `run` or `diagnose -o` left in or below a run folder."""
+    for place in (folder / DIAGNOSIS_NAME, folder / "diagnosis" / DIAGNOSIS_NAME):
+        if folder.is_dir() and place.is_file():
+            return read_diagnosis(place)
+    return None
 
 
 def read_diagnosis(path: Path) -> dict[str, Any] | None:
