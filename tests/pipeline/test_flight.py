@@ -97,6 +97,10 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     data = json.loads(out)
     assert data["runs"][0] == str(run)
     assert data["segments"]["used"] == 4
+    # A report of either run is one of the campaign they were fitted in.
+    code, out, err = call("report", data["runs"][0], "--json")
+    assert code == 0, err
+    assert json.loads(out)["verdict"].startswith("4 responses fitted")
 
 
 def test_a_dead_link_is_said_and_exits_1(call, script, tmp_path):
