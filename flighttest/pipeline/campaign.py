@@ -102,7 +102,7 @@ def _analysis(
     if fitted is not None and (previous is not None if diagnose is None else diagnose):
         try:
             result = run_diagnosis(segments, recordings, previous, vehicle, progress)
-            diagnosis = write_diagnosis(result, segments, recordings, vehicle, folder / "diagnosis", progress)
+            diagnosis = write_diagnosis(result, segments, recordings, vehicle, folder, progress)
             explained = result.verdict not in UNFINISHED
         except FitError as error:
             progress.stage(f"no diagnosis: {error.message}")

@@ -135,7 +135,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
     except FitError as error:
         reason = error.message
     view = fit_view(found, segments) if found is not None else None
-    diagnosis = _diagnosis_of(folder)
+    diagnosis = read_diagnosis(folder / DIAGNOSIS_NAME) if folder.is_dir() else None
     document = run_document(
         recordings,
         view,
@@ -167,14 +167,6 @@ def written(document: Document, target: Path, status: Status = Status.DONE) -> R
     html.write(document, target)
     short = Document("report", document.verdict, document.tone, (), {"page": str(target)})
     return Result(short, {"report": str(target), "verdict": document.verdict}, status, document)
-
-
-def _diagnosis_of(folder: Path) -> dict[str, Any] | None:
-    """What `run` or `diagnose -o` left in or below a run folder."""
-    for place in (folder / DIAGNOSIS_NAME, folder / "diagnosis" / DIAGNOSIS_NAME):
-        if folder.is_dir() and place.is_file():
-            return read_diagnosis(place)
-    return None
 
 
 def read_diagnosis(path: Path) -> dict[str, Any] | None:
