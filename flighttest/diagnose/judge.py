@@ -191,6 +191,6 @@ def excess_share(rows: Rows, floor: Floor, reference: Mapping[str, float] | None
     found = {}
     for c, name in enumerate(rows.channels):
         at = rows.channel == c
-        excess = max(float(np.mean(raw[at] ** 2)) - floor.of(name) ** 2, 0.0) if at.any() else 0.0
+        excess = max(float(np.mean(raw[at] ** 2)) - floor.whole(name) ** 2, 0.0) if at.any() else 0.0
         found[name] = excess if reference is None else excess / max(reference.get(name, 0.0), 1e-300)
     return found

@@ -40,6 +40,12 @@ class Floor:
         """The floor of one channel."""
         return self.std[channel]
 
+    def whole(self, channel: str) -> float:
+        """The floor with everything in it that differs between repeats, the bins around jittering edges included."""
+        if channel not in self.lack_of_fit:
+            return self.std[channel]
+        return float(np.sqrt(max(self.std[channel] ** 2, self.lack_of_fit[channel][2])))
+
     def exceeded(self, channel: str, kind: str, mean_square: float, count: float) -> bool:
         """Whether `count` independent samples of this mean square lie above the floor: by a quarter in power at least (half the floor in
         amplitude), and more than chance would have it (0.1 %, for there are many places to look at). Where steps were repeated it is

@@ -33,7 +33,6 @@ from flighttest.segments.model import Segment
 
 LEAST_SEGMENTS = 4
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
-LEAST_EXCESS = 0.25  # of the noise floor's power: less is nobody's business (half a floor in amplitude)
 # Held at off in the attitude model until it is needed, so that roll and pitch are always compared on the same responses.
 COUPLING = "roll_pitch_coupling"
 PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "the throttle"}
@@ -157,7 +156,7 @@ def _assembled(
     cells, curves, overlaid, candidates = [], [], [], []
     before_table: dict[str, Any] = {}
     after_table: dict[str, Any] = {}
-    excess_before, excess_after = 0.0, 0.0
+    shares: list[float] = []  # of each channel's excess, what stays: channels count alike, whatever their floors
     staying: set[str] = set()
     values = dict(model.start())
     base_rmse: dict[str, dict[str, float]] = {}
@@ -183,12 +182,10 @@ def _assembled(
                 else "high-frequency residual (weaker: no repeats were flown)",
             }
         first, last = excess_share(base.rows, floor), excess_share(now.rows, floor)
-        for name, e in first.items():
-            weight = 1.0 / floor.of(name) ** 2
-            excess_before += e * weight
-            excess_after += last[name] * weight
         places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), seed)
         located += places
+        above = {place.channel for place in places}
+        shares += [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
         left = locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), seed)
         staying |= {place.channel for place in left}
         curves += regime_curves(places, base.rows, now.rows, segments)
@@ -211,8 +208,8 @@ def _assembled(
     notes += _delays(after_table)
     tried = {t.id for s in searches for t in s.pool}
     named = {f.term for f in findings} | {u.term for u in unseen}
-    share = excess_after / excess_before if excess_before > 0 else 0.0
-    verdict = _verdict(bool(findings), excess_before, excess_after, share, bool(located), bool(staying))
+    share = float(np.mean(shares)) if shares else 0.0
+    verdict = _verdict(bool(findings), share, bool(located), bool(staying))
     formulas: list[dict[str, Any]] = []
     if verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
         tell("describing what has no name")
@@ -352,12 +349,10 @@ def _candidates(search: Search) -> list[dict[str, Any]]:
     return found
 
 
-def _verdict(any_named: bool, before: float, after: float, share: float, located: bool, still: bool) -> Verdict:
+def _verdict(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
     if not any_named:
         return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
-    if not still or share <= EXPLAINED_SHARE or after < LEAST_EXCESS:
-        return Verdict.EXPLAINED
-    return Verdict.PARTLY
+    return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
 
 
 def _sentence(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any]) -> str:
