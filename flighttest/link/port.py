@@ -72,7 +72,9 @@ class Port:
         last = self._sequence.get(source)
         if last is not None:
             missing = (sequence - last - 1) % 256
-            self.frames_lost += missing if missing < 128 else 0  # a datagram that came twice or late is not 255 lost ones
+            self.frames_lost += (
+                missing if missing < 128 else 0
+            )  # a datagram that came twice or late is not 255 lost ones
         self._sequence[source] = sequence
 
     @property
