@@ -176,4 +176,6 @@ def _summary(
         facts["notes"] = "; ".join(notes)
     facts["model"] = str(folders[-1] / FIT_NAME) if found.fit is not None else "-"
     facts["report"] = str(folders[-1] / REPORT_NAME)
+    if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
+        facts["fly next"] = f"flighttest run {folders[-1] / 'next.yaml'}"
     return Document("flight", page.verdict, page.tone, tuple(sections), facts)
