@@ -160,9 +160,7 @@ class _Reader:
         home: tuple[float, ...] = (0.0, 0.0, 5.0)
         to = self._get(fields, "to", lambda n: doc.vector(n, 3, -2000.0, 2000.0, "m"), home)
         around: tuple[float, ...] = (0.0, 90.0, 180.0, 270.0)
-        headings = self._get(
-            fields, "heading_deg", lambda n: doc.numbers(n, -360.0, 360.0, "deg"), around
-        )
+        headings = self._get(fields, "heading_deg", lambda n: doc.numbers(n, -360.0, 360.0, "deg"), around)
         by = self._get(fields, "by", lambda n: doc.choice(n, ("guided", "attitude", "pilot")), "guided")
         return Reset(
             to_m=(to[0], to[1], to[2]),
