@@ -44,6 +44,7 @@ LEAST_FLOORS = 0.7
 LEAST_GAIN = 0.05
 TRIES = 4  # candidates refitted per step before the step is given up
 MOST_TERMS = 12
+TRIAL_ITERATIONS = 5  # enough to rank candidates; what is accepted is fitted to the end
 SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
 
 
@@ -114,6 +115,8 @@ class Search:
         while len(self.judged) < MOST_TERMS and self._forward():
             self._backward()
             self._score()
+        if self.judged:
+            self.now = self._fit(self.now.model, self.now.state, self.now.dormant)
         self._swap()
         if self.judged:
             self._linearise(shapes=False)
@@ -284,7 +287,9 @@ class Search:
         cold = self.bench.moved(
             model, among.state, {**dict(s.variant.shapes), **{p.name: float(p.off or 0.0) for p in term.amplitudes}}
         )
-        return self._fit(model, warm if warm.objective < cold.objective else cold, among.dormant - {term.id})
+        return self._fit(
+            model, warm if warm.objective < cold.objective else cold, among.dormant - {term.id}, TRIAL_ITERATIONS
+        )
 
     def without(self, term: str) -> Fitted:
         """The present model refitted without one of its terms."""
