@@ -186,12 +186,12 @@ class _Flight:
             )
         offered = params.offered(session, lockstep.PARAMETER)
         if offered is not None:
-            if offered != 1.0:
-                params.write(session, lockstep.PARAMETER, 1.0, {lockstep.PARAMETER: offered}, stops_time=True)
-            session.enter_lock_step()
-            self.recorder.use_clock(session.clock.ground_s)
+            self._enter_lock_step(offered)
         self._say("reading parameters")
         self._parameters = params.read_all(session)
+        if lockstep.PARAMETER in self._parameters and not session.lock_step:
+            # A host under load may have missed the answer above; free-running at many times real time would spoil the delays.
+            self._enter_lock_step(self._parameters[lockstep.PARAMETER])
         simulator = preflight.is_simulator(self._parameters)
         firmware = vehicle.firmware()
         self.recorder.manifest.update(
@@ -234,6 +234,13 @@ class _Flight:
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         return cockpit
+
+    def _enter_lock_step(self, offered: float) -> None:
+        if offered != 1.0:
+            params.write(self.session, lockstep.PARAMETER, 1.0, {lockstep.PARAMETER: offered}, stops_time=True)
+        self._parameters[lockstep.PARAMETER] = 1.0
+        self.session.enter_lock_step()
+        self.recorder.use_clock(self.session.clock.ground_s)
 
     def _mend(self, found: list[preflight.Check], waived: frozenset[str]) -> list[preflight.Check]:
         self._changes = preflight.ParameterChanges(self.session, self._parameters)
