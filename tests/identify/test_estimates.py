@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flighttest.errors import FitError
+from flighttest.errors import FitError, InputError
 from flighttest.identify.fit import default_model, fit, heldout
 from flighttest.identify.problem import Problem
 from flighttest.physics.model import Model
@@ -143,7 +143,7 @@ def test_frozen_stays_and_tied_moves_together(flown):
 
 
 def test_a_wrong_name_is_an_error_with_the_names_there_are(flown):
-    with pytest.raises(FitError, match="omega_phi"):
+    with pytest.raises(InputError, match="omega_phi"):
         fit(flown, frozen={"omega_roll": 3.0})
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lsim
 
 from flighttest.identify.kernel import Kernel
-from flighttest.identify.responses import Response, nodes_of
+from flighttest.identify.responses import Response, _sagged, nodes_of
 from flighttest.physics.model import Model
 from tests.identify.campaign import TRUTH, first_order, second_order
 
@@ -123,3 +123,18 @@ def test_results_do_not_depend_on_who_else_is_in_the_batch():
     together = kernel.run(p, np.zeros((7, 3)), np.stack(nodes), True)[1]
     alone = [kernel.run(p, np.zeros((1, 3)), n[None], True)[1][0] for n in nodes]
     assert np.array_equal(together, np.stack(alone))
+
+
+def test_a_slow_voltage_follows_the_load_between_its_samples():
+    rng = np.random.default_rng(4)
+    t = np.arange(100) * 0.02
+    load = np.where(t < 1.03, 5.0, 5.0 + 11.0 * (1 - np.exp(-20 * (t - 1.03))))
+    true = 23.5 - 0.012 * load**1.5
+    slow = np.arange(0.0, 2.1, 0.1)
+    recorded = np.interp(t, slow, np.interp(slow, t, true))
+    force = load + 0.1 * rng.standard_normal(t.size)
+    assert np.abs(recorded - true).max() > 0.08
+    assert np.abs(_sagged(t, recorded, force) - true).max() < 0.04
+    fast = true + 0.001 * rng.standard_normal(t.size)
+    assert np.array_equal(_sagged(t, fast, force), fast)
+    assert np.array_equal(_sagged(t, recorded, None), recorded)
