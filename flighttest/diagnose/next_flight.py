@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -152,7 +152,10 @@ def _segment(
 
 
 def log_odds(segments: tuple[Segment, ...], now: Fitted, block: str, question: Question) -> float:
-    """Information in nats about the question that this data would carry."""
+    """Information in nats about the question that this data would carry, recorded with the sensors there were."""
+    noise = now.state.noise.channel
+    recorded = [{c: v for c, v in s.y.items() if c in noise or c[:2] not in ("f_", "a_", "v_")} for s in segments]
+    segments = tuple(replace(s, y=y) for s, y in zip(segments, recorded, strict=True))
     bench = Bench(segments, block)
     rivals = [t for t in (question.rival,) if t is not None and t.id not in now.model.terms]
     model = now.model.with_terms(*([question.term] if question.term.id not in now.model.terms else []), *rivals)
