@@ -145,6 +145,8 @@ class Scheduler:
             if self.cockpit.stop_now:
                 if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
                     supervisor.abort(self.cockpit, ("the operator asked to stop at once",))
+                elif self.cockpit.state.mode == CopterMode.GUIDED:
+                    supervisor.enter(self.cockpit, CopterMode.BRAKE, 2.0)
                 return FlightOutcome.OPERATOR_ABORT
             if self.cockpit.stop_asked:
                 return FlightOutcome.OPERATOR_STOP

@@ -1,7 +1,7 @@
 """ArduCopter over MAVLink: modes, arming, take-off, positions and attitude targets, each with its answer read back.
 
-Facts about the firmware and their sources: design notes in docs/ardupilot.md. Everything that can fail raises LinkError or says why it
-was refused; nothing is assumed to have worked.
+Facts about the firmware were read in the source of Copter 4.7 and flown on its SITL. Everything that can fail raises LinkError or
+says why it was refused; nothing is assumed to have worked.
 """
 
 from __future__ import annotations
