@@ -48,7 +48,7 @@ def test_a_whole_file_loses_nothing(tmp_path, suffix, compress):
     [
         ("log.tlog.gz", b"no gzip at all", "not compressed"),
         ("log.BIN.xz", b"no xz at all", "not compressed"),
-        ("log.tlog.gz", gzip.compress(b"x")[:6], "damaged from its start"),
+        ("log.tlog.gz", gzip.compress(b"x", mtime=0)[:6], "damaged from its start"),
         ("log.tlog", b"", "is empty"),
     ],
 )
