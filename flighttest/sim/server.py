@@ -107,10 +107,11 @@ class Server:
                 if host.speed_asked is not None:
                     self.speed, host.speed_asked = host.speed_asked, None
                     origin, start = time.monotonic(), host.vehicle.time_s
-                if host.lockstep or (self._wait and not self._clients):
+                if host.lockstep or self._wait:
+                    # Time spent waiting for the first client is not the vehicle's: its clock starts now.
                     origin, start = time.monotonic(), host.vehicle.time_s
+                    self._wait = self._wait and not self._clients
                 else:
-                    self._wait = False
                     origin, start = self._run_free(origin, start)
                 self._flush()
         finally:
@@ -118,7 +119,7 @@ class Server:
 
     def _patience(self, origin: float, start: float) -> float:
         """How long the sockets may be waited for, s."""
-        if self.host.lockstep or (self._wait and not self._clients):
+        if self.host.lockstep or self._wait:
             return 0.25
         v = self.host.vehicle
         due = origin + (v.time_s + v.plant.tick_s - start) / self.speed
