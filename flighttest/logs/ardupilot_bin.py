@@ -104,7 +104,7 @@ class _Importer:
                 del self.tables[name]
         self.derived: dict[str, str] = {}
         self.choices: dict[str, str] = {}
-        self.parameters = parameters(self.tables.get("PARM"))
+        self.parameters = parameters(self.tables)
 
     def recording(self) -> Recording:
         """All series that the log allows."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.logs.dataflash import Table
-from flighttest.mavlink import ClockEstimate, mode_name
+from flighttest.mavlink import ClockEstimate, in_force, mode_name
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.recording import Marker, Series
 
@@ -21,12 +21,19 @@ _VEHICLE, _GROUND = 1, 255
 _SENDER = re.compile(r"^(GCS:|SRC=\d+/\d+:)")  # how ArduPilot marks a STATUSTEXT that came over the link
 
 
-def parameters(parm: Stamped | None) -> dict[str, float]:
-    """Parameter name to the last value logged."""
+def parameters(tables: Mapping[str, Stamped]) -> dict[str, float]:
+    """Parameter name to the value in force while the vehicle flew."""
+    parm = tables.get("PARM")
     if parm is None or "Name" not in parm[0] or "Value" not in parm[0]:
         return {}
-    values = parm[0].get("Value")
-    return {name: float(v) for name, v in zip(parm[0].text("Name"), values, strict=True) if name and np.isfinite(v)}
+    arming = state(tables)
+    disarmed = arming.t_s[arming.columns["armed"] == 0.0] if arming is not None else np.zeros(0)
+    flown = arming.t_s[arming.columns["armed"] > 0.0] if arming is not None else np.zeros(0)
+    after = disarmed[disarmed > flown[-1]] if flown.size else np.zeros(0)
+    values = zip(parm[1], parm[0].text("Name"), parm[0].get("Value"), strict=True)
+    return in_force(
+        ((float(t_s), name, float(v)) for t_s, name, v in values), float(after[0]) if after.size else np.inf
+    )
 
 
 def parameter_changes(parm: Stamped | None) -> list[Marker]:

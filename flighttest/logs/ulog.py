@@ -292,11 +292,14 @@ class _Importer:
                 markers.append(
                     Marker(float(state.t_s[i]), "mode", _NAV_STATES.get(number, f"mode {number}"), {"mode": number})
                 )
+        flown = series["state"].t_s[series["state"].columns["armed"] > 0.0] if "state" in series else np.zeros(0)
+        last_armed_s = float(flown[-1]) if flown.size else np.inf
         for stamp, name, value in self.log.changed_parameters:
             if not isinstance(value, (int, float)):
                 continue
             before = self.parameters.get(str(name))
-            self.parameters[str(name)] = float(value)
+            if before is None or stamp * 1e-6 <= last_armed_s:  # what is set after landing does not describe the flight
+                self.parameters[str(name)] = float(value)
             if before is not None and before != float(value):
                 label = f"parameter {name} changed from {before:g} to {float(value):g}"
                 markers.append(Marker(stamp * 1e-6, "note", label, {"parameter": str(name)}))

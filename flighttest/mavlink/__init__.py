@@ -4,6 +4,7 @@ from flighttest.mavlink.clock import ClockEstimate, estimate_clock
 from flighttest.mavlink.decode import WANTED, Decoded, StreamDecoder, decode_stream
 from flighttest.mavlink.marks import mark_message, mark_text, parse_mark
 from flighttest.mavlink.modes import CopterMode, mode_name
+from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.targets import target_message
 from flighttest.mavlink.telemetry import RULES, columns_of, offset_m
 
@@ -17,6 +18,7 @@ __all__ = [
     "columns_of",
     "decode_stream",
     "estimate_clock",
+    "in_force",
     "mark_message",
     "mark_text",
     "mode_name",

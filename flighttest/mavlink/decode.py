@@ -15,6 +15,7 @@ from flighttest.mavlink.clock import ClockEstimate, estimate_clock
 from flighttest.mavlink.dialect import book, firmware_version, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.mavlink.modes import mode_name
+from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
 from flighttest.mavlink.telemetry import RULES, STAMP_SCALE, Rule
 from flighttest.recording import Marker, Series
@@ -98,7 +99,7 @@ class StreamDecoder:
         self.rows: dict[tuple[int, str], _Rows] = {}
         self.autopilots: dict[int, int] = {}
         self.texts: list[Text] = []
-        self.parameters: dict[int, dict[str, float]] = {}
+        self.parameters: dict[int, list[tuple[float, str, float]]] = {}
         self.firmware: dict[int, str] = {}
         self.origins: dict[int, tuple[float, float]] = {}
         self.asked: dict[int, float] = {}
@@ -127,7 +128,7 @@ class StreamDecoder:
         elif kind == "TIMESYNC":
             self._timesync(t_s, system, message)
         elif kind == "PARAM_VALUE":
-            self.parameters.setdefault(system, {})[message.param_id] = float(message.param_value)
+            self.parameters.setdefault(system, []).append((t_s, message.param_id, float(message.param_value)))
         elif kind == "AUTOPILOT_VERSION":
             self.firmware[system] = firmware_version(message)
         elif message.latitude or message.longitude:
@@ -200,7 +201,7 @@ def _assemble(collected: StreamDecoder, system: int) -> Decoded:
         series["reference"] = _ordered(t_s, {"throttle": raw["ATTITUDE_TARGET"]["thrust"]}, "ATTITUDE_TARGET", losses)
         derived["throttle"] = "the vehicle's ATTITUDE_TARGET.thrust: no SET_ATTITUDE_TARGET was recorded"
         reference_clock = "vehicle"
-    beats = raw.get("HEARTBEAT", {})
+    beats, last_armed_s = raw.get("HEARTBEAT", {}), np.inf
     markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
     if beats:
         t_s = clock.to_vehicle(ground["HEARTBEAT"])
@@ -209,11 +210,12 @@ def _assemble(collected: StreamDecoder, system: int) -> Decoded:
             t_s, {"mode": beats["custom_mode"], "armed": armed.astype(float)}, "HEARTBEAT", losses
         )
         markers += _mode_markers(series["state"])
+        last_armed_s = float(np.max(ground["HEARTBEAT"][armed])) if armed.any() else np.inf
     return Decoded(
         series=series,
         markers=tuple(sorted(markers, key=lambda m: m.t_s)),
         clock=clock,
-        parameters=collected.parameters.get(system, {}),
+        parameters=in_force(collected.parameters.get(system, []), last_armed_s),
         firmware=collected.firmware.get(system, ""),
         losses=tuple(losses),
         derived=derived,

@@ -178,3 +178,11 @@ def test_values_no_vehicle_can_have_are_dropped_and_told(flight, tmp_path):
     r = import_log(tmp_path / "a.BIN")
     assert any(loss.startswith("roll_rad: 1 values are impossible") for loss in r.provenance.losses)
     assert np.isnan(r.channel("roll_rad")[1]).sum() == 1
+
+
+def test_what_is_restored_after_landing_does_not_describe_the_flight(flight, tmp_path):
+    w = flight()
+    w.write("PARM", 54_000_000, "GUID_OPTIONS", 8.0, 0.0)
+    w.write("EV", 54_100_000, 11)
+    w.write("PARM", 54_200_000, "GUID_OPTIONS", 0.0, 0.0)
+    assert import_log(w.save(tmp_path / "a.bin")).provenance.parameters["GUID_OPTIONS"] == 8.0

@@ -144,3 +144,16 @@ def test_damage_never_crashes(attempt, tmp_path):
         path.write_bytes(hurt)
         r = attempt(path)
         assert str(path) in str(r) if isinstance(r, RecordingError) else r.provenance.losses
+
+
+def test_what_is_restored_after_landing_does_not_describe_the_flight(tmp_path):
+    book, w = v2, link()
+    w.add(4.01, book.MAVLink_param_value_message(b"GUID_OPTIONS", 8.0, 9, 1, 0))
+    w.add(4.5, book.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
+    w.add(5.0, book.MAVLink_heartbeat_message(2, 3, 1, 20, 4, 3))
+    w.add(5.5, book.MAVLink_param_value_message(b"GUID_OPTIONS", 0.0, 9, 1, 0))
+    w.add(5.6, book.MAVLink_param_value_message(b"MOT_SPIN_MIN", 0.15, 9, 1, 0))
+    (tmp_path / "a.tlog").write_bytes(w.data)
+    parameters = import_log(tmp_path / "a.tlog").provenance.parameters
+    assert parameters["GUID_OPTIONS"] == 8.0
+    assert parameters["MOT_SPIN_MIN"] == pytest.approx(0.15), "first heard of after landing, and true all the same"
