@@ -7,7 +7,7 @@ from typing import Any
 
 from flighttest.currency.battery import check
 from flighttest.currency.compare import Estimates, subset_tests, thrust_or_mass
-from flighttest.currency.declared import declared_changes, scripts_for
+from flighttest.currency.declared import declared_changes, same_parts, scripts_for
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, Change, Currency, Drift, SubsetTest, Verdict
 from flighttest.currency.sequence import drifts
 
@@ -42,12 +42,9 @@ def assess(
     alarms = [t for t in tests if t.alarm]
     crossed = [d for d in drift if d.crossed_at]
     stale = bool(changes or alarms or crossed)
-    compared = (
-        vehicle_fingerprint is not None and bool(model_fingerprint) and not (cannot_tell and not changes and not runs)
-    )
     if stale:
         verdict = Verdict.STALE
-    elif compared or tests:
+    elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
         verdict = Verdict.CURRENT
     else:
         verdict = Verdict.UNKNOWN
@@ -60,7 +57,7 @@ def assess(
         narrow = scripts_for(tuple(s for s in SUBSETS if s in subsets)) or ALL_SCRIPTS
     return Currency(
         verdict=verdict,
-        sentence=_sentence(verdict, changes, alarms, crossed, tests, stored, runs),
+        sentence=_sentence(verdict, changes, alarms, crossed, tests, stored, runs, bool(cannot_tell)),
         changes=changes,
         tests=tests,
         drifts=drift,
@@ -80,12 +77,14 @@ def _sentence(
     tests: Sequence[SubsetTest],
     stored: Estimates,
     runs: Sequence[Estimates],
+    in_part: bool,
 ) -> str:
     if verdict is Verdict.UNKNOWN:
         return "Unknown: nothing was given that could tell whether the model still holds; declare the components, or fly the spot check."
     if verdict is Verdict.CURRENT:
         if not tests:
-            return "Current: nothing that is declared has changed since the model was flown."
+            limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
+            return f"Current: nothing that is declared has changed since the model was flown{limit}."
         return f"Current: the new recording agrees with the model in {', '.join(t.subset for t in tests)}."
     parts = []
     if changes:

@@ -80,8 +80,18 @@ def declared_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tup
         old, new = before.get(key), after.get(key)
         if old is not None and new is not None and not same(old, new):
             changes.append(_everything(kind, words, old, new))
+    changes += _mass(before.get("mass_kg"), after.get("mass_kg"))
     changes += _parameters(before.get("shaping_parameters") or {}, after.get("shaping_parameters") or {}, unknown)
     return tuple(changes), tuple(unknown)
+
+
+def same_parts(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+    """Whether every component is declared on both sides and the same, or, where none is declared, the parameters are."""
+    parts, today = before.get("components") or {}, after.get("components") or {}
+    if parts or today:
+        return set(parts) == set(today) and not _components(parts, today, [])
+    known, now = before.get("shaping_parameters") or {}, after.get("shaping_parameters") or {}
+    return bool(known and now) and not _parameters(known, now, [])
 
 
 def touched(parameter: str) -> tuple[str, ...]:
@@ -188,6 +198,16 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             Change("parameter", name, _plain(old), _plain(new), subsets, ALL_SCRIPTS, scripts_for(subsets), because)
         )
     return found
+
+
+def _mass(old: Any, new: Any) -> list[Change]:
+    """Another mass as declared: what goes with force over mass, and what a payload does to the inertia."""
+    if not isinstance(old, int | float) or not isinstance(new, int | float) or same(old, new):
+        return []
+    because = (
+        f"K and the drag go with 1/mass: expect them at {old / new:.3f} of what they were; a payload also adds inertia"
+    )
+    return [Change("mass", "mass", f"{old:g} kg", f"{new:g} kg", EVERYTHING, ALL_SCRIPTS, ALL_SCRIPTS, because)]
 
 
 def _everything(kind: str, name: str, old: Any, new: Any) -> Change:

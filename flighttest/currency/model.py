@@ -39,7 +39,7 @@ class Verdict(Enum):
 class Change:
     """Something declared that differs between the model's vehicle and today's.
 
-    kind: component, firmware, parameter, voltage or frame. touches: subsets of `SUBSETS`; scripts: the paper's rule (all of
+    kind: component, mass, firmware, parameter, voltage or frame. touches: subsets of `SUBSETS`; scripts: the paper's rule (all of
     them); narrower: scripts that would do, with the reason in `because`.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
 from flighttest.pipeline.checking import predictor_for
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
-from flighttest.pipeline.history import TESTED, campaigns, standing, watched
+from flighttest.pipeline.history import TESTED, campaigns, standing, watched, when
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.plan import check as check_plan
@@ -97,7 +98,7 @@ def judge(
         f"{subset}: nothing in the new recordings tells; fly {', '.join(SCRIPTS[subset])}" for subset in missing
     ]
     battery = battery_of(recordings) if recordings else None
-    return assess(
+    found = assess(
         model_fingerprint=stored.fingerprint,
         vehicle_fingerprint=today,
         stored=base,
@@ -107,6 +108,14 @@ def judge(
         battery_reference=battery_reference(stored),
         untestable=untestable,
     )
+    since = flown_until(stored)
+    return replace(found, changes=tuple(c if c.since else replace(c, since=since) for c in found.changes))
+
+
+def flown_until(stored: ModelFile) -> str:
+    """What is known of when an undated change came about: after the model's last flight; empty where that has no date."""
+    dates = sorted(filter(None, (when(str(run)) for run in stored.runs)))
+    return f"after {dates[-1]}" if dates else ""
 
 
 def tested_part(stored: ModelFile) -> tuple[tuple[str, ...], Any, Any]:
@@ -120,8 +129,9 @@ def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) 
     if not recordings:
         return of_vehicle(vehicle) if vehicle is not None else None
     seen = of_recordings(recordings, vehicle)
-    if vehicle is not None and vehicle.components:
-        seen["components"] = {name: dict(fields) for name, fields in vehicle.components.items()}
+    if vehicle is not None:
+        declared = of_vehicle(vehicle)
+        seen.update({key: declared[key] for key in ("components", "mass_kg", "nominal_voltage_v") if key in declared})
     return seen
 
 

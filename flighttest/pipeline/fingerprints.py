@@ -17,6 +17,7 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
     parameters: dict[str, float] = {}
     components: dict[str, Any] = {}
     voltage: float | None = None
+    mass: float | None = None
     for recording in recordings:
         source = recording.provenance
         firmware = source.firmware or firmware
@@ -24,12 +25,16 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
         components = dict(source.components) or components
         stored = source.vehicle.get("nominal_voltage_v")
         voltage = float(stored) if isinstance(stored, int | float) else voltage
+        weighed = source.vehicle.get("mass_kg")
+        mass = float(weighed) if isinstance(weighed, int | float) else mass
     if not components and vehicle is not None:
         components = dict(vehicle.components)
     if voltage is None and vehicle is not None:
         voltage = vehicle.nominal_voltage_v
+    if mass is None and vehicle is not None:
+        mass = vehicle.mass_kg
     made = fingerprint(None, firmware, parameters)
-    return replace(made, components=components, nominal_voltage_v=voltage).as_data()
+    return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
 
 
 def of_vehicle(vehicle: Vehicle, firmware: str = "", parameters: dict[str, float] | None = None) -> dict[str, Any]:

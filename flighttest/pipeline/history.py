@@ -168,7 +168,7 @@ def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> 
     script = manifest.get("script") or {}
     return HistoryPoint(
         run=run.name,
-        when=str(manifest.get("started") or manifest.get("created") or _when(run.name)),
+        when=str(manifest.get("started") or manifest.get("created") or when(run.name)),
         vehicle=str(vehicle.get("name", "") if isinstance(vehicle, Mapping) else vehicle),
         script=str(script.get("name", "") if isinstance(script, Mapping) else script),
         outcome=str(manifest.get("outcome") or manifest.get("importer") or ""),
@@ -177,7 +177,7 @@ def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> 
     )
 
 
-def _when(name: str) -> str:
+def when(name: str) -> str:
     """The date and time a run folder's name begins with; empty where it begins otherwise."""
     found = re.match(r"(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)", name)
     return f"{found[1]} {found[2]}:{found[3]}:{found[4]}" if found else ""

@@ -37,6 +37,7 @@ def _what(path: Path) -> str:
         "model.json": "states, inputs, delays, parameters, covariance, validity",
         "dynamics.casadi": "x_dot = dynamics(x, u)",
         "step.casadi": "x_next = step(x, u, dt), one RK4 step",
+        "step_jacobian.casadi": "A, B = step_jacobian(x, u, dt)",
         "flighttest_model.c": "the same functions in C99",
         "flighttest_model.h": "its header",
         "example.c": "a small program that calls them",

@@ -31,6 +31,7 @@ from flighttest.segments import Segment
 
 REPORT_NAME = "report.html"
 SEGMENTS_NAME = "segments.parquet"
+SEGMENTS_FORMAT = "segments/1"  # in the file's own metadata, as in those of the channels
 DIAGNOSIS_NAME = "diagnosis.json"
 
 
@@ -49,7 +50,8 @@ def keep_segments(folder: Path, segments: Sequence[Segment]) -> Path:
             "end_s": [float(s.t_s[-1]) if s.t_s.size else None for s in segments],
             "usable": [s.usable for s in segments],
             "flaws": [", ".join(f.name for f in s.flaws) for s in segments],
-        }
+        },
+        metadata={"format": SEGMENTS_FORMAT},
     )
     path = folder / SEGMENTS_NAME
     pq.write_table(table, path)

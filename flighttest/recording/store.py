@@ -26,6 +26,7 @@ RAW_NAME = "raw.tlog"
 MANIFEST_NAME = "manifest.yaml"
 EVENTS_NAME = "events.jsonl"
 CHANNELS_DIR = "channels"
+CHANNELS_FORMAT = "channels/1"  # in the metadata of each Parquet file
 FORMAT = "run/1"
 EVENTS_FORMAT = "events/1"
 
@@ -92,7 +93,8 @@ def write_recording(run_dir: Path, recording: Recording) -> None:
     for group, series in recording.series.items():
         columns = {"t_s": series.t_s, **series.columns}
         table = pa.table(
-            {name: pa.array(values, type=pa.float64(), from_pandas=False) for name, values in columns.items()}
+            {name: pa.array(values, type=pa.float64(), from_pandas=False) for name, values in columns.items()},
+            metadata={"format": CHANNELS_FORMAT},
         )
         part = folder / f"{group}.parquet.part"
         pq.write_table(table, part, compression="zstd")

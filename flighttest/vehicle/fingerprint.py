@@ -59,7 +59,7 @@ HARMLESS: frozenset[str] = frozenset(
 class Fingerprint:
     """What must not change while a model is in use.
 
-    components: part to its declared fields; firmware: full version string where known, else the family; frame: FRAME_CLASS/TYPE or
+    components: part to its declared fields; mass_kg: as declared, None where it is not; firmware: full version string where known, else the family; frame: FRAME_CLASS/TYPE or
     SYS_AUTOSTART as text, '' when not known; shaping_parameters: those of the vehicle that shape the response, under the
     names it reports; parameters_sha256: of them, in the single precision a vehicle keeps them in.
     """
@@ -68,6 +68,7 @@ class Fingerprint:
     firmware: str = ""
     frame: str = ""
     nominal_voltage_v: float | None = None
+    mass_kg: float | None = None
     shaping_parameters: Mapping[str, float] = field(default_factory=dict)
     parameters_sha256: str = ""
 
@@ -78,6 +79,7 @@ class Fingerprint:
             "firmware": self.firmware,
             "frame": self.frame,
             "nominal_voltage_v": self.nominal_voltage_v,
+            "mass_kg": self.mass_kg,
             "parameters_sha256": self.parameters_sha256,
             "shaping_parameters": dict(self.shaping_parameters),
         }
@@ -104,6 +106,7 @@ def fingerprint(
         firmware=firmware or (vehicle.firmware if vehicle is not None else ""),
         frame=_frame(parameters or {}),
         nominal_voltage_v=vehicle.nominal_voltage_v if vehicle is not None else None,
+        mass_kg=vehicle.mass_kg if vehicle is not None else None,
         shaping_parameters=shaping,
         parameters_sha256=_digest(shaping) if shaping else "",
     )

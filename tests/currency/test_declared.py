@@ -2,10 +2,13 @@
 
 import copy
 
+import numpy as np
 import pytest
 
+from flighttest.currency.assess import assess
+from flighttest.currency.compare import Estimates
 from flighttest.currency.declared import declared_changes, touched
-from flighttest.currency.model import ALL_SCRIPTS
+from flighttest.currency.model import ALL_SCRIPTS, Verdict
 
 FINGERPRINT = {
     "components": {
@@ -127,3 +130,23 @@ def test_renamed_parameters_are_not_reported_twice():
 )
 def test_what_a_parameter_touches(name, subset):
     assert subset in touched(name)
+
+
+def test_another_mass_is_flagged_with_what_it_does():
+    before, after = {**FINGERPRINT, "mass_kg": 2.9}, {**FINGERPRINT, "mass_kg": 3.132}
+    (change,), _ = declared_changes(before, after)
+    assert (change.kind, change.before, change.after) == ("mass", "2.9 kg", "3.132 kg")
+    assert "0.926" in change.because
+    assert declared_changes({**FINGERPRINT}, after)[0] == (), "never declared before: unknown, not changed"
+
+
+def test_the_same_parts_are_current_though_the_parameters_are_unknown():
+    base = Estimates("model", (), np.zeros(0), np.zeros((0, 0)))
+    today = {key: FINGERPRINT[key] for key in ("components", "firmware")}
+    found = assess(model_fingerprint=FINGERPRINT, vehicle_fingerprint=today, stored=base)
+    assert found.verdict is Verdict.CURRENT
+    assert "could not be compared" in found.sentence
+    assert any("parameters" in line for line in found.cannot_tell)
+    fewer = {**today, "components": {"battery": FINGERPRINT["components"]["battery"]}}
+    found = assess(model_fingerprint=FINGERPRINT, vehicle_fingerprint=fewer, stored=base)
+    assert found.verdict is Verdict.UNKNOWN, "four parts are declared on one side only"
