@@ -23,7 +23,7 @@ def start(airframe: str, speedup: float, folder: Path | None) -> Sitl | PhysicsS
     """The vehicle that is asked for, ready to arm."""
     if airframe == "rotor":
         return launch_on_physics(SimOptions(airframe="rotor", speed=speedup), folder=folder)
-    return launch(SitlOptions(airframe=airframe, speedup=speedup, folder=folder))
+    return launch(SitlOptions(airframe=airframe, speedup=speedup, folder=folder, ground_crew=True))
 
 
 def main() -> int:

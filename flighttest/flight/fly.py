@@ -18,6 +18,7 @@ from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightResult, OnProgress
 from flighttest.flight.recorder import Recorder
+from flighttest.flight.response import Replanner
 from flighttest.flight.scheduler import Scheduler
 from flighttest.link import lockstep
 from flighttest.link import parameters as params
@@ -56,6 +57,7 @@ def fly(
     waive: Collection[str] = (),
     resume: Path | None = None,
     skip: Collection[str] = (),
+    replanner: Replanner | None = None,
     on_progress: OnProgress | None = None,
     on_stage: OnStage = _say_nothing,
     stop_requested: Callable[[], int] = lambda: 0,
@@ -66,8 +68,9 @@ def fly(
 
     link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
     asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. resume: a run folder whose flown legs
-    are left out; skip: further leg ids. stop_requested: how often the operator asked to stop (1: land, 2: let go now). confirm: asked once
-    before arming.
+    are left out; skip: further leg ids. replanner: plans again for the hover throttle and the age of thrust that are seen in flight,
+    where the autopilot holds the position meanwhile. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
+    confirm: asked once before arming.
 
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
     """
@@ -77,7 +80,7 @@ def fly(
     flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested))
     left_out = frozenset(skip) | (legs_flown(resume) if resume is not None else frozenset())
     try:
-        return flight.run(set_params, frozenset(waive), left_out, confirm)
+        return flight.run(set_params, frozenset(waive), left_out, confirm, replanner)
     finally:
         session.port.close()
 
@@ -132,7 +135,12 @@ class _Flight:
         self._changes: preflight.ParameterChanges | None = None
 
     def run(
-        self, set_params: bool, waived: frozenset[str], left_out: frozenset[str], confirm: Callable[[str], bool] | None
+        self,
+        set_params: bool,
+        waived: frozenset[str],
+        left_out: frozenset[str],
+        confirm: Callable[[str], bool] | None,
+        replanner: Replanner | None,
     ) -> FlightResult:
         scheduler: Scheduler | None = None
         outcome = FlightOutcome.VEHICLE_REFUSED
@@ -141,7 +149,7 @@ class _Flight:
             cockpit = self._prepare(set_params, waived)
             if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
-            scheduler = Scheduler(cockpit, self.plan, self._airframe(), left_out)
+            scheduler = Scheduler(cockpit, self.plan, self._airframe(), left_out, replanner)
             try:
                 outcome = scheduler.fly()
             except FlightEnded as ended:
@@ -168,7 +176,7 @@ class _Flight:
             parameters_left=left,
         )
         self._say("writing the channels")
-        self.recorder.finish(self.session, self.plan)
+        self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
         results = tuple(scheduler.results) if scheduler else ()
         notes = tuple(self.recorder.manifest["notes"])
         return FlightResult(outcome, self.recorder.run_dir, results, notes, left)
@@ -267,6 +275,7 @@ class _Flight:
             hover,
             stop_throttles(plan.limits, hover),
             needs_position=plan.reset.by == "guided",
+            reaction_s=plan.reaction_s,
             attitude_age_max_s=0.3 * self._pace,
             position_age_max_s=0.5 * self._pace,
             silence_max_s=0.5 * self._pace,

@@ -11,6 +11,7 @@ from flighttest.flight.gate import Refusal
 from flighttest.flight.outcome import LegOutcome, LegResult
 from flighttest.flight.recorder import mark_id
 from flighttest.flight.reset import HoldLoop, Start
+from flighttest.flight.response import ThrottleTrace
 from flighttest.link.ardupilot import LaggedYaw
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg
@@ -95,8 +96,11 @@ def enter_nogps(cockpit: Cockpit) -> bool:
     return True
 
 
-def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe) -> LegResult:
-    """Fly one leg from a settled hover in GUIDED_NOGPS. Never falls silent: ends in a release, or in the abort mode."""
+def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace | None = None) -> LegResult:
+    """Fly one leg from a settled hover in GUIDED_NOGPS. Never falls silent: ends in a release, or in the abort mode.
+
+    trace: takes in what is sent and what the vehicle does.
+    """
     begin(cockpit, leg)
     steering = _Profile(cockpit, leg, airframe) if leg.profile is not None else _Path(cockpit, leg, airframe)
     start = cockpit.session.now_s()
@@ -108,6 +112,11 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe) -> LegResult:
             break
         target, yaw, with_rate = steering.at(t_s)
         refused = cockpit.steer(target, yaw, with_rate)
+        if trace is not None:
+            state = cockpit.state
+            trace.seen(state.t_s - min(state.position_age_s, 1.0), state.climb_m_s, state.height_m)
+            if not refused:
+                trace.sent(cockpit.session.now_s(), target)
         if refused:
             return _refused(cockpit, leg, refused)
         phase = next((p.name for p in reversed(leg.phases) if t_s >= p.start_s - 1e-6), "")
@@ -132,7 +141,9 @@ def _refused(cockpit: Cockpit, leg: Leg, refused: tuple[Refusal, ...]) -> LegRes
     if lost:
         cockpit.recorder.event("link_lost", leg.id, cockpit.session.now_s(), {"leg": leg.id})
     outcome = LegOutcome.LINK_LOST if lost else LegOutcome.REFUSED
-    return finish(cockpit, leg, outcome, (*why, f"the vehicle went to {reached.name}"))
+    result = finish(cockpit, leg, outcome, (*why, f"the vehicle went to {reached.name}"))
+    supervisor.come_to_rest(cockpit)
+    return result
 
 
 class _Profile:

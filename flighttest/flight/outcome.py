@@ -12,7 +12,7 @@ from pathlib import Path
 class FlightOutcome(Enum):
     """How the flight ended. The value is the sentence shown to the reader."""
 
-    COMPLETED = "every leg was flown and the vehicle landed"
+    COMPLETED = "the plan was flown to its end and the vehicle landed"
     ABORTED_BY_GATE = "the flight was aborted: too many targets were refused by the gate"
     BATTERY = "the flight ended early: the battery reached the script's lower limit"
     TAKE_OVER = "the pilot (or a failsafe) changed the mode; nothing was sent after that"
@@ -38,6 +38,7 @@ class LegOutcome(Enum):
     TAKE_OVER = "ended by a change of mode"
     STOPPED = "ended by the operator"
     LEFT_OUT = "left out: the gate had refused this step twice"
+    UNFIT = "left out: planned again for the thrust seen in flight, it does not fit the flight zone"
 
 
 @dataclass(frozen=True)

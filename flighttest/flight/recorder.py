@@ -54,8 +54,12 @@ class Recorder:
         self.manifest: dict[str, Any] = dict(manifest)
         write_events_header(self._events)
         (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8")
-        (run_dir / "plan.json").write_text(json.dumps(plan_as_data(plan), indent=1), encoding="utf-8")
+        self.save_plan(plan)
         self.save_manifest()
+
+    def save_plan(self, plan: Plan) -> None:
+        """What is going to be flown; again when it was planned again in flight."""
+        (self.run_dir / "plan.json").write_text(json.dumps(plan_as_data(plan), indent=1), encoding="utf-8")
 
     def use_clock(self, ground_s: Callable[[], float]) -> None:
         """Stamp by another ground clock from now on (lock-step has begun)."""

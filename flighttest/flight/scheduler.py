@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from statistics import median
 
 from flighttest.errors import LinkError
 from flighttest.flight import legs as flying
@@ -14,6 +15,7 @@ from flighttest.flight.cockpit import Cockpit, sentences
 from flighttest.flight.gate import Refusal
 from flighttest.flight.legs import Airframe
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
+from flighttest.flight.response import Learnt, Replanner, ThrottleTrace
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
 
@@ -23,7 +25,10 @@ RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
 _TAKE_OFF_S = 40.0
 _LAND_S = 120.0
+PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
 HOVER_WARNING = 0.10
+# What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
+_PASSING = {r.value for r in (Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT)}
 
 
 @dataclass
@@ -34,9 +39,13 @@ class Scheduler:
     plan: Plan
     airframe: Airframe
     skip: Collection[str] = ()
+    replanner: Replanner | None = None
     results: list[LegResult] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _reset_s: float = _RESET_GUESS_S
+    _ages_s: list[float] = field(default_factory=list)
+    _hover: tuple[float, float] | None = None
+    _plans: int = 0
 
     def fly(self) -> FlightOutcome:
         """The whole flight, down to the ground. FlightEnded where it ended by something else than the plan or the operator."""
@@ -127,29 +136,46 @@ class Scheduler:
 
     # -- legs ----------------------------------------------------------------------------------------------------------------
 
-    def _legs(self, todo: list[Leg]) -> FlightOutcome:
+    def _legs(self, legs: list[Leg]) -> FlightOutcome:
         in_a_row = 0
         refused_cells: Counter[object] = Counter()
-        for index, leg in enumerate(todo):
+        retried: set[str] = set()
+        unfit: list[str] = []
+        todo = deque(leg.id for leg in legs)
+        by_id = {leg.id: leg for leg in self.plan.legs}
+        while todo:
+            name = todo[0]
+            leg = by_id.get(name)
+            if leg is None:
+                unfit.append(todo.popleft())
+                continue
             cell = (leg.maneuver, leg.kind, tuple(sorted(leg.cell.items())))
             if refused_cells[cell] >= REFUSED_CELL_MAX:
-                self.results.append(LegResult(leg.id, LegOutcome.LEFT_OUT))
+                self.results.append(LegResult(todo.popleft(), LegOutcome.LEFT_OUT))
                 continue
+            plan = self.plan
             for attempt in range(1 + RETRIES):
                 if self._battery_low():
                     return FlightOutcome.BATTERY
-                result = self._one(leg, todo[index:], "again: " if attempt else "")
+                result = self._one(leg, [by_id[i] for i in todo if i in by_id], "again: " if attempt else "")
+                if result is None:
+                    break
                 self.results.append(result)
                 if result.outcome not in (LegOutcome.LINK_LOST, LegOutcome.NOT_SETTLED):
                     break
-            if self.cockpit.stop_now:
-                if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-                    supervisor.abort(self.cockpit, ("the operator asked to stop at once",))
-                elif self.cockpit.state.mode == CopterMode.GUIDED:
-                    supervisor.enter(self.cockpit, CopterMode.BRAKE, 2.0)
-                return FlightOutcome.OPERATOR_ABORT
-            if self.cockpit.stop_asked:
-                return FlightOutcome.OPERATOR_STOP
+            if self.plan is not plan:
+                # Planned again: what the old plan was refused for says nothing about the new one.
+                by_id = {leg.id: leg for leg in self.plan.legs}
+                todo.extendleft(reversed([i for i in unfit if i in by_id]))
+                unfit = [i for i in unfit if i not in by_id]
+                refused_cells.clear()
+                in_a_row = 0
+            if result is None:
+                continue
+            todo.popleft()
+            ended = self._asked_to_end()
+            if ended is not None:
+                return ended
             in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
             if result.outcome is LegOutcome.REFUSED:
                 refused_cells[cell] += 1
@@ -157,9 +183,28 @@ class Scheduler:
                     return FlightOutcome.BATTERY
                 if Refusal.EKF.value in result.why or in_a_row >= REFUSED_IN_A_ROW_MAX:
                     return FlightOutcome.ABORTED_BY_GATE
+                if self._plan_is_due():
+                    todo.appendleft(leg.id)
+                elif name not in retried and set(result.why) & _PASSING:
+                    todo.append(name)
+                retried.add(name)
+        self.results += [LegResult(i, LegOutcome.UNFIT, self._why_unfit(i)) for i in unfit]
         return FlightOutcome.COMPLETED
 
-    def _one(self, leg: Leg, remaining: list[Leg], prefix: str) -> LegResult:
+    def _asked_to_end(self) -> FlightOutcome | None:
+        if self.cockpit.stop_now:
+            if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+                supervisor.abort(self.cockpit, ("the operator asked to stop at once",))
+            elif self.cockpit.state.mode == CopterMode.GUIDED:
+                supervisor.enter(self.cockpit, CopterMode.BRAKE, 2.0)
+            return FlightOutcome.OPERATOR_ABORT
+        return FlightOutcome.OPERATOR_STOP if self.cockpit.stop_asked else None
+
+    def _why_unfit(self, leg_id: str) -> tuple[str, ...]:
+        return tuple(what for leg, what, _ in self.plan.refusals if leg == leg_id)
+
+    def _one(self, leg: Leg, remaining: list[Leg], prefix: str) -> LegResult | None:
+        """One leg from wherever the vehicle is; None where it was planned again at the start, and the leg is another now."""
         cockpit = self.cockpit
         self._show(leg, remaining, f"{prefix}going to the start")
         began = cockpit.session.now_s()
@@ -173,10 +218,47 @@ class Scheduler:
             return LegResult(leg.id, outcome, (arrived.why,))
         self._use_hover(arrived.hover_throttle)
         self._reset_s += 0.3 * (cockpit.session.now_s() - began - self._reset_s)
+        if self._plan_is_due():
+            self._plan_again()
+            return None
         if not flying.enter_nogps(cockpit):
             return LegResult(leg.id, LegOutcome.NOT_SETTLED, ("the vehicle did not enter GUIDED_NOGPS",))
         self._show(leg, remaining, "flying")
-        return flying.fly_leg(cockpit, leg.flown_with(cockpit.hover_throttle, self.airframe.angle_boost), self.airframe)
+        trace = ThrottleTrace(cockpit.hover_throttle)
+        flown = leg.flown_with(cockpit.hover_throttle, self.airframe.angle_boost)
+        result = flying.fly_leg(cockpit, flown, self.airframe, trace)
+        age = trace.age_s()
+        if age is not None:
+            self._ages_s.append(age)
+        return result
+
+    # -- planning again ------------------------------------------------------------------------------------------------------
+
+    def _learnt(self) -> Learnt | None:
+        if self._hover is None:
+            return None
+        return Learnt(*self._hover, median(self._ages_s) if self._ages_s else None)
+
+    def _plan_is_due(self) -> bool:
+        """Whether the vehicle differs from what the plan rests on. Only where the autopilot holds the position while planning."""
+        learnt = self._learnt()
+        if self.replanner is None or learnt is None or self.plan.reset.by != "guided" or self._plans >= PLANS_MAX:
+            return False
+        return self.replanner.due(learnt)
+
+    def _plan_again(self) -> None:
+        learnt = self._learnt()
+        assert self.replanner is not None
+        assert learnt is not None
+        cockpit = self.cockpit
+        self._plans += 1
+        self.plan = self.replanner.plan(learnt)
+        cockpit.gate = replace(cockpit.gate, reaction_s=self.plan.reaction_s)
+        cockpit.recorder.save_plan(self.plan)
+        seen = "" if learnt.thrust_age_s is None else f", thrust {1e3 * learnt.thrust_age_s:.0f} ms after its command"
+        text = f"planned again for what was seen: hover throttle {learnt.hover_throttle:.3f} at {learnt.voltage_v:.1f} V{seen}"
+        self.notes.append(text)
+        cockpit.recorder.event("note", text, cockpit.session.now_s())
 
     def _reset(self, leg: Leg) -> reset.Arrived:
         world = self.cockpit.gate.zone.to_world(leg.start_m)
@@ -198,11 +280,13 @@ class Scheduler:
             return
         nominal = self.plan.vehicle.nominal_voltage_v
         voltage = self.cockpit.state.voltage_v
-        if abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.05:
+        if abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.03:
             self._note(
                 f"hover throttle measured {measured:.3f}, stated {stated:.3f}: more than 10 % off; correct vehicle.yaml"
             )
         self.cockpit.use_hover(measured)
+        if voltage:
+            self._hover = (measured, voltage)
 
     def _note(self, text: str) -> None:
         key = text.split(" measured")[0]

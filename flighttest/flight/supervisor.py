@@ -12,6 +12,8 @@ from flighttest.mavlink import CopterMode, mode_name
 ASK_EVERY_S = 0.2
 NEXT_MODE_AFTER_S = 1.5
 GIVE_UP_AFTER_S = 30.0  # of silence: the vehicle's own failsafes have long acted
+REST_PATIENCE_S = 6.0
+AT_REST_M_S = 0.4
 _STICK_MID = 0.5
 _STICK_DEAD_ZONE = 0.1  # THR_DZ is 100 of 1000 by default
 
@@ -79,6 +81,18 @@ def _until_mode(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Call
             if state.silence_s > GIVE_UP_AFTER_S:
                 raise FlightEnded(FlightOutcome.LINK_LOST)
         meanwhile()
+
+
+def come_to_rest(cockpit: Cockpit) -> None:
+    """Stay in the abort mode until it has stopped the vehicle: the next mode may not brake as hard (GUIDED takes 10 m to stop a climb of
+    4 m/s, flown). Only where a position is known, and not for long: LAND does not come to rest in the air.
+    """
+    deadline = cockpit.session.now_s() + REST_PATIENCE_S
+    while cockpit.session.now_s() < deadline and not cockpit.stop_asked:
+        state = cockpit.state
+        if state.mode != CopterMode.BRAKE or not state.position_ok or (state.speed_m_s or 0.0) < AT_REST_M_S:
+            return
+        cockpit.cycle()
 
 
 def enter(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from flighttest.currency.declared import declared_changes
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly
+from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, legs_flown
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.link.ardupilot import ArduPilot
@@ -25,6 +25,8 @@ from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.currency import SPOT_CHECK
 from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.history import campaigns, standing, vehicle_name
+from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.pipeline.replanning import ScriptReplanner
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.simulator import options
 from flighttest.pipeline.sources import open_recording
@@ -162,7 +164,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     notes: list[str] = []
     for index, plan in enumerate(compiled):
         try:
-            ended = _one(request, plan, index, len(compiled), progress)
+            ended = _one(request, plan, prior, index, len(compiled), progress)
         except FlighttestError as error:
             if not folders:
                 raise
@@ -173,6 +175,12 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         notes += [n for n in ended.notes if n not in notes]
         if not ended.outcome.usable:
             notes.append(f"{plan.script.name}: {ended.outcome.value}")
+        earlier = legs_flown(request.resume) if request.resume is not None else frozenset()
+        missing = len({leg.id for leg in plan.legs} - legs_flown(ended.run_dir) - earlier)
+        if missing and ended.outcome in (FlightOutcome.BATTERY, FlightOutcome.OPERATOR_STOP):
+            notes.append(
+                f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
+            )
         if ended.outcome is not FlightOutcome.COMPLETED:
             break
     usable = len(ends) == len(compiled) and all(e.outcome.usable for e in ends)
@@ -222,7 +230,9 @@ def _say_changes(previous: ModelFile, vehicle: Vehicle, progress: Progress) -> N
         progress.stage(f"the last model is stale: {named}")
 
 
-def _one(request: FlightRequest, plan: Plan, index: int, count: int, progress: Progress) -> FlightResult:
+def _one(
+    request: FlightRequest, plan: Plan, prior: ModelPredictor, index: int, count: int, progress: Progress
+) -> FlightResult:
     name = plan.script.name
     folder = new_run(request.out, name, datetime.datetime.now())
     progress.stage(f"{name} ({index + 1} of {count}): {len(plan.legs)} steps, recorded in {folder}")
@@ -234,6 +244,7 @@ def _one(request: FlightRequest, plan: Plan, index: int, count: int, progress: P
             set_params=request.set_params,
             waive=request.waive,
             resume=request.resume,
+            replanner=ScriptReplanner(plan, prior),
             on_progress=progress.flight,
             on_stage=progress.stage,
             stop_requested=stops,

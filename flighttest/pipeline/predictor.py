@@ -18,6 +18,9 @@ from flighttest.plan.model import Motion, Policy, Snapshot
 
 FloatArray = NDArray[np.float64]
 
+# What the coarse steps of a rehearsal can follow.
+SHORTEST_LAG_S = 0.025
+
 _POSITION = ("p_x_m", "p_y_m", "p_z_m")
 _VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
@@ -60,6 +63,24 @@ class ModelPredictor:
         """Throttle (n,) that holds height at these voltages (n,)."""
         ratio = np.asarray(voltage_v, dtype=float) / self.model.nominal_voltage_v
         return np.asarray(self.model.g_m_s2 / (self.values["K"] * ratio ** self.values["alpha"]))
+
+    @property
+    def thrust_age_s(self) -> float:
+        """From sending a throttle to its mean effect, s."""
+        return float(self._delays_s.get("thrust", self.delay_s)) + self.thrust_lag_s
+
+    def corrected(self, hover_throttle: float, voltage_v: float, thrust_age_s: float | None = None) -> ModelPredictor:
+        """The same vehicle with the hover throttle seen at a voltage, V, and the mean age of its thrust, s (None: as it was).
+
+        What the age leaves beside the lag is delay, of every channel: they come over one link.
+        """
+        now = float(self.hover_throttle(np.array([voltage_v]))[0])
+        values = {**self.values, "K": self.values["K"] * now / hover_throttle}
+        if thrust_age_s is not None:
+            lag = min(self.thrust_lag_s, max(thrust_age_s, SHORTEST_LAG_S))
+            delay = max(thrust_age_s - lag, 0.0)
+            values |= {"sigma_t": 1.0 / lag, **{name: delay for name in values if name.startswith("T_d")}}
+        return ModelPredictor(self.model, values)
 
     @cached_property
     def _rate(self) -> Vectorised:

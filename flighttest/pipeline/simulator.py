@@ -37,7 +37,7 @@ def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, speed: float) -> 
             "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
         )
     else:
-        started = launch(SitlOptions(airframe=airframe, speedup=speed))
+        started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True))
     with started as vehicle:
         yield f"ArduPilot SITL, airframe {airframe}, at {vehicle.url}; Ctrl-C stops it"
         yield f"fly it: flighttest run thrust --connect {vehicle.url}"

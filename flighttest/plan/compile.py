@@ -12,7 +12,7 @@ import numpy as np
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, row_of, useful_s
 from flighttest.plan.free_flight import fly_waypoints
 from flighttest.plan.model import CellPlan, Leg, Phase, Plan, Predictor
-from flighttest.plan.rehearse import Rehearsal, rehearse
+from flighttest.plan.rehearse import Rehearsal, reaction_s, rehearse
 from flighttest.plan.remedy import remedy
 from flighttest.plan.room import Placement, Room, box, place, worst
 from flighttest.script.model import Script
@@ -86,6 +86,7 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
             _cell_plan(f, places[i][0], setting, stops.get(i, ()), sum(slot.cell == i for slot in slots))
             for i, f in enumerate(fitted)
         ),
+        reaction_s=reaction_s(predictor),
     )
 
 

@@ -93,7 +93,8 @@ class CellPlan:
 class Plan:
     """Everything a scheduler needs: legs in flying order, limits, reset, rate. refusals: (leg id, sentence, remedy).
 
-    vehicle: its zone carries the script's own floor where it has one. A leg that was refused is not among the legs.
+    vehicle: its zone carries the script's own floor where it has one. A leg that was refused is not among the legs. reaction_s: how
+    long the prior takes to answer a stop; the gate looks as far ahead.
     """
 
     script: Script
@@ -106,6 +107,7 @@ class Plan:
     notes: tuple[str, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
     cells: tuple[CellPlan, ...] = ()
+    reaction_s: float = 0.25
 
     @property
     def duration_s(self) -> float:

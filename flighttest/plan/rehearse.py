@@ -20,9 +20,10 @@ BoolArray = NDArray[np.bool_]
 GRID_S = 0.02
 # Below this the vehicle counts as standing: what is left is the reset's.
 STANDING_M_S = 0.3
-# What the supervisor stops with, times hover, against climbing and falling; and how late it acts at most.
+# What the supervisor stops with, times hover, against climbing and falling.
 STOP_SHARES = (0.3, 1.8)
-REACTION_S = 0.25
+# How much later than thrust follows throttle it acts at most: telemetry's age, and the cycles of gate and supervisor.
+REACTION_MARGIN_S = 0.1
 # Longest stop that is looked for.
 STOP_MAX_S = 4.0
 # GUID_TIMEOUT as preflight demands it: how long the autopilot holds the last target once targets stop.
@@ -235,11 +236,16 @@ def rehearse(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: fl
         duration,
         dt_s,
     )
-    low, high = _reach(motion, np.stack(policy.sent, axis=1), policy.hover)
+    low, high = _reach(motion, np.stack(policy.sent, axis=1), policy.hover, reaction_s(predictor))
     return Rehearsal(motion, low, high, policy.counter_s, policy.vertical_s, policy.vertical_throttle)
 
 
-def _reach(motion: Motion, throttle: FloatArray, hover: FloatArray) -> tuple[FloatArray, FloatArray]:
+def reaction_s(predictor: Predictor) -> float:
+    """From a bad sample to the mean effect of the stop that answers it, s: 0.25 for the paper's vehicle."""
+    return round(predictor.delay_s + predictor.thrust_lag_s + REACTION_MARGIN_S, 2)
+
+
+def _reach(motion: Motion, throttle: FloatArray, hover: FloatArray, reaction: float) -> tuple[FloatArray, FloatArray]:
     """What the gate foresees (see `flight.gate`): this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
     z, v = motion.p_m[:, :, 2], motion.v_m_s[:, :, 2]
     asked = np.column_stack([throttle, throttle[:, -1:]])[:, : z.shape[1]]
@@ -247,8 +253,8 @@ def _reach(motion: Motion, throttle: FloatArray, hover: FloatArray) -> tuple[Flo
     # A step ends between two samples: at each, what was asked until now counts as well as what is asked from now on.
     for throttles in (asked, np.column_stack([asked[:, :1], asked[:, :-1]])):
         push = 9.81 * (throttles / hover[:, None] - 1.0)
-        then = v + push * REACTION_S
-        h = z + v * REACTION_S + 0.5 * push * REACTION_S**2
+        then = v + push * reaction
+        h = z + v * reaction + 0.5 * push * reaction**2
         stop_m_s2 = 9.81 * np.where(then > 0.0, 1.0 - STOP_SHARES[0], STOP_SHARES[1] - 1.0)
         end = h + then * np.abs(then) / (2.0 * stop_m_s2)
         low, high = np.minimum(low, np.minimum(h, end)), np.maximum(high, np.maximum(h, end))

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from flighttest.errors import InputError, LinkError
+from flighttest.sim.sitl_crew import GroundCrew
 from flighttest.sim.sitl_probe import ArmingProbe, Readiness
 
 DOCUMENTATION = "https://ardupilot.org/dev/docs/sitl-simulator-software-in-the-loop.html"
@@ -84,7 +85,8 @@ class SitlOptions:
     airframe: a name in AIRFRAMES. speedup: vehicle seconds per second at most. parameters: values on top of the airframe's files.
     physics_port: UDP port of an outside physics (`json_backend`) that replaces ArduPilot's own, with rate_hz steps per vehicle second
     (0: ArduPilot's default); scripts: Lua files to run. home: latitude deg, longitude deg, height above sea level m, heading deg.
-    folder: where it runs and leaves its onboard logs; None: a temporary one, removed at the end.
+    folder: where it runs and leaves its onboard logs; None: a temporary one, removed at the end. ground_crew: gives it a full pack after
+    each landing (the third port is then taken).
     """
 
     airframe: str = "paper"
@@ -96,6 +98,7 @@ class SitlOptions:
     scripts: tuple[Path, ...] = ()
     home: tuple[float, float, float, float] = SEA_LEVEL_HOME
     folder: Path | None = None
+    ground_crew: bool = False
 
     def __post_init__(self) -> None:
         if self.airframe not in AIRFRAMES:
@@ -111,6 +114,7 @@ class Sitl:
         self._process, self.base_port, self.folder, self._temporary = process, base_port, folder, temporary
         self.url = f"tcp:{_HOST}:{base_port}"
         self.ready_after_s = float("nan")
+        self.crew: GroundCrew | None = None
 
     @property
     def alive(self) -> bool:
@@ -172,6 +176,8 @@ class Sitl:
 
     def stop(self) -> None:
         """End it; a second call does nothing."""
+        if self.crew is not None:
+            self.crew.stop()
         if self._process.poll() is None:
             self._process.terminate()
             try:
@@ -225,6 +231,8 @@ def launch(
     try:
         if wait_s > 0.0:
             vehicle.wait_ready(wait_s)
+        if chosen.ground_crew:
+            vehicle.crew = GroundCrew(_HOST, base + 3)
     except BaseException:
         vehicle.stop()
         raise
