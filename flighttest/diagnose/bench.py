@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flighttest.diagnose.rows import (
     BLIND,
@@ -21,8 +20,10 @@ from flighttest.diagnose.rows import (
     LEAST_DISTURBANCE,
     RESOLUTION,
     FloatArray,
+    Nuisance,
     Rows,
     State,
+    project,
 )
 from flighttest.identify.problem import Noise, Problem, prior_std
 from flighttest.physics.model import Model
@@ -44,7 +45,6 @@ class Bench:
     block: str
     filters_hz: Mapping[str, float] | None = None
     _problems: dict[Any, Problem] = field(default_factory=dict, repr=False)
-    _bases: list[tuple[FloatArray, NDArray[np.bool_]]] = field(default_factory=list, repr=False)
 
     def problem(self, model: Model) -> Problem:
         """The problem of one model, parts of this block only; kept."""
@@ -151,35 +151,31 @@ class Bench:
         linear = self._linear(model, state, names)
         channels = tuple(dict.fromkeys(c for part in problem.parts for c in part.outputs))
         out: list[tuple[FloatArray, ...]] = []
-        bases = []
+        nuisance = []
         for part, piece, at in zip(problem.parts, linear, self.locals(problem, state), strict=True):
             m, n, n_y = part.y.shape
             n_l, n_f = piece.j_l.shape[2], part.n_free_states
-            std = np.array([state.noise.channel[c] for c in part.outputs])
-            zeros = np.zeros((m, n_l, piece.j_p.shape[2]))
-            j = np.concatenate([piece.j_p, zeros], axis=1)
+            std = np.tile([state.noise.channel[c] for c in part.outputs], n)
             stacked = np.concatenate([piece.j_l, np.broadcast_to(_diagonal(piece.prior), (m, n_l, n_l))], axis=1)
-            basis = np.linalg.qr(stacked)[0]
-            r = _project(basis, np.concatenate([piece.r, piece.r_prior], axis=1)[..., None])[..., 0]
+            keep = np.concatenate([part.mask.reshape(m, -1), np.ones((m, n_l), dtype=bool)], axis=1)
+            start = np.linalg.qr(stacked[..., :n_f])[0] if n_f else np.zeros((m, n * n_y + n_l, 0))
+            unknown = Nuisance(np.linalg.qr(stacked)[0], start, std, keep)
+            r = project(unknown.basis, np.concatenate([piece.r, piece.r_prior], axis=1)[..., None])[..., 0]
             # Without the disturbance: what it explained goes back into the residual.
             given = piece.r + np.einsum("mij,mj->mi", piece.j_l[..., n_f:], at[:, n_f:])
-            start = np.linalg.qr(stacked[..., :n_f])[0] if n_f else np.zeros((m, n * n_y + n_l, 0))
             given = np.concatenate([given, piece.r_prior], axis=1)
             given[:, n * n_y + n_f :] = 0.0
-            scale = np.concatenate([np.broadcast_to(std, (m, n, n_y)).reshape(m, -1), np.ones((m, n_l))], axis=1)
+            unit = np.concatenate([std, np.zeros(n_l)])
             sample = np.concatenate([np.repeat(np.arange(n), n_y), np.full(n_f, -1), np.full(n_l - n_f, DISTURBANCE)])
             code = np.concatenate([np.tile([channels.index(c) for c in part.outputs], n), np.full(n_l, -1)])
-            measured = np.concatenate([np.ones(n * n_y), np.zeros(n_l)])
-            keep = np.concatenate([part.mask.reshape(m, -1), np.ones((m, n_l), dtype=bool)], axis=1)
             index = np.array([response.index for response in part.responses])
-            bases.append((basis, keep))
+            nuisance.append(unknown)
             out.append(
                 (
                     r[keep],
-                    _project(basis, j)[keep],
-                    (_project(start, given[..., None])[..., 0] * scale * measured)[keep],
-                    (_project(start, j) * (scale * measured)[..., None])[keep],
-                    scale[keep],
+                    *unknown.of(piece.j_p * std[:, None]),
+                    (project(start, given[..., None])[..., 0] * unit)[keep],
+                    np.broadcast_to(np.concatenate([std, np.ones(n_l)]), keep.shape)[keep],
                     np.broadcast_to(index[:, None], keep.shape)[keep],
                     np.broadcast_to(sample, keep.shape)[keep],
                     np.broadcast_to(code, keep.shape)[keep],
@@ -187,8 +183,25 @@ class Bench:
             )
         cat = [np.concatenate([o[k] for o in out]) for k in range(8)]
         segment, sample, channel = (cat[k].astype(np.intp) for k in (5, 6, 7))
-        self._bases = bases
-        return Rows(cat[0], cat[1], cat[2], cat[3], cat[4], segment, sample, channel, channels, tuple(names))
+        return Rows(
+            residual=cat[0], jacobian=cat[1], open_residual=cat[3], open_jacobian=cat[2], scale=cat[4], segment=segment,
+            sample=sample, channel=channel, channels=channels, names=tuple(names), nuisance=tuple(nuisance),
+        )  # fmt: skip
+
+    def slopes(self, model: Model, state: State, names: Sequence[str]) -> list[FloatArray]:
+        """Per part (m, samples times outputs, len(names)): sensitivities of what is measured, in the channels' units."""
+        problem = self.problem(model)
+        found = []
+        for part, made in zip(
+            problem.parts, problem.evaluate(state.values, self.locals(problem, state), list(names)), strict=True
+        ):
+            m, n, n_y = part.y.shape
+            jac = made.jacobian.reshape(m, n * n_y, -1)
+            j_p = np.zeros((m, n * n_y, len(names)))
+            for k, name in enumerate(made.columns[: jac.shape[2] - len(part.locals)]):
+                j_p[..., list(names).index(name)] = jac[..., k]
+            found.append(j_p)
+        return found
 
     def blind(self, model: Model, state: State) -> frozenset[str]:
         """Base parameters that change nothing in this data (the voltage exponent where no voltage varies): left where they are."""
@@ -202,37 +215,21 @@ class Bench:
                 found.add(name)
         return frozenset(found)
 
-    def secant(self, model: Model, state: State, changed: Model, there: State) -> FloatArray:
-        """(n,) whitened change of the simulation from one model to another, locals projected out as in the last call of `rows`.
+    def secant(self, model: Model, state: State, changed: Model, there: State) -> list[FloatArray]:
+        """Per part (m, samples times outputs, 1): change of what is measured from one model to another, in the channels' units.
 
         Both models must have the same parts; the locals are `state`'s.
         """
         first, second = self.problem(model), self.problem(changed)
-        made = []
-        for part, a, b, (basis, keep) in zip(
-            first.parts,
-            first.evaluate(state.values, self.locals(first, state)),
-            second.evaluate(there.values, self.locals(second, there)),
-            self._bases,
-            strict=True,
-        ):
-            m = part.y.shape[0]
-            std = np.array([state.noise.channel[c] for c in part.outputs])
-            change = ((a.residual - b.residual) / std).reshape(m, -1)
-            change = np.concatenate([change, np.zeros((m, basis.shape[2]))], axis=1)
-            made.append(_project(basis, change[..., None])[..., 0][keep])
-        return np.concatenate(made)
-
-    def without_locals(self, column: FloatArray) -> FloatArray:
-        """(n,) a whitened column in the order of the last `rows`, with what locals can copy projected out."""
-        made, first = [], 0
-        for basis, keep in self._bases:
-            inside = np.zeros(keep.shape)
-            size = int(keep.sum())
-            inside[keep] = column[first : first + size]
-            first += size
-            made.append(_project(basis, inside[..., None])[..., 0][keep])
-        return np.concatenate(made)
+        return [
+            (a.residual - b.residual).reshape(part.y.shape[0], -1, 1)
+            for part, a, b in zip(
+                first.parts,
+                first.evaluate(state.values, self.locals(first, state)),
+                second.evaluate(there.values, self.locals(second, there)),
+                strict=True,
+            )
+        ]
 
     # Inside one fit.
 
@@ -366,8 +363,3 @@ class _Piece:
 def _diagonal(values: FloatArray) -> FloatArray:
     """(m, l) to (m, l, l)."""
     return values[..., None] * np.eye(values.shape[-1])
-
-
-def _project(basis: FloatArray, columns: FloatArray) -> FloatArray:
-    """(m, n, k) columns without what (m, n, l) orthonormal bases span."""
-    return np.asarray(columns - np.matmul(basis, np.matmul(basis.transpose(0, 2, 1), columns)))

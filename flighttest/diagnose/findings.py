@@ -44,10 +44,18 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
     }
     table = parameter_table(search.now)
     parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
+    own = {p.name for p in term.amplitudes}
+    held = {n: v for n, v in search.pinned.items() if n in own}
+    for name, std in held.items():
+        value, unit = search.now.state.values[name], search.now.model.param[name].unit
+        parameters[name] = {
+            "value": value, "std": std, "unit": unit, "interval_95": [value - 1.96 * std, value + 1.96 * std], "held": True,
+        }  # fmt: skip
     confusable = [r.term for r in rivals if r.verdict == "CONFUSABLE"]
     force = _rms_force(search, judged.effect)
     numbers = ", ".join(
         f"{n} {v['value']:.3g} ± {1.96 * v['std']:.1g}{'' if v['unit'] == '1' else ' ' + v['unit']}"
+        + (" (held: the recording does not ask for more)" if v.get("held") else "")
         for n, v in parameters.items()
     )
     sentence = f"{term.plain} ({numbers}); {judged.floors:.2g} noise floors in {short(judged.place[0])} of {_kind(judged.place[1])}"

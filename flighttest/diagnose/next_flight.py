@@ -175,7 +175,9 @@ def log_odds(segments: tuple[Segment, ...], now: Fitted, block: str, question: Q
         )
     else:
         without = model.without_terms(question.term.id)
-        effect = bench.secant(model, bench.moved(model, state, on), without, bench.moved(without, state))
+        effect = -rows.of(bench.secant(model, bench.moved(model, state, on), without, bench.moved(without, state)))[0][
+            :, 0
+        ]
     basis = orthonormal(rows.columns(others))
     left = effect - basis @ (basis.T @ effect)
     return 0.5 * float(left @ left) / CORRELATED

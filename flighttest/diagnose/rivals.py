@@ -77,19 +77,18 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
     assert search.ground is not None
     ground, rows = search.ground, search.ground.rows
     found: dict[str, tuple[float, str]] = {}
-    worst = max(ground.inflation.values(), default=1.0)
     of_place = places(rows, search.bench.segments)
     for v in search.variants():
         own = v.columns - ground.basis @ (ground.basis.T @ v.columns)
         for k in range(own.shape[1]):
             others = orthonormal(np.delete(own, k, axis=1)) if own.shape[1] > 1 else np.zeros((own.shape[0], 0))
             alone = own[:, k] - others @ (others.T @ own[:, k])
-            information = float(alone @ alone)
+            information = float((alone**2) @ ground.weight)  # correlated samples of a channel count as fewer
             name = v.names[k] if v.names else ""
-            if information <= (ABSORBED * float(np.linalg.norm(v.columns[:, k]))) ** 2 or information <= 0:
+            if float(alone @ alone) <= (ABSORBED * float(np.linalg.norm(v.columns[:, k]))) ** 2 or information <= 0:
                 level = np.inf
             else:
-                level = STANDARD_ERRORS * float(np.sqrt(worst / information))
+                level = STANDARD_ERRORS * float(np.sqrt(1.0 / information))
                 sizes = [
                     float(np.sqrt(np.mean(v.open_columns[at, k] ** 2))) / search.floor.of(c)
                     for (c, _), at in of_place.items()

@@ -45,13 +45,34 @@ class State:
 
 
 @dataclass(frozen=True)
+class Nuisance:
+    """What one part of a problem does not know of its m responses, as `Rows` took it out.
+
+    basis (m, k, n_l), start (m, k, n_f): orthonormal, of all locals and of the initial states alone, over the k - n_l samples (times
+    outputs) and the n_l priors; scale (k - n_l,): by which samples were whitened; keep (m, k): which of them are rows.
+    """
+
+    basis: FloatArray
+    start: FloatArray
+    scale: FloatArray
+    keep: NDArray[np.bool_]
+
+    def of(self, raw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(columns, open columns), both (rows, q), of changes (m, k - n_l, q) of what is measured, in the channels' units."""
+        m, n_l, q = raw.shape[0], self.basis.shape[2], raw.shape[2]
+        stacked = np.concatenate([raw / self.scale[:, None], np.zeros((m, n_l, q))], axis=1)
+        unit = np.concatenate([self.scale, np.zeros(n_l)])[:, None]
+        return project(self.basis, stacked)[self.keep], (project(self.start, stacked) * unit)[self.keep]
+
+
+@dataclass(frozen=True)
 class Rows:
     """Linearised residuals, one row per sample and channel, and one per prior of a local (sample -1, DISTURBANCE for disturbances).
 
     residual (n,), jacobian (n, p): whitened, locals projected out (a step d of the parameters lowers the residual by jacobian @ d);
     open_residual, open_jacobian: in units of the channel, with only initial states projected out: what the model predicts of a response
     without knowing its disturbance. scale (n,): by which rows were whitened; segment, sample (n,): positions in the bench's segments
-    and in their t_s; channel (n,): index into `channels`, -1 for priors.
+    and in their t_s; channel (n,): index into `channels`, -1 for priors. nuisance: by part, to take locals out of other changes.
     """
 
     residual: FloatArray
@@ -64,6 +85,12 @@ class Rows:
     channel: IntArray
     channels: tuple[str, ...]
     names: tuple[str, ...]
+    nuisance: tuple[Nuisance, ...] = ()
+
+    def of(self, raw: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """(columns, open columns), both (n, q), of a change given per part, (m, samples times outputs, q) in the channels' units."""
+        both = [part.of(one) for part, one in zip(self.nuisance, raw, strict=True)]
+        return np.concatenate([b[0] for b in both]), np.concatenate([b[1] for b in both])
 
     def columns(self, names: Sequence[str]) -> FloatArray:
         """(n, k) columns by name."""
@@ -72,3 +99,8 @@ class Rows:
     def open_columns(self, names: Sequence[str]) -> FloatArray:
         """(n, k) columns of `open_jacobian` by name."""
         return self.open_jacobian[:, [self.names.index(n) for n in names]]
+
+
+def project(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """(m, n, k) columns without what (m, n, l) orthonormal bases span."""
+    return np.asarray(columns - np.matmul(basis, np.matmul(basis.transpose(0, 2, 1), columns)))

@@ -30,17 +30,20 @@ ABSORBED = 1e-3  # a candidate of which less than this is left beside the presen
 @dataclass(frozen=True)
 class Variant:
     """A candidate with its shapes fixed. columns: (n, q) whitened sensitivities to `names`, open_columns in the channels' units; a
-    secant (one column, no name) where the term has no amplitude: the whole change it makes."""
+    secant (one column, no name) where the term has no amplitude: the whole change it makes. raw: the same per part, before any
+    local was taken out."""
 
     term: Term
     shapes: Mapping[str, float]
     names: tuple[str, ...]
     columns: FloatArray
     open_columns: FloatArray
+    raw: tuple[FloatArray, ...] = ()
 
-    def whitened_anew(self, ratio: FloatArray) -> Variant:
-        """The same, whitened by other standard deviations: ratio (n,) is old over new."""
-        return Variant(self.term, self.shapes, self.names, self.columns * ratio[:, None], self.open_columns)
+    def on(self, rows: Rows) -> Variant:
+        """The same, with the locals and the whitening of other rows."""
+        columns, open_columns = rows.of(self.raw)
+        return Variant(self.term, self.shapes, self.names, columns, open_columns, self.raw)
 
 
 @dataclass(frozen=True)
@@ -99,14 +102,27 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     return u[:, s > 1e-7 * s[0]]
 
 
-def amplitude_variants(rows: Rows, terms: Sequence[Term]) -> list[Variant]:
-    """Candidates without shapes, from the columns of one Jacobian that holds them all."""
+def amplitude_variants(bench: Bench, model: Model, state: State, terms: Sequence[Term], rows: Rows) -> list[Variant]:
+    """Candidates without shapes, from one Jacobian of a model that holds them all at off; `rows`: of the model itself."""
+    plain = [t for t in terms if t.amplitudes and not t.shapes]
+    if not plain:
+        return []
+    everything = model.with_terms(*(t for t in plain if t.id not in model.terms))
+    known = bench.problem(everything).names
+    names = [p.name for t in plain for p in t.amplitudes if p.name in known]
+    slopes = bench.slopes(everything, bench.moved(everything, state), names)
     found = []
-    for term in terms:
-        names = tuple(p.name for p in term.amplitudes if p.name in rows.names)
-        if names and not term.shapes:
-            found.append(Variant(term, {}, names, rows.columns(names), rows.open_columns(names)))
-    return found
+    for term in plain:
+        own = tuple(p.name for p in term.amplitudes if p.name in known)
+        if own:
+            found.append(_variant(term, {}, own, [one[..., [names.index(n) for n in own]] for one in slopes], rows))
+    return [v for v in found if np.isfinite(v.columns).all()]
+
+
+def _variant(
+    term: Term, shapes: Mapping[str, float], names: tuple[str, ...], raw: Sequence[FloatArray], rows: Rows
+) -> Variant:
+    return Variant(term, shapes, names, *rows.of(raw), tuple(raw))
 
 
 def shape_settings(term: Term) -> list[dict[str, float]]:
@@ -121,37 +137,32 @@ def shape_settings(term: Term) -> list[dict[str, float]]:
     return found
 
 
-def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Term], base: Rows) -> list[Variant]:
+def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Term], rows: Rows) -> list[Variant]:
     """Candidates with shapes: each setting by a Jacobian (amplitudes) or as the change it makes (none).
 
-    At their off values candidates do not see each other, so one evaluation serves a setting of every term. `base`: the last rows taken.
+    At their off values candidates do not see each other, so one evaluation serves a setting of every term. `rows`: of the model itself.
     """
     found = []
-    without = [t for t in terms if not t.amplitudes]
-    for term in without:
+    for term in (t for t in terms if t.shapes and not t.amplitudes):
         changed = model.with_terms(term)
         for setting in shape_settings(term):
-            there = bench.moved(changed, state, setting)
-            columns = bench.secant(model, state, changed, there)[:, None]
-            if np.isfinite(columns).all():
-                found.append(Variant(term, setting, (), columns, columns * (base.scale * (base.sample >= 0))[:, None]))
-    scaled = [t for t in terms if t.amplitudes]
-    if not scaled:
-        return found
-    everything = model.with_terms(*scaled)
-    names = tuple(p.name for t in scaled for p in t.amplitudes)
-    settings = {t.id: shape_settings(t) for t in scaled}
-    for k in range(max(len(s) for s in settings.values())):
-        values = {p.name: float(p.off or 0.0) for t in scaled for p in t.amplitudes}
-        for t in scaled:
-            values |= settings[t.id][k % len(settings[t.id])]
-        rows = bench.rows(everything, bench.moved(everything, state, values), names)
-        for t in scaled:
-            own = tuple(p.name for p in t.amplitudes)
-            columns = rows.columns(own)
-            if k < len(settings[t.id]) and np.isfinite(columns).all():
-                found.append(Variant(t, settings[t.id][k], own, columns, rows.open_columns(own)))
-    return found
+            raw = bench.secant(model, state, changed, bench.moved(changed, state, setting))
+            found.append(_variant(term, setting, (), raw, rows))
+    scaled = [t for t in terms if t.shapes and t.amplitudes]
+    if scaled:
+        everything = model.with_terms(*(t for t in scaled if t.id not in model.terms))
+        names = [p.name for t in scaled for p in t.amplitudes]
+        settings = {t.id: shape_settings(t) for t in scaled}
+        for k in range(max(len(s) for s in settings.values())):
+            values = {p.name: float(p.off or 0.0) for t in scaled for p in t.amplitudes}
+            for t in scaled:
+                values |= settings[t.id][k % len(settings[t.id])]
+            slopes = bench.slopes(everything, bench.moved(everything, state, values), names)
+            for t in (t for t in scaled if k < len(settings[t.id])):
+                own = tuple(p.name for p in t.amplitudes)
+                raw = [one[..., [names.index(n) for n in own]] for one in slopes]
+                found.append(_variant(t, settings[t.id][k], own, raw, rows))
+    return [v for v in found if np.isfinite(v.columns).all()]
 
 
 def score(ground: Ground, variant: Variant) -> Score | None:
@@ -189,7 +200,8 @@ def score(ground: Ground, variant: Variant) -> Score | None:
     if before_ss > 0 and after_ss > 0:
         bic += at.sum() * float(np.log(after_ss / before_ss))
     bic += q * float(np.log(max(n_total, 2.0)))
-    noise_std = np.sqrt(np.maximum(np.diag(inverse), 0) * max(ground.inflation.values(), default=1.0))
+    spread = inverse @ (own.T @ (own / ground.weight[:, None])) @ inverse
+    noise_std = np.sqrt(np.maximum(np.diag(spread), 0))
     return Score(variant, own, estimate, noise_std, float(left.max()), bic, 0.0)
 
 

@@ -20,7 +20,7 @@ from scipy import stats
 
 from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
-from flighttest.diagnose.noise import Floor, floor_of
+from flighttest.diagnose.noise import Floor, floor_of, inflation
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import (
     FALSE_ALARM_RATE,
@@ -50,8 +50,7 @@ SAME = 0.7  # a rival is tried in a term's place when its linear score is at lea
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model at its optimum on one bench. names: what is estimated; rows: with columns for names; dormant: terms held
-    at off."""
+    """A model at its optimum on one bench. names: what is estimated; rows: with columns for names; dormant: terms held at off."""
 
     model: Model
     names: tuple[str, ...]
@@ -85,7 +84,11 @@ class Judged:
 
 @dataclass
 class Search:
-    """One block of the model (roll and pitch, yaw rate, or translation) on one bench."""
+    """One block of the model (roll and pitch, yaw rate, or translation) on one bench.
+
+    pinned: amplitudes of accepted terms held at off since they did not earn their place beside the others of their term, and the
+    standard error they had.
+    """
 
     bench: Bench
     pool: tuple[Term, ...]
@@ -100,8 +103,8 @@ class Search:
     refused: dict[str, Judged] = field(default_factory=dict)
     ground: Ground | None = None
     blind: frozenset[str] = frozenset()
+    pinned: dict[str, float] = field(default_factory=dict)
     _variants: list[Variant] = field(default_factory=list)
-    _scale: FloatArray | None = None
     _left_out: dict[str, tuple[Fitted, Fitted]] = field(default_factory=dict)
 
     def run(self, model: Model, start: State) -> None:
@@ -110,52 +113,37 @@ class Search:
         self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
-        self._linearise(shapes=True)
-        self._score()
-        while len(self.judged) < MOST_TERMS and self._forward():
-            self._backward()
-            self._score()
-        if self.judged:
-            self.now = self._fit(self.now.model, self.now.state, self.now.dormant)
-        self._swap()
-        if self.judged:
-            self._linearise(shapes=False)
-            self._score()
+        joined = True
+        while joined and len(self.judged) < MOST_TERMS:
+            # Columns are taken once and go along while terms join; a new optimum is screened anew before nothing more is said to miss.
+            self._linearise()
+            joined = False
+            while len(self.judged) < MOST_TERMS and self._forward():
+                joined = True
+                self._backward()
+                self._score()
+            if joined:
+                self.now = self._fit(self.now.model, self.now.state, self.now.dormant)
+                self._swap()
+                self._pin()
 
     # Steps.
 
-    def _linearise(self, shapes: bool) -> None:
-        """Columns of every candidate at the present optimum. They change little as terms join, and a refit follows each choice: they are
-        taken at the start and at the end."""
+    def _linearise(self) -> None:
+        """Columns of every candidate at the present optimum, and their scores."""
         assert self.now is not None
         pool = [t for t in self.pool if t.id not in self.now.model.terms or t.id in self.now.dormant]
-        plain = [t for t in pool if t.amplitudes and not t.shapes]
-        everything = self.now.model.with_terms(*plain)
-        there = self.bench.moved(everything, self.now.state)
-        known = self.bench.problem(everything).names
         self.progress("screening the catalogue")
-        rows = self.bench.rows(everything, there, tuple(p.name for t in plain for p in t.amplitudes if p.name in known))
-        old = [v for v in self._rescaled(rows.scale) if v.term.shapes]
-        self._variants = amplitude_variants(rows, plain)
-        if shapes:
-            self.progress("screening shapes")
-            shaped = [t for t in pool if t.shapes]
-            self._variants += shape_variants(self.bench, self.now.model, self.now.state, shaped, rows)
-        else:
-            self._variants += old
-        self._scale = rows.scale
+        at = self.bench, self.now.model, self.now.state, pool, self.now.rows
+        self._variants = amplitude_variants(*at) + shape_variants(*at)
+        self._score()
 
-    def _rescaled(self, scale: FloatArray) -> list[Variant]:
-        if self._scale is None:
-            return []
-        ratio = self._scale / scale
-        return [v.whitened_anew(ratio) for v in self._variants]
-
-    def variants(self) -> list[Variant]:
-        """Every candidate outside the model, whitened as the present rows."""
-        assert self.now is not None
-        inside = set(self.now.model.terms) - self.now.dormant
-        return [v for v in self._rescaled(self.now.rows.scale) if v.term.id not in inside]
+    def variants(self, of: Fitted | None = None) -> list[Variant]:
+        """Every candidate outside a model (the present one), placed on its rows."""
+        fitted = of or self.now
+        assert fitted is not None
+        inside = set(fitted.model.terms) - fitted.dormant
+        return [v.on(fitted.rows) for v in self._variants if v.term.id not in inside]
 
     def _score(self) -> None:
         """Scores of everything not in the model, at the present optimum."""
@@ -232,12 +220,9 @@ class Search:
             without = self.without(term)
             self.judged[term] = self.judge(term, without, self.now, self.judged[term].p_value)
             ground = Ground.at(without.rows, without.names)
-            candidates = [
-                v
-                for v in self._rescaled(without.rows.scale)
-                if v.term.id not in without.model.terms or v.term.id in without.dormant
-            ]
-            rivals = best_per_term([s for v in candidates if v.term.id != term and (s := score(ground, v)) is not None])
+            rivals = best_per_term(
+                [s for v in self.variants(without) if v.term.id != term and (s := score(ground, v)) is not None]
+            )
             for rival in rivals[:1]:
                 if rival.bic > SAME * self.judged[term].bic:
                     break
@@ -249,6 +234,27 @@ class Search:
                     del self.judged[term]
                     self.judged[other.term] = other
                     self.progress(f"{other.term} replaces {term}")
+
+    def _pin(self) -> None:
+        """Hold at off what a term of several amplitudes does not need (an upward wind beside a wind from the side): each has to earn
+        its place by the information criterion, or what is collinear with the base would be printed as physics."""
+        assert self.now is not None
+        for term in self.judged:
+            while len(own := [n for n in self.now.names if self._is_amplitude(term, n)]) > 1:
+                std = dict(zip(self.now.names, standard_errors(self.now.rows, self.now.names), strict=True))
+                off = {n: float(self.now.model.param[n].off or 0.0) for n in own}
+                t = {n: abs(self.now.state.values[n] - off[n]) / max(float(std[n]), 1e-300) for n in own}
+                least = min(own, key=lambda n: t[n])
+                if t[least] ** 2 > np.log(effective_size(self.now.rows)):
+                    break
+                self.pinned[least] = float(std[least])
+                held = self.bench.moved(self.now.model, self.now.state, {least: off[least]})
+                self.now = self._fit(self.now.model, held, self.now.dormant)
+                self.progress(f"{least} is held at {off[least]:g}: the rest of {term} says as much without it")
+
+    def _is_amplitude(self, term: str, name: str) -> bool:
+        assert self.now is not None
+        return self.now.model.term_of(name) == term and self.now.model.param[name].kind == "amplitude"
 
     def _worst(self) -> float:
         """Largest mean square of a place over its floor's."""
@@ -267,7 +273,9 @@ class Search:
 
     def _fit(self, model: Model, state: State, dormant: frozenset[str], iterations: int = 8) -> Fitted:
         names = tuple(
-            n for n in self.bench.problem(model).names if model.term_of(n) not in dormant and n not in self.blind
+            n
+            for n in self.bench.problem(model).names
+            if model.term_of(n) not in dormant and n not in self.blind and n not in self.pinned
         )
         fitted = self.bench.fit(model, state, names, iterations=iterations)
         return Fitted(model, names, fitted, self.bench.rows(model, fitted, names), dormant)
@@ -277,6 +285,8 @@ class Search:
         among = among or self.now
         assert among is not None
         term = s.variant.term
+        for p in term.amplitudes:
+            self.pinned.pop(p.name, None)
         model = among.model.with_terms(term)
         values = dict(s.variant.shapes)
         for name, value in zip(s.variant.names, s.estimate, strict=False):
@@ -374,3 +384,9 @@ def standard_errors(rows: Rows, names: tuple[str, ...]) -> FloatArray:
     np.add.at(moments, which, a * rows.residual[:, None])
     meat = moments.T @ moments * (n / max(n - 1, 1))
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0)) / length)
+
+
+def effective_size(rows: Rows) -> float:
+    """Number of samples that count, correlated ones as fewer."""
+    tau = inflation(rows)
+    return sum(float(np.sum(rows.channel == c)) / t for c, t in tau.items())

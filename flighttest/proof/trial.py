@@ -165,20 +165,20 @@ class _Oracle:
     def size(self, twin: Sequence[Segment]) -> tuple[float, FloatArray]:
         """(size in noise floors, its noise taken off; the whitened difference itself with base and locals projected out)."""
         without = {s.name: s for s in twin}
-        change = np.zeros(self.rows.sample.size)
-        for i, s in enumerate(self.segments):
-            other = without.get(s.name)
-            at = np.flatnonzero((self.rows.segment == i) & (self.rows.sample >= 0))
-            if other is None or not at.size:
-                continue
-            for c in np.unique(self.rows.channel[at]):
-                here = at[self.rows.channel[at] == c]
-                name = self.rows.channels[c]
-                sample = self.rows.sample[here]
-                since = s.t_s[sample] - s.t_step_s
-                twin_y = np.interp(since, other.t_s - other.t_step_s, other.y[name])
-                change[here] = (s.y[name][sample] - twin_y) / self.rows.scale[here]
-        change = self.bench.without_locals(change)
+        raw = []
+        for part in self.bench.problem(self.model).parts:
+            change = np.zeros(part.y.shape)
+            for j, response in enumerate(part.responses):
+                s = self.segments[response.index]
+                other = without.get(s.name)
+                if other is None:
+                    continue
+                for k, name in enumerate(part.outputs):
+                    if name in s.y and name in other.y:
+                        twin_y = np.interp(s.t_s - s.t_step_s, other.t_s - other.t_step_s, other.y[name])
+                        change[j, : s.t_s.size, k] = s.y[name] - twin_y
+            raw.append(np.where(part.mask, change, 0.0).reshape(len(part.responses), -1, 1))
+        change = self.rows.of(raw)[0][:, 0]
         left = change - self.basis @ (self.basis.T @ change)
         size, _ = size_in_floors(self.rows, left * self.rows.scale * (self.rows.sample >= 0), self.segments, self.floor)
         return float(np.sqrt(max(size**2 - 2.0, 0.0))), left
@@ -191,13 +191,8 @@ class _Oracle:
         terms = [t for t in known.values() if t.id not in self.model.terms and self._acts(t)]
         if name not in {t.id for t in terms}:
             return (name,)
-        plain = [t for t in terms if t.amplitudes and not t.shapes]
-        everything = self.model.with_terms(*plain)
-        names = tuple(p.name for t in plain for p in t.amplitudes if p.name in self.bench.problem(everything).names)
-        there = self.bench.moved(everything, self.state)
-        rows = self.bench.rows(everything, there, names)
-        variants = amplitude_variants(rows, plain)
-        variants += shape_variants(self.bench, self.model, self.state, [t for t in terms if t.shapes], rows)
+        variants = amplitude_variants(self.bench, self.model, self.state, terms, self.rows)
+        variants += shape_variants(self.bench, self.model, self.state, terms, self.rows)
         own = [(v, v.columns - self.basis @ (self.basis.T @ v.columns)) for v in variants]
         mine = [(v, c, orthonormal(c)) for v, c in own if v.term.id == name and np.linalg.norm(c) > 1e-9]
         if not mine:
