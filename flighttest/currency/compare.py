@@ -4,53 +4,72 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
+from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import SUBSETS, FloatArray, SubsetTest
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
 FALSE_ALARM = 0.01
-# Campaigns of one vehicle differ by more than the fit's own errors, since the model is not the vehicle: wind and the operating
-# point move the best-fitting parameters. An allowance, relative, as one standard deviation; a vehicle's own history (five
-# unchanged runs or more) takes its place.
-DISCREPANCY: dict[str, float] = {
-    "K": 0.008,
-    "alpha": 0.06,
-    "sigma_t": 0.03,
-    "omega_phi": 0.02,
-    "omega_theta": 0.02,
-    "zeta_phi": 0.04,
-    "zeta_theta": 0.04,
-    "sigma_r": 0.03,
-    "d_x": 0.20,
-    "d_y": 0.20,
-    "d_z": 0.20,
-}
-DEFAULT_DISCREPANCY = 0.05
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Parameter names, values (n,) and covariance (n, n), SI. Parameters that are not identifiable are left out by the caller."""
+    """Parameter names, values (n,) and covariance (n, n), SI. Parameters that are not identifiable are left out by the caller.
+
+    dof: (n,) Student-t degrees of freedom of each standard error, None for many. log_voltage: ln(U / U_n) at which the throttle was told,
+    NaN where it is not known.
+    """
 
     name: str
     names: tuple[str, ...]
     values: FloatArray
     covariance: FloatArray
+    dof: FloatArray | None = None
+    log_voltage: float = math.nan
 
     def select(self, wanted: Sequence[str]) -> Estimates:
         """The same with these parameters only, in this order."""
         index = [self.names.index(n) for n in wanted]
-        return Estimates(self.name, tuple(wanted), self.values[index], self.covariance[np.ix_(index, index)])
+        dof = None if self.dof is None else self.dof[index]
+        covariance = self.covariance[np.ix_(index, index)]
+        return Estimates(self.name, tuple(wanted), self.values[index], covariance, dof, self.log_voltage)
+
+    def at_voltage(self, log_voltage: float, alpha: float) -> Estimates:
+        """The same with thrust per throttle at another voltage in K's place: K (U/U_n)^alpha.
+
+        K and alpha are all but collinear over the short span of voltage of one flight, while what a throttle gives at the voltage flown
+        is known well. alpha: stands in where it was not estimated here.
+        """
+        if "K" not in self.names or not math.isfinite(log_voltage):
+            return self
+        i = self.names.index("K")
+        turn = np.eye(len(self.names))
+        if "alpha" in self.names:
+            j = self.names.index("alpha")
+            alpha = float(self.values[j])
+        gain = math.exp(alpha * log_voltage)
+        values = self.values.copy()
+        values[i] *= gain
+        turn[i, i] = gain
+        if "alpha" in self.names:
+            turn[i, j] = values[i] * log_voltage
+        return replace(self, values=values, covariance=turn @ self.covariance @ turn.T)
 
 
-def discrepancy(names: Sequence[str], values: FloatArray, spread: Mapping[str, float] | None = None) -> FloatArray:
-    """Diagonal covariance (n, n) of what campaigns of one unchanged vehicle differ by; `spread` overrides the table (relative, 1 sigma)."""
-    table = {**DISCREPANCY, **(spread or {})}
-    relative = np.array([table.get(n, DEFAULT_DISCREPANCY) for n in names])
+def discrepancy(
+    names: Sequence[str], values: FloatArray, spread: Mapping[str, float] | None, alpha_away: float = 0.0
+) -> FloatArray:
+    """Diagonal covariance (n, n) of what campaigns of one unchanged vehicle differ by beyond their errors.
+
+    spread: relative, one sigma, in place of the stated prior. alpha_away: alpha times the logarithmic voltage over which K had to be
+    carried from the stored model's data, where a discrepancy of alpha shows in K.
+    """
+    table = {n: (spread or {}).get(n, prior(n)) for n in (*names, "alpha")}
+    relative = np.array([math.hypot(table[n], table["alpha"] * alpha_away if n == "K" else 0.0) for n in names])
     return np.diag((relative * np.abs(values)) ** 2)
 
 
@@ -62,25 +81,31 @@ def subset_tests(
     false_alarm: float = FALSE_ALARM,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
 ) -> tuple[SubsetTest, ...]:
-    """Test every subset both sides know something about."""
+    """Test every subset both sides know something about. Thrust per throttle is compared at the voltage of the new recording."""
     shared = {s: tuple(n for n in names if n in stored.names and n in new.names) for s, names in subsets.items()}
     testable = {s: names for s, names in shared.items() if names}
     level = false_alarm / max(len(testable), 1)
-    return tuple(_test(s, stored.select(names), new.select(names), spread, level) for s, names in testable.items())
+    alpha = float(stored.values[stored.names.index("alpha")]) if "alpha" in stored.names else 0.0
+    away = alpha * (new.log_voltage - stored.log_voltage)
+    before, after = stored.at_voltage(new.log_voltage, alpha), new.at_voltage(new.log_voltage, alpha)
+    return tuple(
+        _test(s, before.select(names), after.select(names), spread, away if math.isfinite(away) else 0.0, level)
+        for s, names in testable.items()
+    )
 
 
 def _test(
-    subset: str, stored: Estimates, new: Estimates, spread: Mapping[str, float] | None, level: float
+    subset: str, stored: Estimates, new: Estimates, spread: Mapping[str, float] | None, away: float, level: float
 ) -> SubsetTest:
-    # The allowance scales with both estimates: on the stored one alone, a drag that came out low would raise false alarms.
+    # The discrepancy scales with both estimates: on the stored one alone, a drag that came out low would raise false alarms.
     typical = np.hypot(stored.values, new.values) / math.sqrt(2.0)
-    covariance = stored.covariance + new.covariance + discrepancy(stored.names, typical, spread)
+    covariance = stored.covariance + new.covariance + discrepancy(stored.names, typical, spread, away)
     delta = new.values - stored.values
     std = np.sqrt(np.diag(covariance))
     # Scaled before solving: the parameters differ by orders of magnitude.
     whitened = np.linalg.solve(covariance / np.outer(std, std), delta / std)
     statistic = max(float(np.dot(whitened, delta / std)), 0.0)
-    p_value = float(stats.chi2.sf(statistic, len(delta)))
+    p_value = _chance(statistic, delta / std, _dof(stored, new, std**2))
     shifts = {
         n: (float(d / abs(v)) if v else math.nan, float(d / s))
         for n, d, v, s in zip(stored.names, delta, stored.values, std, strict=True)
@@ -89,6 +114,30 @@ def _test(
     return SubsetTest(
         subset, statistic, len(delta), p_value, level, alarm, shifts, _sentence(subset, alarm, shifts, p_value)
     )
+
+
+def _chance(statistic: float, z: FloatArray, dof: FloatArray) -> float:
+    """Chance of all parameters, or of the single one that moved most, being this far off in an unchanged vehicle.
+
+    Most changes move one parameter (propellers: K), which a test of all together dilutes, and some move several a little.
+    """
+    together = float(stats.f.sf(statistic / z.size, z.size, float(np.min(dof))))
+    if z.size == 1:
+        return together
+    single = float(np.min(2.0 * stats.t.sf(np.abs(z), dof))) * z.size
+    return min(2.0 * min(together, single), 1.0)
+
+
+MANY = 1e4  # degrees of freedom that are as good as infinite
+
+
+def _dof(stored: Estimates, new: Estimates, total: FloatArray) -> FloatArray:
+    """Degrees of freedom (n,) of the sum of both variances and the discrepancy, `total` (Welch, Satterthwaite)."""
+    doubt = np.full(total.shape, 1.0 / MANY)
+    for side in (stored, new):
+        if side.dof is not None:
+            doubt += (np.diag(side.covariance) / total) ** 2 / np.maximum(side.dof, 1.0)
+    return np.asarray(1.0 / doubt)
 
 
 _WORDS = {

@@ -9,17 +9,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flighttest.currency.compare import DEFAULT_DISCREPANCY, DISCREPANCY, Estimates
+from scipy.optimize import brentq
+
+from flighttest.currency.compare import Estimates
+from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import Drift
 
 SLACK = 0.5  # half the shift, in standard deviations, that is to be found fastest
-LIMIT = 5.0  # one false alarm in about 470 unchanged runs, per parameter
+FALSE_ALARM_EVERY = 200.0  # unchanged runs between false alarms of all parameters together
 
 
-def mean_run_length(slack: float = SLACK, limit: float = LIMIT) -> float:
+def mean_run_length(slack: float = SLACK, limit: float = 5.0) -> float:
     """Unchanged runs between false alarms of the two-sided CUSUM (Siegmund's approximation)."""
     b = limit + 1.166
     return (math.exp(2.0 * slack * b) - 2.0 * slack * b - 1.0) / (2.0 * slack**2) / 2.0
+
+
+def limit_for(parameters: int, slack: float = SLACK) -> float:
+    """The limit at which so many parameters together raise one false alarm in `FALSE_ALARM_EVERY` unchanged runs."""
+    wanted = FALSE_ALARM_EVERY * max(parameters, 1)
+    return float(brentq(lambda limit: mean_run_length(slack, limit) - wanted, 0.1, 50.0))
 
 
 def drifts(
@@ -27,10 +36,10 @@ def drifts(
     runs: Sequence[Estimates],
     spread: Mapping[str, float] | None = None,
     slack: float = SLACK,
-    limit: float = LIMIT,
+    limit: float | None = None,
 ) -> tuple[Drift, ...]:
-    """One `Drift` per parameter of the stored model that at least one run has; `runs` in time order."""
-    table = {**DISCREPANCY, **(spread or {})}
+    """One `Drift` per parameter of the stored model that at least one run has; `runs` in time order. limit: None for `limit_for`."""
+    limit = limit_for(len(stored.names), slack) if limit is None else limit
     found = []
     for i, name in enumerate(stored.names):
         series = [
@@ -44,7 +53,7 @@ def drifts(
         ]
         if not series:
             continue
-        floor = (table.get(name, DEFAULT_DISCREPANCY) * float(stored.values[i])) ** 2
+        floor = ((spread or {}).get(name, prior(name)) * float(stored.values[i])) ** 2
         mean, variance = float(stored.values[i]), float(stored.covariance[i, i]) + floor
         up = down = worst = 0.0
         crossed = ""

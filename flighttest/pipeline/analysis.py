@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flighttest.currency.discrepancy import measured
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
 from flighttest.identify import model_file
@@ -157,8 +158,16 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
 def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
     """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
     battery = battery_data(recordings)
-    extra = {"battery": dict(battery)} if battery else None
+    extra: dict[str, Any] = {"discrepancy": own_discrepancy(found)}
+    if battery:
+        extra["battery"] = dict(battery)
     return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
+
+
+def own_discrepancy(found: Fit) -> dict[str, float]:
+    """What this campaign's conditions differ by beyond their errors, relative, per parameter: what currency allows for."""
+    made = measured(found.solution.normal, found.covariance.names, found.values, found.problem.segments)
+    return {name: round(value, 5) for name, value in made.items()}
 
 
 def fit(

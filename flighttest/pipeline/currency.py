@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,8 +81,7 @@ def judge(
     progress: Progress = SILENT,
 ) -> Currency:
     """All the evidence. recordings: one new campaign, possibly none; out: where earlier campaigns may lie."""
-    names, values, matrix = tested_part(stored)
-    base = Estimates("model", names, values, matrix)
+    base = watched(stored, "model")
     today = today_fingerprint(recordings, vehicle)
     untestable: list[str] = []
     series: list[Estimates] = []
@@ -103,7 +103,7 @@ def judge(
         vehicle_fingerprint=today,
         stored=base,
         runs=series,
-        spread=own_scatter(base, earlier),
+        spread=allowance(stored, base, earlier),
         battery=battery,
         battery_reference=battery_reference(stored),
         untestable=untestable,
@@ -116,12 +116,6 @@ def flown_until(stored: ModelFile) -> str:
     """What is known of when an undated change came about: after the model's last flight; empty where that has no date."""
     dates = sorted(filter(None, (when(str(run)) for run in stored.runs)))
     return f"after {dates[-1]}" if dates else ""
-
-
-def tested_part(stored: ModelFile) -> tuple[tuple[str, ...], Any, Any]:
-    """Names, values, covariance of the stored parameters that are identified and that currency watches."""
-    found = watched(stored, "model")
-    return found.names, found.values, found.covariance
 
 
 def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any] | None:
@@ -154,7 +148,17 @@ def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: st
     weak = {n: stored.values[n] for n in TESTED if n in found.estimates and _tells_less(found, stored, n)}
     if weak:
         found = identify(segments, stored.model, start=stored.values, frozen=weak)
-    return estimates_of(found, name)
+    estimates = watched(model_file.from_fit(found), name)
+    return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v))
+
+
+def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:
+    """ln(U / U_n) over the throttle steps, else over all that was flown; NaN where no voltage was recorded."""
+    known = [s for s in segments if s.usable and np.isfinite(s.y.get("voltage_v", np.full(1, np.nan))).any()]
+    chosen = [s for s in known if s.kind in ("throttle_step", "tilt_throttle")] or known
+    if not chosen:
+        return math.nan
+    return math.log(float(np.mean([np.nanmean(s.y["voltage_v"]) for s in chosen])) / nominal_v)
 
 
 def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
@@ -172,9 +176,12 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
     return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
 
 
-def estimates_of(found: Fit, name: str) -> Estimates:
-    """The identifiable, watched part of a fit."""
-    return watched(model_file.from_fit(found), name)
+def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
+    """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
+    between its conditions. What neither knows keeps the stated prior."""
+    kept = stored.fit_quality.get("discrepancy")
+    known = {str(n): float(v) for n, v in kept.items()} if isinstance(kept, Mapping) else {}
+    return {**known, **(own_scatter(base, earlier) or {})}
 
 
 def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
+from scipy.optimize import brentq
 
-from flighttest.currency.compare import Estimates
+from flighttest.currency.compare import MANY, Estimates
 from flighttest.currency.declared import declared_changes
 from flighttest.currency.model import SUBSETS
 from flighttest.errors import FlighttestError, InputError
@@ -50,16 +53,27 @@ class Campaign:
 def watched(model: ModelFile, name: str) -> Estimates:
     """The identified parameters that currency watches, with their covariance.
 
-    Few responses know their own scatter badly, so the errors are widened to what the 95 % intervals say (Student's factor).
+    Few responses know their own scatter badly: the degrees of freedom are those of the 95 % intervals (Student's factor).
     """
     names, values, matrix = model.identified
-    wide = np.ones(len(names))
+    dof = np.full(len(names), MANY)
     for i, n in enumerate(names):
         interval, std = model.parameters[n].interval_95, float(matrix[i, i]) ** 0.5
         if interval is not None and std > 0.0:
-            wide[i] = max((interval[1] - interval[0]) / (2.0 * 1.96 * std), 1.0)
-    kept = Estimates(name, names, values, matrix * np.outer(wide, wide))
+            dof[i] = dof_of((interval[1] - interval[0]) / (2.0 * std))
+    volts, nominal = model.valid.get("voltage_v"), model.model.nominal_voltage_v
+    there = math.log(float(np.mean(volts)) / nominal) if volts else math.nan
+    kept = Estimates(name, names, values, matrix, dof, there)
     return kept.select([n for n in names if n in TESTED])
+
+
+def dof_of(factor: float) -> float:
+    """Degrees of freedom at which Student's two-sided 95 % quantile is `factor`."""
+    if factor <= float(stats.t.ppf(0.975, MANY)):
+        return MANY
+    if factor >= float(stats.t.ppf(0.975, 1.0)):
+        return 1.0
+    return float(brentq(lambda nu: stats.t.ppf(0.975, nu) - factor, 1.0, MANY))
 
 
 def run_folders(folder: Path) -> list[Path]:

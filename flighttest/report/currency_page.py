@@ -52,8 +52,8 @@ def status_document(
             for d in found.drifts
         )
         caption = (
-            "CUSUM over runs, in standard deviations; an unchanged vehicle crosses the limit once in "
-            f"{found.drifts[0].false_alarm_every:.0f} runs per parameter."
+            "CUSUM over runs, in standard deviations; an unchanged vehicle crosses one of these limits once in about "
+            f"{found.drifts[0].false_alarm_every / len(found.drifts):.0f} runs."
         )
         sections.append(
             Section(

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from flighttest.currency import battery, compare, sequence
-from flighttest.currency.compare import DISCREPANCY, Estimates
+from flighttest.currency.compare import Estimates
+from flighttest.currency.discrepancy import measured, prior
+from flighttest.identify.solve import Normal
+from flighttest.segments import Segment
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "alpha", "d_x", "d_y", "d_z")
 TRUTH = np.array([25.43, 23.40, 0.44, 0.39, 21.54, 20.36, 54.55, 1.71, 0.39, 0.39, 0.51])
@@ -12,11 +15,11 @@ RELATIVE = np.array([0.004, 0.004, 0.008, 0.008, 0.01, 0.01, 0.003, 0.03, 0.05, 
 
 
 def campaign(rng, name="run", factor=None):
-    """Estimates of one campaign of a vehicle whose campaigns scatter as DISCREPANCY says, K and alpha correlated."""
+    """Estimates of one campaign of a vehicle whose campaigns scatter as the prior says, K and alpha correlated."""
     own = np.diag((RELATIVE * TRUTH) ** 2)
     i, j = NAMES.index("K"), NAMES.index("alpha")
     own[i, j] = own[j, i] = 0.8 * np.sqrt(own[i, i] * own[j, j])
-    floor = np.diag((np.array([DISCREPANCY[n] for n in NAMES]) * TRUTH) ** 2 / 2)  # half on either side
+    floor = np.diag((np.array([prior(n) for n in NAMES]) * TRUTH) ** 2 / 2)  # half on either side
     truth = TRUTH * (1.0 if factor is None else factor)
     return Estimates(name, NAMES, rng.multivariate_normal(truth, own + floor), own)
 
@@ -117,3 +120,88 @@ def test_battery_without_current_is_untestable_by_name():
     found = battery.check(battery.resistance(t, np.full(t.size, 23.0), silent), (0.03, 0.001))
     assert "UNTESTABLE" in found.sentence
     assert not found.alarm
+
+
+def test_all_parameters_together_raise_as_few_false_alarms_as_stated():
+    rng = np.random.default_rng(15)
+    crossed = 0
+    for _ in range(40):
+        runs = [campaign(rng, f"run{i}") for i in range(20)]
+        crossed += any(d.crossed_at for d in sequence.drifts(campaign(rng), runs))
+    assert crossed <= 10, "stated: one in 200 runs, four in 800"
+
+
+def test_thrust_is_compared_at_the_voltage_flown():
+    """Two campaigns that agree on the thrust at 0.9 U_n and on nothing else about K and alpha: only that flight's voltage tells."""
+    there = float(np.log(0.9))
+    values = np.array([50.0, 1.7])
+    stored = Estimates("model", ("K", "alpha"), values, np.diag((np.array([0.002, 0.1]) * values) ** 2), None, 0.0)
+    ridge = np.array([50.0 * 0.9**-0.3, 2.0])  # more alpha, and a K that gives the same at 0.9 U_n
+    blur = np.outer([-ridge[0] * there, 1.0], [-ridge[0] * there, 1.0]) * 0.3**2 + np.diag(
+        [(0.003 * ridge[0]) ** 2, 1e-6]
+    )
+    new = Estimates("run", ("K", "alpha"), ridge, blur, None, there)
+    shift = compare.subset_tests(stored, new)[0].shifts["K"][0]
+    assert shift == pytest.approx(0.0, abs=1e-9)
+    weaker = Estimates("run", ("K", "alpha"), ridge * [0.93, 1.0], blur, None, there)
+    test = compare.subset_tests(stored, weaker, spread={"K": 0.004, "alpha": 0.02})[0]
+    assert test.shifts["K"][0] == pytest.approx(-0.07, abs=1e-9)
+    # The same flight with alpha held at the model's: K alone comes out, at the nominal voltage.
+    held = Estimates("run", ("K",), np.array([50.0 * 0.93]), np.array([[(0.003 * 50.0) ** 2]]), None, there)
+    sharp = Estimates("model", ("K", "alpha"), values, np.diag((np.array([0.002, 0.02]) * values) ** 2), None, 0.0)
+    assert compare.subset_tests(sharp, held, spread={"K": 0.004, "alpha": 0.02})[0].alarm
+    vague = Estimates("model", ("K", "alpha"), values, np.diag((np.array([0.002, 0.5]) * values) ** 2), None, 0.0)
+    test = compare.subset_tests(vague, held, spread={"K": 0.004, "alpha": 0.02})[0]
+    assert not test.alarm, "the model does not know what its throttle gives at that voltage"
+
+
+def test_few_responses_raise_no_more_false_alarms():
+    rng = np.random.default_rng(16)
+    alarms = 0
+    for _ in range(2000):
+        rows = rng.normal(size=(2, 5))  # five responses on either side know their own scatter badly
+        means, errors = rows.mean(axis=1), rows.std(axis=1, ddof=1) / np.sqrt(5)
+        sides = [
+            Estimates(n, ("K",), np.array([1e3 + m]), np.array([[e**2]]), np.array([4.0]))
+            for n, m, e in zip("ab", means, errors, strict=True)
+        ]
+        alarms += compare.subset_tests(sides[0], sides[1], spread={"K": 0.0})[0].alarm
+    assert 5 <= alarms <= 40, "stated: 1 %, 20 of 2000"
+
+
+def flown(rng, heading_shift=0.0, responses=48):
+    """Normal equations of throttle steps that all tell K alike, and the heading of each; K off by a share towards two of four headings."""
+    headings = np.arange(responses) % 4 * (np.pi / 2)
+    own = rng.normal(0.0, 0.01, responses) + np.where(headings < 2.0, heading_shift, -heading_shift)
+    own -= own.mean()
+    hessian = np.full((responses, 1, 1), 4.0)
+    steps = [
+        Segment(
+            f"s{i}",
+            "run",
+            "throttle_step",
+            {"throttle_0": 0.1, "throttle_1": 0.3},
+            i,
+            0.0,
+            np.zeros(1),
+            {},
+            {},
+            heading_rad=h,
+        )
+        for i, h in enumerate(headings)
+    ]
+    return Normal(("K",), hessian, hessian[:, :, 0] * (own * 50.0)[:, None]), steps
+
+
+def test_the_discrepancy_is_measured_between_conditions():
+    rng = np.random.default_rng(17)
+    still = [measured(*flown(rng)[:1], ("K",), {"K": 50.0}, flown(rng)[1])["K"] for _ in range(20)]
+    assert max(still) < prior("K"), "groups that agree pull it below the prior"
+    for shift in (0.02, 0.05):
+        normal, steps = flown(rng, shift)
+        assert measured(normal, ("K",), {"K": 50.0}, steps)["K"] == pytest.approx(shift, rel=0.35)
+
+
+def test_too_few_responses_keep_the_prior():
+    normal, steps = flown(np.random.default_rng(18), 0.05, responses=5)
+    assert measured(normal, ("K",), {"K": 50.0}, steps)["K"] == prior("K")
