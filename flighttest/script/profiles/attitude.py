@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 from flighttest.script.profiles.declare import (
     COAST,
     ENTRY,
@@ -29,30 +32,40 @@ def tilt(
     return Piece(name, duration_s, pitch_rad=angle, record=record, throttle=throttle)
 
 
+def tilts(settings: Settings, size: str = "amplitude_rad") -> Iterator[tuple[str, float]]:
+    """Every (axis, angle) that axis, size and sign ask for."""
+    for axis in settings["axis"]:
+        for amplitude in settings[size]:
+            for sign in signs(settings["sign"]):
+                yield axis, sign * amplitude
+
+
+def countered(cell: Cell, axis: str, angle: float, settings: Settings, *, vertical: bool = False) -> Cell:
+    """The cell with its level entry, and its ending: the tilt's other side until the vehicle stands, then level. vertical: a throttle of
+    its own stops a climb after that.
+    """
+    return replace(
+        cell,
+        lead=(Piece("entry", settings["entry_s"]), *cell.lead),
+        stops=("counter", "vertical") if vertical else ("counter",),
+        counter=tilt("counter", 0.0, axis, -angle),
+        tail=(Piece("coast", settings["coast_s"]),),
+    )
+
+
 def _steps(settings: Settings, throttle_unit: float) -> list[Cell]:
     hold, dash = settings["hold_s"], settings["dash_s"]
+    level = (Piece("dash", dash, record=True),) if dash else ()
     cells = []
-    for axis in settings["axis"]:
-        for amplitude in settings["amplitude_rad"]:
-            for sign in signs(settings["sign"]):
-                angle = sign * amplitude
-                level = (Piece("dash", dash, record=True),) if dash else ()
-                cells.append(
-                    Cell(
-                        label=f"{axis}{angle:+.2f}",
-                        kind=f"{axis}_step",
-                        values={"amplitude_rad": angle},
-                        lead=(
-                            Piece("entry", settings["entry_s"]),
-                            tilt("step", hold.seconds, axis, angle, record=True),
-                            *level,
-                        ),
-                        shortest_s=shortest(step=(hold, None)),
-                        stops=("counter",),
-                        counter=tilt("counter", 0.0, axis, -angle),
-                        tail=(Piece("coast", settings["coast_s"]),),
-                    )
-                )
+    for axis, angle in tilts(settings):
+        cell = Cell(
+            label=f"{axis}{angle:+.2f}",
+            kind=f"{axis}_step",
+            values={"amplitude_rad": angle},
+            lead=(tilt("step", hold.seconds, axis, angle, record=True), *level),
+            shortest_s=shortest(step=(hold, None)),
+        )
+        cells.append(countered(cell, axis, angle, settings))
     return cells
 
 
@@ -75,24 +88,21 @@ ATTITUDE_STEP = Profile(
 def _doublets(settings: Settings, throttle_unit: float) -> list[Cell]:
     half = settings["half_s"]
     cells = []
-    for axis in settings["axis"]:
-        for amplitude in settings["amplitude_rad"]:
-            for sign in signs(settings["sign"]):
-                angle = sign * amplitude
-                # A full swing is entered and left at half length, so that the vehicle ends where it began and at rest.
-                row = [tilt("up", half, axis, angle, record=True)]
-                for k in range(settings["reversals"]):
-                    row.append(tilt(f"reversal {k + 1}", 2.0 * half, axis, angle * (-1) ** (k + 1), record=True))
-                row.append(tilt("back", half, axis, angle * (-1) ** (settings["reversals"] + 1), record=True))
-                cells.append(
-                    Cell(
-                        label=f"{axis}{angle:+.2f}x{settings['reversals']}",
-                        kind="free",
-                        values={"amplitude_rad": angle},
-                        lead=(Piece("entry", settings["entry_s"]), *row),
-                        tail=(Piece("coast", settings["coast_s"]),),
-                    )
-                )
+    for axis, angle in tilts(settings):
+        # A full swing is entered and left at half length, so that the vehicle ends where it began and at rest.
+        row = [tilt("up", half, axis, angle, record=True)]
+        for k in range(settings["reversals"]):
+            row.append(tilt(f"reversal {k + 1}", 2.0 * half, axis, angle * (-1) ** (k + 1), record=True))
+        row.append(tilt("back", half, axis, angle * (-1) ** (settings["reversals"] + 1), record=True))
+        cells.append(
+            Cell(
+                label=f"{axis}{angle:+.2f}x{settings['reversals']}",
+                kind="free",
+                values={"amplitude_rad": angle},
+                lead=(Piece("entry", settings["entry_s"]), *row),
+                tail=(Piece("coast", settings["coast_s"]),),
+            )
+        )
     return cells
 
 
@@ -115,25 +125,13 @@ DOUBLET = Profile(
 def _three_two_one_one(settings: Settings, throttle_unit: float) -> list[Cell]:
     unit = settings["unit_s"]
     cells = []
-    for axis in settings["axis"]:
-        for amplitude in settings["amplitude_rad"]:
-            for sign in signs(settings["sign"]):
-                angle = sign * amplitude
-                row = [
-                    tilt(str(count), count * unit, axis, angle * direction, record=True)
-                    for count, direction in ((3, 1), (2, -1), (1, 1), (1, -1))
-                ]
-                cells.append(
-                    Cell(
-                        label=f"{axis}{angle:+.2f}",
-                        kind="free",
-                        values={"amplitude_rad": angle},
-                        lead=(Piece("entry", settings["entry_s"]), *row),
-                        stops=("counter",),
-                        counter=tilt("counter", 0.0, axis, -angle),
-                        tail=(Piece("coast", settings["coast_s"]),),
-                    )
-                )
+    for axis, angle in tilts(settings):
+        row = tuple(
+            tilt(str(count), count * unit, axis, angle * direction, record=True)
+            for count, direction in ((3, 1), (2, -1), (1, 1), (1, -1))
+        )
+        cell = Cell(label=f"{axis}{angle:+.2f}", kind="free", values={"amplitude_rad": angle}, lead=row)
+        cells.append(countered(cell, axis, angle, settings))
     return cells
 
 

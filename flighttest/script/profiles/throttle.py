@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from flighttest.script.profiles.attitude import AXIS, tilt
+from itertools import product
+
+from flighttest.script.profiles.attitude import AXIS, countered, tilt, tilts
 from flighttest.script.profiles.declare import (
     COAST,
     ENTRY,
@@ -13,7 +15,6 @@ from flighttest.script.profiles.declare import (
     Profile,
     Settings,
     shortest,
-    signs,
 )
 from flighttest.script.profiles.timeline import Piece
 
@@ -75,31 +76,22 @@ THROTTLE_PAIR = Profile(
 def _tilted(settings: Settings, throttle_unit: float) -> list[Cell]:
     hold, record = settings["hold_0_s"], settings["record_1_s"]
     cells = []
-    for axis in settings["axis"]:
-        for amplitude in settings["tilt_rad"]:
-            for sign in signs(settings["sign"]):
-                for first in settings["throttle_0"]:
-                    for second in settings["throttle_1"]:
-                        if first == second:
-                            continue
-                        angle = sign * amplitude
-                        before, after = first * throttle_unit, second * throttle_unit
-                        cells.append(
-                            Cell(
-                                label=f"{axis}{angle:+.2f},{first:.2f}-{second:.2f}",
-                                kind="tilt_throttle",
-                                values={"amplitude_rad": angle, "throttle_0": before, "throttle_1": after},
-                                lead=(
-                                    Piece("entry", settings["entry_s"]),
-                                    tilt("hold_0", hold.seconds, axis, angle, throttle=before),
-                                    tilt("step", record.seconds, axis, angle, record=True, throttle=after),
-                                ),
-                                shortest_s=shortest(hold_0=(hold, min(0.5, hold.seconds)), step=(record, None)),
-                                stops=("counter", "vertical"),
-                                counter=tilt("counter", 0.0, axis, -angle),
-                                tail=(Piece("coast", settings["coast_s"]),),
-                            )
-                        )
+    for axis, angle in tilts(settings, "tilt_rad"):
+        for first, second in product(settings["throttle_0"], settings["throttle_1"]):
+            if first == second:
+                continue
+            before, after = first * throttle_unit, second * throttle_unit
+            cell = Cell(
+                label=f"{axis}{angle:+.2f},{first:.2f}-{second:.2f}",
+                kind="tilt_throttle",
+                values={"amplitude_rad": angle, "throttle_0": before, "throttle_1": after},
+                lead=(
+                    tilt("hold_0", hold.seconds, axis, angle, throttle=before),
+                    tilt("step", record.seconds, axis, angle, record=True, throttle=after),
+                ),
+                shortest_s=shortest(hold_0=(hold, min(0.5, hold.seconds)), step=(record, None)),
+            )
+            cells.append(countered(cell, axis, angle, settings, vertical=True))
     return cells
 
 
