@@ -25,10 +25,11 @@ from flighttest.diagnose.rows import (
     State,
     project,
 )
-from flighttest.identify.problem import Noise, Problem, prior_std
+from flighttest.identify.problem import Noise, Part, Problem, prior_std
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
+LOCAL_STEPS = 2
 BLOCKS = ("roll_pitch", "yaw", "translation")
 
 
@@ -315,17 +316,39 @@ class Bench:
         new = np.clip(at + step, [param[n].lower for n in names], [param[n].upper for n in names]) if n_p else at
         step = new - at
         local = dict(state.local)
-        n_segments = len(self.segments)
         for part, (by_p, by_r), old in zip(problem.parts, solved, self.locals(problem, state), strict=True):
-            moved = old + by_r - np.einsum("mlj,j->ml", by_p, step)
-            index = [r.index for r in part.responses]
-            for k, name in enumerate(part.locals):
-                column = local.get(name, np.full(n_segments, np.nan)).copy()
-                column[index] = moved[:, k]
-                local[name] = column
+            self._keep(local, part, old + by_r - np.einsum("mlj,j->ml", by_p, step))
         values = {**state.values, **dict(zip(names, new.tolist(), strict=True))}
         made = State(values, local, state.noise, np.inf)
+        made = replace(made, objective=self.objective(model, made))
+        for _ in range(LOCAL_STEPS):
+            if made.objective < state.objective:
+                break
+            # Where parameters make up for each other (gain, voltage, heat), what is left of second order is mostly a constant
+            # force per response: the locals take it up, and a long step along the valley is not refused for it.
+            made = self._locals_anew(model, made, linear)
+        return made
+
+    def _locals_anew(self, model: Model, state: State, linear: list[_Piece]) -> State:
+        """The same parameters with every response's locals moved to fit, by the Jacobian at hand."""
+        problem = self.problem(model)
+        local = dict(state.local)
+        for part, piece, old in zip(
+            problem.parts, self._residuals_anew(model, state, linear), self.locals(problem, state), strict=True
+        ):
+            h = np.matmul(piece.j_l.transpose(0, 2, 1), piece.j_l) + _diagonal(piece.prior**2)
+            g = np.einsum("mij,mi->mj", piece.j_l, piece.r) + piece.r_prior * piece.prior
+            self._keep(local, part, old + np.linalg.solve(h, g[..., None])[..., 0])
+        made = replace(state, local=local)
         return replace(made, objective=self.objective(model, made))
+
+    def _keep(self, local: dict[str, FloatArray], part: Part, moved: FloatArray) -> None:
+        """Write one part's locals (m, n_locals) into columns over all segments."""
+        index = [r.index for r in part.responses]
+        for k, name in enumerate(part.locals):
+            column = local.get(name, np.full(len(self.segments), np.nan)).copy()
+            column[index] = moved[:, k]
+            local[name] = column
 
     def _reweighed(self, model: Model, state: State) -> State:
         """Noise as the residuals show it; the disturbances' spread as the locals do."""

@@ -44,6 +44,7 @@ LEAST_FLOORS = 0.7
 LEAST_GAIN = 0.05
 TRIES = 4  # candidates refitted per step before the step is given up
 MOST_TERMS = 12
+PASSES = 4  # screenings of the whole catalogue, each at the optimum that the last one led to
 TRIAL_ITERATIONS = 5  # enough to rank candidates; what is accepted is fitted to the end
 SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
 
@@ -113,8 +114,9 @@ class Search:
         self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
-        joined = True
-        while joined and len(self.judged) < MOST_TERMS:
+        joined, passes = True, 0
+        while joined and passes < PASSES and len(self.judged) < MOST_TERMS:
+            passes += 1
             # Columns are taken once and go along while terms join; a new optimum is screened anew before nothing more is said to miss.
             self._linearise()
             joined = False
@@ -214,11 +216,18 @@ class Search:
                 self.progress(f"{term} leaves the model")
 
     def _swap(self) -> None:
-        """Try each accepted term against a rival that points the same way, now that the others are in the model."""
+        """Every accepted term once more, now that the others are in the model: it leaves, or a rival that points the same way replaces it."""
         assert self.now is not None
         for term in list(self.judged):
             without = self.without(term)
-            self.judged[term] = self.judge(term, without, self.now, self.judged[term].p_value)
+            judged = self.judge(term, without, self.now, self.judged[term].p_value)
+            if not judged.kept:
+                self.now = without
+                del self.judged[term]
+                self.refused[term] = judged
+                self.progress(f"{term} leaves the model")
+                continue
+            self.judged[term] = judged
             ground = Ground.at(without.rows, without.names)
             rivals = best_per_term(
                 [s for v in self.variants(without) if v.term.id != term and (s := score(ground, v)) is not None]
@@ -272,13 +281,17 @@ class Search:
     # Fits.
 
     def _fit(self, model: Model, state: State, dormant: frozenset[str], iterations: int = 8) -> Fitted:
-        names = tuple(
+        names = self._free(model, dormant)
+        fitted = self.bench.fit(model, state, names, iterations=iterations)
+        return Fitted(model, names, fitted, self.bench.rows(model, fitted, names), dormant)
+
+    def _free(self, model: Model, dormant: frozenset[str]) -> tuple[str, ...]:
+        """What is estimated of a model."""
+        return tuple(
             n
             for n in self.bench.problem(model).names
             if model.term_of(n) not in dormant and n not in self.blind and n not in self.pinned
         )
-        fitted = self.bench.fit(model, state, names, iterations=iterations)
-        return Fitted(model, names, fitted, self.bench.rows(model, fitted, names), dormant)
 
     def _with(self, s: Score, among: Fitted | None = None) -> Fitted:
         """Joint refit with a candidate, from where the screening points."""
@@ -297,9 +310,13 @@ class Search:
         cold = self.bench.moved(
             model, among.state, {**dict(s.variant.shapes), **{p.name: float(p.off or 0.0) for p in term.amplitudes}}
         )
-        return self._fit(
-            model, warm if warm.objective < cold.objective else cold, among.dormant - {term.id}, TRIAL_ITERATIONS
-        )
+        first = warm if warm.objective < cold.objective else cold
+        if term.amplitudes and term.shapes:
+            # A shape means nothing until its amplitude has grown: let the size come first.
+            names = self._free(model, among.dormant - {term.id})
+            held = tuple(n for n in names if n not in s.variant.shapes)
+            first = self.bench.fit(model, first, held, iterations=TRIAL_ITERATIONS)
+        return self._fit(model, first, among.dormant - {term.id}, TRIAL_ITERATIONS)
 
     def without(self, term: str) -> Fitted:
         """The present model refitted without one of its terms."""

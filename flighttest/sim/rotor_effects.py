@@ -110,6 +110,11 @@ EFFECTS: dict[str, Effect] = {
     "swirl": Effect(
         {"rate_1_s": 0.45}, "a side force to the left of the flight, 1/s of the horizontal airspeed", known=False
     ),
+    "attitude_priority": Effect(
+        {},
+        "the mixer gives up thrust for attitude: a rotor that would stop or saturate lifts or lowers all of them",
+        known=False,
+    ),
     "resonance": Effect(
         {"gain": 0.25, "hz": 2.2, "damping": 0.08}, "thrust answers throttle changes with a ringing frame", known=False
     ),

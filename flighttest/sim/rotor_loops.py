@@ -102,9 +102,14 @@ class Loops:
 
 
 class Mixer:
-    """Moments and a common thrust to single rotors, all as thrust, N; attitude before thrust when a rotor would leave its range."""
+    """Moments and a common thrust to single rotors, all as thrust, N.
 
-    def __init__(self, vehicle: RotorVehicle) -> None:
+    priority: attitude before thrust when a rotor would leave its range, as autopilots do: a hard tilt step then lifts the vehicle.
+    Without it a rotor pulls both ways, so that a clean vehicle's thrust is what was asked for.
+    """
+
+    def __init__(self, vehicle: RotorVehicle, priority: bool) -> None:
+        self._priority = priority
         n, arm = vehicle.rotors, vehicle.arm_m
         self.places: list[tuple[float, float]] = []
         spins: list[float] = []
@@ -120,11 +125,11 @@ class Mixer:
         self._yaw = [s / (n * vehicle.yaw_arm_m) for s in spins]
 
     def mix(self, thrust: float, mx: float, my: float, mz: float, top: float) -> list[float]:
-        """Thrust of each rotor, N, within 0..top."""
+        """Thrust of each rotor, N, within 0..top under `priority`."""
         share = thrust / len(self.spins)
         parts = [a * mx + b * my + c * mz for a, b, c in zip(self._roll, self._pitch, self._yaw, strict=True)]
         low, high = min(parts), max(parts)
-        if share + low < 0.0 or share + high > top:
+        if self._priority and (share + low < 0.0 or share + high > top):
             spread = high - low
             if spread > top:  # not even all of the range is enough: scale the moments down
                 parts = [part * top / spread for part in parts]
