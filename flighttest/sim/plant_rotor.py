@@ -48,7 +48,7 @@ class RotorPlant:
         self.delays = Delays(own + late.get("delay_attitude", 0.0), own + late.get("delay_yaw_rate", 0.0), own)
         self.hover_throttle = v.hover_throttle * (v.nominal_voltage_v / self.battery.voltage) ** v.alpha
         self._air = air
-        self._loops, self._mixer, self._motors = Loops(v, on), Mixer(v), Propulsion(v, on)
+        self._loops, self._mixer, self._motors = Loops(v, on), Mixer(v, "attitude_priority" in on), Propulsion(v, on)
         self._rotors = [0.0] * v.rotors  # static thrust of each at its present speed, N
         self._load = SlungLoad(v.mass_kg, on["slung_payload"]) if "slung_payload" in on else None
         self._roll = self._pitch = self._yaw = 0.0
