@@ -216,7 +216,7 @@ class Search:
                 self.progress(f"{term} leaves the model")
 
     def _swap(self) -> None:
-        """Every accepted term once more, with the others in the model: it stays, leaves, or a rival that points the same way replaces it."""
+        """Every accepted term once more, it stays, leaves, or a rival that points the same way replaces it."""
         assert self.now is not None
         for term in list(self.judged):
             without = self.without(term)
