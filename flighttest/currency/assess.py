@@ -8,7 +8,7 @@ from typing import Any
 from flighttest.currency.battery import check
 from flighttest.currency.compare import Estimates, subset_tests, thrust_or_mass
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
-from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, Change, Currency, Drift, SubsetTest, Verdict
+from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, BatteryCheck, Change, Currency, Drift, SubsetTest, Verdict
 from flighttest.currency.sequence import drifts
 
 SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
@@ -57,7 +57,8 @@ def assess(
         narrow = scripts_for(tuple(s for s in SUBSETS if s in subsets)) or ALL_SCRIPTS
     return Currency(
         verdict=verdict,
-        sentence=_sentence(verdict, changes, alarms, crossed, tests, stored, runs, bool(cannot_tell)),
+        sentence=_sentence(verdict, changes, alarms, crossed, tests, stored, runs, bool(cannot_tell))
+        + _of_battery(checked),
         changes=changes,
         tests=tests,
         drifts=drift,
@@ -67,6 +68,13 @@ def assess(
         could_also_be=_rivals(alarms),
         cannot_tell=tuple(dict.fromkeys(cannot_tell)),
     )
+
+
+def _of_battery(checked: BatteryCheck | None) -> str:
+    """The battery's own alarm: it leaves the model as it is, so that the verdict stays."""
+    if checked is None or not checked.alarm:
+        return ""
+    return f" The battery is not what it was: {checked.sentence}; the model allows for it wherever the loaded voltage is measured."
 
 
 def _sentence(

@@ -43,13 +43,13 @@ def check(new: tuple[float, float] | str, reference: tuple[float, float] | None)
     if isinstance(new, str):
         return BatteryCheck(None, reference, False, new)
     value, std = new
-    words = f"battery resistance {value * 1000:.0f} +- {1.96 * std * 1000:.0f} mOhm"
+    half_width = 1.96 * std * 1000.0
+    places = min(max(1 - math.floor(math.log10(half_width)), 0), 2) if half_width > 0.0 else 2
+    words = f"battery resistance {value * 1000:.{places}f} +- {half_width:.{places}f} mOhm"
     if reference is None:
         return BatteryCheck(new, None, False, f"{words}; the model carries none to compare with")
     ratio = value / reference[0] if reference[0] else math.inf
     z = (value - reference[0]) / max(math.hypot(std, reference[1]), 1e-9)
     alarm = ratio > ALARM_RATIO and z > Z_ALARM
     tail = f"{(ratio - 1) * 100:+.0f} % against the model's run"
-    return BatteryCheck(
-        new, reference, alarm, f"{words}, {tail}{': the battery has aged or is another one' if alarm else ''}"
-    )
+    return BatteryCheck(new, reference, alarm, f"{words}, {tail}{' (an aged or another battery)' if alarm else ''}")

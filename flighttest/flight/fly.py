@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,9 @@ _SLOW_STREAMS = ("ATTITUDE", "HIGHRES_IMU", "RAW_IMU", "LOCAL_POSITION_NED", "BA
 OnStage = Callable[[str], None]
 
 
+OnVehicle = Callable[[str, Mapping[str, float]], None]  # firmware, parameters
+
+
 def _say_nothing(_text: str) -> None:
     return None
 
@@ -60,6 +63,7 @@ def fly(
     replanner: Replanner | None = None,
     on_progress: OnProgress | None = None,
     on_stage: OnStage = _say_nothing,
+    on_vehicle: OnVehicle = lambda _firmware, _parameters: None,
     stop_requested: Callable[[], int] = lambda: 0,
     confirm: Callable[[str], bool] | None = None,
     weather: str = "",
@@ -69,7 +73,8 @@ def fly(
     link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
     asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. resume: a run folder whose flown legs
     are left out; skip: further leg ids. replanner: plans again for the hover throttle and the age of thrust that are seen in flight,
-    where the autopilot holds the position meanwhile. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
+    where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters that will be in force, before
+    anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
     confirm: asked once before arming.
 
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
@@ -77,7 +82,7 @@ def fly(
     session = Session(Port(transport if transport is not None else open_transport(link_url)))
     recorder = Recorder(run_dir, session.clock.ground_s, _manifest(plan, link_url, weather, resume), plan)
     session.port.tap(recorder.tap)
-    flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested))
+    flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested), on_vehicle)
     left_out = frozenset(skip) | (legs_flown(resume) if resume is not None else frozenset())
     try:
         return flight.run(set_params, frozenset(waive), left_out, confirm, replanner)
@@ -122,6 +127,7 @@ class _Flight:
         on_progress: OnProgress | None,
         say: OnStage,
         stops: Stops,
+        on_vehicle: OnVehicle,
     ) -> None:
         self.plan = plan
         self.session = session
@@ -131,6 +137,7 @@ class _Flight:
         self._on_progress = on_progress
         self._say = say
         self._stops = stops
+        self._on_vehicle = on_vehicle
         self._parameters: dict[str, float] = {}
         self._changes: preflight.ParameterChanges | None = None
 
@@ -236,6 +243,7 @@ class _Flight:
             self.notes.append("a simulator: live RC input and a fence were not asked for; parameters are set as needed")
         if set_params or simulator:
             found = self._mend(found, waived)
+        self._on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
         self._place_zone(cockpit)

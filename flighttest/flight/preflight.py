@@ -83,6 +83,13 @@ def is_simulator(parameters: Mapping[str, float]) -> bool:
     return any(name.startswith("SIM_") for name in parameters)
 
 
+# What a check may be called after --waive.
+NAMES = (
+    "plan", "frame", "firmware", "GUID_OPTIONS", "GUID_TIMEOUT", "FLTMODE_GCSBLOCK", "SYSID_ENFORCE", "FS_OPTIONS", "rc", "fence",
+    "LOG_BITMASK", "rates", "battery", "position", "armed", "attitude",
+)  # fmt: skip
+
+
 def checks(s: Situation) -> list[Check]:
     """Everything that speaks against flying this plan now."""
     return [*_plan(s), *_firmware(s), *_guided(s), *_safety(s), *_data(s), *_readiness(s)]
@@ -332,7 +339,7 @@ def refuse(found: list[Check], waived: Collection[str]) -> None:
     """PreflightError with all findings that are not waived by name."""
     left = [check for check in found if check.name not in waived]
     if left:
-        raise PreflightError([(check.what, check.remedy) for check in left])
+        raise PreflightError([(f"{check.name}: {check.what}", check.remedy) for check in left])
 
 
 def waiver_notes(found: list[Check], waived: Collection[str]) -> list[str]:

@@ -167,8 +167,9 @@ def read(path: Path) -> ModelFile:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
+        why = "it is not text" if isinstance(error, UnicodeDecodeError) else error.strerror or str(error)
         raise ModelError(
-            f"{path}: cannot be read: {error}", "give the path of a model.yaml that `flighttest fit` wrote"
+            f"{path}: cannot be read: {why}", "give the path of a model.yaml that `flighttest fit` wrote"
         ) from error
     document = Document(str(path), text)
     document.check_format("model")

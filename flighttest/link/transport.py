@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 import select
 import socket
 import time
@@ -51,7 +52,9 @@ def open_transport(url: str) -> Transport:
     except ValueError:
         pass
     except OSError as error:
-        raise LinkError(f"cannot open {url}: {error.strerror or error}", _hint(kind)) from error
+        # A serial port's own text repeats its name and the error's number.
+        why = os.strerror(error.errno) if error.errno and kind == "serial" else error.strerror or str(error)
+        raise LinkError(f"cannot open {url}: {why}", _hint(kind)) from error
     raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
 
 

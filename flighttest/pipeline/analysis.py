@@ -17,7 +17,7 @@ from flighttest.identify.fit import fit as identify
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
 from flighttest.pipeline.batteries import battery_data
-from flighttest.pipeline.fingerprints import of_recordings
+from flighttest.pipeline.fingerprints import conflicts, of_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.pipeline.views import fit_view, segment_views
@@ -184,6 +184,9 @@ def fit(
     recordings = open_recordings(runs, columns, options.workers, progress, options.scheduler)
     segments = cut_all(recordings, progress)
     found = fit_segments(segments, recordings, declared, options, progress)
+    mixed = conflicts(recordings)
+    if mixed:
+        found = replace(found, notes=(*found.notes, mixed))
     return finish_fit(found, segments, recordings, declared, output, [str(r) for r in runs])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,8 +13,9 @@ from flighttest.recording import Recording
 
 
 def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:
-    """Internal resistance of the newest recording that can tell, else the reason of the last."""
-    answer: tuple[float, float] | str = "battery resistance: UNTESTABLE, no voltage is recorded"
+    """Internal resistance of all recordings that can tell together (weighted by what each knows), else the reason of the last."""
+    reason = "battery resistance: UNTESTABLE, no voltage is recorded"
+    known: list[tuple[float, float]] = []
     for recording in recordings:
         series = recording.series.get("battery")
         if series is None or "voltage_v" not in series.columns:
@@ -22,9 +24,20 @@ def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:
         found = resistance(
             series.t_s, series.columns["voltage_v"], current if current is not None else np.full(len(series), np.nan)
         )
-        if isinstance(found, tuple) or isinstance(answer, str):
-            answer = found
-    return answer
+        if isinstance(found, tuple):
+            known.append(found)
+        else:
+            reason = found
+    if not known:
+        return reason
+    weights = [1.0 / max(std, 1e-6) ** 2 for _, std in known]
+    total = sum(weights)
+    mean = sum(w * value for w, (value, _) in zip(weights, known, strict=True)) / total
+    # Packs differ, and few blocks know their own scatter badly: the scatter between the recordings counts where it is larger.
+    between = sum(w * (value - mean) ** 2 for w, (value, _) in zip(weights, known, strict=True)) / max(
+        len(known) - 1, 1
+    )
+    return mean, math.sqrt(max(between, 1.0) / total)
 
 
 def battery_data(recordings: Sequence[Recording]) -> dict[str, float] | None:

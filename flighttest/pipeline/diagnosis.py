@@ -15,6 +15,7 @@ from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, model_data, nominal_voltage
+from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
@@ -70,6 +71,9 @@ def diagnose(
     found = run_diagnosis(segments, recordings, stored, declared, progress)
     data = found.to_json()
     facts = {"recordings": join([str(r) for r in runs]), "base": ", ".join(_base_terms(found))}
+    other = differences(stored.fingerprint, recordings) if stored is not None else ""
+    if other:
+        facts["another vehicle"] = f"the model's has {other}; see `flighttest status`"
     if output is not None:
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, output, progress)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from flighttest.currency.declared import declared_changes
 from flighttest.recording import Recording
 from flighttest.vehicle.fingerprint import fingerprint
 from flighttest.vehicle.model import Vehicle
@@ -35,6 +36,22 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
         mass = vehicle.mass_kg
     made = fingerprint(None, firmware, parameters)
     return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
+
+
+def conflicts(recordings: Sequence[Recording]) -> str:
+    """What says that recordings are not of one vehicle in one state, in one sentence; empty where nothing does."""
+    for recording in recordings[1:]:
+        said = differences(of_recordings(recordings[:1], None), [recording])
+        if said:
+            return f"{recordings[0].name} and {recording.name} are not of one vehicle: {said}; one model of both is a compromise"
+    return ""
+
+
+def differences(stored: Mapping[str, Any], recordings: Sequence[Recording]) -> str:
+    """What was declared or set otherwise in recordings than for a model: 'MOT_SPIN_MIN 0.15, here 0.1'; empty where nothing was."""
+    changes, _ = declared_changes(stored, of_recordings(recordings, None))
+    named = [f"{c.name} {c.before}, here {c.after}" for c in changes[:4]]
+    return "; ".join(named) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
 
 
 def of_vehicle(vehicle: Vehicle, firmware: str = "", parameters: dict[str, float] | None = None) -> dict[str, Any]:

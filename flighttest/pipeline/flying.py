@@ -5,14 +5,17 @@ from __future__ import annotations
 import datetime
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flighttest.currency.declared import declared_changes
+from flighttest.currency.declared import declared_changes, scripts_for
+from flighttest.currency.model import ALL_SCRIPTS, SUBSETS
+from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, legs_flown
+from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, legs_flown, preflight
+from flighttest.flight.fly import OnVehicle
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.link.ardupilot import ArduPilot
@@ -22,7 +25,7 @@ from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.pipeline.campaign import analyse
 from flighttest.pipeline.checking import plans, predictor_for
-from flighttest.pipeline.currency import SPOT_CHECK
+from flighttest.pipeline.currency import SPOT_CHECK, flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.history import campaigns, standing, vehicle_name
 from flighttest.pipeline.predictor import ModelPredictor
@@ -33,6 +36,7 @@ from flighttest.pipeline.sources import open_recording
 from flighttest.plan import Plan
 from flighttest.recording.store import MANIFEST_NAME, read_manifest, write_recording
 from flighttest.report.document import Block, Bullets, Cell, Document, Section, Table, Tone
+from flighttest.report.numbers import join
 from flighttest.report.plain import plain
 from flighttest.sim import start_simulator
 from flighttest.vehicle.default import DEFAULT_VEHICLE
@@ -92,7 +96,12 @@ def needs_consent(request: FlightRequest) -> bool:
 
 def declared_vehicle(request: FlightRequest) -> Vehicle:
     """The vehicle file, or the built-in one's."""
-    return load_vehicle(request.vehicle) if request.vehicle is not None else DEFAULT_VEHICLE
+    if request.vehicle is not None:
+        return load_vehicle(request.vehicle)
+    # The other built-in airframe is another vehicle: its runs must not be compared with the first one's model.
+    return (
+        DEFAULT_VEHICLE if request.airframe == DEFAULT_VEHICLE.name else replace(DEFAULT_VEHICLE, name=request.airframe)
+    )
 
 
 @contextmanager
@@ -151,20 +160,28 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
 def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     """Fly the scripts, then analyse what was recorded."""
     vehicle = declared_vehicle(request)
+    _known_waivers(request.waive)
     names = request.scripts or (str(_script_of(request.resume)),)
     previous = previous_model(request, vehicle)
     prior = predictor_for(request.model, vehicle)
     compiled = plans(names, vehicle, prior)
     for plan in compiled:
         _all_flyable(plan)
-    if previous is not None:
-        _say_changes(previous, vehicle, progress)
+    if request.resume is not None:
+        _worth_resuming(request.resume, compiled)
+    said: set[str] = set()
+
+    def compare(firmware: str, parameters: Mapping[str, float]) -> None:
+        if previous is not None:
+            _say_changes(previous, of_vehicle(vehicle, firmware, dict(parameters)), said, progress)
+
+    compare("", {})
     folders: list[Path] = [] if request.resume is None else [request.resume]
     ends: list[FlightResult] = []
     notes: list[str] = []
     for index, plan in enumerate(compiled):
         try:
-            ended = _one(request, plan, prior, index, len(compiled), progress)
+            ended = _one(request, plan, prior, index, len(compiled), compare, progress)
         except FlighttestError as error:
             if not folders:
                 raise
@@ -209,6 +226,32 @@ def _script_of(run_dir: Path | None) -> Path:
     return path
 
 
+def _worth_resuming(run_dir: Path, compiled: Sequence[Plan]) -> None:
+    """InputError when the run to resume flew another script, or lacks nothing."""
+    before = str((read_manifest(run_dir).get("script") or {}).get("name", ""))
+    names = [plan.script.name for plan in compiled]
+    if before not in names:
+        raise InputError(
+            f"{run_dir} is a flight of {before or 'no script'}, not of {', '.join(names)}",
+            f"leave the script out: flighttest run --resume {run_dir}",
+        )
+    flown = legs_flown(run_dir)
+    if all(leg.id in flown for plan in compiled for leg in plan.legs):
+        raise InputError(
+            f"{run_dir}: nothing is missing, all its steps were flown", "see them with `flighttest report`"
+        )
+
+
+def _known_waivers(names: Sequence[str]) -> None:
+    for name in names:
+        if name not in preflight.NAMES:
+            guess = nearest(name, preflight.NAMES)
+            raise InputError(
+                f"--waive {name}: no preflight check is called so",
+                f"did you mean {guess}?" if guess else f"there are {', '.join(preflight.NAMES)}",
+            )
+
+
 def _all_flyable(plan: Plan) -> None:
     """ScriptError when any step is refused: what is flown is what was written."""
     if not plan.refusals:
@@ -223,15 +266,29 @@ def _all_flyable(plan: Plan) -> None:
     raise ScriptError(message, f"see `flighttest check {plan.script.path or plan.script.name}`")
 
 
-def _say_changes(previous: ModelFile, vehicle: Vehicle, progress: Progress) -> None:
-    changes, _ = declared_changes(previous.fingerprint, of_vehicle(vehicle))
-    if changes:
-        named = ", ".join(f"{c.name} ({c.before} is now {c.after})" for c in changes)
-        progress.stage(f"the last model is stale: {named}")
+def _say_changes(previous: ModelFile, today: Mapping[str, object], said: set[str], progress: Progress) -> None:
+    """Before take-off: what differs from the vehicle of the model in use, each change once, and what it touches."""
+    changes = [c for c in declared_changes(previous.fingerprint, today)[0] if c.name not in said]
+    said.update(c.name for c in changes)
+    if not changes:
+        return
+    since = flown_until(previous)
+    named = ", ".join(f"{c.name} ({c.before} is now {c.after})" for c in changes)
+    subsets = [s for s in SUBSETS if any(s in c.touches for c in changes)]
+    progress.stage(
+        f"the last model is stale: {named}{f'; changed {since}' if since else ''}; touches {join(subsets)}; "
+        f"fly {join(list(ALL_SCRIPTS))} again (at least {join(list(scripts_for(tuple(subsets))))})"
+    )
 
 
 def _one(
-    request: FlightRequest, plan: Plan, prior: ModelPredictor, index: int, count: int, progress: Progress
+    request: FlightRequest,
+    plan: Plan,
+    prior: ModelPredictor,
+    index: int,
+    count: int,
+    on_vehicle: OnVehicle,
+    progress: Progress,
 ) -> FlightResult:
     name = plan.script.name
     folder = new_run(request.out, name, datetime.datetime.now())
@@ -247,6 +304,7 @@ def _one(
             replanner=ScriptReplanner(plan, prior),
             on_progress=progress.flight,
             on_stage=progress.stage,
+            on_vehicle=on_vehicle,
             stop_requested=stops,
             weather=request.weather,
         )

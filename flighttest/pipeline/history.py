@@ -26,6 +26,7 @@ from flighttest.report.currency_page import HistoryPoint, history_document
 from flighttest.report.document import Document
 
 FIT_NAME = "fit.yaml"
+DEFAULT_RUNS = Path("runs")  # where runs go unless told otherwise; not there before the first
 TESTED = tuple(n for names in SUBSETS.values() for n in names)
 
 
@@ -137,7 +138,11 @@ def vehicle_name(run: Path) -> str:
 def history(folder: Path, *, page: bool = False) -> Result:
     """The table of runs; with `page` also history.html in the folder."""
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is not a folder")
+        raise InputError(f"{folder} is not a folder", "name the folder that holds the runs")
+    if not folder.exists() and folder != DEFAULT_RUNS:
+        raise InputError(
+            f"{folder}: there is no such folder", "name the folder that holds the runs, as `run --out` had it"
+        )
     points, units, broken = [], {}, []
     for run in run_folders(folder):
         try:

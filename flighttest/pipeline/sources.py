@@ -114,6 +114,11 @@ def import_log(
     log: Path, output: Path, columns: Path | None = None, vehicle: Path | None = None, progress: Progress = SILENT
 ) -> Result:
     """Bring a log into a run folder."""
+    if not log.exists():
+        raise InputError(
+            f"{log}: there is no such file",
+            "name a log that exists: .BIN, .tlog, .ulg, .csv or .parquet, as it is or packed",
+        )
     if log.is_dir():
         raise InputError(f"{log} is a folder", "name the log file; a run folder needs no import")
     rebuilding = (output / MANIFEST_NAME).exists()

@@ -10,6 +10,7 @@ from flighttest.identify import model_file
 from flighttest.identify.validate import Validation, Variation
 from flighttest.identify.validate import validate as compare_models
 from flighttest.pipeline.analysis import cut_all
+from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.report import html
@@ -37,6 +38,9 @@ def validate(
     seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
     if seen:
         facts["careful"] = f"{join(seen)} was used in the fit: this shows the fit, not its power to predict"
+    other = differences(stored.fingerprint, recordings)
+    if other:
+        facts["another vehicle"] = f"the model's has {other}"
     verdict, tone = _verdict(found)
     document = Document("validation", verdict, tone, validation_sections(found), facts)
     if output is not None:
@@ -61,10 +65,11 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     head = f"After 1 s the model's {group} is off by {mine:.3g} {units} (RMS)"
     if worse:
         return f"{head}; {join(worse)} would have been better on this flight.", "warn"
-    return (
-        f"{head}, less than with any of the {len(better)} simplifications that matter here." if better else f"{head}.",
-        "good",
-    )
+    if not better:
+        return f"{head}.", "good"
+    if len(better) <= 2:
+        return f"{head}, less than with {join(better, 'or')}.", "good"
+    return f"{head}, less than with any of the {len(better)} simplifications that matter here.", "good"
 
 
 def _data(found: Validation) -> dict[str, Any]:

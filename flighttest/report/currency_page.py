@@ -46,7 +46,7 @@ def status_document(
                 d.parameter,
                 percent(d.change),
                 f"{d.excursion:+.1f}",
-                f"{d.limit:g}",
+                f"{d.limit:.1f}",
                 Cell(d.crossed_at or "within", "bad" if d.crossed_at else "good"),
             )
             for d in found.drifts

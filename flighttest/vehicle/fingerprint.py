@@ -59,9 +59,9 @@ HARMLESS: frozenset[str] = frozenset(
 class Fingerprint:
     """What must not change while a model is in use.
 
-    components: part to its declared fields; mass_kg: as declared, None where it is not; firmware: full version string where known, else the family; frame: FRAME_CLASS/TYPE or
-    SYS_AUTOSTART as text, '' when not known; shaping_parameters: those of the vehicle that shape the response, under the
-    names it reports; parameters_sha256: of them, in the single precision a vehicle keeps them in.
+    components: part to its declared fields; mass_kg: as declared, None where it is not; firmware: full version string where known,
+    else the family; frame: FRAME_CLASS/TYPE or SYS_AUTOSTART as text, '' when not known; shaping_parameters: those of the vehicle that
+    shape the response, under the names it reports; parameters_sha256: of them, in the single precision a vehicle keeps them in.
     """
 
     components: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

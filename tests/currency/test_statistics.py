@@ -7,6 +7,8 @@ from flighttest.currency import battery, compare, sequence
 from flighttest.currency.compare import Estimates
 from flighttest.currency.discrepancy import measured, prior
 from flighttest.identify.solve import Normal
+from flighttest.pipeline.batteries import battery_of
+from flighttest.recording import Provenance, Recording, Series
 from flighttest.segments import Segment
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "alpha", "d_x", "d_y", "d_z")
@@ -205,3 +207,22 @@ def test_the_discrepancy_is_measured_between_conditions():
 def test_too_few_responses_keep_the_prior():
     normal, steps = flown(np.random.default_rng(18), 0.05, responses=5)
     assert measured(normal, ("K",), {"K": 50.0}, steps)["K"] == prior("K")
+
+
+def test_the_battery_of_a_campaign_is_told_from_all_its_flights():
+    """One flight that hardly moves the current must not outweigh the one that does."""
+    rng = np.random.default_rng(19)
+
+    def recorded(name, current):
+        t = np.arange(current.size) * 0.1
+        volts = 24.0 - 0.02 * current + rng.normal(0.0, 0.05, current.size)
+        return Recording(
+            name, {"battery": Series(t, {"voltage_v": volts, "current_a": current})}, (), Provenance("", "table")
+        )
+
+    lively = recorded("thrust", 20.0 + 15.0 * np.sign(np.sin(np.arange(1200) * 0.2)))
+    dull = recorded("yaw", 20.0 + rng.normal(0.0, 2.5, 300))
+    value, std = battery_of([lively, dull])
+    assert value == pytest.approx(0.02, abs=3.0 * std)
+    assert std < 0.5 * battery_of([dull])[1]
+    assert "UNTESTABLE" in battery_of([recorded("still", np.full(300, 20.0))])

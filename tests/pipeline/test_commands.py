@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from flighttest.cli import main as cli_main
+from flighttest.pipeline.fingerprints import conflicts, differences
+from flighttest.recording import Provenance, Recording
 
 TRUTH = {
     "omega_phi": 25.43,
@@ -156,3 +158,36 @@ def test_garbage_is_no_traceback(call, tmp_path):
         code, _, err = call("fit", path)
         assert code in (2, 3), (suffix, err)
         assert "error:" in err
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (("import", "nowhere.BIN", "-o", "x"), "there is no such file"),
+        (("runs", "nowhere"), "there is no such folder"),
+        (("status", "--model", "nowhere.yaml"), "cannot be read: No such file or directory"),
+        (("run", "thrust", "--connect", "serial:/dev/ttyNOPE:57600", "--yes"), "57600: No such file or directory"),
+    ],
+)
+def test_errors_name_the_thing_once_and_in_words(call, argv, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(*argv)
+    assert code in (1, 2)
+    assert words in err.replace("\n", " ")
+    assert "Errno" not in err
+
+
+def test_no_runs_yet_is_no_error(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("runs")[0] == 0
+
+
+def test_recordings_of_two_vehicles_are_called_so():
+    def recorded(name, part):
+        return Recording(name, {}, (), Provenance("", "table", components={"propellers": {"id": part}}))
+
+    a, b = recorded("a", "P1"), recorded("b", "P2")
+    assert "a and b are not of one vehicle: propellers P1, here P2" in conflicts([a, recorded("c", "P1"), b])
+    assert conflicts([a, recorded("c", "P1")]) == ""
+    assert conflicts([a, Recording("table", {}, (), Provenance("", "table"))]) == "", "not declared is not changed"
+    assert differences({"components": {"propellers": {"id": "P1"}}}, [b]) == "propellers P1, here P2"

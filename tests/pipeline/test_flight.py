@@ -2,12 +2,15 @@
 
 import io
 import json
+import re
 import signal
 import threading
+from pathlib import Path
 
 import pytest
 
 from flighttest.cli import main as cli_main
+from flighttest.flight import preflight
 from flighttest.pipeline import flying
 
 SHORT = """
@@ -154,3 +157,35 @@ def test_a_script_that_leaves_the_zone_is_not_flown(call, tmp_path):
     assert code == 2
     assert "zone" in err
     assert not (tmp_path / "runs").exists()
+
+
+def test_before_take_off_the_vehicle_is_compared_with_the_model_in_use(call, script, tmp_path):
+    out_dir = tmp_path / "runs"
+    assert call("run", script, "--out", out_dir, "--json")[0] == 0
+    (run,) = out_dir.iterdir()
+    fitted = (run / "fit.yaml").read_text()
+    assert "MOT_SPIN_MIN: 0.15" in fitted
+    other = tmp_path / "other.yaml"
+    other.write_text(re.sub(r"MOT_SPIN_MIN: [0-9.]+", "MOT_SPIN_MIN: 0.1", fitted))
+    code, out, _ = call("run", script, "--out", out_dir, "--model", other, "--only", "fly")
+    assert code == 0
+    lines = out.splitlines()
+    (said,) = [i for i, line in enumerate(lines) if "the last model is stale: MOT_SPIN_MIN (0.1 is now 0.15)" in line]
+    assert "touches thrust; fly roll_pitch, yaw_rate and thrust again (at least thrust)" in lines[said]
+    assert said < next(i for i, line in enumerate(lines) if "writing the channels" in line)
+    assert "GUID_OPTIONS" not in lines[said], "what the tool itself sets for a flight is no change"
+    code, _, err = call("run", "--resume", run, "--out", out_dir)
+    assert (code, "nothing is missing" in err) == (2, True)
+    code, _, err = call("run", "thrust", "--resume", run, "--out", out_dir)
+    assert (code, "a flight of short, not of thrust" in err) == (2, True)
+
+
+def test_a_waiver_names_a_check(call, script, tmp_path):
+    code, _, err = call("run", script, "--waive", "fense", "--out", tmp_path)
+    assert code == 2
+    assert "did you mean fence?" in err
+
+
+def test_every_check_can_be_waived_by_a_name_that_is_known():
+    source = Path(preflight.__file__).read_text()
+    assert set(re.findall(r'Check\(\s*"([^"]+)"', source)) == set(preflight.NAMES)
