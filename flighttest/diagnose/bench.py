@@ -23,6 +23,7 @@ from flighttest.diagnose.rows import (
     Nuisance,
     Rows,
     State,
+    in_order,
     project,
 )
 from flighttest.identify.problem import Noise, Part, Problem, prior_std
@@ -152,15 +153,15 @@ class Bench:
         linear = self._linear(model, state, names)
         channels = tuple(dict.fromkeys(c for part in problem.parts for c in part.outputs))
         out: list[tuple[FloatArray, ...]] = []
-        nuisance = []
+        nuisance: list[Nuisance] = []
+        freedom = 0.0
         for part, piece, at in zip(problem.parts, linear, self.locals(problem, state), strict=True):
             m, n, n_y = part.y.shape
             n_l, n_f = piece.j_l.shape[2], part.n_free_states
             std = np.tile([state.noise.channel[c] for c in part.outputs], n)
             stacked = np.concatenate([piece.j_l, np.broadcast_to(_diagonal(piece.prior), (m, n_l, n_l))], axis=1)
-            keep = np.concatenate([part.mask.reshape(m, -1), np.ones((m, n_l), dtype=bool)], axis=1)
             start = np.linalg.qr(stacked[..., :n_f])[0] if n_f else np.zeros((m, n * n_y + n_l, 0))
-            unknown = Nuisance(np.linalg.qr(stacked)[0], start, std, keep)
+            unknown = Nuisance(np.linalg.qr(stacked)[0], start, std, part.mask.reshape(m, -1))
             r = project(unknown.basis, np.concatenate([piece.r, piece.r_prior], axis=1)[..., None])[..., 0]
             # Without the disturbance: what it explained goes back into the residual.
             given = piece.r + np.einsum("mij,mj->mi", piece.j_l[..., n_f:], at[:, n_f:])
@@ -171,22 +172,27 @@ class Bench:
             code = np.concatenate([np.tile([channels.index(c) for c in part.outputs], n), np.full(n_l, -1)])
             index = np.array([response.index for response in part.responses])
             nuisance.append(unknown)
+            freedom += _freedom(part, stacked, piece.prior)
+            columns, open_columns = unknown.of(piece.j_p * std[:, None])
+            every = r.shape
             out.append(
                 (
-                    r[keep],
-                    *unknown.of(piece.j_p * std[:, None]),
-                    (project(start, given[..., None])[..., 0] * unit)[keep],
-                    np.broadcast_to(np.concatenate([std, np.ones(n_l)]), keep.shape)[keep],
-                    np.broadcast_to(index[:, None], keep.shape)[keep],
-                    np.broadcast_to(sample, keep.shape)[keep],
-                    np.broadcast_to(code, keep.shape)[keep],
+                    r,
+                    columns,
+                    open_columns,
+                    project(start, given[..., None])[..., 0] * unit,
+                    np.broadcast_to(np.concatenate([std, np.ones(n_l)]), every),
+                    np.broadcast_to(index[:, None], every),
+                    np.broadcast_to(sample, every),
+                    np.broadcast_to(code, every),
                 )
             )
-        cat = [np.concatenate([o[k] for o in out]) for k in range(8)]
+        cat = [in_order(nuisance, [o[k] for o in out]) for k in range(8)]
         segment, sample, channel = (cat[k].astype(np.intp) for k in (5, 6, 7))
         return Rows(
             residual=cat[0], jacobian=cat[1], open_residual=cat[3], open_jacobian=cat[2], scale=cat[4], segment=segment,
             sample=sample, channel=channel, channels=channels, names=tuple(names), nuisance=tuple(nuisance),
+            freedom=freedom,
         )  # fmt: skip
 
     def slopes(self, model: Model, state: State, names: Sequence[str]) -> list[FloatArray]:
@@ -386,3 +392,14 @@ class _Piece:
 def _diagonal(values: FloatArray) -> FloatArray:
     """(m, l) to (m, l, l)."""
     return values[..., None] * np.eye(values.shape[-1])
+
+
+def _freedom(part: Part, stacked: FloatArray, prior: FloatArray) -> float:
+    """Sum over responses of log det(I + P J' J P) for initial states that terms own, the other locals taken out first."""
+    own = [part.block.free_states.index(n) for n in part.block.spread]
+    if not own:
+        return 0.0
+    others = [k for k in range(stacked.shape[2]) if k not in own]
+    r = np.linalg.qr(stacked[..., others + own], mode="r")
+    diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))[:, len(others) :]
+    return float(2 * np.sum(np.log(diagonal / prior[:, own])))

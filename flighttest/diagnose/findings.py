@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.judge import compare, held_out
 from flighttest.diagnose.model import Finding, Rival, short
-from flighttest.diagnose.search import Fitted, Search, standard_errors
+from flighttest.diagnose.search import Fitted, Search
 
 IntArray = NDArray[np.intp]
 
@@ -101,7 +102,7 @@ def _rms_force(search: Search, effect: Any) -> float | None:
     total, any_force = 0.0, False
     for c, name in enumerate(rows.channels):
         if name.startswith(("f_", "a_")):
-            at = rows.channel == c
-            total += float(np.mean(effect[at] ** 2)) if at.any() else 0.0
+            at = np.flatnonzero(rows.channel == c)
+            total += float(np.mean(effect[at] ** 2)) if at.size else 0.0
             any_force = True
     return float(np.sqrt(total)) if any_force else None

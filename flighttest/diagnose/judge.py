@@ -151,7 +151,7 @@ def size_in_floors(
 
 def information(before: Rows, before_state: State, after: Rows, after_state: State, added: int) -> float:
     """Change of the information criterion from one fit to another: residuals by channel, with the effective sample size that is left
-    after, and disturbances by axis, one per response."""
+    after, disturbances by axis, one per response, and what initial states that a term owns could copy of anything."""
     tau = inflation(after)
     bic, total = 0.0, 0.0
     for c, name in enumerate(before.channels):
@@ -167,7 +167,7 @@ def information(before: Rows, before_state: State, after: Rows, after_state: Sta
         old = before_state.noise.disturbance.get(name)
         if old:
             bic += 2 * responses * float(np.log(std / old))
-    return bic + added * float(np.log(max(total, 2.0)))
+    return bic + added * float(np.log(max(total, 2.0))) + after.freedom - before.freedom
 
 
 def horizon_rmse(rows: Rows, residual: FloatArray, segments: Sequence[Segment]) -> dict[str, dict[str, float]]:

@@ -52,7 +52,9 @@ def rivals_of(search: Search, term: str) -> tuple[Rival, ...]:
     own = [n for n in search.now.names if search.now.model.term_of(n) == term]
     rest = [n for n in search.now.names if n not in own]
     basis = orthonormal(rows.columns(rest))
-    effect = np.where(rows.sample >= 0, search.judged[term].own / rows.scale, 0.0)
+    own_effect = search.judged[term].own
+    effect = np.zeros(rows.sample.size)
+    effect[: own_effect.size] = own_effect / rows.scale[: own_effect.size]
     effect = effect - basis @ (basis.T @ effect)
     length = float(np.linalg.norm(effect))
     found: dict[str, float] = {}

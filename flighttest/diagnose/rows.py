@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Nuisance:
     """What one part of a problem does not know of its m responses, as `Rows` took it out.
 
     basis (m, k, n_l), start (m, k, n_f): orthonormal, of all locals and of the initial states alone, over the k - n_l samples (times
-    outputs) and the n_l priors; scale (k - n_l,): by which samples were whitened; keep (m, k): which of them are rows.
+    outputs) and the n_l priors; scale (k - n_l,): by which samples were whitened; keep (m, k - n_l): which of them were measured.
     """
 
     basis: FloatArray
@@ -58,21 +59,29 @@ class Nuisance:
     keep: NDArray[np.bool_]
 
     def of(self, raw: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(columns, open columns), both (rows, q), of changes (m, k - n_l, q) of what is measured, in the channels' units."""
+        """(whitened, open), both (m, k, q), of changes (m, k - n_l, q) of what is measured, in the channels' units."""
         m, n_l, q = raw.shape[0], self.basis.shape[2], raw.shape[2]
         stacked = np.concatenate([raw / self.scale[:, None], np.zeros((m, n_l, q))], axis=1)
         unit = np.concatenate([self.scale, np.zeros(n_l)])[:, None]
-        return project(self.basis, stacked)[self.keep], (project(self.start, stacked) * unit)[self.keep]
+        return project(self.basis, stacked), project(self.start, stacked) * unit
+
+
+def in_order(nuisance: Sequence[Nuisance], values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Per part (m, k, ...) to rows (n, ...): what was measured first, so that models with other locals have it in the same place."""
+    measured = [v[:, : p.keep.shape[1]][p.keep] for p, v in zip(nuisance, values, strict=True)]
+    priors = [np.concatenate(v[:, p.keep.shape[1] :]) for p, v in zip(nuisance, values, strict=True)]
+    return np.concatenate([*measured, *priors])
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Linearised residuals, one row per sample and channel, and one per prior of a local (sample -1, DISTURBANCE for disturbances).
+    """Linearised residuals, one row per sample and channel, then one per prior of a local (sample -1, DISTURBANCE for disturbances).
 
     residual (n,), jacobian (n, p): whitened, locals projected out (a step d of the parameters lowers the residual by jacobian @ d);
     open_residual, open_jacobian: in units of the channel, with only initial states projected out: what the model predicts of a response
     without knowing its disturbance. scale (n,): by which rows were whitened; segment, sample (n,): positions in the bench's segments
     and in their t_s; channel (n,): index into `channels`, -1 for priors. nuisance: by part, to take locals out of other changes.
+    freedom: log of the volume that initial states owned by terms could fill within their priors: what such freedom costs.
     """
 
     residual: FloatArray
@@ -86,11 +95,12 @@ class Rows:
     channels: tuple[str, ...]
     names: tuple[str, ...]
     nuisance: tuple[Nuisance, ...] = ()
+    freedom: float = 0.0
 
     def of(self, raw: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """(columns, open columns), both (n, q), of a change given per part, (m, samples times outputs, q) in the channels' units."""
         both = [part.of(one) for part, one in zip(self.nuisance, raw, strict=True)]
-        return np.concatenate([b[0] for b in both]), np.concatenate([b[1] for b in both])
+        return in_order(self.nuisance, [b[0] for b in both]), in_order(self.nuisance, [b[1] for b in both])
 
     def columns(self, names: Sequence[str]) -> FloatArray:
         """(n, k) columns by name."""

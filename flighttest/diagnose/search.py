@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.chance import consistency, effective_size, standard_errors
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
-from flighttest.diagnose.noise import Floor, floor_of, inflation
+from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import (
     FALSE_ALARM_RATE,
@@ -64,7 +64,7 @@ class Fitted:
 class Judged:
     """What a term adds: change of the information criterion, size in floors and where, share of the held-out excess it takes.
 
-    effect, own: (n,) what it changes in predictions, and with every response's locals projected out, both in the channels' units.
+    effect, own: (measured rows,) what it changes in predictions, and with every response's locals projected out, in the channels' units.
     """
 
     term: str
@@ -216,7 +216,7 @@ class Search:
                 self.progress(f"{term} leaves the model")
 
     def _swap(self) -> None:
-        """Every accepted term once more, it stays, leaves, or a rival that points the same way replaces it."""
+        """Every accepted term once more: it stays, leaves, or a rival that points the same way replaces it."""
         assert self.now is not None
         for term in list(self.judged):
             without = self.without(term)
@@ -254,16 +254,24 @@ class Search:
                 off = {n: float(self.now.model.param[n].off or 0.0) for n in own}
                 t = {n: abs(self.now.state.values[n] - off[n]) / max(float(std[n]), 1e-300) for n in own}
                 least = min(own, key=lambda n: t[n])
-                if t[least] ** 2 > np.log(effective_size(self.now.rows)):
+                wrong = [n for n in own if self._wrong_side(n, off[n])]
+                if wrong:
+                    least = min(wrong, key=lambda n: t[n])
+                elif t[least] ** 2 > np.log(effective_size(self.now.rows)):
                     break
                 self.pinned[least] = float(std[least])
                 held = self.bench.moved(self.now.model, self.now.state, {least: off[least]})
                 self.now = self._fit(self.now.model, held, self.now.dormant)
                 self.progress(f"{least} is held at {off[least]:g}: the rest of {term} says as much without it")
 
-    def _is_amplitude(self, term: str, name: str) -> bool:
+    def _wrong_side(self, name: str, off: float) -> bool:
         assert self.now is not None
-        return self.now.model.term_of(name) == term and self.now.model.param[name].kind == "amplitude"
+        p = self.now.model.param[name]
+        return p.one_sided and (self.now.state.values[name] - off) * (p.nominal - off) < 0
+
+    def _is_amplitude(self, term: str, name: str, model: Model | None = None) -> bool:
+        known = model or (self.now.model if self.now else None)
+        return known is not None and known.term_of(name) == term and known.param[name].kind == "amplitude"
 
     def _worst(self) -> float:
         """Largest mean square of a place over its floor's."""
@@ -349,7 +357,7 @@ class Search:
         before_held = held_out(before.rows, before.names, self.groups)
         after_held = held_out(after.rows, after.names, self.groups)
         bic = information(before.rows, before.state, after.rows, after.state, len(after.names) - len(before.names))
-        effect = before.rows.open_residual - after.rows.open_residual
+        effect = _change(after.rows, before.rows.open_residual, after.rows.open_residual)
         floors, place = size_in_floors(after.rows, effect, self.bench.segments, self.floor)
         gain = 0.0
         if place in (table := places(after.rows, self.bench.segments)):
@@ -358,52 +366,33 @@ class Search:
             excess = max(ss_b - self.floor.of(place[0]) ** 2, LEAST_GAIN * ss_b)
             gain = (ss_b - ss_a) / excess
         reason = self._impossible(term, after)
-        own = before.rows.residual * before.rows.scale - after.rows.residual * after.rows.scale
+        own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
         return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
 
     def _impossible(self, term: str, fitted: Fitted) -> str:
         """Why an estimate cannot be what its name says; '' when it can."""
         model, names = fitted.model, fitted.names
         std = standard_errors(fitted.rows, names)
+        single = sum(self._is_amplitude(term, n, model) for n in names) == 1
         for k, name in enumerate(names):
             p = model.param[name]
-            if model.term_of(name) != term or p.kind != "amplitude" or p.off is None:
+            if model.term_of(name) != term:
                 continue
             value = fitted.state.values[name]
-            wrong = (value - p.off) * np.sign(p.nominal - p.off)
-            if p.one_sided and wrong < -3 * std[k] - 0.1 * abs(p.nominal - p.off):
-                return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
-            if value <= p.lower or value >= p.upper:
+            at_bound = value <= p.lower or value >= p.upper
+            if at_bound and (p.kind == "amplitude" or len(p.screen) > 1):
                 return f"{name} runs to its bound, {value:.3g} {p.unit}: it stands in for something else"
+            if not p.one_sided or p.off is None:
+                continue
+            wrong = (value - p.off) * np.sign(p.nominal - p.off)
+            # Of several amplitudes one may be near off and on the wrong side by chance; a term that has but one claims that side.
+            allowed = std[k] if single else 3 * std[k] + 0.1 * abs(p.nominal - p.off)
+            if wrong < -allowed:
+                return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
         return ""
 
 
-def consistency(rows: Rows, own: FloatArray) -> float:
-    """Probability that an effect would go along with the residual as well as it does if responses had random signs."""
-    _, which = np.unique(rows.segment, return_inverse=True)
-    parts = np.bincount(which, np.where(rows.sample >= 0, own / rows.scale * rows.residual, 0.0))
-    spread = float(np.sqrt(np.sum(parts**2)))
-    if spread <= 0:
-        return 1.0
-    # Normal tail of the sign-flip distribution: exact enough, and not bounded by the number of flips drawn.
-    return float(2 * stats.norm.sf(abs(float(parts.sum())) / spread))
-
-
-def standard_errors(rows: Rows, names: tuple[str, ...]) -> FloatArray:
-    """(p,) standard errors robust to correlation within responses (sandwich over segments)."""
-    a = rows.columns(names)
-    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-300)
-    a = a / length
-    inverse = np.linalg.pinv(a.T @ a, rcond=1e-10, hermitian=True)
-    _, which = np.unique(rows.segment, return_inverse=True)
-    n = int(which.max()) + 1
-    moments = np.zeros((n, a.shape[1]))
-    np.add.at(moments, which, a * rows.residual[:, None])
-    meat = moments.T @ moments * (n / max(n - 1, 1))
-    return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0)) / length)
-
-
-def effective_size(rows: Rows) -> float:
-    """Number of samples that count, correlated ones as fewer."""
-    tau = inflation(rows)
-    return sum(float(np.sum(rows.channel == c)) / t for c, t in tau.items())
+def _change(rows: Rows, first: FloatArray, second: FloatArray) -> FloatArray:
+    """First minus second on what was measured, which comes first in the rows of any model."""
+    measured = int(np.sum(rows.sample >= 0))
+    return first[:measured] - second[:measured]

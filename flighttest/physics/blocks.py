@@ -30,14 +30,15 @@ class Block:
 
     x: `states`; p: `params` (values); u: `inputs`, the delayed references (held between edges); e: `exogenous` measured signals;
     d: `disturbances`, constant over a segment: a_d_x/y/z_m_s2 (world) or an offset of the reference (roll_d_rad, ...); y:
-    `outputs` (channel names), as measured but before known filters. free_states: initial value estimated per
-    segment; the others start at `initial`. delay: channel name; delay_s(p) its value, s.
+    `outputs` (channel names), as measured but before known filters. free_states: initial value estimated per segment, with the prior
+    standard deviation `spread` where a term owns the state; the others start at `initial`. delay: channel name; delay_s(p) its value, s.
     """
 
     name: str
     states: tuple[str, ...]
     free_states: tuple[str, ...]
     initial: Mapping[str, float]
+    spread: Mapping[str, float]
     params: tuple[str, ...]
     inputs: tuple[str, ...]
     exogenous: tuple[str, ...]
@@ -60,6 +61,7 @@ def _finish(
     d: Mapping[str, Expr],
     y: Mapping[str, Expr],
     initial: Mapping[str, float],
+    spread: Mapping[str, float],
 ) -> Block:
     """Drop what the block does not depend on and build its functions."""
     out = ca.vertcat(*x_dot.values(), *y.values())
@@ -75,6 +77,7 @@ def _finish(
         states=tuple(x),
         free_states=tuple(k for k in x if k not in initial),
         initial=dict(initial),
+        spread={k: v for k, v in spread.items() if k in x},
         params=tuple(p),
         inputs=tuple(u),
         exogenous=tuple(e),
@@ -90,9 +93,14 @@ def _symbols(names: Sequence[str]) -> dict[str, Expr]:
     return {n: ca.SX.sym(n) for n in names}
 
 
-def _term_states(terms: Sequence[Term], block: str) -> tuple[dict[str, Expr], dict[str, float]]:
+def _term_states(terms: Sequence[Term], block: str) -> tuple[dict[str, Expr], dict[str, float], dict[str, float]]:
+    """Symbols, initial values of those that are not free, prior standard deviations of those that are."""
     states = [s for t in terms if block_of(t) == block for s in t.states]
-    return _symbols([s.name for s in states]), {s.name: s.initial for s in states if not s.free}
+    return (
+        _symbols([s.name for s in states]),
+        {s.name: s.initial for s in states if not s.free},
+        {s.name: s.spread for s in states if s.free},
+    )
 
 
 def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Mapping[str, Any]) -> Signals:
@@ -116,7 +124,7 @@ def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Ma
 def translation_block(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> Block:
     """Velocity (world) and a_t, driven by throttle and the measured attitude."""
     p, e = _symbols([q.name for q in params]), _symbols(EXOGENOUS)
-    own, initial = _term_states(terms, "translation")
+    own, initial, spread = _term_states(terms, "translation")
     x = _symbols(["v_x_m_s", "v_y_m_s", "v_z_m_s", "a_t_m_s2"]) | own
     u = _symbols(["throttle"])
     d = _symbols(["a_d_x_m_s2", "a_d_y_m_s2", "a_d_z_m_s2"])
@@ -130,13 +138,13 @@ def translation_block(terms: Sequence[Term], params: Sequence[Param], constants:
     a = s.rotation @ f - ca.vertcat(0, 0, s.g)
     y = dict(zip(TRANSLATION_OUTPUTS, [*ca.vertsplit(f), *ca.vertsplit(v), *ca.vertsplit(a)], strict=True))
     delay = delays(terms, p)["thrust"]
-    return _finish("translation", "thrust", delay, x, x_dot, p, u, e, d, y, initial)
+    return _finish("translation", "thrust", delay, x, x_dot, p, u, e, d, y, initial, spread)
 
 
 def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> tuple[Block, ...]:
     """Roll, pitch and yaw rate loops; axes that a term couples come as one block."""
     p, e = _symbols([q.name for q in params]), _symbols(EXOGENOUS)
-    own, initial = _term_states(terms, "attitude")
+    own, initial, spread = _term_states(terms, "attitude")
     x = _symbols([n for _, names in AXES for n in names]) | own
     u = _symbols(list(_REFERENCE))
     d = _symbols(["roll_d_rad", "pitch_d_rad", "yaw_rate_d_rad_s"])
@@ -175,6 +183,7 @@ def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: M
                 {k: v for k, v in d.items() if k.split("_d_")[0] in {a.replace("yaw", "yaw_rate") for a in axes}},
                 {k: v for k, v in y.items() if k in states},
                 {k: v for k, v in initial.items() if k in states},
+                spread,
             )
         )
     return tuple(b for b in found if b.outputs)

@@ -73,13 +73,15 @@ class Param:
 
 @dataclass(frozen=True)
 class State:
-    """A state a term owns: name, unit, doc, and whether its initial value is free (estimated per segment) or `initial`."""
+    """A state a term owns: name, unit, doc, and whether its initial value is free (estimated per segment, with the prior standard
+    deviation `spread` about `initial`) or `initial`."""
 
     name: str
     unit: str
     doc: str
     free: bool = False
     initial: float = 0.0
+    spread: float = 1.0
 
 
 @dataclass

@@ -60,10 +60,11 @@ slung_payload = Term(
     told_apart_by="ringing after lateral steps",
     reveals="lateral_stop",
     needs=("v_x_m_s",),
+    # A load still swings from the flight to the start when a step begins.
     states=(
-        State("swing_north_rad", "rad", "swing towards north"),
-        State("swing_west_rad", "rad", "swing towards west"),
-        State("swing_north_rate_rad_s", "rad/s", "rate of the swing towards north"),
-        State("swing_west_rate_rad_s", "rad/s", "rate of the swing towards west"),
+        State("swing_north_rad", "rad", "swing towards north", free=True, spread=0.15),
+        State("swing_west_rad", "rad", "swing towards west", free=True, spread=0.15),
+        State("swing_north_rate_rad_s", "rad/s", "rate of the swing towards north", free=True, spread=0.4),
+        State("swing_west_rate_rad_s", "rad/s", "rate of the swing towards west", free=True, spread=0.4),
     ),
 )  # fmt: skip
