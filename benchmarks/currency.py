@@ -1,47 +1,86 @@
-"""Currency on sealed pairs of rotor campaigns: detection, false alarms and the subset named. `python benchmarks/currency.py --pairs 20`.
+"""Currency on sealed pairs of rotor flights: detection, false alarms and the subset named.
 
-Each pair is one vehicle: a campaign for the stored model, then a second one, unchanged or with one change, in another wind (0 to 4 m/s) and
-with another pack. Prints one line per kind and writes every pair as JSON lines, so that runs can be added up.
+    python benchmarks/currency.py fly --first 5000 --vehicles 40 --folder /tmp/pairs
+    python benchmarks/currency.py judge --folder /tmp/pairs --write docs/currency.md
+
+`fly` draws vehicles and keeps what was cut from their flights: one reference campaign each, and against it campaigns and spot checks,
+unchanged or with one change, every one in another wind (0 to 4 m/s, gusts of 15 % of it) with other packs over their whole voltage
+range. It can be stopped and continued. `judge` sees nothing of the truth while it compares, and needs a second or two per pair.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import math
+import pickle
 import tempfile
-from collections import Counter
-from functools import lru_cache
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
+from scipy import stats
 
-from flighttest.currency.compare import Estimates, subset_tests
+from flighttest.currency.battery import check
+from flighttest.currency.compare import subset_tests
 from flighttest.errors import FlighttestError
 from flighttest.identify.fit import fit
 from flighttest.identify.model_file import ModelFile, from_fit
 from flighttest.physics.model import Model
-from flighttest.pipeline.currency import reestimate_segments, tested_part
+from flighttest.pipeline.analysis import own_discrepancy
+from flighttest.pipeline.batteries import battery_of
+from flighttest.pipeline.currency import allowance, reestimate_segments
+from flighttest.pipeline.history import watched
+from flighttest.pipeline.sources import open_recordings
 from flighttest.proof.flying import fly_campaign
+from flighttest.recording import Provenance, Recording, Series
 from flighttest.script.shipped import resolve
 from flighttest.segments import Segment
 from flighttest.sim import SimOptions
 from flighttest.sim.rotor_vehicle import random_rotor
 
-# What changes, as constants of the rotor vehicle (factor on each), and the subset an operator should be told.
-CHANGES: dict[str, tuple[dict[str, float], str]] = {
-    "none": ({}, ""),
-    "thrust -5 %": ({"hover_throttle": 1.0 / 0.95}, "thrust"),
-    "mass +8 %": ({"mass_kg": 1.08, "hover_throttle": 1.08}, "thrust"),
-    "attitude 20 % slower": ({"omega_roll": 0.8, "omega_pitch": 0.8}, "attitude"),
+# What changes, as factors on constants of the rotor vehicle. A payload divides the drag per mass and keeps the current for a thrust.
+HEAVIER = 1.08
+CHANGES: dict[str, dict[str, float]] = {
+    "unchanged": {},
+    "thrust -5 %": {"hover_throttle": 1.0 / 0.95},
+    "mass +8 %": {
+        "mass_kg": HEAVIER,
+        "hover_throttle": HEAVIER,
+        "hover_current_a": HEAVIER**1.5,
+        **{f"drag_{axis}_1_s": 1.0 / HEAVIER for axis in "xyz"},
+    },
+    "attitude 20 % slower": {"omega_roll": 0.8, "omega_pitch": 0.8},
+    "resistance +20 %": {"resistance_ohm": 1.2},
 }
-CAMPAIGN = {"thrust_hover": 1, "roll_pitch": 1, "yaw_rate": 1}
-SPOT = {"spot_check": 1}
-VEHICLES = 1000  # seed of the first vehicle
+# The subset an operator should be told; None: only the battery's monitor may speak.
+TOUCHED: dict[str, str | None] = {
+    "unchanged": None,
+    "thrust -5 %": "thrust",
+    "mass +8 %": "thrust",
+    "attitude 20 % slower": "attitude",
+    "resistance +20 %": None,
+}
+CAMPAIGN: dict[str, int] = {"thrust_hover": 1, "roll_pitch": 1, "yaw_rate": 1}
+SPOT: dict[str, int] = {"spot_check": 1}
+CELL_V = (3.65, 4.15)  # at rest; the load takes another 0.1 to 0.2 V off
+WIND_M_S = 4.0
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What the program under test may see of one campaign: responses, and the battery of each flight."""
+
+    segments: tuple[Segment, ...]
+    batteries: tuple[Series, ...]
 
 
 def script(name: str, repeats: int) -> str:
+    """A shipped script with fewer repeats and more air below and above, so that no draw of a vehicle lacks room."""
     data = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
     data["repeat"] = {**data.get("repeat", {}), "each": repeats}
     data["repeat"].pop("over_voltage_v", None)
@@ -49,87 +88,192 @@ def script(name: str, repeats: int) -> str:
     return str(yaml.safe_dump(data, sort_keys=False))
 
 
-def flown(vehicle_seed: int, seed: int, factors: dict[str, float], scripts: dict[str, int]) -> list[Segment]:
-    rng = np.random.default_rng(seed)
+def fly(vehicle_seed: int, number: int, kind: str, scripts: Mapping[str, int]) -> Flown:
+    """One campaign of a vehicle. number: of the campaign, 0 is the reference; it draws wind, packs and noise."""
+    rng = np.random.default_rng([vehicle_seed, number, 0x43])
     frame = random_rotor(vehicle_seed)
-    wind, to = rng.uniform(0.0, 4.0), rng.uniform(0.0, 2 * math.pi)
+    wind, to = rng.uniform(0.0, WIND_M_S), rng.uniform(0.0, 2 * math.pi)
     segments: list[Segment] = []
+    batteries: list[Series] = []
     for k, (name, repeats) in enumerate(scripts.items()):
         options = SimOptions(
             airframe="rotor",
-            seed=seed * 10 + k,
+            seed=(vehicle_seed * 100 + number) * 10 + k,
             vehicle_seed=vehicle_seed,
-            vehicle={n: getattr(frame, n) * f for n, f in factors.items()},
+            vehicle={n: getattr(frame, n) * f for n, f in CHANGES[kind].items()},
             hide={"steady_wind": {"w_north": wind * math.cos(to), "w_west": wind * math.sin(to)}},
-            gust_rms_m_s=0.1 * wind,
-            voltage_v=frame.cells * rng.uniform(3.75, 4.1),
+            gust_rms_m_s=0.15 * wind,
+            voltage_v=frame.cells * rng.uniform(*CELL_V),
+            ready_s=2.0,
+            gps_s=4.0,
         )
         with tempfile.TemporaryDirectory() as folder:
-            segments += [s for s in fly_campaign(options, Path(folder), script(name, repeats)) if s.usable]
-    return segments
+            segments += fly_campaign(options, Path(folder), script(name, repeats))
+            batteries += [r.series["battery"] for r in open_recordings([Path(folder)]) if "battery" in r.series]
+    return Flown(tuple(segments), tuple(batteries))
 
 
-@lru_cache(maxsize=1)
-def stored_model(index: int) -> ModelFile:
-    nominal = random_rotor(VEHICLES + index).nominal_voltage_v
-    return from_fit(fit(flown(VEHICLES + index, 100 * index, {}, CAMPAIGN), Model(nominal_voltage_v=nominal)))
+def planned(unchanged: int) -> Iterator[tuple[int, str, str]]:
+    """Number, kind and extent of a vehicle's campaigns, the reference first."""
+    yield 0, "unchanged", "campaign"
+    for i, kind in enumerate(k for k in CHANGES if k != "unchanged"):
+        yield 1 + i, kind, "campaign"
+        yield 11 + i, kind, "spot"
+    for i in range(unchanged):
+        yield 21 + i, "unchanged", "campaign"
+        yield 31 + i, "unchanged", "spot"
 
 
-def pair(index: int, kind: str, scripts: dict[str, int]) -> dict[str, object]:
-    factors, wanted = CHANGES[kind]
-    stored = stored_model(index)
-    flight_seed = 100 * index + 1 + list(CHANGES).index(kind)
-    new = reestimate_segments(stored, flown(VEHICLES + index, flight_seed, factors, scripts), "new")
-    names, values, matrix = tested_part(stored)
-    base = Estimates("model", names, values, matrix)
-    tests = subset_tests(base, new)
+def fly_all(first: int, vehicles: int, unchanged: int, folder: Path) -> None:
+    """Fly what is not there yet."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for vehicle_seed in range(first, first + vehicles):
+        for number, kind, extent in planned(unchanged):
+            path = folder / f"{vehicle_seed}-{number:02d}.pkl.gz"
+            if path.exists():
+                continue
+            flown, error = Flown((), ()), ""
+            try:
+                flown = fly(vehicle_seed, number, kind, CAMPAIGN if extent == "campaign" else SPOT)
+            except FlighttestError as refusal:
+                error = str(refusal)
+            packed = gzip.compress(pickle.dumps((kind, extent, flown.segments, flown.batteries, error)), 3)
+            path.with_suffix(".part").write_bytes(packed)
+            path.with_suffix(".part").rename(path)
+            print(vehicle_seed, number, kind, extent, error, flush=True)
+
+
+def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
+    """What the program says of a campaign: subsets that raise an alarm, the battery's alarm, and the relative change of each parameter."""
+    base = watched(stored, "model")
+    found = reestimate_segments(stored, [s for s in new.segments if s.usable], "new")
+    tests = subset_tests(base, found, spread=allowance(stored, base, ()))
+    before = battery_of([recorded(b) for b in own.batteries])
+    battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)
     return {
-        "index": index,
-        "kind": kind,
-        "scripts": sorted(scripts),
         "alarms": [t.subset for t in tests if t.alarm],
-        "wanted": wanted,
-        "shifts": {n: c for t in tests for n, (c, _) in t.shifts.items()},
-        "z": {n: z for t in tests for n, (_, z) in t.shifts.items()},
-        "std": {
-            n: [
-                float(np.sqrt(e.covariance[e.names.index(n), e.names.index(n)]) / abs(e.values[e.names.index(n)]))
-                for e in (base, new)
-                if n in e.names
-            ]
-            for n in base.names
-        },
+        "battery": battery.alarm,
+        "p": {t.subset: t.p_value for t in tests},
+        "shifts": {n: shift for t in tests for n, (shift, _) in t.shifts.items()},
     }
 
 
+def recorded(battery: Series) -> Recording:
+    """A recording that holds nothing but its battery."""
+    return Recording("flight", {"battery": battery}, (), Provenance("", "flight"))
+
+
+def modelled(vehicle_seed: int, flown: Flown) -> ModelFile:
+    """The stored model of a reference campaign, as `flighttest run` would keep it."""
+    model = Model(nominal_voltage_v=random_rotor(vehicle_seed).nominal_voltage_v)
+    found = fit([s for s in flown.segments if s.usable], model)
+    return replace(from_fit(found), fit_quality={"discrepancy": own_discrepancy(found)})
+
+
+def kept(path: Path) -> tuple[str, str, Flown, str]:
+    """Kind, extent, what was flown, and why it was not."""
+    kind, extent, segments, batteries, error = pickle.loads(gzip.decompress(path.read_bytes()))
+    return kind, extent, Flown(tuple(segments), tuple(batteries)), error
+
+
+def judge_all(folder: Path, rows_path: Path) -> list[dict[str, Any]]:
+    """Judge what was not judged yet; one JSON line per campaign, the reference's left out."""
+    rows = [json.loads(line) for line in rows_path.read_text().splitlines()] if rows_path.exists() else []
+    done = {(r["vehicle"], r["number"]) for r in rows}
+    for path in sorted(folder.glob("*-00.pkl.gz")):
+        seed = int(path.name.split("-")[0])
+        todo = [p for p in sorted(folder.glob(f"{seed}-*.pkl.gz")) if p != path]
+        todo = [p for p in todo if (seed, int(p.name.split("-")[1][:2])) not in done]
+        _, _, own, refused = kept(path)
+        if not todo or refused:
+            continue
+        stored = modelled(seed, own)
+        for each in todo:
+            kind, extent, new, error = kept(each)
+            row: dict[str, Any] = {
+                "vehicle": seed,
+                "number": int(each.name.split("-")[1][:2]),
+                "kind": kind,
+                "extent": extent,
+            }
+            try:
+                row |= {"error": error} if error else judged(stored, own, new)
+            except FlighttestError as refusal:
+                row["error"] = str(refusal)
+            rows.append(row)
+            with rows_path.open("a") as stream:
+                stream.write(json.dumps(row) + "\n")
+            print(row["vehicle"], kind, extent, row.get("alarms"), row.get("battery"), row.get("error", ""), flush=True)
+    return rows
+
+
+def interval(found: int, of: int) -> str:
+    """'39 of 40 (87 to 100 %)': Clopper and Pearson's 95 % interval."""
+    if not of:
+        return "-"
+    low = stats.beta.ppf(0.025, found, of - found + 1) if found else 0.0
+    high = stats.beta.ppf(0.975, found + 1, of - found) if found < of else 1.0
+    return f"{found} of {of} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The results as Markdown."""
+    good = [r for r in rows if "alarms" in r]
+    lines = ["| change | second flight | detected | right subset alone, of those detected |", "|---|---|---|---|"]
+    for kind in (k for k in CHANGES if k != "unchanged"):
+        for extent in ("campaign", "spot"):
+            mine = [r for r in good if (r["kind"], r["extent"]) == (kind, extent)]
+            wanted = [] if TOUCHED[kind] is None else [TOUCHED[kind]]
+            hits = [r for r in mine if (r["alarms"] if wanted else r["battery"])]
+            right = [r for r in hits if r["alarms"] == wanted]
+            lines.append(
+                f"| {kind} | {WORDS[extent]} | {interval(len(hits), len(mine))} | {interval(len(right), len(hits))} |"
+            )
+    lines += ["", "| unchanged vehicle | flights | model called stale | battery called another |", "|---|---|---|---|"]
+    for extent in ("campaign", "spot"):
+        still = [r for r in good if r["extent"] == extent and TOUCHED[r["kind"]] is None]
+        same = [r for r in good if r["extent"] == extent and r["kind"] != "resistance +20 %"]
+        alarms = interval(sum(bool(r["alarms"]) for r in still), len(still))
+        battery = interval(sum(r["battery"] for r in same), len(same))
+        lines.append(f"| {WORDS[extent]} | {len(still)} | {alarms} | {battery} |")
+    failed = [r for r in rows if "error" in r]
+    vehicles = sorted({r["vehicle"] for r in rows})
+    lines += [
+        "",
+        f"{len(vehicles)} vehicles (seeds {vehicles[0]} to {vehicles[-1]}), {len(rows)} pairs, {len(failed)} of them not judged"
+        + "".join(f"; {r['kind']}, {WORDS[r['extent']]}: {r['error'].splitlines()[0]}" for r in failed[:3])
+        + ". A battery with more resistance leaves the model as it is: such pairs count as unchanged for the model.",
+    ]
+    return "\n".join(lines)
+
+
+WORDS = {"campaign": "campaign", "spot": "two-minute spot check"}
+BEGIN, END = "<!-- generated: benchmarks/currency.py -->", "<!-- end -->"
+
+
+def write(page: Path, text: str) -> None:
+    """Put the tables between the marks of a page."""
+    whole = page.read_text(encoding="utf-8")
+    head, rest = whole.split(BEGIN, 1)
+    page.write_text(f"{head}{BEGIN}\n{text}\n{END}{rest.split(END, 1)[1]}", encoding="utf-8")
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--pairs", type=int, default=10, help="of each kind")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--spot", action="store_true", help="the second flight is the spot check")
-    parser.add_argument("--kinds", nargs="*", default=list(CHANGES))
-    parser.add_argument("--out", type=Path, default=Path("currency.jsonl"))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["fly", "judge"])
+    parser.add_argument("--first", type=int, default=5000, help="seed of the first vehicle")
+    parser.add_argument("--vehicles", type=int, default=20)
+    parser.add_argument("--unchanged", type=int, default=2, help="unchanged campaigns and spot checks per vehicle")
+    parser.add_argument("--folder", type=Path, required=True, help="where flights and results are kept")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="also put the tables into this page")
     words = parser.parse_args()
-    found: Counter[str] = Counter()
-    placed: Counter[str] = Counter()
-    tried: Counter[str] = Counter()
-    with words.out.open("a") as log:
-        for index in range(words.first, words.first + words.pairs):
-            for kind in words.kinds:
-                try:
-                    row = pair(index, kind, SPOT if words.spot else CAMPAIGN)
-                except FlighttestError as error:
-                    print(f"{index} {kind}: {error}")
-                    continue
-                log.write(json.dumps(row) + "\n")
-                log.flush()
-                tried[kind] += 1
-                found[kind] += bool(row["alarms"])
-                placed[kind] += row["alarms"] == [row["wanted"]]
-                shifts = {n: f"{100 * c:+.1f}" for n, c in dict(row["shifts"]).items()}  # type: ignore[call-overload]
-                print(index, kind, row["alarms"], shifts, flush=True)
-    for kind in words.kinds:
-        print(f"{kind}: alarms {found[kind]} of {tried[kind]}, right subset alone {placed[kind]}")
+    if words.what == "fly":
+        fly_all(words.first, words.vehicles, words.unchanged, words.folder)
+        return
+    text = table(judge_all(words.folder, words.folder / "pairs.jsonl"))
+    print(text)
+    if words.write is not None:
+        write(words.write, text)
 
 
 if __name__ == "__main__":
