@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.identify.sag import SAMPLES, between_samples
 from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
 
@@ -66,7 +68,7 @@ def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_de
     """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
     t, y = segment.t_s, segment.y
     if name == "voltage_v":
-        return _sagged(t, filled(t, y.get(name), nominal_voltage_v), y.get("f_z_m_s2"))
+        return _voltage(segment, nominal_voltage_v)
     if name == "height_m":
         return filled(t, y.get("height_m", y.get("p_z_m")), NO_GROUND_M)
     if name == "time_s":
@@ -87,21 +89,16 @@ def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_de
     return np.unwrap(values) if name in _ANGLES else values
 
 
-def _sagged(t: FloatArray, voltage: FloatArray, force: FloatArray | None) -> FloatArray:
-    """The voltage between the samples of a slow battery monitor.
-
-    At 10 Hz the chord between two samples begins to fall before a throttle step and ends after it, while the battery sags with the load:
-    where the record is made of chords, the load (thrust to the power 1.5) takes their place, scaled to what was measured.
-    """
-    if force is None or t.size < 12 or not np.isfinite(force).all() or np.ptp(force) < 2.0 or np.ptp(voltage) < 0.1:
-        return voltage
-    slope = np.diff(voltage) / np.diff(t)
-    if np.mean(np.abs(np.diff(slope)) < 1e-6 * (1.0 + np.abs(slope[1:]))) < 0.4:
-        return voltage
-    load = np.clip(force, 0.0, None) ** 1.5
-    basis = np.stack([np.ones_like(t), load, t - t[0]], axis=1)
-    made = basis @ np.linalg.lstsq(basis, voltage, rcond=None)[0]
-    return made if np.var(voltage - made) < 0.25 * np.var(voltage) else voltage
+def _voltage(segment: Segment, nominal_voltage_v: float) -> FloatArray:
+    """Battery voltage (n,), V: as measured, and between the samples of a slow monitor as the load has it."""
+    t, y = segment.t_s, segment.y
+    chord = filled(t, y.get("voltage_v"), nominal_voltage_v)
+    samples, force = segment.context.get(SAMPLES), y.get("f_z_m_s2")
+    if samples is None or force is None or not np.isfinite(force).any():
+        return chord
+    cutoff = float(segment.context.get("filters", {}).get("specific_force", 0.0))
+    lag_s = math.sqrt(2.0) / (2.0 * math.pi * cutoff) if cutoff > 0 else 0.0
+    return between_samples(t, chord, samples, filled(t, force, 0.0), lag_s)
 
 
 def merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +142,8 @@ def _start(segment: Segment, block: Block, gain: float) -> tuple[FloatArray, Flo
         channel = "f_z_m_s2" if name == "a_t_m_s2" else name
         first = segment.y.get(channel, np.empty(0))[:4]
         first = first[np.isfinite(first)]
-        known, unknown = _START_STD.get(name, (1.0, 1.0))
+        own = block.spread.get(name, 1.0)
+        known, unknown = _START_STD.get(name, (own, own))
         if first.size:
             start[i], std[i] = float(first.mean()), known
         elif name == "a_t_m_s2":

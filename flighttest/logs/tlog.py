@@ -48,10 +48,11 @@ def import_tlog(path: Path) -> Recording:
             late += [(int(i), mav.decode(bytearray(frames.bytes_of(int(i))))) for i in chosen]
             continue
         for system in np.unique(frames.system[chosen]):
-            mine = frames.where(chosen[frames.system[chosen] == system])
-            decoder.add_columns(int(system), message.msgname, mine.time_s, fields_of(mine, int(kind)))
+            order = chosen[frames.system[chosen] == system]
+            mine = frames.where(order)
+            decoder.add_columns(int(system), message.msgname, mine.time_s, order, fields_of(mine, int(kind)))
     for i, message in sorted(late, key=lambda pair: pair[0]):
-        decoder.add(float(frames.stamp_us[i]) * 1e-6, message)
+        decoder.add(float(frames.stamp_us[i]) * 1e-6, message, i)
     try:
         decoded = decoder.result()
     except RecordingError as error:

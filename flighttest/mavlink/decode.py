@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Any
 
@@ -16,8 +16,9 @@ from flighttest.mavlink.dialect import book, firmware_version, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.mavlink.modes import mode_name
 from flighttest.mavlink.parameters import in_force
+from flighttest.mavlink.stamps import HALF_MS, in_lock_step, rounded_off, stamped_rules, stamps, times_of
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
-from flighttest.mavlink.telemetry import RULES, STAMP_SCALE, Rule
+from flighttest.mavlink.telemetry import RULES, Rule
 from flighttest.recording import Marker, Series
 
 FloatArray = NDArray[np.float64]
@@ -25,9 +26,9 @@ FloatArray = NDArray[np.float64]
 _GROUPS = tuple(dict.fromkeys(rule.group for rule in RULES))
 _REBOOT_S = 1.0  # the vehicle's time going back by more than this is a reboot, by less a reordered datagram
 _STAMP_TRUST_S = 30.0
-_HALF_MS = 0.5e-3  # time_boot_ms is rounded down
+_STAMP_S = 1e-3  # the vehicle's ms and the sender's are rounded, each by itself
 _STAMP_WANDER_S = (
-    0.01  # TIMESYNC and a sender that knows the clock differ by less over a flight, unless delays are no delays
+    0.01  # TIMESYNC and a sender that knows the clock differ by less over a flight, unless the clock is a simulator's
 )
 _STAMP_AGREEMENT_S = 0.2  # a sender whose stamps stay this near to the vehicle's time stamps on the vehicle's clock
 
@@ -60,12 +61,15 @@ class _Rows:
         self.fields = fields
         self.get: Callable[[Any], Any] = attrgetter(*fields)
         self.ground_s: Sequence[float] | FloatArray = []
+        self.order: Sequence[int] | NDArray[np.int64] = []
         self.values: list[Any] = []
         self.columns: dict[str, FloatArray] | None = None
 
-    def add(self, t_s: float, message: Any) -> None:
+    def add(self, t_s: float, order: int, message: Any) -> None:
         assert isinstance(self.ground_s, list)  # rows that came as columns are complete
+        assert isinstance(self.order, list)
         self.ground_s.append(t_s)
+        self.order.append(order)
         self.values.append(self.get(message))
 
     def raw(self) -> dict[str, FloatArray]:
@@ -104,10 +108,12 @@ class StreamDecoder:
         self.origins: dict[int, tuple[float, float]] = {}
         self.asked: dict[int, float] = {}
         self.round_trips: dict[int, list[tuple[float, float, float]]] = {}
+        self._count = 0
 
-    def add(self, t_s: float, message: Any) -> None:
-        """Take in one message with its ground time, s."""
+    def add(self, t_s: float, message: Any, order: int | None = None) -> None:
+        """Take in one message with its ground time, s, and its position in the stream (counted where None)."""
         kind = message.get_type()
+        self._count += 1
         if kind not in WANTED:
             return
         system = message.get_srcSystem()
@@ -120,7 +126,7 @@ class StreamDecoder:
             rows = self.rows.get((system, kind))
             if rows is None:
                 rows = self.rows[system, kind] = _Rows(fields)
-            rows.add(t_s, message)
+            rows.add(t_s, self._count if order is None else order, message)
         elif kind == "STATUSTEXT":
             self.texts.append(
                 Text(t_s, system, int(message.severity), message.text, int(message.id), int(message.chunk_seq))
@@ -134,10 +140,19 @@ class StreamDecoder:
         elif message.latitude or message.longitude:
             self.origins.setdefault(system, (message.latitude * 1e-7, message.longitude * 1e-7))
 
-    def add_columns(self, system: int, kind: str, ground_s: FloatArray, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Take in all messages of one numeric type of one system at once: ground times (n,), s, and fields (n,) or (n, k)."""
+    def add_columns(
+        self,
+        system: int,
+        kind: str,
+        ground_s: FloatArray,
+        order: NDArray[np.int64],
+        columns: Mapping[str, NDArray[Any]],
+    ) -> None:
+        """Take in all messages of one numeric type of one system at once: ground times (n,), s, positions in the stream (n,), and
+        fields (n,) or (n, k)."""
         rows = self.rows[system, kind] = _Rows(_FIELDS[kind])
         rows.ground_s = ground_s
+        rows.order = order
         rows.columns = {name: np.asarray(columns[name], dtype=float) for name in rows.fields}
 
     def _timesync(self, t_s: float, system: int, message: Any) -> None:
@@ -173,38 +188,39 @@ def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | 
 def _assemble(collected: StreamDecoder, system: int) -> Decoded:
     raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == system}
     ground = {kind: np.asarray(collected.rows[system, kind].ground_s) for kind in raw}
+    order = {kind: np.asarray(collected.rows[system, kind].order) for kind in raw}
     losses: list[str] = []
     span = _last_boot(raw, ground, losses)
     for kind in raw:
         inside = (ground[kind] >= span[0]) & (ground[kind] <= span[1])
         if not inside.all():
             raw[kind] = {name: values[inside] for name, values in raw[kind].items()}
-            ground[kind] = ground[kind][inside]
-    stamped = [(ground[r.message], _stamps(r, raw[r.message])) for r in _stamped_rules(raw)]
+            ground[kind], order[kind] = ground[kind][inside], order[kind][inside]
+    lost_s = rounded_off(raw)
+    stamped = [(ground[r.message], stamps(r, raw[r.message], lost_s)) for r in stamped_rules(raw)]
     if not stamped and system not in collected.round_trips:
         raise RecordingError(
             "no message carries the vehicle's time",
             "record ATTITUDE, HIGHRES_IMU or LOCAL_POSITION_NED with the flight",
         )
     trips = [t for t in collected.round_trips.get(system, []) if span[0] <= t[0] <= span[1]]
-    clock = estimate_clock(
-        np.concatenate([g for g, _ in stamped]) if stamped else [],
-        np.concatenate([v for _, v in stamped]) if stamped else [],
-        trips,
-    )
-    series, derived = _series(raw, ground, clock, losses)
-    reference, reference_clock, clock = _reference(collected, system, span, clock, losses)
+    came_s = np.concatenate([np.empty(0), *(g for g, _ in stamped)])
+    made_s = np.concatenate([np.empty(0), *(v for _, v in stamped)])
+    clock = estimate_clock(came_s, made_s, trips)
+    reference, reference_clock, clock = _reference(collected, system, span, clock, (came_s, made_s), losses)
+    times = times_of(raw, ground, order, clock, lost_s)
+    series, derived = _series(raw, times, losses)
     if reference is not None:
         series["reference"] = reference
     elif "ATTITUDE_TARGET" in raw:
-        t_s = raw["ATTITUDE_TARGET"]["time_boot_ms"] * 1e-3
-        series["reference"] = _ordered(t_s, {"throttle": raw["ATTITUDE_TARGET"]["thrust"]}, "ATTITUDE_TARGET", losses)
+        columns = {"throttle": raw["ATTITUDE_TARGET"]["thrust"]}
+        series["reference"] = _ordered(times["ATTITUDE_TARGET"], columns, "ATTITUDE_TARGET", losses)
         derived["throttle"] = "the vehicle's ATTITUDE_TARGET.thrust: no SET_ATTITUDE_TARGET was recorded"
         reference_clock = "vehicle"
     beats, last_armed_s = raw.get("HEARTBEAT", {}), np.inf
     markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
     if beats:
-        t_s = clock.to_vehicle(ground["HEARTBEAT"])
+        t_s = times["HEARTBEAT"]
         armed = (beats["base_mode"].astype(int) & book.MAV_MODE_FLAG_SAFETY_ARMED) != 0
         series["state"] = _ordered(
             t_s, {"mode": beats["custom_mode"], "armed": armed.astype(float)}, "HEARTBEAT", losses
@@ -226,25 +242,14 @@ def _assemble(collected: StreamDecoder, system: int) -> Decoded:
     )
 
 
-def _stamped_rules(raw: Mapping[str, Any]) -> list[Rule]:
-    seen = {rule.message: rule for rule in RULES if rule.stamp and rule.message in raw}
-    return list(seen.values())
-
-
-def _stamps(rule: Rule, raw: Mapping[str, FloatArray]) -> FloatArray:
-    """The vehicle's time stamps, s, of a rule that has them."""
-    assert rule.stamp is not None
-    return raw[rule.stamp] * STAMP_SCALE[rule.stamp]
-
-
 def _last_boot(
     raw: Mapping[str, dict[str, FloatArray]], ground: Mapping[str, FloatArray], losses: list[str]
 ) -> tuple[float, float]:
     """The span of ground time, s, of the longest time the vehicle ran without a reboot."""
-    best: Rule | None = max(_stamped_rules(raw), key=lambda r: ground[r.message].size, default=None)
+    best: Rule | None = max(stamped_rules(raw), key=lambda r: ground[r.message].size, default=None)
     if best is None:
         return -np.inf, np.inf
-    v = _stamps(best, raw[best.message])
+    v = stamps(best, raw[best.message], 0.0)
     back = np.flatnonzero(np.diff(v) < -_REBOOT_S) + 1
     if back.size == 0:
         return -np.inf, np.inf
@@ -257,7 +262,7 @@ def _last_boot(
 
 
 def _series(
-    raw: Mapping[str, dict[str, FloatArray]], ground: Mapping[str, FloatArray], clock: ClockEstimate, losses: list[str]
+    raw: Mapping[str, dict[str, FloatArray]], times: Mapping[str, FloatArray], losses: list[str]
 ) -> tuple[dict[str, Series], dict[str, str]]:
     series: dict[str, Series] = {}
     derived: dict[str, str] = {}
@@ -265,7 +270,7 @@ def _series(
         found: list[tuple[Rule, Series]] = []
         for rule in (r for r in RULES if r.group == group and r.message in raw):
             fields = raw[rule.message]
-            t_s = _stamps(rule, fields) if rule.stamp else clock.to_vehicle(ground[rule.message])
+            t_s = times[rule.message]
             if rule.keep is not None:
                 kept = rule.keep(fields)
                 fields, t_s = {n: v[kept] for n, v in fields.items()}, t_s[kept]
@@ -296,7 +301,12 @@ def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, l
 
 
 def _reference(
-    collected: StreamDecoder, system: int, span: tuple[float, float], clock: ClockEstimate, losses: list[str]
+    collected: StreamDecoder,
+    system: int,
+    span: tuple[float, float],
+    clock: ClockEstimate,
+    came: tuple[FloatArray, FloatArray],
+    losses: list[str],
 ) -> tuple[Series | None, str, ClockEstimate]:
     """Targets sent to the vehicle, at their sending time on the vehicle's clock; and the clock, if their stamps pin it better."""
     senders = [rows for (s, kind), rows in collected.rows.items() if kind == "SET_ATTITUDE_TARGET" and s != system]
@@ -310,25 +320,28 @@ def _reference(
         return None, "vehicle", clock
     raw = {name: values[inside] for name, values in raw.items()}
     g = g[inside]
-    t_s = clock.to_vehicle(g)
-    late = raw["time_boot_ms"] * 1e-3 - t_s
-    if clock.method == "one-way" and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S:
-        # The sender stamped its targets on the vehicle's clock: it knew the offset better than one-way delays can tell. Its
-        # first half minute counts, since some senders look at the vehicle's clock only once.
-        early = late[g < g.min() + _STAMP_TRUST_S]
-        error = 0.5 * float(np.percentile(early, 90) - np.percentile(early, 10)) + 1e-3
-        clock = clock.shifted(float(np.median(early)) + _HALF_MS, error, "target stamps")
-        t_s = clock.to_vehicle(g)
-    elif (
-        clock.method == "timesync"
-        and float(np.ptp(late)) > _STAMP_WANDER_S
-        and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S
-    ):
-        # Sender and vehicle step through time together (a simulator in lock-step): what arrives is no envelope of delays, since the
-        # vehicle may be ahead of the ground. The stamps are exact then.
-        clock = _clock_of_stamps(g, raw["time_boot_ms"] * 1e-3 + _HALF_MS, clock)
-        t_s = clock.to_vehicle(g)
-    return _ordered(t_s, reference_columns(raw), "SET_ATTITUDE_TARGET", losses), "ground", clock
+    stamp_s = raw["time_boot_ms"] * 1e-3
+    together = in_lock_step(g, stamp_s, *came)
+    if together is not None:
+        # What arrives is no envelope of delays then, since the vehicle may be ahead of the ground: the stamps are exact.
+        clock = ClockEstimate(np.array(together[:1]), np.array(together[1:]), 1.0, 0.0, "target stamps")
+    else:
+        late = stamp_s - clock.to_vehicle(g)
+        if clock.method == "one-way" and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S:
+            # The sender stamped its targets on the vehicle's clock: it knew the offset better than one-way delays can tell. Its
+            # first half minute counts, since some senders look at the vehicle's clock only once.
+            early = late[g < g.min() + _STAMP_TRUST_S]
+            error = 0.5 * float(np.percentile(early, 90) - np.percentile(early, 10))
+            clock = clock.shifted(float(np.median(early)) + HALF_MS, error + _STAMP_S, "target stamps")
+        elif (
+            clock.method == "timesync"
+            and float(np.ptp(late)) > _STAMP_WANDER_S
+            and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S
+        ):
+            # A simulated vehicle's clock that the sender went along with, and arrivals did not.
+            clock = _clock_of_stamps(g, stamp_s + HALF_MS, clock)
+        clock = replace(clock, error_s=max(clock.error_s, _STAMP_S))
+    return _ordered(clock.to_vehicle(g), reference_columns(raw), "SET_ATTITUDE_TARGET", losses), "ground", clock
 
 
 def _clock_of_stamps(ground_s: FloatArray, stamp_s: FloatArray, clock: ClockEstimate) -> ClockEstimate:
@@ -336,7 +349,7 @@ def _clock_of_stamps(ground_s: FloatArray, stamp_s: FloatArray, clock: ClockEsti
     order = np.argsort(ground_s, kind="stable")
     g, v = ground_s[order], np.maximum.accumulate(stamp_s[order])
     rising = np.concatenate([[True], (np.diff(g) > 0) & (np.diff(v) > 0)])
-    return ClockEstimate(g[rising], v[rising], 1.0, max(clock.error_s, 1e-3), "target stamps")
+    return ClockEstimate(g[rising], v[rising], 1.0, clock.error_s, "target stamps")
 
 
 def _mode_markers(state: Series) -> list[Marker]:

@@ -40,7 +40,8 @@ def target_message(
     q = frames.flip_quaternion(frames.quaternion_from_euler([roll_rad, pitch_rad, yaw_rad]))
     rates = frames.flip_vector([0.0, 0.0, yaw_rate_rad_s or 0.0])
     return book.MAVLink_set_attitude_target_message(
-        time_boot_ms=int(max(t_vehicle_s, 0.0) * 1e3) & 0xFFFFFFFF,
+        time_boot_ms=int(max(t_vehicle_s, 0.0) * 1e3 + 1e-6)
+        & 0xFFFFFFFF,  # 4.007 s is 4007 ms, whatever its binary digits
         target_system=system,
         target_component=COMPONENT_AUTOPILOT,
         type_mask=MASK_ATTITUDE_ONLY if yaw_rate_rad_s is None else MASK_ATTITUDE_AND_RATES,

@@ -62,8 +62,25 @@ def prepare(recording: Recording) -> Aligned | None:
     t_s = base.t_s
     if base.rate_hz > RATE_MAX_HZ:
         thin = int(np.ceil(base.rate_hz / RATE_MAX_HZ))
-        t_s = groups[base_group].t_s[thin // 2 :: thin]
+        t_s = _thinned(groups[base_group].t_s, thin, groups.get("velocity"))
     return Aligned(t_s, groups, {g: s.rate_hz for g, s in groups.items()}, frozenset(own))
+
+
+def _thinned(t_s: FloatArray, every: int, velocity: Series | None) -> FloatArray:
+    """One time in so many, on velocity samples where that can be: a chord between two of those cuts the corner of a step."""
+    begin = every // 2
+    if velocity is not None and len(velocity) > 1:
+        off = [float(np.median(_distance(velocity.t_s, t_s[k::every]))) for k in range(every)]
+        begin = min(range(every), key=lambda k: (round(off[k], 4), abs(k - begin)))
+    return t_s[begin::every]
+
+
+def _distance(wanted: FloatArray, t_s: FloatArray) -> FloatArray:
+    """From each wanted time to the nearest of t_s, s."""
+    if t_s.size < 2:
+        return np.abs(wanted - t_s[0]) if t_s.size else np.full(wanted.shape, np.inf)
+    right = np.clip(np.searchsorted(t_s, wanted), 1, t_s.size - 1)
+    return np.minimum(np.abs(wanted - t_s[right - 1]), np.abs(t_s[right] - wanted))
 
 
 def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, dict[str, FloatArray]]:

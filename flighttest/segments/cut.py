@@ -221,9 +221,22 @@ class _Cutter:
                 "filters": dict(self.recording.provenance.filters),
                 "reference_clock": self.recording.provenance.reference_clock,
                 "derived": dict(self.recording.provenance.derived),
-                "clock_error_s": float(self.recording.provenance.clock.get("error_s") or 0.0),
+                **self._clock_error(),
+                **self._voltage_samples(response),
             },
         )
+
+    def _clock_error(self) -> dict[str, float]:
+        error = self.recording.provenance.clock.get("error_s")
+        return {} if error is None else {"clock_error_s": float(error)}
+
+    def _voltage_samples(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """The battery's own samples about a response: at 10 Hz they are few, and the time base's values are chords between them."""
+        battery = self.recording.series.get("battery")
+        if battery is None or "voltage_v" not in battery.columns:
+            return {}
+        reach = slice(*np.searchsorted(battery.t_s, [response.start_s - _REACH_BACK_S, response.end_s + _REACH_BACK_S]))
+        return {"voltage_samples": (battery.t_s[reach], battery.columns["voltage_v"][reach])}
 
     def _inputs(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
         """References as they changed, from the last change before the window's reach."""

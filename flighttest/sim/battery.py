@@ -10,6 +10,8 @@ from dataclasses import dataclass
 _CHARGE = (0.0, 0.04, 0.1, 0.3, 0.5, 0.8, 1.0)
 _CELL_V = (3.00, 3.40, 3.58, 3.72, 3.82, 4.02, 4.20)
 
+_SHORTEST_S = 1e-4  # pieces of a step between two edges may be of next to no length
+
 
 def cell_voltage(charge: float) -> float:
     """Open-circuit V of a cell at a state of charge 0..1."""
@@ -38,6 +40,7 @@ class Battery:
     current: float = 0.0
     voltage: float = 25.2
     used_ah: float = 0.0
+    _change_v_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.draw(0.0, 0.0)
@@ -48,13 +51,22 @@ class Battery:
         self.used_ah += used
         self.charge = max(self.charge - used / self.capacity_ah, 0.0)
         self.current = current_a
+        before = self.voltage
         self.voltage = self.cells * cell_voltage(self.charge) - self.resistance_ohm * current_a
+        if dt_s > _SHORTEST_S:
+            self._change_v_s = (self.voltage - before) / dt_s
 
     def replace(self, voltage_v: float | None = None) -> None:
         """A full pack, or one that rests at a voltage, V."""
         self.charge = 1.0 if voltage_v is None else charge_at(voltage_v / self.cells)
         self.used_ah = 0.0
         self.draw(0.0, 0.0)
+        self._change_v_s = 0.0
+
+    def voltage_ahead(self, dt_s: float) -> float:
+        """Voltage dt_s, s, from now at its present rate of change: a plant's step takes that of its middle, that of its beginning
+        would be half a step late."""
+        return self.voltage + dt_s * self._change_v_s
 
     @property
     def remaining(self) -> float:

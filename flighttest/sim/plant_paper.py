@@ -88,7 +88,7 @@ class PaperPlant:
     def _step(self, h: float, command: Command) -> None:
         m, battery, b = self.motion, self.battery, self.parameters
         throttle = command.throttle if command.spinning else 0.0
-        ratio: float = (battery.voltage / b.nominal_voltage_v) ** b.alpha
+        ratio: float = (battery.voltage_ahead(0.5 * h) / b.nominal_voltage_v) ** b.alpha
         gain: float = b.K * ratio
         if self._air is not None:
             self._air.advance(h)

@@ -112,7 +112,7 @@ class TermsPlant:
             "pitch_ref_rad": command.pitch * flying,
             "yaw_rate_ref_rad_s": command.yaw_rate * flying,
             "throttle": command.throttle if command.spinning else 0.0,
-            "voltage_v": battery.voltage,
+            "voltage_v": battery.voltage_ahead(0.5 * h),
             "time_s": self._flown_s,
         }
         for i, name in enumerate(self._inputs):

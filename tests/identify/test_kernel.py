@@ -5,7 +5,8 @@ import pytest
 from scipy.signal import lsim
 
 from flighttest.identify.kernel import Kernel
-from flighttest.identify.responses import Response, _sagged, nodes_of
+from flighttest.identify.responses import Response, nodes_of
+from flighttest.identify.sag import between_samples
 from flighttest.physics.model import Model
 from tests.identify.campaign import TRUTH, first_order, second_order
 
@@ -125,16 +126,31 @@ def test_results_do_not_depend_on_who_else_is_in_the_batch():
     assert np.array_equal(together, np.stack(alone))
 
 
-def test_a_slow_voltage_follows_the_load_between_its_samples():
+def stepped_load(t):
+    return np.where(t < 1.03, 5.0, 5.0 + 11.0 * (1 - np.exp(-20 * np.clip(t - 1.03, 0, None))))
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.03, 0.06])
+def test_a_slow_voltage_follows_the_load_between_its_samples(phase):
     rng = np.random.default_rng(4)
     t = np.arange(100) * 0.02
-    load = np.where(t < 1.03, 5.0, 5.0 + 11.0 * (1 - np.exp(-20 * (t - 1.03))))
-    true = 23.5 - 0.012 * load**1.5
-    slow = np.arange(0.0, 2.1, 0.1)
-    recorded = np.interp(t, slow, np.interp(slow, t, true))
-    force = load + 0.1 * rng.standard_normal(t.size)
-    assert np.abs(recorded - true).max() > 0.08
-    assert np.abs(_sagged(t, recorded, force) - true).max() < 0.04
-    fast = true + 0.001 * rng.standard_normal(t.size)
-    assert np.array_equal(_sagged(t, fast, force), fast)
-    assert np.array_equal(_sagged(t, recorded, None), recorded)
+    true = 23.5 - 0.012 * stepped_load(t) ** 1.5
+    slow = np.arange(phase - 0.5, 2.5, 0.1)
+    samples = slow, 23.5 - 0.012 * stepped_load(slow) ** 1.5 + 0.01 * rng.standard_normal(slow.size)
+    chord = np.interp(t, *samples)
+    force = stepped_load(t - 0.01) + 0.1 * rng.standard_normal(t.size)
+    found = between_samples(t, chord, samples, force, 0.01)
+    assert np.abs(chord - true).max() > 0.08
+    assert np.abs(found - true).max() < 0.04
+    assert abs(np.mean(found - true)) < 0.006
+    here = (slow >= t[0]) & (slow <= t[-1])
+    at_samples = between_samples(slow[here], samples[1][here], samples, np.interp(slow[here], t, force), 0.01)
+    np.testing.assert_allclose(at_samples, samples[1][here], atol=1e-9)  # what was measured stands
+
+
+def test_the_voltage_of_a_fast_monitor_and_of_few_samples_is_taken_as_it_is():
+    t = np.arange(100) * 0.02
+    chord = 23.0 + 0.1 * np.sin(9 * t)
+    force = stepped_load(t)
+    for samples in ((t, chord), (t[:60:15], chord[:60:15])):
+        assert between_samples(t, chord, samples, force, 0.01) is chord

@@ -40,7 +40,7 @@ def link(book=v2, seconds=4.0, up_s=0.0, down_s=0.01, parameter=True):
         roll = 0.25 if t >= 2.0 else 0.0
         q = [np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0]
         target = book.MAVLink_set_attitude_target_message(round(boot * 1e3), 1, 1, 0, q, 0.0, 0.0, -0.5, 0.3)
-        w.add(t - up_s, target, system=255, component=190)
+        w.add(t - up_s + 1e-4 * (k % 5), target, system=255, component=190)  # no real clock steps in whole ms
     if parameter:
         w.add(seconds, book.MAVLink_param_value_message(b"INS_ACCEL_FILTER", 30.0, 9, 1, 0))
     return w

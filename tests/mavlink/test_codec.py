@@ -54,6 +54,11 @@ def test_a_target_in_frd_and_ned() -> None:
     assert (m.target_system, m.target_component) == (1, 1)
 
 
+@pytest.mark.parametrize("ms", [4007, 4015, 1_000_003, 53_751])
+def test_whole_milliseconds_are_stamped_as_they_are(ms: int) -> None:
+    assert target(t_vehicle_s=ms * 1e-3).time_boot_ms == ms  # 4.007 * 1e3 is 4006.9999999999995
+
+
 def test_a_yaw_rate_to_the_left_is_negative_in_frd_and_needs_all_rates() -> None:
     m = target(yaw_rate_rad_s=1.5)
     assert m.type_mask == 0
@@ -197,6 +202,67 @@ def test_sent_times_are_on_the_vehicles_clock_as_well_as_the_link_allows(
     assert abs(edge - 25.0) < error_s
     assert decoded.reference_clock in ("ground", "vehicle")
     assert decoded.clock.error_s >= abs(edge - 25.0) or decoded.clock.error_s > 0.01
+
+
+def in_step(offset_s: float = 0.0, imu: bool = True) -> Iterator[tuple[float, Any]]:
+    """A simulator in lock-step, or (offset_s) a vehicle whose ms are rounded down: ATTITUDE, HIGHRES_IMU, a slow battery, targets."""
+    for k in range(1500):
+        t = 5.0 + 0.02 * k
+        vehicle = t + offset_s
+        yield OFFSET_S + t, target(t_vehicle_s=t, roll_rad=0.3 if k >= 1000 else 0.0, pitch_rad=0.0)
+        if k % 50 == 0:
+            yield OFFSET_S + t, wire(book.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
+            yield OFFSET_S + t, wire(book.MAVLink_timesync_message(0, k + 1), 245, 191)
+            yield OFFSET_S + t, wire(book.MAVLink_timesync_message(int(t * 1e9), k + 1))
+        # The vehicle's step of 20 ms ends before the ground's clock moves: what it sends seems to come from the future.
+        for ahead in (0.01, 0.02):
+            now = vehicle + ahead
+            yield OFFSET_S + t, wire(book.MAVLink_attitude_message(int(now * 1e3 + 1e-6), 0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
+            if imu:
+                us = round(now * 1e6)
+                yield OFFSET_S + t, wire(book.MAVLink_highres_imu_message(us, 0, 0, -9.8, *[0.0] * 10, 63))
+            if ahead == 0.01 and k % 5 == 0:
+                cells = [23000, *[65535] * 9]
+                yield OFFSET_S + t, wire(book.MAVLink_battery_status_message(0, 0, 0, 0, cells, 100, 0, 0, 50))
+
+
+def freely_first() -> Iterator[tuple[float, Any]]:
+    """A simulator that ran at twenty times the ground's pace until lock-step began."""
+    for k in range(100):
+        t = 0.02 * k
+        yield OFFSET_S + 5.0 - (5.0 - t) / 20.0, wire(book.MAVLink_attitude_message(round(t * 1e3), *[0.0] * 6))
+
+
+@pytest.mark.parametrize("imu", [True, False])
+@pytest.mark.parametrize("before", [False, True])
+def test_times_of_a_simulator_in_lock_step_are_exact(imu: bool, before: bool) -> None:
+    decoded = decode_stream([*(freely_first() if before else ()), *in_step(imu=imu)])
+    reference = decoded.series["reference"]
+    edge = reference.t_s[np.flatnonzero(np.diff(reference.columns["roll_ref_rad"]) > 0.1)[0] + 1]
+    assert edge == pytest.approx(25.0, abs=2e-6)
+    assert decoded.series["attitude"].t_s[100 * before] == pytest.approx(5.01, abs=1e-9)
+    assert decoded.clock.error_s == 0.0
+
+
+def test_what_rounding_took_from_millisecond_stamps_is_put_back() -> None:
+    decoded = decode_stream(in_step(offset_s=0.7e-3))
+    assert decoded.series["attitude"].t_s[10] == pytest.approx(decoded.series["specific_force"].t_s[10], abs=1e-6)
+
+
+def test_a_message_without_a_stamp_goes_by_the_one_before_it() -> None:
+    battery = decode_stream(in_step()).series["battery"]
+    np.testing.assert_allclose(battery.t_s, 5.01 + 0.1 * np.arange(300), atol=1e-6)
+
+
+def test_a_links_delay_does_not_make_the_battery_late() -> None:
+    stream = []
+    for at, message in flight():
+        stream.append((at, message))
+        if message.get_type() == "ATTITUDE" and message.time_boot_ms % 100 == 0:
+            cells = [message.time_boot_ms, *[65535] * 9]
+            stream.append((at, wire(book.MAVLink_battery_status_message(0, 0, 0, 0, cells, 100, 0, 0, 50))))
+    battery = decode_stream(stream).series["battery"]
+    assert np.abs(battery.t_s - battery.columns["voltage_v"]).max() < 1e-6
 
 
 def test_a_stream_becomes_channels_and_marks() -> None:

@@ -65,6 +65,16 @@ def test_slow_attitude_keeps_its_own_times():
     assert np.all(np.diff(times) > 0)
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.01])
+def test_the_time_base_falls_on_velocity_samples_where_it_can(shift):
+    t, tv = at(100.0), at(50.0, shift=shift)
+    v = Series(tv, {"v_z_m_s": np.where(tv < 5.0, 0.0, tv - 5.0)})
+    aligned = prepare(recording(specific_force=force(t, 0 * t), velocity=v))
+    times, y = sample(aligned, 4.0, 6.0)
+    # Between two samples the chord would cut the corner by 5 mm/s.
+    np.testing.assert_allclose(y["v_z_m_s"], np.maximum(times - 5.0, 0.0), atol=1e-9)
+
+
 def test_world_acceleration_follows_from_force_and_attitude():
     t = at(50.0)
     aligned = prepare(recording(specific_force=force(t, 10.0 + 0 * t), attitude=attitude(t, 0.2 + 0 * t)))

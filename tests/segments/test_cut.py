@@ -129,6 +129,17 @@ def test_inputs_are_kept_as_edges_and_reach_back(campaign):
     assert list(segment.u["roll_ref_rad"][1]) == [0.0]
 
 
+def test_the_batterys_own_samples_are_kept(campaign):
+    recording = campaign.recording()
+    battery = recording.series["battery"]
+    segment = cut(recording)[1]
+    times, volts = segment.context["voltage_samples"]
+    assert times[0] < segment.t_s[0]
+    assert times[-1] > segment.t_s[-1]
+    assert np.array_equal(volts, np.interp(times, battery.t_s, battery.columns["voltage_v"]))
+    assert np.median(np.diff(times)) == pytest.approx(0.1)
+
+
 def test_repeats_share_a_cell_and_are_counted(fly, campaign):
     twice = fly([*campaign.pieces, *campaign.pieces])
     segments = cut(twice.recording())

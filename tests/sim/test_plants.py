@@ -212,6 +212,17 @@ def test_landing_stops_and_a_hard_one_stays_down():
         assert plant.motion.on_ground
 
 
+def test_thrust_follows_a_sagging_battery_without_the_step_being_seen():
+    def final(dt):
+        plant = PaperPlant(battery=Battery(resistance_ohm=0.05))
+        _fly(plant, [(0.5, 0, 0, 0, 1.2 * plant.hover_throttle)])
+        for _ in range(round(0.06 / dt)):
+            plant.advance(dt, Command(0, 0, 0, 2.0 * plant.hover_throttle, True))
+        return plant.motion.fz
+
+    assert final(0.005) == pytest.approx(final(0.0005), rel=4e-4)
+
+
 def test_battery_sags_drains_and_is_replaced():
     b = Battery(capacity_ah=5.0, resistance_ohm=0.01)
     assert b.voltage == pytest.approx(25.2)
