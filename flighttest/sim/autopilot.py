@@ -20,7 +20,7 @@ from flighttest.sim.mailbox import Mailbox
 from flighttest.sim.navigation import Navigator
 from flighttest.sim.parameters import ParameterStore
 from flighttest.sim.plant import Command, Plant
-from flighttest.sim.safety import LIFT_S, Boot, arming_refusal, fence_breaches
+from flighttest.sim.safety import LIFT_S, ORIGIN_S, Boot, arming_refusal, fence_breaches
 from flighttest.sim.sensors import SensorNoise, Sensors
 from flighttest.sim.streams import Streams
 from flighttest.sim.watch import Watch
@@ -29,6 +29,7 @@ from flighttest.sim.wire import Encoder
 _CONTROL_S = 0.02
 _SLOW_S = 0.1
 _THRUST_AS_THRUST = 8  # GUID_OPTIONS bit 3
+_TOLD_AT_ARMING = (book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, book.MAVLINK_MSG_ID_HOME_POSITION)
 
 
 class Autopilot:
@@ -65,6 +66,7 @@ class Autopilot:
         self.mode, self.armed, self.landed = modes.STABILIZE, False, True
         self.armed_s = self.landed_s = self.disarmed_s = 0.0
         self.capacity_ah = capacity_ah
+        self.fence_breach = 0
         self._text_id = 0
         self._holding = False
         self._throttle_state = 0.0
@@ -88,9 +90,14 @@ class Autopilot:
         return bool(self.store["SIM_GPS1_ENABLE"]) and self.time_s >= self.boot.gps_s
 
     @property
+    def has_home(self) -> bool:
+        """Whether home and the estimator's origin are set: with the first good fix, before the estimator uses it."""
+        return bool(self.store["SIM_GPS1_ENABLE"]) and self.time_s >= min(ORIGIN_S, self.boot.gps_s)
+
+    @property
     def armable(self) -> bool:
         """Whether the arming checks pass."""
-        return self.armed or self._arming_refusal() is None
+        return self.armed or self.arming_refusal() is None
 
     @property
     def taking_off(self) -> bool:
@@ -154,7 +161,7 @@ class Autopilot:
         """Arm the motors; False, with the reason as STATUSTEXT, where it is refused."""
         if self.armed:
             return True
-        why = None if force else self._arming_refusal()
+        why = None if force else self.arming_refusal()
         if why is not None:
             self.say(why, book.MAV_SEVERITY_CRITICAL)
             return False
@@ -165,11 +172,14 @@ class Autopilot:
         seen = self.measured()
         self.navigator.enter(self.mode, seen)
         self._start_angle(seen)
+        home = (telemetry.MAKERS[i](self) for i in _TOLD_AT_ARMING)
+        self.outbox += [frame for frame in home if frame is not None]
         self.say("Arming motors")
         self.outbox.append(telemetry.heartbeat(self))
         return True
 
-    def _arming_refusal(self) -> str | None:
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, in the firmware's words; None when it would."""
         m, known = self.motion, self.has_position
         why = arming_refusal(self.time_s, self.boot, self.mode, self.store, m.voltage, has_position=known)
         if why is None and fence_breaches(self.store, m.px, m.py, m.pz, has_position=known):

@@ -25,14 +25,19 @@ def acknowledge(v: Autopilot, message: Any, command: int, result: int) -> None:
 
 
 def handle(v: Autopilot, m: Any) -> None:
-    """Do what is asked, and acknowledge it."""
+    """Do what is asked, and acknowledge it. What it causes to be said comes after that, as ArduPilot's queues have it."""
     if m.target_component not in (0, v.encoder.component):
         return
     action = _ACTIONS.get(m.command)
+    said = len(v.outbox)
     result = UNSUPPORTED if action is None else action(v, m)
+    caused = v.outbox[said:]
+    del v.outbox[said:]
+    if m.command == book.MAV_CMD_GET_HOME_POSITION:  # the one that answers first
+        v.outbox += caused
+        caused = []
     acknowledge(v, m, m.command, result)
-    if m.command == book.MAV_CMD_REQUEST_MESSAGE and result == ACCEPTED:
-        _send(v, int(m.param1))
+    v.outbox += caused
 
 
 def _place(m: Any) -> tuple[float, float, float]:
@@ -87,8 +92,11 @@ def _get_interval(v: Autopilot, m: Any) -> int:
     return ACCEPTED
 
 
-def _request(_: Autopilot, m: Any) -> int:
-    return ACCEPTED if int(m.param1) in telemetry.MAKERS else FAILED
+def _request(v: Autopilot, m: Any) -> int:
+    if int(m.param1) not in telemetry.MAKERS:
+        return FAILED
+    _send(v, int(m.param1))
+    return ACCEPTED
 
 
 def _send(v: Autopilot, message_id: int) -> None:
@@ -104,7 +112,7 @@ def _capabilities(v: Autopilot, _: Any) -> int:
 
 def _take_off(v: Autopilot, m: Any) -> int:
     height = _altitude(m)
-    if not v.armed or not math.isfinite(height) or height <= 0.0:
+    if not v.armed or not v.landed or not math.isfinite(height) or height <= 0.0:
         return FAILED
     if v.mode == modes.GUIDED_NOGPS:
         return ACCEPTED  # flown: accepted, and without effect
@@ -155,9 +163,10 @@ def _battery_reset(v: Autopilot, _: Any) -> int:
 
 
 def _home(v: Autopilot, _: Any) -> int:
-    if not v.has_position:
+    if not v.has_home:
         return FAILED
     _send(v, book.MAVLINK_MSG_ID_HOME_POSITION)
+    _send(v, book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
     return ACCEPTED
 
 
@@ -176,7 +185,6 @@ _ACTIONS: dict[int, Any] = {
     book.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
     book.MAV_CMD_REQUEST_MESSAGE: _request,
     book.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _capabilities,
-    book.MAV_CMD_REQUEST_PROTOCOL_VERSION: _denied,
     book.MAV_CMD_CONDITION_YAW: _turn,
     book.MAV_CMD_DO_CHANGE_SPEED: _speed,
     book.MAV_CMD_DO_REPOSITION: _reposition,

@@ -49,8 +49,10 @@ def accept(
     rates = None
     if ignored == 0:
         rates = (rates_frd[0], -rates_frd[1], -rates_frd[2])
-    if not all(math.isfinite(v) for v in (thrust, *(rates or ()))):
+    if not all(math.isfinite(v) for v in rates or ()):
         return None
+    if not math.isfinite(thrust):
+        thrust = 0.5  # flown: what the firmware's limiter makes of a NaN
     return AttitudeTarget(attitude, rates, thrust)
 
 

@@ -25,6 +25,7 @@ class Mailbox:
     def __init__(self, vehicle: Autopilot) -> None:
         self._v = vehicle
         self.angle_submode = False
+        self._confessed = False
         self.lockstep_asked: bool | None = None
         self.speed_asked: float | None = None
         self._handlers: dict[str, Callable[[Any], None]] = {
@@ -42,7 +43,6 @@ class Mailbox:
             "MISSION_REQUEST_LIST": self._mission_list,
             "MISSION_CLEAR_ALL": self._mission_clear,
             "LOG_REQUEST_LIST": self._log_list,
-            "PING": self._ping,
         }
 
     def receive(self, message: Any) -> None:
@@ -69,6 +69,9 @@ class Mailbox:
             thrust = v.angle.thrust
             v.angle.start(v.time_s, v.motion.yaw)
             v.angle.thrust = thrust
+        if not math.isfinite(m.thrust) and not self._confessed:
+            self._confessed = True
+            v.say("Internal Errors 0x400", book.MAV_SEVERITY_CRITICAL)
         v.angle.receive(v.time_s, target)
 
     def _local_target(self, m: Any) -> None:
@@ -162,8 +165,7 @@ class Mailbox:
     # -- commands and the rest -----------------------------------------------------------------------------------------------
 
     def _set_mode(self, m: Any) -> None:
-        ok = self._v.set_mode(m.custom_mode)
-        commands.acknowledge(self._v, m, book.MAVLINK_MSG_ID_SET_MODE, commands.ACCEPTED if ok else commands.FAILED)
+        self._v.set_mode(m.custom_mode)  # flown: acknowledged by nothing but the HEARTBEAT
 
     def _command(self, m: Any) -> None:
         commands.handle(self._v, m)
@@ -184,7 +186,7 @@ class Mailbox:
         v = self._v
         kind = getattr(m, "mission_type", 0)
         sender = (m.get_srcSystem(), m.get_srcComponent())
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_count_message(*sender, 0, kind)))
+        v.outbox.append(v.encoder.message(book.MAVLink_mission_count_message(*sender, int(v.has_home), kind)))
 
     def _mission_clear(self, m: Any) -> None:
         v = self._v
@@ -195,12 +197,6 @@ class Mailbox:
     def _log_list(self, _: Any) -> None:
         v = self._v
         v.outbox.append(v.encoder.message(book.MAVLink_log_entry_message(0, 0, 0, 0, 0)))
-
-    def _ping(self, m: Any) -> None:
-        v = self._v
-        if m.target_system == 0:
-            sender = (m.get_srcSystem(), m.get_srcComponent())
-            v.outbox.append(v.encoder.message(book.MAVLink_ping_message(m.time_usec, m.seq, *sender)))
 
 
 _RAW = (book.MAVLINK_MSG_ID_RAW_IMU, book.MAVLINK_MSG_ID_SCALED_IMU2)

@@ -6,8 +6,8 @@ STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER, RTL, LAND = 0, 2, 3, 4, 5, 6, 9
 POSHOLD, BRAKE, GUIDED_NOGPS = 16, 17, 20
 
 NAMES = {
-    STABILIZE: "Stabilize", ALT_HOLD: "AltHold", AUTO: "Auto", GUIDED: "Guided", LOITER: "Loiter", RTL: "RTL",
-    LAND: "Land", POSHOLD: "PosHold", BRAKE: "Brake", GUIDED_NOGPS: "Guided_NoGPS",
+    STABILIZE: "STABILIZE", ALT_HOLD: "ALT_HOLD", AUTO: "AUTO", GUIDED: "GUIDED", LOITER: "LOITER", RTL: "RTL",
+    LAND: "LAND", POSHOLD: "POSHOLD", BRAKE: "BRAKE", GUIDED_NOGPS: "GUIDED_NOGPS",
 }  # fmt: skip
 
 NEEDS_POSITION = frozenset({GUIDED, LOITER, RTL, POSHOLD, BRAKE, AUTO})
@@ -20,7 +20,7 @@ def refusal(mode: int, *, armed: bool, has_position: bool) -> str | None:
     if mode not in NAMES:
         return f"No such mode {mode}"
     if mode == AUTO:
-        return "Mode change to Auto failed: missing mission"
+        return "Mode change to AUTO failed: missing mission"
     if armed and mode in NEEDS_POSITION and not has_position:
         return f"Mode change to {NAMES[mode]} failed: requires position"
     return None

@@ -9,6 +9,7 @@ from flighttest.sim import modes
 from flighttest.sim.parameters import ParameterStore
 
 READY_S = 23.5  # flown on a real SITL: arming is refused for 20 to 25 s after boot
+ORIGIN_S = 20.0  # flown: origin and home are set by the first good fix
 GPS_S = 41.0  # flown: LOCAL_POSITION_NED starts 41 s after boot
 MODE_SWITCH_S = 3.0  # the RC mode switch is read for the first time: an earlier mode is undone
 LIFT_S = 2.0  # flown: motors lift about 2 s after arming

@@ -58,6 +58,7 @@ class Vehicle(Protocol):
     armed: bool
     landed: bool
     capacity_ah: float
+    fence_breach: int
 
     @property
     def charge_used_ah(self) -> float:
@@ -70,6 +71,10 @@ class Vehicle(Protocol):
     @property
     def has_position(self) -> bool:
         """Whether the estimator uses GPS."""
+
+    @property
+    def has_home(self) -> bool:
+        """Whether home and the estimator's origin are set."""
 
     @property
     def armable(self) -> bool:
@@ -239,7 +244,7 @@ def _vibration(v: Vehicle) -> bytes:
 def _fence(v: Vehicle) -> bytes | None:
     if not v.store["FENCE_ENABLE"]:
         return None
-    return v.encoder.message(book.MAVLink_fence_status_message(0, 0, 0, 0))
+    return v.encoder.message(book.MAVLink_fence_status_message(int(v.fence_breach > 0), 0, v.fence_breach, _ms(v)))
 
 
 def _navigation(v: Vehicle) -> bytes:
@@ -286,7 +291,7 @@ def _servo(v: Vehicle) -> bytes:
 
 
 def _home(v: Vehicle) -> bytes | None:
-    if not v.has_position:
+    if not v.has_home:
         return None
     nan = float("nan")
     return v.encoder.message(
@@ -297,7 +302,7 @@ def _home(v: Vehicle) -> bytes | None:
 
 
 def _origin(v: Vehicle) -> bytes | None:
-    if not v.has_position:
+    if not v.has_home:
         return None
     return v.encoder.message(
         book.MAVLink_gps_global_origin_message(HOME_LAT_E7, HOME_LON_E7, round(HOME_ALT_M * 1e3), _us(v))
@@ -368,6 +373,7 @@ MAKERS: dict[int, Maker] = {
     book.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: _navigation,
     book.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _silent,
     book.MAVLINK_MSG_ID_RANGEFINDER: _silent,
+    book.MAVLINK_MSG_ID_DISTANCE_SENSOR: _silent,
     book.MAVLINK_MSG_ID_WIND: _silent,
 }
 """Every message that can be asked for, by id; None means: accepted, but silent for now."""

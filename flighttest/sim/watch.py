@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
-from flighttest.sim import modes
+from flighttest.sim import modes, telemetry
 from flighttest.sim.plant import G_M_S2
 from flighttest.sim.safety import CrashCheck, fence_breaches, fence_mode
 
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 _LAND_DISARM_S = 1.5
 _TIMESYNC_S = 10.0
+_PREARM_S = 30.0  # how often a vehicle that cannot arm says why
 _SWAP_S = 3.0
-_ORIGIN_S = 20.0
+_MAXALT, _BOUNDARY = book.FENCE_BREACH_MAXALT, book.FENCE_BREACH_BOUNDARY
 _BOOT_TEXTS = (
     (0.9, "Barometer 1 calibration complete"), (1.4, "ArduPilot Ready"), (1.4, "AHRS: DCM active"),
     (3.4, "EKF3 IMU0 initialised"), (3.4, "AHRS: EKF3 active"), (4.8, "EKF3 IMU0 tilt alignment complete"),
@@ -35,6 +36,7 @@ class Watch:
         self._crash = CrashCheck()
         self._breaches = 0
         self._timesync_s = _TIMESYNC_S
+        self._prearm_s = _PREARM_S
 
     def look(self) -> None:
         """Do what is due now."""
@@ -53,7 +55,7 @@ class Watch:
         v = self._v
         while self._texts and self._texts[0][0] <= t_s:
             v.say(self._texts.pop(0)[1])
-        if not self._origin_said and t_s >= min(_ORIGIN_S, v.boot.gps_s) and v.store["SIM_GPS1_ENABLE"]:
+        if not self._origin_said and v.has_home:
             self._origin_said = True
             v.say("EKF3 IMU0 origin set")
             v.say("Field Elevation Set: 584m")
@@ -65,6 +67,11 @@ class Watch:
             if v.mode != modes.STABILIZE and not v.armed:
                 v.set_mode(modes.STABILIZE)
             v.say("RC7: SaveWaypoint LOW")
+        if t_s >= self._prearm_s:
+            self._prearm_s += _PREARM_S
+            why = None if v.armed else v.arming_refusal()
+            if why is not None:
+                v.say(why.replace("Arm:", "PreArm:"), book.MAV_SEVERITY_CRITICAL)
         if t_s >= self._timesync_s:
             self._timesync_s += _TIMESYNC_S
             v.outbox.append(v.encoder.message(book.MAVLink_timesync_message(0, int(t_s * 1e9) + 1)))
@@ -104,11 +111,18 @@ class Watch:
         breaches = fence_breaches(v.store, m.px, m.py, m.pz, has_position=v.has_position)
         new = breaches & ~self._breaches
         self._breaches = breaches
+        if not breaches:
+            v.fence_breach = 0
         if not new:
             return
-        v.say("Max Alt fence breached" if new & 1 else "Circle fence breached", book.MAV_SEVERITY_NOTICE)
+        v.fence_breach = _MAXALT if new & 1 else _BOUNDARY
+        frame = telemetry.MAKERS[book.MAVLINK_MSG_ID_FENCE_STATUS](v)
+        if frame is not None:
+            v.outbox.append(frame)
         mode = fence_mode(int(v.store["FENCE_ACTION"]), has_position=v.has_position)
-        if mode is not None and v.mode != mode and not v.landed and v.set_mode(mode):
+        moved = mode is not None and v.mode != mode and not v.landed and v.set_mode(mode)
+        v.say("Max Alt fence breached" if new & 1 else "Circle fence breached", book.MAV_SEVERITY_NOTICE)
+        if moved:
             v.say("Manual recovery started")
 
     def _crashed(self, t_s: float) -> None:
