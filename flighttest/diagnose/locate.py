@@ -108,8 +108,8 @@ def residual_map(before: Rows, after: Rows, segments: Sequence[Segment], floor: 
         for c, name in enumerate(before.channels):
             here = inside & (before.channel == c)
             for p in ("before", "transient", "steady", "flight"):
-                at = here & (phase == p)
-                if not at.any():
+                at = np.flatnonzero(here & (phase == p))
+                if not at.size:
                     continue
                 found.append(
                     {
@@ -117,7 +117,7 @@ def residual_map(before: Rows, after: Rows, segments: Sequence[Segment], floor: 
                         "kind": key[0],
                         "cell": dict(key[1]),
                         "phase": p,
-                        "samples": int(at.sum()),
+                        "samples": int(at.size),
                         "before_floors": float(np.sqrt(np.mean(before.open_residual[at] ** 2)) / floor.of(name)),
                         "after_floors": float(np.sqrt(np.mean(after.open_residual[at] ** 2)) / floor.of(name)),
                     }
