@@ -82,9 +82,7 @@ def test_the_vehicle_turns_to_the_side_it_was_asked_to(onboard_segments):
     for s in onboard_segments:
         if s.kind == "throttle_step":
             continue
-        channel, sign = {"roll_step": ("roll_rad", 1), "pitch_step": ("pitch_rad", 1), "yaw_rate_step": ("r_rad_s", 1)}[
-            s.kind
-        ]
+        channel = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}[s.kind]
         asked = next(iter(s.cell.values()))
         late = (s.t_s > s.t_step_s + 0.6) & (s.t_s < s.t_step_s + 0.9)
         assert np.mean(s.y[channel][late]) == pytest.approx(asked, rel=0.12)
