@@ -27,6 +27,7 @@ from scipy import stats
 
 from flighttest.currency.battery import check
 from flighttest.currency.compare import subset_tests
+from flighttest.currency.discrepancy import steps_of
 from flighttest.errors import FlighttestError
 from flighttest.identify.fit import fit
 from flighttest.identify.model_file import ModelFile, from_fit
@@ -146,8 +147,9 @@ def fly_all(first: int, vehicles: int, unchanged: int, folder: Path) -> None:
 def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
     """What the program says of a campaign: subsets that raise an alarm, the battery's alarm, and the relative change of each parameter."""
     base = watched(stored, "model")
-    found = reestimate_segments(stored, [s for s in new.segments if s.usable], "new")
-    tests = subset_tests(base, found, spread=allowance(stored, base, ()))
+    usable = [s for s in new.segments if s.usable]
+    found = reestimate_segments(stored, usable, "new")
+    tests = subset_tests(base, found, spread=allowance(stored, base, (), steps_of(usable)))
     before = battery_of([recorded(b) for b in own.batteries])
     battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)
     return {
@@ -167,7 +169,7 @@ def modelled(vehicle_seed: int, flown: Flown) -> ModelFile:
     """The stored model of a reference campaign, as `flighttest run` would keep it."""
     model = Model(nominal_voltage_v=random_rotor(vehicle_seed).nominal_voltage_v)
     found = fit([s for s in flown.segments if s.usable], model)
-    return replace(from_fit(found), fit_quality={"discrepancy": own_discrepancy(found)})
+    return replace(from_fit(found), fit_quality=own_discrepancy(found))
 
 
 def kept(path: Path) -> tuple[str, str, Flown, str]:

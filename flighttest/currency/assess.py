@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from flighttest.currency.battery import check
-from flighttest.currency.compare import Estimates, subset_tests, thrust_or_mass
+from flighttest.currency.compare import FALSE_ALARM, Estimates, subset_tests, thrust_or_mass
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
+from flighttest.currency.hover import Hover, hover_test
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, BatteryCheck, Change, Currency, Drift, SubsetTest, Verdict
 from flighttest.currency.sequence import drifts
 
@@ -23,13 +24,15 @@ def assess(
     spread: Mapping[str, float] | None = None,
     battery: tuple[float, float] | str | None = None,
     battery_reference: tuple[float, float] | None = None,
+    hovers: tuple[Hover | None, Hover | None] = (None, None),
     untestable: Sequence[str] = (),
 ) -> Currency:
     """Is the model still valid?
 
-    model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's estimates;
-    runs: re-estimates of new runs, in time order, the last one the newest. battery: (Ohm, std) of the newest run or why it cannot
-    be told. untestable: what the caller could not test, one sentence each.
+    model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's
+    estimates; runs: re-estimates of new runs, in time order, the last one the newest. battery: (Ohm, std) of the newest run or why
+    it cannot be told. hovers: the throttle that holds height, of the model's flights and of the newest run. untestable: what the
+    caller could not test, one sentence each.
     """
     changes: tuple[Change, ...] = ()
     cannot_tell = list(untestable)
@@ -37,6 +40,12 @@ def assess(
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
         cannot_tell += unknown
     tests = subset_tests(stored, runs[-1], spread=spread) if runs else ()
+    before, now = hovers
+    if before is not None and now is not None and not any(t.subset == "thrust" for t in tests):
+        alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
+        shared = FALSE_ALARM / (len(tests) + 1)
+        tests = subset_tests(stored, runs[-1], spread=spread, false_alarm=shared * len(tests)) if tests else ()
+        tests = (*tests, hover_test(before, now, alpha, shared))
     drift = drifts(stored, runs, spread) if len(runs) > 1 else ()
     checked = check(battery, battery_reference) if battery is not None else None
     alarms = [t for t in tests if t.alarm]
@@ -93,7 +102,10 @@ def _sentence(
         if not tests:
             limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
             return f"Current: nothing that is declared has changed since the model was flown{limit}."
-        return f"Current: the new recording agrees with the model in {', '.join(t.subset for t in tests)}."
+        told = [t.subset for t in tests]
+        blind = [s for s in SUBSETS if s not in told]
+        nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""
+        return f"Current: the new recording agrees with the model in {', '.join(told)}{nothing}."
     parts = []
     if changes:
         named = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:3]]

@@ -14,6 +14,7 @@ from flighttest.currency.model import SUBSETS, FloatArray, SubsetTest
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
 FALSE_ALARM = 0.01
+TOLD = 0.1  # relative standard error below which thrust per throttle at the voltage flown counts as known
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Estimates:
     """Parameter names, values (n,) and covariance (n, n), SI. Parameters that are not identifiable are left out by the caller.
 
     dof: (n,) Student-t degrees of freedom of each standard error, None for many. log_voltage: ln(U / U_n) at which the throttle was told,
-    NaN where it is not known.
+    NaN where it is not known. weak: K and alpha, where each alone is not identified: together they may still say what a throttle gives
+    at a voltage.
     """
 
     name: str
@@ -30,13 +32,20 @@ class Estimates:
     covariance: FloatArray
     dof: FloatArray | None = None
     log_voltage: float = math.nan
+    weak: frozenset[str] = frozenset()
+
+    @property
+    def known(self) -> Estimates:
+        """Without the weak ones."""
+        return self.select([n for n in self.names if n not in self.weak]) if self.weak else self
 
     def select(self, wanted: Sequence[str]) -> Estimates:
         """The same with these parameters only, in this order."""
         index = [self.names.index(n) for n in wanted]
         dof = None if self.dof is None else self.dof[index]
         covariance = self.covariance[np.ix_(index, index)]
-        return Estimates(self.name, tuple(wanted), self.values[index], covariance, dof, self.log_voltage)
+        weak = self.weak & set(wanted)
+        return Estimates(self.name, tuple(wanted), self.values[index], covariance, dof, self.log_voltage, weak)
 
     def at_voltage(self, log_voltage: float, alpha: float) -> Estimates:
         """The same with thrust per throttle at another voltage in K's place: K (U/U_n)^alpha.
@@ -57,7 +66,9 @@ class Estimates:
         turn[i, i] = gain
         if "alpha" in self.names:
             turn[i, j] = values[i] * log_voltage
-        return replace(self, values=values, covariance=turn @ self.covariance @ turn.T)
+        covariance = turn @ self.covariance @ turn.T
+        told = math.sqrt(float(covariance[i, i])) < TOLD * abs(float(values[i]))
+        return replace(self, values=values, covariance=covariance, weak=self.weak - {"K"} if told else self.weak)
 
 
 def discrepancy(
@@ -82,12 +93,13 @@ def subset_tests(
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
 ) -> tuple[SubsetTest, ...]:
     """Test every subset both sides know something about. Thrust per throttle is compared at the voltage of the new recording."""
-    shared = {s: tuple(n for n in names if n in stored.names and n in new.names) for s, names in subsets.items()}
-    testable = {s: names for s, names in shared.items() if names}
-    level = false_alarm / max(len(testable), 1)
     alpha = float(stored.values[stored.names.index("alpha")]) if "alpha" in stored.names else 0.0
     away = alpha * (new.log_voltage - stored.log_voltage)
-    before, after = stored.at_voltage(new.log_voltage, alpha), new.at_voltage(new.log_voltage, alpha)
+    before, after = stored.at_voltage(new.log_voltage, alpha).known, new.at_voltage(new.log_voltage, alpha).known
+    shared = {s: tuple(n for n in names if n in before.names and n in after.names) for s, names in subsets.items()}
+    # The lag alone does not say that the thrust is what it was.
+    testable = {s: names for s, names in shared.items() if names and (s != "thrust" or "K" in names)}
+    level = false_alarm / max(len(testable), 1)
     return tuple(
         _test(s, before.select(names), after.select(names), spread, away if math.isfinite(away) else 0.0, level)
         for s, names in testable.items()
@@ -152,6 +164,7 @@ _WORDS = {
     "d_x": "drag forward",
     "d_y": "drag sideways",
     "d_z": "drag in climb",
+    "hover_throttle": "the throttle that holds height",
 }
 
 

@@ -35,6 +35,7 @@ PRIOR: dict[str, float] = {
 DEFAULT_PRIOR = 0.05
 PRIOR_WEIGHT = 2.0  # groups that the prior counts as
 MIN_GROUP = 3  # responses; fewer do not know their own scatter
+SAME = 0.8  # share of the steps that two campaigns must have in common to count as the same
 MIN_SHARE = 0.1  # of a group in what is known of a parameter
 
 Condition = Callable[[Segment], float | str]
@@ -46,11 +47,18 @@ def prior(name: str) -> float:
 
 
 def measured(
-    normal: Normal, names: Sequence[str], values: Mapping[str, float], segments: Sequence[Segment]
+    normal: Normal,
+    names: Sequence[str],
+    values: Mapping[str, float],
+    segments: Sequence[Segment],
+    *,
+    same_steps: bool = False,
 ) -> dict[str, float]:
     """Relative discrepancy, one standard deviation, of each of `names` (those that were estimated).
 
-    normal: normal equations per segment at the solution, as `segments`; values: of the parameters.
+    normal: normal equations per segment at the solution, as `segments`; values: of the parameters. same_steps: only between the
+    conditions that are new in every flight: what the model gets wrong about sizes and directions of steps, a flight of the same
+    steps repeats.
     """
     pick = [normal.names.index(n) for n in names]
     if not pick:
@@ -65,15 +73,35 @@ def measured(
     for i, name in enumerate(names):
         size = abs(values[name])
         if size > 0.0 and name in PRIOR:
-            found[name] = float(np.sqrt(_variance(influence[:, i] / size, share[:, i], segments, prior(name) ** 2)))
+            conditions = NEW_EACH_FLIGHT if same_steps else CONDITIONS
+            variance = _variance(influence[:, i] / size, share[:, i], segments, conditions, prior(name) ** 2)
+            found[name] = float(np.sqrt(variance))
     return found
 
 
-def _variance(influence: FloatArray, share: FloatArray, segments: Sequence[Segment], stated: float) -> float:
+def steps_of(segments: Sequence[Segment]) -> list[str]:
+    """The steps of a campaign, each once: what tells whether another one flew the same."""
+    return sorted(
+        {f"{kind} {' '.join(f'{k}={v:g}' for k, v in cell)}" for kind, cell in (s.cell_key for s in segments)}
+    )
+
+
+def same_steps(a: Sequence[str], b: Sequence[str]) -> bool:
+    """Whether two campaigns flew the same steps, but for a few that were rejected."""
+    return bool(a) and len(set(a) & set(b)) >= SAME * max(len(set(a)), len(set(b)))
+
+
+def _variance(
+    influence: FloatArray,
+    share: FloatArray,
+    segments: Sequence[Segment],
+    conditions: Sequence[Condition],
+    stated: float,
+) -> float:
     """Squared relative discrepancy of one parameter; influence and share: (segments,)."""
     telling = share > 1e-6
     top, weights = PRIOR_WEIGHT * stated, PRIOR_WEIGHT
-    for condition in CONDITIONS:
+    for condition in conditions:
         labels = condition_labels(condition, segments, telling)
         groups = [np.flatnonzero(labels == label) for label in np.unique(labels[labels >= 0])]
         groups = [g for g in groups if g.size >= MIN_GROUP and float(share[g].sum()) >= MIN_SHARE]
@@ -141,4 +169,5 @@ def _run(s: Segment) -> str:
     return s.run
 
 
-CONDITIONS: tuple[Condition, ...] = (_run, _time, _voltage, _heading, _size, _sign)
+NEW_EACH_FLIGHT: tuple[Condition, ...] = (_run, _time, _voltage)
+CONDITIONS: tuple[Condition, ...] = (*NEW_EACH_FLIGHT, _heading, _size, _sign)

@@ -39,6 +39,7 @@ def drifts(
     limit: float | None = None,
 ) -> tuple[Drift, ...]:
     """One `Drift` per parameter of the stored model that at least one run has; `runs` in time order. limit: None for `limit_for`."""
+    stored, runs = stored.known, [run.known for run in runs]
     limit = limit_for(len(stored.names), slack) if limit is None else limit
     found = []
     for i, name in enumerate(stored.names):

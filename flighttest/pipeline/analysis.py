@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.currency.discrepancy import measured
+from flighttest.currency.discrepancy import measured, steps_of
+from flighttest.currency.hover import hover
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
 from flighttest.identify import model_file
@@ -158,16 +159,25 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
 def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
     """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
     battery = battery_data(recordings)
-    extra: dict[str, Any] = {"discrepancy": own_discrepancy(found)}
+    extra: dict[str, Any] = own_discrepancy(found)
+    level = hover(found.problem.segments, found.model.nominal_voltage_v)
+    if level is not None:
+        extra["hover"] = plain(level)
     if battery:
         extra["battery"] = dict(battery)
     return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
 
 
-def own_discrepancy(found: Fit) -> dict[str, float]:
-    """What this campaign's conditions differ by beyond their errors, relative, per parameter: what currency allows for."""
-    made = measured(found.solution.normal, found.covariance.names, found.values, found.problem.segments)
-    return {name: round(value, 5) for name, value in made.items()}
+def own_discrepancy(found: Fit) -> dict[str, Any]:
+    """What this campaign's conditions differ by beyond their errors, relative, per parameter, as currency allows for it: between other
+    steps, and between flights of the same steps, which are listed."""
+    parts = found.solution.normal, found.covariance.names, found.values, found.problem.segments
+    any_steps, same = measured(*parts), measured(*parts, same_steps=True)
+    return {
+        "discrepancy": {name: round(value, 5) for name, value in any_steps.items()},
+        "discrepancy_same_steps": {name: round(value, 5) for name, value in same.items()},
+        "steps": steps_of(found.problem.segments),
+    }
 
 
 def fit(

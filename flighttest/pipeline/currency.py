@@ -13,6 +13,8 @@ import yaml
 
 from flighttest.currency.assess import assess
 from flighttest.currency.compare import Estimates
+from flighttest.currency.discrepancy import same_steps, steps_of
+from flighttest.currency.hover import Hover, hover
 from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
 from flighttest.currency.reflight import needs
 from flighttest.documents import write_text
@@ -33,6 +35,7 @@ from flighttest.plan import compile_plan
 from flighttest.recording import Recording
 from flighttest.report import html
 from flighttest.report.currency_page import status_document
+from flighttest.report.numbers import join
 from flighttest.report.plain import plain
 from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
@@ -88,28 +91,46 @@ def judge(
     new = {r.name for r in recordings}
     known = campaigns(out) if out is not None else []
     earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
+    usable = [s for s in cut_all(recordings, progress) if s.usable] if recordings else []
     if recordings:
         try:
-            series = [*earlier, reestimate(stored, recordings, progress)]
+            series = [*earlier, reestimate(stored, usable, recordings[-1].name, progress)]
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
-    missing = [s for s, subset in SUBSETS.items() if series and not set(subset) & set(series[-1].names)]
-    untestable += [
-        f"{subset}: nothing in the new recordings tells; fly {', '.join(SCRIPTS[subset])}" for subset in missing
-    ]
     battery = battery_of(recordings) if recordings else None
     found = assess(
         model_fingerprint=stored.fingerprint,
         vehicle_fingerprint=today,
         stored=base,
         runs=series,
-        spread=allowance(stored, base, earlier),
+        spread=allowance(stored, base, earlier, steps_of(usable)),
         battery=battery,
         battery_reference=battery_reference(stored),
+        hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
         untestable=untestable,
     )
+    told = {t.subset for t in found.tests}
+    blind = [s for s in SUBSETS if recordings and s not in told]
+    unseen = tuple(f"{s}: the model and the new recordings together do not tell; fly {join(SCRIPTS[s])}" for s in blind)
     since = flown_until(stored)
-    return replace(found, changes=tuple(c if c.since else replace(c, since=since) for c in found.changes))
+    return replace(
+        found,
+        changes=tuple(c if c.since else replace(c, since=since) for c in found.changes),
+        cannot_tell=(*unseen, *found.cannot_tell),
+    )
+
+
+def stored_hover(stored: ModelFile) -> Hover | None:
+    """The throttle that held height in a model's flights, where it was kept."""
+    kept = stored.fit_quality.get("hover")
+    if not isinstance(kept, Mapping):
+        return None
+    try:
+        volts = kept.get("log_voltage")
+        there = None if volts is None else float(volts)
+        return Hover(float(kept["throttle"]), float(kept["std"]), float(kept["dof"]), there)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def flown_until(stored: ModelFile) -> str:
@@ -129,17 +150,16 @@ def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) 
     return seen
 
 
-def reestimate(stored: ModelFile, recordings: Sequence[Recording], progress: Progress = SILENT) -> Estimates:
-    """The stored model's parameters from new recordings alone.
+def reestimate(stored: ModelFile, usable: Sequence[Segment], name: str, progress: Progress = SILENT) -> Estimates:
+    """The stored model's parameters from new responses alone.
 
     What the new recordings cannot tell (alpha over a short flight, say) is held at the stored value, so that it does not blur
     the rest; the test's covariance carries the stored doubt anyway.
     """
-    segments = [s for s in cut_all(recordings, progress) if s.usable]
-    if not segments:
+    if not usable:
         raise FitError("no response can be used", "see `flighttest segment`")
-    progress.stage(f"estimating again from {len(segments)} responses")
-    return reestimate_segments(stored, segments, recordings[-1].name)
+    progress.stage(f"estimating again from {len(usable)} responses")
+    return reestimate_segments(stored, usable, name)
 
 
 def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: str) -> Estimates:
@@ -176,10 +196,16 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
     return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
 
 
-def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
+def allowance(
+    stored: ModelFile, base: Estimates, earlier: Sequence[Estimates], steps: Sequence[str] = ()
+) -> dict[str, float]:
     """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
-    between its conditions. What neither knows keeps the stated prior."""
-    kept = stored.fit_quality.get("discrepancy")
+    between its conditions; with the same steps, between those conditions only that a new flight brings. What neither knows keeps
+    the stated prior."""
+    quality = stored.fit_quality
+    flown = quality.get("steps")
+    same = isinstance(flown, list) and same_steps([str(s) for s in flown], steps)
+    kept = quality.get("discrepancy_same_steps" if same else "discrepancy")
     known = {str(n): float(v) for n, v in kept.items()} if isinstance(kept, Mapping) else {}
     return {**known, **(own_scatter(base, earlier) or {})}
 
@@ -187,10 +213,11 @@ def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) 
 def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float] | None:
     """Relative scatter of this vehicle's own campaigns beyond their stated errors; None before there are enough of them."""
     found = {}
+    base = base.known
     for i, name in enumerate(base.names):
         rows = [
             (float(e.values[e.names.index(name)]), float(e.covariance[e.names.index(name), e.names.index(name)]))
-            for e in earlier
+            for e in (one.known for one in earlier)
             if name in e.names
         ]
         if len(rows) < ENOUGH_HISTORY or not base.values[i]:

@@ -56,7 +56,14 @@ def watched(model: ModelFile, name: str) -> Estimates:
 
     Few responses know their own scatter badly: the degrees of freedom are those of the 95 % intervals (Student's factor).
     """
-    names, values, matrix = model.identified
+    names = tuple(
+        n
+        for n in model.order
+        if n in TESTED and n in model.parameters and (model.parameters[n].identifiable or n in ("K", "alpha"))
+    )
+    values = np.array([model.parameters[n].value for n in names])
+    pick = np.array([model.order.index(n) for n in names], dtype=np.intp)
+    matrix = model.covariance[np.ix_(pick, pick)]
     dof = np.full(len(names), MANY)
     for i, n in enumerate(names):
         interval, std = model.parameters[n].interval_95, float(matrix[i, i]) ** 0.5
@@ -64,8 +71,8 @@ def watched(model: ModelFile, name: str) -> Estimates:
             dof[i] = dof_of((interval[1] - interval[0]) / (2.0 * std))
     volts, nominal = model.valid.get("voltage_v"), model.model.nominal_voltage_v
     there = math.log(float(np.mean(volts)) / nominal) if volts else math.nan
-    kept = Estimates(name, names, values, matrix, dof, there)
-    return kept.select([n for n in names if n in TESTED])
+    weak = frozenset(n for n in names if not model.parameters[n].identifiable)
+    return Estimates(name, names, values, matrix, dof, there, weak)
 
 
 def dof_of(factor: float) -> float:
@@ -110,7 +117,7 @@ def as_good(new: ModelFile, old: ModelFile) -> bool:
 
 
 def _known(model: ModelFile) -> dict[str, float]:
-    found = watched(model, "")
+    found = watched(model, "").known
     return {n: float(found.covariance[i, i]) ** 0.5 for i, n in enumerate(found.names)}
 
 

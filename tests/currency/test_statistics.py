@@ -5,7 +5,8 @@ import pytest
 
 from flighttest.currency import battery, compare, sequence
 from flighttest.currency.compare import Estimates
-from flighttest.currency.discrepancy import measured, prior
+from flighttest.currency.discrepancy import measured, prior, same_steps, steps_of
+from flighttest.currency.hover import hover, hover_test
 from flighttest.identify.solve import Normal
 from flighttest.pipeline.batteries import battery_of
 from flighttest.recording import Provenance, Recording, Series
@@ -226,3 +227,66 @@ def test_the_battery_of_a_campaign_is_told_from_all_its_flights():
     assert value == pytest.approx(0.02, abs=3.0 * std)
     assert std < 0.5 * battery_of([dull])[1]
     assert "UNTESTABLE" in battery_of([recorded("still", np.full(300, 20.0))])
+
+
+def test_what_a_model_gets_wrong_about_directions_a_flight_of_the_same_steps_repeats():
+    normal, steps = flown(np.random.default_rng(20), 0.05)
+    parts = normal, ("K",), {"K": 50.0}, steps
+    assert measured(*parts)["K"] > 0.03
+    assert measured(*parts, same_steps=True)["K"] <= prior("K")
+    assert same_steps(steps_of(steps), steps_of(steps[:40]))
+    assert not same_steps(steps_of(steps), ["roll_step amplitude_rad=0.3"])
+    assert not same_steps([], [])
+
+
+def test_a_lag_alone_does_not_say_that_the_thrust_is_what_it_was():
+    one = Estimates("a", ("sigma_t",), np.array([20.0]), np.array([[0.01]]))
+    assert compare.subset_tests(one, one) == ()
+    weak = Estimates("a", ("K", "sigma_t"), np.array([50.0, 20.0]), np.diag([400.0, 0.01]), weak=frozenset({"K"}))
+    assert compare.subset_tests(weak, weak) == ()
+
+
+def test_k_and_alpha_that_are_known_only_together_still_tell_the_thrust():
+    there = -0.1
+    values = np.array([50.0, 1.7])
+    ridge = np.outer([-50.0 * there, 1.0], [-50.0 * there, 1.0]) * 3.0**2 + np.diag([(0.003 * 50.0) ** 2, 1e-6])
+    both = [
+        Estimates(n, ("K", "alpha"), values * [f, 1.0], ridge, None, there, frozenset({"K", "alpha"}))
+        for n, f in (("a", 1.0), ("b", 0.94), ("c", 1.002))
+    ]
+    (test,) = compare.subset_tests(both[0], both[1])
+    assert test.alarm
+    assert list(test.shifts) == ["K"], "alpha by itself is not known"
+    assert not compare.subset_tests(both[0], both[2])[0].alarm
+
+
+def free_flight(rng, throttle, run, windows=9, volts=None):
+    t = np.arange(0.0, 2.0, 0.02)
+    made = []
+    for i in range(windows):
+        y = {"v_z_m_s": 0.02 * rng.normal() * t}
+        if volts is not None:
+            y["voltage_v"] = np.full(t.size, volts)
+        edges = np.array([-1.0, 1.0]), np.array([0.9, 1.1]) * throttle * (1.0 + 0.003 * rng.normal())
+        made.append(Segment(f"{run}{i}", run, "free", {}, i, 0.0, t, y, {"throttle": edges}))
+    return made
+
+
+def test_the_throttle_that_holds_height_tells_where_steps_were_not_flown():
+    rng = np.random.default_rng(21)
+
+    def level(throttle, volts=None):
+        runs = [free_flight(rng, throttle * (1.0 + 0.004 * rng.normal()), f"run{k}", volts=volts) for k in range(3)]
+        return hover([s for run in runs for s in run], 22.2)
+
+    before = level(0.54)
+    assert before.throttle == pytest.approx(0.54, rel=0.02)
+    assert hover_test(before, level(0.54 * 1.08), None, 0.01).alarm
+    test = hover_test(before, level(0.54 * 1.02), None, 0.01)
+    assert not test.alarm, "packs differ by as much"
+    assert test.subset == "thrust"
+    # A battery at 0.93 of its voltage needs more throttle for the same thrust: explained first.
+    full, low = level(0.2, 22.2), level(0.2 * 0.93**-1.7, 22.2 * 0.93)
+    assert not hover_test(full, low, 1.7, 0.01).alarm
+    assert hover_test(full, low, 0.0, 0.01).alarm, "a battery the autopilot compensates for explains nothing"
+    assert hover(free_flight(rng, 0.5, "a", windows=2), 22.2) is None

@@ -1,0 +1,93 @@
+"""The throttle that holds height: what a free flight tells of thrust or mass where K and its lag cannot be told apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from flighttest.currency.model import FloatArray, SubsetTest
+from flighttest.segments import Segment
+
+G_M_S2 = 9.81
+MIN_WINDOW_S = 1.0
+DISCREPANCY = 0.015  # relative, one sigma: what one flight after another differs by (packs, air density)
+UNKNOWN_VOLTAGE = 0.015  # on top of it where no voltage was recorded
+NAME = "hover_throttle"
+
+
+@dataclass(frozen=True)
+class Hover:
+    """throttle: middle over the recordings; std: of it; dof of std; log_voltage: ln(U / U_n), None where it was not recorded."""
+
+    throttle: float
+    std: float
+    dof: float
+    log_voltage: float | None
+
+
+def hover(segments: Sequence[Segment], nominal_voltage_v: float) -> Hover | None:
+    """From windows of free flight; None where there are too few. Recordings are the units of the error."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for s in segments:
+        if s.usable and s.kind == "free" and (one := _window(s)) is not None:
+            found.setdefault(s.run, []).append(one)
+    windows = [one for runs in found.values() for one in runs]
+    if len(windows) < 3:
+        return None
+    # One recording's windows share its pack and its air; several recordings know what those do.
+    units = [np.mean([t for t, _ in runs]) for runs in found.values()] if len(found) > 1 else [t for t, _ in windows]
+    volts = [v for _, v in windows if np.isfinite(v)]
+    there = math.log(float(np.mean(volts)) / nominal_voltage_v) if volts else None
+    values = np.array(units, dtype=float)
+    std = float(np.std(values, ddof=1)) / math.sqrt(values.size)
+    return Hover(float(np.mean(values)), std, float(values.size - 1), there)
+
+
+def _window(s: Segment) -> tuple[float, float] | None:
+    """Throttle that would hold height, and voltage, of one window: its mean, for its mean tilt and climb."""
+    climb = s.y.get("v_z_m_s")
+    if "throttle" not in s.u or climb is None:
+        return None
+    level = np.zeros(
+        s.t_s.size
+    )  # where no attitude was recorded: 1.5 % at 10 deg, and the same in every flight of a plan
+    roll, pitch = s.y.get("roll_rad", level), s.y.get("pitch_rad", level)
+    known = np.isfinite(climb)
+    duration = float(s.t_s[known][-1] - s.t_s[known][0]) if known.sum() > 1 else 0.0
+    if duration < MIN_WINDOW_S:
+        return None
+    edges, values = s.u["throttle"]
+    at = np.clip(np.searchsorted(edges, s.t_s, side="right") - 1, 0, values.size - 1)
+    up = np.cos(roll) * np.cos(pitch) * values[at]
+    a_z = float(climb[known][-1] - climb[known][0]) / duration
+    volts = s.y.get("voltage_v", np.full(1, np.nan))
+    lift = float(np.nanmean(up)) / (1.0 + a_z / G_M_S2)
+    return (lift, float(np.nanmean(volts)) if np.isfinite(volts).any() else math.nan) if lift > 0.0 else None
+
+
+def hover_test(stored: Hover, new: Hover, alpha: float | None, level: float) -> SubsetTest:
+    """Thrust by the throttle that holds height. alpha: exponent of the voltage, None where it is not known."""
+    change = math.log(new.throttle / stored.throttle)
+    doubt = DISCREPANCY
+    if stored.log_voltage is None or new.log_voltage is None:
+        doubt = math.hypot(doubt, UNKNOWN_VOLTAGE)
+    else:
+        away = new.log_voltage - stored.log_voltage
+        # A battery that the autopilot compensates for has alpha 0, a bare one 1.7.
+        change += (0.85 if alpha is None else alpha) * away
+        doubt = math.hypot(doubt, (0.6 if alpha is None else 0.1) * away)
+    parts: FloatArray = np.array([stored.std / stored.throttle, new.std / new.throttle])
+    total = float(parts @ parts) + doubt**2
+    dof = total**2 / max(float(parts[0] ** 4 / stored.dof + parts[1] ** 4 / new.dof), 1e-12)
+    z = change / math.sqrt(total)
+    p_value = float(2.0 * stats.t.sf(abs(z), dof))
+    alarm = p_value < level
+    verb = "rose" if change > 0 else "fell"
+    share = math.expm1(change)
+    words = f"the throttle that holds height {verb} {abs(share) * 100:.1f} %"
+    sentence = f"{words} (chance of this without a change: {p_value:.1g})" if alarm else f"{words}, as it may"
+    return SubsetTest("thrust", z * z, 1, p_value, level, alarm, {NAME: (share, z)}, sentence)
