@@ -45,6 +45,7 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 ALPHA_TELLS = 2.0
+VAGUE = 0.2  # relative standard error beyond which the stored value serves better
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
 SPOT_CHECK = "spot_check"
 
@@ -191,7 +192,7 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
     if kept is None or not kept.identifiable:
         return False
     new = found.estimates[name]
-    if not new.identifiable or new.std is None:
+    if new.std is None or (not new.identifiable and new.std > VAGUE * abs(new.value)):
         return True
     return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
 

@@ -13,12 +13,12 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
-from flighttest.currency.compare import MANY, Estimates
+from flighttest.currency.compare import MANY, TOLD, Estimates
 from flighttest.currency.declared import declared_changes
 from flighttest.currency.model import SUBSETS
 from flighttest.errors import FlighttestError, InputError
 from flighttest.identify import model_file
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.model_file import ModelFile, StoredParameter
 from flighttest.pipeline.results import Result
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
 from flighttest.report import html
@@ -27,6 +27,7 @@ from flighttest.report.document import Document
 
 FIT_NAME = "fit.yaml"
 DEFAULT_RUNS = Path("runs")  # where runs go unless told otherwise; not there before the first
+TOGETHER = ("K", "alpha")  # may say together what a throttle gives where neither is known alone
 TESTED = tuple(n for names in SUBSETS.values() for n in names)
 
 
@@ -59,7 +60,7 @@ def watched(model: ModelFile, name: str) -> Estimates:
     names = tuple(
         n
         for n in model.order
-        if n in TESTED and n in model.parameters and (model.parameters[n].identifiable or n in ("K", "alpha"))
+        if n in TESTED and n in model.parameters and (n in TOGETHER or _tells(model.parameters[n]))
     )
     values = np.array([model.parameters[n].value for n in names])
     pick = np.array([model.order.index(n) for n in names], dtype=np.intp)
@@ -67,12 +68,20 @@ def watched(model: ModelFile, name: str) -> Estimates:
     dof = np.full(len(names), MANY)
     for i, n in enumerate(names):
         interval, std = model.parameters[n].interval_95, float(matrix[i, i]) ** 0.5
-        if interval is not None and std > 0.0:
+        if interval is None:
+            dof[i] = 1.0
+        elif std > 0.0:
             dof[i] = dof_of((interval[1] - interval[0]) / (2.0 * std))
     volts, nominal = model.valid.get("voltage_v"), model.model.nominal_voltage_v
     there = math.log(float(np.mean(volts)) / nominal) if volts else math.nan
-    weak = frozenset(n for n in names if not model.parameters[n].identifiable)
+    weak = frozenset(n for n in names if n in TOGETHER and not model.parameters[n].identifiable)
     return Estimates(name, names, values, matrix, dof, there, weak)
+
+
+def _tells(p: StoredParameter) -> bool:
+    """Whether a parameter can be compared: also one that too few responses tell to say how well it is known, as in a spot check, if it
+    came out sharply: what campaigns differ by is allowed for anyway."""
+    return p.identifiable or (p.std is not None and p.std < TOLD * abs(p.value))
 
 
 def dof_of(factor: float) -> float:
@@ -117,8 +126,8 @@ def as_good(new: ModelFile, old: ModelFile) -> bool:
 
 
 def _known(model: ModelFile) -> dict[str, float]:
-    found = watched(model, "").known
-    return {n: float(found.covariance[i, i]) ** 0.5 for i, n in enumerate(found.names)}
+    sure = {n: p.std for n, p in model.parameters.items() if n in TESTED and p.identifiable}
+    return {n: std for n, std in sure.items() if std is not None}
 
 
 def standing(known: Sequence[Campaign]) -> Campaign | None:
