@@ -76,6 +76,7 @@ class RotorPlant:
         self._tether, self._updraft, self._front = on.get("tether"), on.get("updraft"), on.get("gust_front")
         offset = on.get("attitude_offset", {})
         self._offset = (-offset.get("offset_roll", 0.0), -offset.get("offset_pitch", 0.0))  # reported minus true
+        self._trim = tuple((sin(a), cos(a)) for a in self._offset) if offset else None
         bias = on.get("accelerometer_bias", {})
         self._bias = (bias.get("bias_x", 0.0), bias.get("bias_y", 0.0), bias.get("bias_z", 0.0))
         arm = on.get("imu_lever_arm")
@@ -281,6 +282,11 @@ class RotorPlant:
         m.vx, m.vy, m.vz = self._late_velocity() if self._latency else self._v
         m.roll, m.pitch, m.yaw = roll + self._offset[0], pitch + self._offset[1], self._yaw
         m.p, m.q, m.r = self._p, self._q, self._r
+        if self._trim is not None:
+            # The board is mounted askew: attitude and accelerometer report in its frame, thrust acts in the vehicle's.
+            (sr, cr), (sp, cp) = self._trim
+            f = (cp * f[0] - sp * f[2], f[1], sp * f[0] + cp * f[2])
+            f = (f[0], cr * f[1] + sr * f[2], cr * f[2] - sr * f[1])
         b = self._bias
         m.fx, m.fy, m.fz = f[0] + b[0], f[1] + b[1], f[2] + b[2]
 

@@ -147,6 +147,11 @@ def test_every_effect_of_the_rotor_changes_what_is_measured(name, clean_tours):
         clean = _plant("rotor").delays
         assert plant.delays.attitude_s - clean.attitude_s == pytest.approx(0.03)
         return
+    if name == "attitude_priority":  # a rotor stops only where a hard tilt meets little throttle
+        clean, h = _plant("rotor"), plant.hover_throttle
+        hard = [(0.8, 0, 0, 0, 1.5 * h), (0.4, 0.5, 0, 0, 0.3 * h), (0.4, -0.5, 0, 0, 0.3 * h)]
+        assert np.abs(_fly(plant, hard) - _fly(clean, hard)).max() > 0.02
+        return
     change = np.abs(_tour(plant) - clean_tours["rotor"])
     assert np.isfinite(change).all()
     assert change.max() > 0.02

@@ -9,26 +9,29 @@ import casadi as ca
 from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
 
 Values = Mapping[str, Expr]
+LEAST_DOWN = 0.2  # of the cable: beyond 78 degrees the two coordinates no longer tell where the load is
 
 
 def _payload(s: Signals, p: Values, x: Values) -> Contribution:
+    """A point mass on a taut massless cable; n, from the vehicle to the load, turns as both of its ends are pulled."""
     ratio, length = p["payload_ratio"], p["cable_m"]
     f = s.rotation @ s.force
-    swing: Expr = ca.vertcat(x["swing_north_rad"], x["swing_west_rad"])
-    rate: Expr = ca.vertcat(x["swing_north_rate_rad_s"], x["swing_west_rate_rad_s"])
-    # What the payload feels as gravity: the vertical specific force of vehicle and payload together.
-    gravity = f[2] / (1 + ratio)
-    pull: Expr = ratio * gravity * ca.vertcat(swing, -1)
-    vehicle = f[:2] + pull[:2]
-    damping = 2 * p["swing_damping"] * ca.sqrt(s.g / length) * rate
-    acceleration: Expr = -(gravity * swing + vehicle) / length - damping
+    north, west = x["swing_north"], x["swing_west"]
+    rate_north, rate_west = x["swing_north_rate_1_s"], x["swing_west_rate_1_s"]
+    down = ca.sqrt(ca.fmax(1 - north**2 - west**2, LEAST_DOWN**2))
+    n: Expr = ca.vertcat(north, west, -down)
+    rate: Expr = ca.vertcat(rate_north, rate_west, (north * rate_north + west * rate_west) / down)
+    drag: Expr = -2 * p["swing_damping"] * ca.sqrt(s.g * length) * rate
+    # Tension that keeps the length, per mass of the load.
+    tension = (length * ca.sumsqr(rate) + ca.dot(n, drag - f)) / (1 + ratio)
+    acceleration: Expr = (drag - f - (1 + ratio) * tension * n) / length
     return Contribution(
-        s.rotation.T @ pull,
+        s.rotation.T @ (ratio * tension * n),
         {
-            "swing_north_rad": rate[0],
-            "swing_west_rad": rate[1],
-            "swing_north_rate_rad_s": acceleration[0],
-            "swing_west_rate_rad_s": acceleration[1],
+            "swing_north": rate_north,
+            "swing_west": rate_west,
+            "swing_north_rate_1_s": acceleration[0],
+            "swing_west_rate_1_s": acceleration[1],
         },
     )
 
@@ -52,19 +55,20 @@ slung_payload = Term(
         ),
     ),
     build=_payload,
-    equation="l s_dd = -(g_eff s + v_dot_xy) - 2 zeta sqrt(g l) s_d;  f_world = mu g_eff (s_north, s_west, -1), g_eff = f_up / (1 + mu)",
+    equation="f_world = mu t n,  t = (l |n_dot|^2 + n (d - f)) / (1 + mu),  l n_ddot = d - f - (1 + mu) t n,  d = -2 zeta sqrt(g l) n_dot",
     plain="a load swings on a cable below the vehicle and pulls it to and fro after every lateral move",
     source="pendulum below an accelerated pivot; Palunko, Fierro, Cruz, ICRA 2012",
-    doubt="small swing angles, taut massless cable; its weight is in K's thrust-to-mass ratio unless a former model says otherwise",
+    doubt="taut massless cable, swings below 78 degrees, no downwash on the load; its "
+    "weight is in K's thrust-to-mass ratio unless a former model says otherwise",
     hides_in=("a_d", "d_x", "d_y", "K"),
     told_apart_by="ringing after lateral steps",
     reveals="lateral_stop",
     needs=("v_x_m_s",),
     # A load still swings from the flight to the start when a step begins.
     states=(
-        State("swing_north_rad", "rad", "swing towards north", free=True, spread=0.15),
-        State("swing_west_rad", "rad", "swing towards west", free=True, spread=0.15),
-        State("swing_north_rate_rad_s", "rad/s", "rate of the swing towards north", free=True, spread=0.4),
-        State("swing_west_rate_rad_s", "rad/s", "rate of the swing towards west", free=True, spread=0.4),
+        State("swing_north", "1", "share of the cable that points north", free=True, spread=0.15),
+        State("swing_west", "1", "share of the cable that points west", free=True, spread=0.15),
+        State("swing_north_rate_1_s", "1/s", "its rate towards north", free=True, spread=0.4),
+        State("swing_west_rate_1_s", "1/s", "its rate towards west", free=True, spread=0.4),
     ),
 )  # fmt: skip
