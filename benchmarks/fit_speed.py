@@ -39,7 +39,7 @@ def ipopt_single_shooting(problem: Problem, limit_s: float) -> tuple[float, bool
     delay = problem.values["T_d_thrust"]
     rows = [nodes_of(r, delay) for r in part.responses]
     k = max(len(r[0]) for r in rows)
-    kernel = problem._kernel(i, ())
+    kernel = problem._kernel(i, (), ())
     chain = kernel._chain(k, False)
     m = len(rows)
     nodes = np.zeros((m, k, kernel.n_data))

@@ -15,10 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
+from flighttest.identify.constancy import lags_with, leaning_on, responses_telling, spreads
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
+    Doubts,
+    Known,
+    allowance,
     judge,
     throttle_varies,
     voltage_spread_at_equal_throttle,
@@ -27,6 +31,7 @@ from flighttest.identify.identifiability import (
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
 from flighttest.identify.problem import Noise, Problem, Select
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
+from flighttest.identify.responses import dead_channels, never_changing
 from flighttest.identify.solve import FitStatus, Solution, solve, start_noise
 from flighttest.identify.ties import TieTest, tie_tests
 from flighttest.physics.body import DELAY, DELAY_PARAM
@@ -153,7 +158,8 @@ def fit(
         if not hopeless or len(hopeless) == len(covariance.names):
             break
         held = (*held, *hopeless)
-    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread)
+    quality = channel_quality(problem, solution)
+    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, quality)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))
         for c, n in DELAY_PARAM.items()
@@ -167,7 +173,7 @@ def fit(
         delays_s=delays,
         onset=onset,
         noise=solution.noise,
-        quality=channel_quality(problem, solution),
+        quality=quality,
         valid=valid_range(problem),
         outliers=_outliers(problem, solution),
         ties=tie_tests(segments, model, filters, select, solution, ties or {}, tuple(frozen or {}), robust),
@@ -229,8 +235,10 @@ def _estimates(
     covariance: Covariance,
     frozen: tuple[str, ...],
     spread: float | None,
+    quality: Mapping[str, ChannelQuality],
 ) -> dict[str, Estimate]:
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
+    doubts = _doubts(problem, solution, covariance, quality)
     found: dict[str, Estimate] = {}
     std = np.sqrt(np.diag(covariance.matrix))
     correlation = covariance.matrix / np.outer(std, std) if std.size else covariance.matrix
@@ -254,8 +262,9 @@ def _estimates(
                 partner = (covariance.names[j], float(correlation[i, j]))
         blind = source_name in solution.blind or source_name not in solution.free
         known = judge(
-            param, value, known_std, blind, source_name in solution.at_bound, partner, spread, reveals.get(name, "")
-        )
+            param, value, known_std, blind, source_name in solution.at_bound, partner, spread, reveals.get(name, ""),
+            doubts.get(source_name),
+        )  # fmt: skip
         source = "assumed" if blind else "tied" if name in problem.ties else "fit"
         found[name] = Estimate(
             name, param.symbol, param.unit, value, known_std, interval, source, known.identifiable, known.why, known.fly
@@ -263,6 +272,28 @@ def _estimates(
     if "T_d" not in found:
         found["T_d"] = _mean_delay(found, covariance)
     return found
+
+
+def _doubts(
+    problem: Problem, solution: Solution, covariance: Covariance, quality: Mapping[str, ChannelQuality]
+) -> dict[str, Doubts]:
+    """By name of a free parameter."""
+    differing = spreads(problem, solution, covariance)
+    wide = [n for n, s in differing.items() if s.width > allowance(problem.model.param[n], solution.values[n])]
+    loops = lags_with(wide)
+    bounds, partners = leaning_on(solution.at_bound, solution), leaning_on([n for n in wide if n in loops], solution)
+    told = responses_telling(solution)
+    best: dict[str, float] = {}
+    for part in problem.parts:
+        r2 = [q.r2 for c in part.outputs if (q := quality.get(c)) is not None and np.isfinite(q.r2)]
+        for name in part.block.params:
+            best[name] = max([best.get(name, -np.inf), *r2])
+    return {
+        n: Doubts(
+            differing.get(n), bounds.get(n), partners.get(n) if n in loops else None, told.get(n, 0), best.get(n, 1.0)
+        )
+        for n in solution.free
+    }
 
 
 def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estimate:
@@ -289,6 +320,11 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
     half = interval_factor(dof) * std
     missing = [n for n in DELAY_PARAM.values() if n in found and n not in names]
     known = judge(DELAY, value, std, False, False, None, None, "")
+    doubted = [n for n in names if not found[n].identifiable]
+    if doubted and known.identifiable:
+        known = Known(
+            False, f"{' and '.join(doubted)} {'is' if len(doubted) == 1 else 'are'} not known", found[doubted[0]].fly
+        )
     why = known.why or (f"mean without {', '.join(missing)}" if missing else "")
     return Estimate(
         "T_d",
@@ -322,6 +358,9 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
         notes.append(
             "no attitude references were recorded: the attitude loops are left out, and the measured attitude drives thrust and drag"
         )
+    dead = dead_channels(problem.segments)
+    if dead:
+        notes.append(f"{never_changing(dead)}: taken as not recorded")
     outputs = {c for part in problem.parts for c in part.outputs}
     fed = {part.block.name for part in problem.parts}
     if "translation" in fed:

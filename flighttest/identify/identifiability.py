@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flighttest.identify.constancy import Spread
 from flighttest.identify.responses import held
 from flighttest.physics.core import Param
 from flighttest.segments.model import Segment
@@ -20,6 +21,8 @@ VOLTAGE_STD = 0.004  # of ln U, below which alpha is held from the beginning (0.
 WEAK_SHARE = 0.25
 WEAK_DELAY_S = 0.01
 CORRELATED = 0.98
+FEWEST_RESPONSES = 3
+EXPLAINS_NOTHING = 0.05  # R2
 
 _FLY = {
     "omega_phi": "roll_pitch", "zeta_phi": "roll_pitch", "omega_theta": "roll_pitch", "zeta_theta": "roll_pitch",
@@ -43,6 +46,22 @@ class Known:
     fly: str = ""
 
 
+@dataclass(frozen=True)
+class Doubts:
+    """What speaks against a parameter beside its standard error.
+
+    spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it cannot be told from; partner: the
+    same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: R2 of the best
+    described channel it acts on.
+    """
+
+    spread: Spread | None = None
+    bound: str | None = None
+    partner: str | None = None
+    responses: int = FEWEST_RESPONSES
+    explained: float = 1.0
+
+
 def maneuver_for(param: Param, reveals: str) -> str:
     """The shipped script that excites a parameter."""
     return _FLY.get(param.name, reveals or "thrust")
@@ -57,8 +76,10 @@ def judge(
     partner: tuple[str, float] | None,
     voltage_spread_v: float | None,
     reveals: str,
+    doubts: Doubts | None = None,
 ) -> Known:
     """Verdict on one parameter. std: None where none was estimated; partner: the parameter it is most correlated with."""
+    doubts = doubts or Doubts()
     fly = maneuver_for(param, reveals)
     if blind:
         return Known(False, _WHY_BLIND.get(param.name, f"nothing in this data depends on {param.name}"), fly)
@@ -66,27 +87,50 @@ def judge(
         return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
     if std is None:
         return Known(False, "no error could be estimated for it", fly)
+    if doubts.explained < EXPLAINS_NOTHING:
+        return Known(False, "the model describes these responses no better than their mean does", fly)
+    if doubts.responses < FEWEST_RESPONSES:
+        few = "one response tells" if doubts.responses == 1 else f"{doubts.responses} responses tell"
+        return Known(False, f"only {few} of it: without repeats its error is not known", fly)
+    if doubts.bound is not None:
+        return Known(False, f"{doubts.bound} sits at its bound, and the two cannot be told apart here", fly)
+    if doubts.spread is not None and doubts.spread.width > allowance(param, value):
+        sentence = doubts.spread.sentence(param.unit)
+        return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)
+    if doubts.partner is not None:
+        return Known(
+            False, f"{doubts.partner} differs between sizes of steps, and the two cannot be told apart here", fly
+        )
     share = std / abs(value) if value else float("inf")
     if param.name == "alpha":
-        spread = (
+        range_v = (
             "" if voltage_spread_v is None else f"; at equal throttle the voltage spread over {voltage_spread_v:.1f} V"
         )
         # Near zero (a battery-compensated autopilot) a share of the value means nothing: a tight absolute bound stands in.
         good = std < ALPHA_STD and (share < ALPHA_SHARE or std < 0.05)
         return Known(
             good,
-            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){spread}",
+            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){range_v}",
             "" if good else fly,
         )
     if param.unit == "s" and param.name.startswith("T_d"):
-        good, limit = std < WEAK_DELAY_S, f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
+        good, limit = std < allowance(param, value), f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
     else:
-        good = std < max(WEAK_SHARE * abs(value), 0.0 if param.lower > 0 else 0.25 * param.scale)
+        good = std < allowance(param, value)
         limit = f"{std:.2g} {param.unit} on a value of {value:.3g}"
     if good:
         return Known(True)
     with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
     return Known(False, f"its standard error is {limit}{with_whom}", fly)
+
+
+def allowance(param: Param, value: float) -> float:
+    """How wide a parameter may be and still be called known."""
+    if param.name == "alpha":
+        return ALPHA_STD
+    if param.unit == "s" and param.name.startswith("T_d"):
+        return WEAK_DELAY_S
+    return max(WEAK_SHARE * abs(value), 0.0 if param.lower > 0 else 0.25 * param.scale)
 
 
 def voltage_varies(segments: Sequence[Segment], nominal_voltage_v: float) -> bool:

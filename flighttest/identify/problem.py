@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.errors import FitError
 from flighttest.identify.kernel import Kernel, node_bucket
-from flighttest.identify.responses import Response, max_step_s, nodes_of, prepare
+from flighttest.identify.responses import Response, dead_channels, max_step_s, never_changing, nodes_of, prepare
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -27,6 +27,7 @@ from flighttest.segments.model import Segment
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Select = Literal["paper", "all"]
+Cutoffs = tuple[tuple[str, float], ...]
 
 STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
 ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
@@ -106,7 +107,7 @@ class Problem:
     names: tuple[str, ...]
     values: dict[str, float]
     ties: Mapping[str, str]
-    filters_hz: Mapping[str, float]
+    filters_hz: Mapping[str, float] | None
     _kernels: dict[Any, Kernel] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -123,7 +124,7 @@ class Problem:
     ) -> Problem:
         """Assign segments to blocks.
 
-        filters: as `Provenance.filters`, channel group to cut-off in Hz; None takes each segment's context['filters'].
+        filters: as `Provenance.filters`, channel group to cut-off in Hz, of all segments; None takes each one's context['filters'].
         select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
         'all' (every block on every segment in which its references move). values: start values by name; fixed: names that stay
         there; ties: name to the name it equals. FitError when no segment feeds any block.
@@ -139,15 +140,16 @@ class Problem:
             if members and outputs:
                 found.append(_part(usable, members, block, outputs, model, start))
         if not found:
+            still = dead_channels(usable)
+            why = f"; {never_changing(still)}" if still else ""
             raise FitError(
-                "no usable segment excites any part of the model", "see `flighttest segment` for why each was rejected"
+                f"no usable segment excites any part of the model{why}",
+                "see `flighttest segment` for why each was rejected",
             )
         tied = {k: v for k, v in (ties or {}).items() if k in start and v in start}
         reached = {n for part in found for n in part.block.params}
         names = tuple(n for n in model.names if n in reached and n not in fixed and n not in tied)
-        if filters is None:
-            filters = next((dict(s.context["filters"]) for s in usable if s.context.get("filters")), {})
-        return cls(usable, model, tuple(found), names, start, tied, dict(filters))
+        return cls(usable, model, tuple(found), names, start, tied, None if filters is None else dict(filters))
 
     def thinned(self, every: int) -> Problem:
         """The same problem on each `every`-th response of every kind of step, sharing what was compiled."""
@@ -201,7 +203,8 @@ class Problem:
         sensitivities = free is not None
         # A tied parameter moves with its source: both columns are needed, and added up.
         wanted = [] if free is None else [*free, *(k for k, v in self.ties.items() if v in free)]
-        kernel = self._kernel(i, tuple(n for n in part.block.params if n in wanted))
+        free_here = tuple(n for n in part.block.params if n in wanted)
+        kernel = self._kernel(i, free_here, ())
         p = np.array([full[n] for n in part.block.params])
         delay = float(part.block.delay_s(p))
         step = max_step_s(part.block, self.values)
@@ -209,10 +212,12 @@ class Problem:
         m, n, n_y = part.y.shape
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, kernel.n_columns if sensitivities else 0))
-        by_bucket: dict[int, list[int]] = {}
+        alike: dict[tuple[int, Cutoffs], list[int]] = {}
         for j, (nodes, _) in enumerate(rows):
-            by_bucket.setdefault(node_bucket(len(nodes)), []).append(j)
-        for bucket, members in by_bucket.items():
+            cutoffs = self._cutoffs(part, part.responses[j].index)
+            alike.setdefault((node_bucket(len(nodes)), cutoffs), []).append(j)
+        for (bucket, cutoffs), members in alike.items():
+            kernel = self._kernel(i, free_here, cutoffs)
             stacked = np.zeros((len(members), bucket, kernel.n_data))
             for at, j in enumerate(members):
                 nodes = rows[j][0]
@@ -240,12 +245,16 @@ class Problem:
                 columns[at] = source
         return PartEvaluation(residual, dy, (*columns, *part.locals))
 
-    def _kernel(self, i: int, free: tuple[str, ...]) -> Kernel:
+    def _cutoffs(self, part: Part, index: int) -> Cutoffs:
+        """Known measurement filters of a segment: (output, Hz) of those that have one."""
+        known = self.segments[index].context.get("filters", {}) if self.filters_hz is None else self.filters_hz
+        return tuple((c, float(hz)) for c in part.outputs if (hz := known.get(CHANNELS[c].group, 0.0)) > 0.0)
+
+    def _kernel(self, i: int, free: tuple[str, ...], cutoffs: Cutoffs) -> Kernel:
         part = self.parts[i]
-        cutoffs = {c: hz for c in part.outputs if (hz := self.filters_hz.get(CHANNELS[c].group, 0.0)) > 0.0}
-        key = (part.block.name, part.outputs, free, tuple(cutoffs.items()))
+        key = (part.block.name, part.outputs, free, cutoffs)
         if key not in self._kernels:
-            self._kernels[key] = Kernel(part.block, part.outputs, free, cutoffs)
+            self._kernels[key] = Kernel(part.block, part.outputs, free, dict(cutoffs))
         return self._kernels[key]
 
     def linearise(
@@ -347,7 +356,11 @@ def _feeds(segment: Segment, block: Block) -> bool:
 
 def _outputs(segments: Sequence[Segment], members: Sequence[int], block: Block) -> tuple[str, ...]:
     """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
-    seen = {c for i in members for c in block.outputs if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
+    dead = set(dead_channels(segments))
+    alive = [c for c in block.outputs if c not in dead]
+    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= dead:
+        alive = [c for c in alive if not c.startswith("a_")]
+    seen = {c for i in members for c in alive if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
     if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
         seen = {c for c in seen if not c.startswith("a_")}
     return tuple(c for c in block.outputs if c in seen)

@@ -64,6 +64,22 @@ def held(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: fl
     return np.asarray(values[at], dtype=float)
 
 
+def dead_channels(segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Channels recorded with one and the same value throughout: a column that somebody filled in, not a measurement."""
+    found = []
+    for name in sorted({c for s in segments for c in s.y if not c.startswith("a_")}):
+        every = np.concatenate([s.y[name][np.isfinite(s.y[name])] for s in segments if name in s.y])
+        if every.size > 1 and not np.ptp(every):
+            found.append(name)
+    return tuple(found)
+
+
+def never_changing(channels: Sequence[str]) -> str:
+    """Dead channels in words."""
+    shown = ", ".join(channels[:6]) + (f" and {len(channels) - 6} more" if len(channels) > 6 else "")
+    return f"{shown} never change{'s' if len(channels) == 1 else ''} in any sample, as no measurement does"
+
+
 def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
     """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
     t, y = segment.t_s, segment.y

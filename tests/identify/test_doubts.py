@@ -1,0 +1,146 @@
+"""What the model cannot describe is not printed as known, however small its standard error."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from flighttest.errors import FitError
+from flighttest.identify.fit import fit
+from tests.identify.campaign import QUIET, TRUTH, campaign
+
+
+@pytest.fixture(scope="module")
+def yaws():
+    return [s for s in campaign(21, thrust_repeats=0, tilt_repeats=0, yaw_repeats=3) if s.kind == "yaw_rate_step"]
+
+
+def ramped(segment, rng, accel_rad_s2=4.7):
+    """The same step with the reference ramped by the autopilot, as ATC_ACCEL_Y_MAX does."""
+    rate = segment.cell["rate_rad_s"]
+    t = np.arange(-0.5, 2.1, 1e-3)
+    edges = [(0.0, rate), (1.5, 0.0)]
+    late, value = t - TRUTH["T_d"], np.zeros_like(t)
+    for at, (began, aim) in zip((0.0, rate), edges, strict=True):
+        gone = np.clip((late - began) * accel_rad_s2, 0.0, abs(aim - at)) * np.sign(aim - at)
+        value += gone
+    _, r, _ = lsim(([TRUTH["sigma_r"]], [1, TRUTH["sigma_r"]]), value, t + 0.5)
+    made = np.interp(segment.t_s - segment.t_step_s, t, r) + 0.02 * rng.standard_normal(segment.t_s.size)
+    return replace(segment, y={**segment.y, "r_rad_s": made})
+
+
+def test_a_ramped_yaw_rate_has_no_one_decay_constant(yaws):
+    rng = np.random.default_rng(1)
+    honest = fit(yaws).estimates["sigma_r"]
+    assert honest.identifiable, honest.why
+    shaped = fit([ramped(s, rng) for s in yaws])
+    for name in ("sigma_r", "T_d_yaw_rate"):
+        assert not shaped.estimates[name].identifiable
+    assert "in steps of 1 rad/s" in shaped.estimates["sigma_r"].why
+    assert "in steps of 2 rad/s" in shaped.estimates["sigma_r"].why
+    assert not shaped.estimates["T_d"].identifiable
+    assert "T_d_yaw_rate" in shaped.estimates["T_d"].why
+
+
+def test_what_leans_on_a_delay_at_its_bound_is_not_known(yaws):
+    # Stamped 130 ms late: the vehicle seems to answer before it was asked.
+    late = [replace(s, u={c: (t + 0.13, v) for c, (t, v) in s.u.items()}) for s in yaws]
+    found = fit(late)
+    assert "T_d_yaw_rate" in found.solution.at_bound
+    assert not found.estimates["sigma_r"].identifiable
+    assert "T_d_yaw_rate sits at its bound" in found.estimates["sigma_r"].why
+
+
+def test_a_gain_that_changes_with_throttle_is_no_constant():
+    flown = []
+    for t_1 in (0.1, 0.2, 0.4):
+        curve = {**TRUTH, "K": TRUTH["K"] * np.sqrt(t_1 / 0.2)}
+        every = campaign(22, truth=curve, thrust_repeats=2, tilt_repeats=0, yaw_repeats=0)
+        flown += [s for s in every if s.cell["throttle_1"] == t_1]
+    gain = fit(flown).estimates["K"]
+    assert not gain.identifiable
+    assert "in steps to throttle 0.40" in gain.why
+
+
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_few_repeats_of_a_good_model_raise_no_doubt(seed):
+    small = campaign(seed, thrust_repeats=1, tilt_repeats=1, yaw_repeats=1)
+    assert not [e.why for e in fit(small).estimates.values() if "one number" in e.why]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_or_two_responses_make_nothing_known(flown, count):
+    steps = [s for s in flown if s.kind == "throttle_step"][:count]
+    estimates = fit(steps).estimates.values()
+    assert not any(e.identifiable for e in estimates)
+    assert any("without repeats" in e.why for e in estimates)
+
+
+def test_constant_columns_are_no_measurement(flown):
+    still = [replace(s, y={c: np.full(v.shape, 0.2) for c, v in s.y.items()}) for s in flown]
+    with pytest.raises(FitError, match="never change"):
+        fit([replace(s, kind="free", cell={}) for s in still])
+
+
+def test_one_filled_in_column_is_left_out_and_said(flown):
+    filled = [replace(s, y={**s.y, "v_x_m_s": np.zeros(s.t_s.size)}) for s in flown]
+    found = fit(filled)
+    assert any("v_x_m_s never changes" in note for note in found.notes)
+    assert "v_x_m_s" not in found.quality
+    assert abs(found.values["K"] / TRUTH["K"] - 1) < 0.02
+
+
+def test_a_model_no_better_than_the_mean_makes_nothing_known(flown):
+    rng = np.random.default_rng(3)
+    free = [replace(s, kind="free", cell={}) for s in flown if s.kind == "throttle_step"]
+    # Force and velocity that have nothing to do with the throttle, nor with one another.
+    noise = [
+        replace(
+            s,
+            y={
+                **s.y,
+                **{c: rng.standard_normal(s.t_s.size) for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")},
+                **{c: rng.standard_normal(s.t_s.size) for c in ("v_x_m_s", "v_y_m_s", "v_z_m_s")},
+            },
+        )
+        for s in free
+    ]
+    estimates = fit(noise).estimates
+    assert not estimates["d_x"].identifiable
+    assert not estimates["sigma_t"].identifiable
+
+
+def test_runs_with_different_filters_are_each_read_through_their_own():
+    rng = np.random.default_rng(4)
+    flown = campaign(
+        5, noise={**QUIET, "force": 0.02, "velocity": 0.01}, thrust_repeats=2, tilt_repeats=0, yaw_repeats=0
+    )
+
+    def filtered(segment, hz, name):
+        w = 2 * np.pi * hz
+        t = segment.t_s - segment.t_s[0]
+        y = dict(segment.y)
+        fine = np.arange(0.0, t[-1] + 1e-9, 1e-3)
+        clean = clean_force(fine, segment)
+        _, made, _ = lsim(([w * w], [1, np.sqrt(2) * w, w * w]), clean - clean[0], fine)
+        y["f_z_m_s2"] = np.interp(t, fine, made + clean[0]) + 0.02 * rng.standard_normal(t.size)
+        return replace(segment, y=y, run=name, context={"filters": {"specific_force": hz}})
+
+    mixed = [filtered(s, 8.0 if i % 2 else 40.0, "a" if i % 2 else "b") for i, s in enumerate(flown)]
+    own = fit(mixed)
+    one = fit(mixed, filters={"specific_force": 40.0})
+    assert abs(own.values["sigma_t"] / TRUTH["sigma_t"] - 1) < 0.01
+    assert abs(own.values["T_d_thrust"] - TRUTH["T_d"]) < 5e-4
+    assert own.quality["f_z_m_s2"].rmse < 0.5 * one.quality["f_z_m_s2"].rmse
+
+
+def clean_force(fine, segment):
+    """a_t less the drag of the measured climb, on a fine grid: what an accelerometer without a filter would see."""
+    throttle = segment.u["throttle"]
+    first, second = throttle[1]
+    gain = TRUTH["K"] * (float(np.mean(segment.y["voltage_v"])) / 22.2) ** TRUTH["alpha"]
+    since = np.clip(fine + segment.t_s[0] - throttle[0][1] - TRUTH["T_d"], 0.0, None)
+    a_t = gain * (first + (second - first) * (1.0 - np.exp(-TRUTH["sigma_t"] * since)))
+    climb = np.interp(fine, segment.t_s - segment.t_s[0], segment.y["v_z_m_s"])
+    return a_t - TRUTH["d_z"] * climb
