@@ -142,6 +142,7 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
         if not renewed(found):
             parts.insert(0, found.currency.sentence)
             tone = TONES[found.currency.verdict]
+            tone = tone if found.explained or tone != "good" else "warn"
         elif stale:
             parts.append("The earlier model was stale: " + found.currency.sentence.removeprefix("Stale: "))
             tone = "warn"

@@ -36,7 +36,9 @@ def status_document(
             for c in found.changes
         )
         table = Table(("what", "", "the model's", "today's", "since", "touches", "at least fly"), rows)
-        reasons = tuple(dict.fromkeys(f"{c.name}: {c.because}" for c in found.changes))
+        reasons = tuple(
+            dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in found.changes)
+        )
         sections.append(Section("declared", "What changed", (table, Bullets(reasons))))
     if found.tests:
         sections.append(_tests(found))
@@ -151,17 +153,27 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str]) -
             "Runs on this machine", "There are no runs here yet; `flighttest run thrust` makes one.", "warn"
         )
     marks = changes_between(points)
+    # A run folder's name begins with its date and ends with its script: said once. Numbers are those under the pictures.
+    dated = all(p.run[:4].isdigit() for p in points)
+    heads = ("", "run", *(() if dated else ("when", "script")), "vehicle", "how it ended", "changed before it")
     rows = tuple(
-        (p.run, p.when, p.vehicle, p.script, p.outcome, Cell("; ".join(marks.get(p.run, ())), "warn")) for p in points
-    )
-    sections = [
-        Section(
-            "runs", "Runs", (Table(("run", "when", "vehicle", "script", "how it ended", "changed before it"), rows),)
+        (
+            f"{i}",
+            p.run,
+            *(() if dated else (p.when, p.script)),
+            p.vehicle,
+            p.outcome,
+            Cell("; ".join(marks.get(p.run, ())), "warn"),
         )
-    ]
+        for i, p in enumerate(points, 1)
+    )
+    sections = [Section("runs", "Runs", (Table(heads, rows, ("right",)),))]
     names = list(dict.fromkeys(n for p in points for n in p.parameters))
     panels = tuple(
-        _history_panel(name, [p for p in points if name in p.parameters], units.get(name, ""), marks) for name in names
+        _history_panel(
+            name, [(i, p) for i, p in enumerate(points, 1) if name in p.parameters], units.get(name, ""), marks
+        )
+        for name in names
     )
     if panels:
         latest = next(p for p in reversed(points) if p.parameters)
@@ -200,15 +212,15 @@ def changes_between(points: Sequence[HistoryPoint]) -> dict[str, tuple[str, ...]
 
 
 def _history_panel(
-    name: str, points: Sequence[HistoryPoint], unit_text: str, marks: Mapping[str, Sequence[str]]
+    name: str, numbered: Sequence[tuple[int, HistoryPoint]], unit_text: str, marks: Mapping[str, Sequence[str]]
 ) -> Panel:
-    x = list(range(1, len(points) + 1))
+    x, points = [i for i, _ in numbered], [p for _, p in numbered]
     values = [p.parameters[name][0] for p in points]
     spread = [p.parameters[name][1] for p in points]
     traces = [Trace(x, values, name, "model", "errorbars", spread=spread, group="estimate, 95 %")]  # type: ignore[arg-type]
     low = min(v - s for v, s in zip(values, spread, strict=True))
     high = max(v + s for v, s in zip(values, spread, strict=True))
-    for i, p in enumerate(points, 1):
+    for i, p in numbered:
         if p.run in marks:
             traces.append(
                 Trace([i - 0.5, i - 0.5], [low, high], "; ".join(marks[p.run]), "limit", group="component changed")

@@ -84,6 +84,9 @@ def _panel(panel: Panel, heat_top: float | None = None) -> dict[str, Any]:
         layout["margin"] = {"l": 0, "r": 0, "t": 34, "b": 0}
     else:
         layout["xaxis"] = {**axis, "title": {"text": panel.x_label, "standoff": 6}}
+        counted = [x for trace in panel.traces for x in trace.x] if panel.x_label == "run" else []
+        if counted and max(counted) <= 12:
+            layout["xaxis"]["dtick"] = 1  # runs are counted: there is none between two
         layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
     return {"data": [_trace(trace, heat_top) for trace in panel.traces], "layout": layout}
 
