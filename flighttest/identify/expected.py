@@ -6,17 +6,19 @@ initial state and disturbance unknown, as in the fit. The numbers rest on the no
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.identify.kernel import Kernel
 from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.solve import Normal, solve
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import Model
-from flighttest.physics.simulate import simulate
+from flighttest.physics.simulate import Run, simulate_many
 from flighttest.plan.model import Leg, Plan
 from flighttest.segments.model import Segment
 
@@ -55,26 +57,83 @@ class Expected:
 
 def planned_segments(plan: Plan, model: Model, values: Mapping[str, float]) -> list[Segment]:
     """Noise-free responses the prior model would record; legs without a profile (waypoints, motors off) are left out."""
-    return [s for leg in plan.legs if (s := _segment(plan, leg, model, values)) is not None]
+    return _planned([plan], model, values)[0]
 
 
-def expected_errors(
-    plan: Plan, model: Model | None = None, values: Mapping[str, float] | None = None, noise: Noise = ASSUMED
-) -> tuple[Expected, ...]:
-    """Expected standard error of every parameter for a planned script; empty when nothing in it can be predicted."""
-    model = model or Model()
-    start = model.start(values)
-    segments = planned_segments(plan, model, start)
-    return expected_of(segments, model, start, noise) if segments else ()
+def expected_of_plans(
+    plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
+) -> tuple[tuple[tuple[Expected, ...], ...], tuple[Expected, ...]]:
+    """Expected standard error of every parameter for each plan, and for all of them flown together; empty where nothing in it can be
+    predicted. Information adds up, so all plans are flown and differentiated once.
+    """
+    groups = _planned(plans, model, values)
+    every = [segment for group in groups for segment in group]
+    if not every:
+        return tuple(() for _ in plans), ()
+    found: dict[int, tuple[Expected, ...]] = {}
+    # Which steps feed which part of the model depends on what else there is: only scripts of one sort share a problem.
+    sorts: dict[frozenset[str], list[int]] = {}
+    compiled: dict[Any, Kernel] = {}
+    for k, group in enumerate(groups):
+        sorts.setdefault(frozenset(segment.kind for segment in group), []).append(k)
+    for sort, members in sorts.items():
+        if not sort:
+            found |= dict.fromkeys(members, ())
+            continue
+        every_one = [segment for k in members for segment in groups[k]]
+        problem, normal = _information(every_one, model, values, noise, compiled)
+        found |= _by_group(groups, members, problem, normal, model, values)
+    problem, normal = _information(every, model, values, noise, compiled)
+    return tuple(found[k] for k in range(len(groups))), _expected(normal, problem.segments, model, values)
+
+
+def _by_group(
+    groups: Sequence[Sequence[Segment]],
+    wanted: Collection[int],
+    problem: Problem,
+    normal: Normal,
+    model: Model,
+    values: Mapping[str, float],
+) -> dict[int, tuple[Expected, ...]]:
+    """What each of some groups of a problem's segments tells by itself."""
+    owner = {id(segment): k for k in wanted for segment in groups[k]}
+    whose = np.array([owner.get(id(segment), -1) for segment in problem.segments])
+    found = {}
+    for k in wanted:
+        pick = whose == k
+        part = Normal(normal.names, normal.hessian[pick], normal.score[pick])
+        segments = [s for s, mine in zip(problem.segments, pick, strict=True) if mine]
+        found[k] = _expected(part, segments, model, values)
+    return found
 
 
 def expected_of(
     segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> tuple[Expected, ...]:
     """The same for responses given as segments (measured or simulated)."""
+    problem, normal = _information(segments, model, values, noise)
+    return _expected(normal, problem.segments, model, values)
+
+
+def _information(
+    segments: Sequence[Segment],
+    model: Model,
+    values: Mapping[str, float],
+    noise: Noise,
+    compiled: dict[Any, Kernel] | None = None,
+) -> tuple[Problem, Normal]:
+    """Fisher information of each segment at these values. compiled: shared by problems of one model."""
     problem = Problem.build(segments, model, values=values)
-    solved = solve(problem, noise=noise, estimate_noise=False, robust=False, max_iterations=1)
-    normal = solved.normal
+    if compiled is not None:
+        problem = replace(problem, _kernels=compiled)
+    return problem, solve(problem, noise=noise, estimate_noise=False, robust=False, max_iterations=0).normal
+
+
+def _expected(
+    normal: Normal, segments: Sequence[Segment], model: Model, values: Mapping[str, float]
+) -> tuple[Expected, ...]:
+    if not segments:
+        return ()
     covariance, usable = _inverse(normal)
     twice, _ = _inverse(Normal(normal.names, 2.0 * normal.hessian, normal.score))
     found = []
@@ -86,7 +145,7 @@ def expected_of(
             continue
         i = normal.names.index(name)
         std, more = float(np.sqrt(covariance[i, i])), float(np.sqrt(twice[i, i]))
-        best = _best(normal, covariance, i, problem)
+        best = _best(normal, covariance, i, segments)
         sentence = _sentence(name, param.unit, values[name], std)
         found.append(Expected(name, param.unit, values[name], std, more, best, sentence))
     delays = [normal.names.index(n) for n in DELAY_PARAM.values() if n in normal.names]
@@ -117,12 +176,12 @@ def _inverse(normal: Normal) -> tuple[FloatArray, NDArray[np.bool_]]:
     return covariance, usable
 
 
-def _best(normal: Normal, covariance: FloatArray, i: int, problem: Problem) -> tuple[tuple[str, float], ...]:
+def _best(normal: Normal, covariance: FloatArray, i: int, segments: Sequence[Segment]) -> tuple[tuple[str, float], ...]:
     """Share of each cell in the information about one parameter, the others being estimated too."""
     direction = covariance[i] / covariance[i, i]
     each = np.einsum("i,sij,j->s", direction, normal.hessian, direction)
     cells: dict[str, float] = {}
-    for segment, value in zip(problem.segments, each, strict=True):
+    for segment, value in zip(segments, each, strict=True):
         label = _step_words(segment)
         cells[label] = cells.get(label, 0.0) + float(value)
     total = sum(cells.values()) or 1.0
@@ -142,15 +201,27 @@ def _step_words(segment: Segment) -> str:
     return " ".join([kind, *(f"{k} {v:g}" for k, v in sorted(cell.items()))])
 
 
-def _segment(plan: Plan, leg: Leg, model: Model, values: Mapping[str, float]) -> Segment | None:
+def _planned(plans: Sequence[Plan], model: Model, values: Mapping[str, float]) -> list[list[Segment]]:
+    wanted = [
+        (k, plan, leg, run) for k, plan in enumerate(plans) for leg in plan.legs if (run := _run(plan, leg)) is not None
+    ]
+    if not wanted:
+        return [[] for _ in plans]
+    flown = simulate_many(model, values, [run for *_, run in wanted])
+    groups: list[list[Segment]] = [[] for _ in plans]
+    for (k, _, leg, run), one in zip(wanted, flown, strict=True):
+        groups[k].append(_segment(leg, run, one))
+    return groups
+
+
+def _run(plan: Plan, leg: Leg) -> Run | None:
+    """A leg as it would be flown on the prior model, from its start to a little after its record."""
     if leg.profile is None or leg.motors_off:
         return None
     recorded = [p for p in leg.phases if p.record] or list(leg.phases)
     if not recorded:
         return None
-    dt = 1.0 / plan.rate_hz
-    first = max(min(leg.t_step_s, recorded[0].start_s) - BEFORE_S, 0.0)
-    t = np.arange(0.0, min(recorded[-1].end_s + AFTER_S, leg.duration_s), dt)
+    t = np.arange(0.0, min(recorded[-1].end_s + AFTER_S, leg.duration_s), 1.0 / plan.rate_hz)
     if t.size < 12:
         return None
     targets = [leg.profile(float(x)) for x in t]
@@ -163,12 +234,20 @@ def _segment(plan: Plan, leg: Leg, model: Model, values: Mapping[str, float]) ->
     u = {n: _edges(t, np.array(v)) for n, v in columns.items()}
     voltage = leg.voltage_v or plan.vehicle.nominal_voltage_v
     began = {"p_z_m": leg.start_m[2], "yaw_rad": leg.heading_rad}
-    flown = simulate(model, values, t, began, u, {"voltage_v": (t[:1], np.array([voltage]))})
-    keep = t >= first
+    return Run(t, began, u, {"voltage_v": (t[:1], np.array([voltage]))})
+
+
+def _segment(leg: Leg, run: Run, flown: Mapping[str, FloatArray]) -> Segment:
+    recorded = [p for p in leg.phases if p.record] or list(leg.phases)
+    keep = run.t_s >= max(min(leg.t_step_s, recorded[0].start_s) - BEFORE_S, 0.0)
     measured = ("roll_rad", "pitch_rad", "yaw_rad", "p_rad_s", "q_rad_s", "r_rad_s", "p_z_m",
                 "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s")  # fmt: skip
-    y = {c: flown[c][keep] for c in measured} | {"voltage_v": np.full(int(keep.sum()), voltage)}
-    return Segment(leg.id, "plan", leg.kind, leg.cell, leg.repeat, leg.t_step_s, t[keep], y, u, maneuver=leg.maneuver)
+    y = {c: flown[c][keep] for c in measured}
+    y["voltage_v"] = np.full(int(keep.sum()), run.signals["voltage_v"][1][0])
+    u = dict(run.references)
+    return Segment(
+        leg.id, "plan", leg.kind, leg.cell, leg.repeat, leg.t_step_s, run.t_s[keep], y, u, maneuver=leg.maneuver
+    )
 
 
 def _edges(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

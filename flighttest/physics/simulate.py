@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -117,6 +117,16 @@ def grid(
     return Grid(ends, dt, u, sample.astype(np.intp))
 
 
+@dataclass(frozen=True)
+class Run:
+    """One run to be simulated. t_s: output times (n,); start: states by name, 0 where not given (a_t_m_s2: g); the rest: see `grid`."""
+
+    t_s: FloatArray
+    start: Mapping[str, float]
+    references: Mapping[str, Edges]
+    signals: Mapping[str, Edges]
+
+
 def simulate(
     model: Model,
     values: Mapping[str, float],
@@ -125,20 +135,49 @@ def simulate(
     references: Mapping[str, Edges],
     signals: Mapping[str, Edges],
 ) -> dict[str, FloatArray]:
-    """One run: states and outputs (channel names) at t_s, (n,) each.
+    """One run: states and outputs (channel names) at t_s, (n,) each. See `Run`."""
+    return simulate_many(model, values, [Run(t_s, start, references, signals)])[0]
 
-    start: initial states by name, 0 where not given (a_t_m_s2: g); references, signals: see `grid`.
-    """
+
+def simulate_many(model: Model, values: Mapping[str, float], runs: Sequence[Run]) -> list[dict[str, FloatArray]]:
+    """The same for many runs at once: compiled once, runs of like length stepped together."""
     system = model.system
     p = np.array([values[n] for n in system.params])
     delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
-    made = grid(system, delays, t_s, references, signals)
-    begin = {"a_t_m_s2": model.g_m_s2, **system.initial, **start}
-    x0 = np.array([[begin.get(n, 0.0) for n in system.states]])
-    states = Stepper(rk4_step(system)).run(x0, made.u[None], p, made.dt_s[None])[0]
-    at = np.concatenate([x0, states])[made.sample + 1]
-    u_at = made.u[np.clip(made.sample, 0, None)]
-    outputs = np.asarray(system.function.map(t_s.size)(at.T, u_at.T, np.tile(p[:, None], t_s.size))[1])
-    found = {n: at[:, i] for i, n in enumerate(system.states)}
-    found |= {n: outputs[i] for i, n in enumerate(system.outputs)}
+    made = [grid(system, delays, run.t_s, run.references, run.signals) for run in runs]
+    stepper = Stepper(rk4_step(system))
+    at: list[FloatArray] = [np.zeros((0, 0))] * len(runs)
+    u_at: list[FloatArray] = [np.zeros((0, 0))] * len(runs)
+    for group in _alike([g.dt_s.size for g in made]):
+        k = max(made[i].dt_s.size for i in group)
+        x0 = np.array([[_begin(model, runs[i]).get(n, 0.0) for n in system.states] for i in group])
+        # What is shorter stands still at its end.
+        u = np.stack([np.pad(made[i].u, ((0, k - made[i].dt_s.size), (0, 0)), mode="edge") for i in group])
+        dt = np.stack([np.pad(made[i].dt_s, (0, k - made[i].dt_s.size)) for i in group])
+        states = stepper.run(x0, u, p, dt)
+        for row, i in enumerate(group):
+            at[i] = np.concatenate([x0[row : row + 1], states[row]])[made[i].sample + 1]
+            u_at[i] = made[i].u[np.clip(made[i].sample, 0, None)]
+    every, inputs = np.concatenate(at), np.concatenate(u_at)
+    outputs = np.asarray(system.function.map(len(every))(every.T, inputs.T, np.tile(p[:, None], len(every)))[1])
+    ends = np.cumsum([run.t_s.size for run in runs])
+    found = []
+    for states_of, outputs_of in zip(np.split(every, ends[:-1]), np.split(outputs, ends[:-1], axis=1), strict=True):
+        one = {n: states_of[:, i] for i, n in enumerate(system.states)}
+        found.append(one | {n: outputs_of[i] for i, n in enumerate(system.outputs)})
     return found
+
+
+def _begin(model: Model, run: Run) -> dict[str, float]:
+    return {"a_t_m_s2": model.g_m_s2, **model.system.initial, **run.start}
+
+
+def _alike(sizes: Sequence[int]) -> list[list[int]]:
+    """Indices in groups whose sizes differ by no more than a half."""
+    groups: list[list[int]] = []
+    for i in sorted(range(len(sizes)), key=lambda i: sizes[i]):
+        if groups and sizes[i] <= 1.5 * sizes[groups[-1][0]]:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    return groups

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.identify import model_file
-from flighttest.identify.expected import Expected, expected_errors, expected_of, planned_segments
+from flighttest.identify.expected import Expected, expected_of_plans
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
 from flighttest.plan import Plan, compile_plan
@@ -47,7 +47,7 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     declared = load_vehicle(vehicle) if vehicle is not None else DEFAULT_VEHICLE
     prior = predictor_for(model, declared)
     compiled = plans(scripts, declared, prior)
-    forecast = tuple(expected_errors(plan, prior.model, prior.values) for plan in compiled)
+    forecast, altogether = expected_of_plans(compiled, prior.model, prior.values)
     results = tuple(
         replace(check_plan(plan), expected_std={e.name: e.std for e in expected if e.std is not None and _useful(e)})
         for plan, expected in zip(compiled, forecast, strict=True)
@@ -65,7 +65,7 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     data: dict[str, Any] = {"scripts": [plain(r) for r in results], "ok": not refused}
     data["expected"] = {r.name: [plain(e) for e in expected] for r, expected in zip(results, forecast, strict=True)}
     document = check_document(results, facts, verbose=verbose)
-    together = _expected_section(compiled, prior)
+    together = _expected_section(altogether)
     if together is not None:
         document = replace(document, sections=(*document.sections, together))
     return Result(document, data, Status.BAD_INPUT if refused else Status.DONE, compiled)
@@ -76,13 +76,12 @@ def _useful(expected: Expected) -> bool:
     return expected.std is not None and expected.std < max(0.5 * abs(expected.value), 1e-9)
 
 
-def _expected_section(compiled: Sequence[Plan], prior: ModelPredictor) -> Section | None:
+def _expected_section(altogether: Sequence[Expected]) -> Section | None:
     """What all scripts together would make known, what more repeats would buy, and which steps tell most."""
-    segments = [s for plan in compiled for s in planned_segments(plan, prior.model, prior.values)]
-    if not segments:
+    if not altogether:
         return None
     rows: list[tuple[Cell | str, ...]] = []
-    for e in expected_of(segments, prior.model, prior.values):
+    for e in altogether:
         if e.std is None or e.std_twice is None:
             rows.append((e.name, "-", unit(e.unit), "-", "-", Cell("nothing here tells it", "quiet")))
             continue

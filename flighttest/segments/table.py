@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from flighttest.segments.metrics import metrics_of
 from flighttest.segments.model import Segment
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _STATE = ("voltage_v", "height_m", "v_x_m_s", "v_y_m_s", "v_z_m_s")
 COLUMNS = (
@@ -19,6 +22,8 @@ COLUMNS = (
 
 def segment_table(segments: Sequence[Segment]) -> pd.DataFrame:
     """One row per segment: what it is, whether it may be fitted and why not, its state at the step, its metrics (NaN: undefined)."""
+    import pandas as pd  # here: it takes as long to load as all else together, and most commands make no table
+
     return pd.DataFrame([_row(segment) for segment in segments], columns=list(COLUMNS))
 
 

@@ -1,0 +1,44 @@
+"""`flighttest check` on all shipped scripts: what it says of each is what it says of it alone, and it does not take long."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+
+from flighttest.identify.expected import expected_of_plans
+from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+
+
+def test_what_scripts_tell_together_is_what_each_tells_alone():
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    compiled = plans(["yaw_rate", "roll_pitch", "hover_rest", "tilt_throttle"], DEFAULT_VEHICLE, prior)
+    each, altogether = expected_of_plans(compiled, prior.model, prior.values)
+    for plan, found in zip(compiled, each, strict=True):
+        (alone,), _ = expected_of_plans([plan], prior.model, prior.values)
+        assert [e.name for e in found] == [e.name for e in alone]
+        for mine, theirs in zip(found, alone, strict=True):
+            assert mine.std == (None if theirs.std is None else pytest.approx(theirs.std, rel=1e-9)), (
+                plan.script.name,
+                mine,
+            )
+            assert [cell for cell, _ in mine.best] == [cell for cell, _ in theirs.best]
+    std = {e.name: e.std for e in altogether}
+    assert std["sigma_r"] < {e.name: e.std for e in each[0]}["sigma_r"], "more flights tell more"
+
+
+def test_nothing_heavy_is_loaded_that_check_does_not_use():
+    code = "import flighttest.cli.main, flighttest.pipeline.checking, sys, json; print(json.dumps(sorted(sys.modules)))"
+    loaded = json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout)
+    assert not {"pandas", "plotly", "mavsdk"} & set(loaded)
+
+
+def test_a_script_is_checked_while_one_waits():
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    began = time.process_time()
+    compiled = plans(["roll_pitch", "yaw_rate", "lateral_stop"], DEFAULT_VEHICLE, prior)
+    expected_of_plans(compiled, prior.model, prior.values)
+    # A quarter of a second here where nothing else runs; four times that where everything does.
+    assert time.process_time() - began < 2.5
