@@ -149,7 +149,7 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
     base = watched(stored, "model")
     usable = [s for s in new.segments if s.usable]
     found = reestimate_segments(stored, usable, "new")
-    tests = subset_tests(base, found, spread=allowance(stored, base, (), steps_of(usable)))
+    tests = subset_tests(base, found, spread=allowance(stored, base, (), steps_of(usable), found.log_voltage))
     before = battery_of([recorded(b) for b in own.batteries])
     battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)
     return {

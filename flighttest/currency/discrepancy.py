@@ -47,18 +47,11 @@ def prior(name: str) -> float:
 
 
 def measured(
-    normal: Normal,
-    names: Sequence[str],
-    values: Mapping[str, float],
-    segments: Sequence[Segment],
-    *,
-    same_steps: bool = False,
+    normal: Normal, names: Sequence[str], values: Mapping[str, float], segments: Sequence[Segment]
 ) -> dict[str, float]:
     """Relative discrepancy, one standard deviation, of each of `names` (those that were estimated).
 
-    normal: normal equations per segment at the solution, as `segments`; values: of the parameters. same_steps: only between the
-    conditions that are new in every flight: what the model gets wrong about sizes and directions of steps, a flight of the same
-    steps repeats.
+    normal: normal equations per segment at the solution, as `segments`; values: of the parameters.
     """
     pick = [normal.names.index(n) for n in names]
     if not pick:
@@ -73,8 +66,7 @@ def measured(
     for i, name in enumerate(names):
         size = abs(values[name])
         if size > 0.0 and name in PRIOR:
-            conditions = NEW_EACH_FLIGHT if same_steps else CONDITIONS
-            variance = _variance(influence[:, i] / size, share[:, i], segments, conditions, prior(name) ** 2)
+            variance = _variance(influence[:, i] / size, share[:, i], segments, prior(name) ** 2)
             found[name] = float(np.sqrt(variance))
     return found
 
@@ -84,6 +76,12 @@ def steps_of(segments: Sequence[Segment]) -> list[str]:
     return sorted(
         {f"{kind} {' '.join(f'{k}={v:g}' for k, v in cell)}" for kind, cell in (s.cell_key for s in segments)}
     )
+
+
+def repeated(kept: Mapping[str, float]) -> dict[str, float]:
+    """The discrepancy between flights of the same steps over the same voltages: what the model gets wrong about those they repeat, so
+    that no more than the stated prior is left of it."""
+    return {name: min(value, prior(name)) for name, value in kept.items()}
 
 
 def same_steps(a: Sequence[str], b: Sequence[str]) -> bool:
@@ -101,7 +99,7 @@ def _variance(
     """Squared relative discrepancy of one parameter; influence and share: (segments,)."""
     telling = share > 1e-6
     top, weights = PRIOR_WEIGHT * stated, PRIOR_WEIGHT
-    for condition in conditions:
+    for condition in CONDITIONS:
         labels = condition_labels(condition, segments, telling)
         groups = [np.flatnonzero(labels == label) for label in np.unique(labels[labels >= 0])]
         groups = [g for g in groups if g.size >= MIN_GROUP and float(share[g].sum()) >= MIN_SHARE]
@@ -169,5 +167,4 @@ def _run(s: Segment) -> str:
     return s.run
 
 
-NEW_EACH_FLIGHT: tuple[Condition, ...] = (_run, _time, _voltage)
-CONDITIONS: tuple[Condition, ...] = (*NEW_EACH_FLIGHT, _heading, _size, _sign)
+CONDITIONS: tuple[Condition, ...] = (_run, _time, _voltage, _heading, _size, _sign)

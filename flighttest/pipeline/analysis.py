@@ -169,13 +169,10 @@ def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | N
 
 
 def own_discrepancy(found: Fit) -> dict[str, Any]:
-    """What this campaign's conditions differ by beyond their errors, relative, per parameter, as currency allows for it: between other
-    steps, and between flights of the same steps, which are listed."""
-    parts = found.solution.normal, found.covariance.names, found.values, found.problem.segments
-    any_steps, same = measured(*parts), measured(*parts, same_steps=True)
+    """What this campaign's conditions differ by beyond their errors, relative, per parameter, as currency allows for it; and its steps."""
+    made = measured(found.solution.normal, found.covariance.names, found.values, found.problem.segments)
     return {
-        "discrepancy": {name: round(value, 5) for name, value in any_steps.items()},
-        "discrepancy_same_steps": {name: round(value, 5) for name, value in same.items()},
+        "discrepancy": {name: round(value, 5) for name, value in made.items()},
         "steps": steps_of(found.problem.segments),
     }
 

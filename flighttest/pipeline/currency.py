@@ -13,7 +13,7 @@ import yaml
 
 from flighttest.currency.assess import assess
 from flighttest.currency.compare import Estimates
-from flighttest.currency.discrepancy import same_steps, steps_of
+from flighttest.currency.discrepancy import repeated, same_steps, steps_of
 from flighttest.currency.hover import Hover, hover
 from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
 from flighttest.currency.reflight import needs
@@ -45,6 +45,7 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 ALPHA_TELLS = 2.0
+SAME_VOLTAGE = 0.04  # difference of ln U within which two flights flew over the same voltages
 VAGUE = 0.2  # relative standard error beyond which the stored value serves better
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
 SPOT_CHECK = "spot_check"
@@ -104,7 +105,7 @@ def judge(
         vehicle_fingerprint=today,
         stored=base,
         runs=series,
-        spread=allowance(stored, base, earlier, steps_of(usable)),
+        spread=allowance(stored, base, earlier, steps_of(usable), series[-1].log_voltage if series else math.nan),
         battery=battery,
         battery_reference=battery_reference(stored),
         hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
@@ -198,16 +199,22 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
 
 
 def allowance(
-    stored: ModelFile, base: Estimates, earlier: Sequence[Estimates], steps: Sequence[str] = ()
+    stored: ModelFile,
+    base: Estimates,
+    earlier: Sequence[Estimates],
+    steps: Sequence[str] = (),
+    log_voltage: float = math.nan,
 ) -> dict[str, float]:
     """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
-    between its conditions; with the same steps, between those conditions only that a new flight brings. What neither knows keeps
+    between its conditions; with the same steps over the same voltages no more than is stated. What neither knows keeps
     the stated prior."""
     quality = stored.fit_quality
     flown = quality.get("steps")
     same = isinstance(flown, list) and same_steps([str(s) for s in flown], steps)
-    kept = quality.get("discrepancy_same_steps" if same else "discrepancy")
+    same = same and abs(log_voltage - base.log_voltage) < SAME_VOLTAGE
+    kept = quality.get("discrepancy")
     known = {str(n): float(v) for n, v in kept.items()} if isinstance(kept, Mapping) else {}
+    known = repeated(known) if same else known
     return {**known, **(own_scatter(base, earlier) or {})}
 
 

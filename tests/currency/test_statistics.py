@@ -5,7 +5,7 @@ import pytest
 
 from flighttest.currency import battery, compare, sequence
 from flighttest.currency.compare import Estimates
-from flighttest.currency.discrepancy import measured, prior, same_steps, steps_of
+from flighttest.currency.discrepancy import measured, prior, repeated, same_steps, steps_of
 from flighttest.currency.hover import hover, hover_test
 from flighttest.identify.solve import Normal
 from flighttest.pipeline.batteries import battery_of
@@ -231,9 +231,9 @@ def test_the_battery_of_a_campaign_is_told_from_all_its_flights():
 
 def test_what_a_model_gets_wrong_about_directions_a_flight_of_the_same_steps_repeats():
     normal, steps = flown(np.random.default_rng(20), 0.05)
-    parts = normal, ("K",), {"K": 50.0}, steps
-    assert measured(*parts)["K"] > 0.03
-    assert measured(*parts, same_steps=True)["K"] <= prior("K")
+    found = measured(normal, ("K",), {"K": 50.0}, steps)
+    assert found["K"] > 0.03
+    assert repeated({**found, "d_x": 0.01}) == {"K": prior("K"), "d_x": 0.01}
     assert same_steps(steps_of(steps), steps_of(steps[:40]))
     assert not same_steps(steps_of(steps), ["roll_step amplitude_rad=0.3"])
     assert not same_steps([], [])
