@@ -89,13 +89,7 @@ def same_steps(a: Sequence[str], b: Sequence[str]) -> bool:
     return bool(a) and len(set(a) & set(b)) >= SAME * max(len(set(a)), len(set(b)))
 
 
-def _variance(
-    influence: FloatArray,
-    share: FloatArray,
-    segments: Sequence[Segment],
-    conditions: Sequence[Condition],
-    stated: float,
-) -> float:
+def _variance(influence: FloatArray, share: FloatArray, segments: Sequence[Segment], stated: float) -> float:
     """Squared relative discrepancy of one parameter; influence and share: (segments,)."""
     telling = share > 1e-6
     top, weights = PRIOR_WEIGHT * stated, PRIOR_WEIGHT
