@@ -19,7 +19,6 @@ EQUATIONS_PER_COVARIATE = 4
 SMALL_CORRELATION = 0.05
 LEAST_RATIO = 1.25
 CHANCE = 0.001
-MEANS_PER_DEGREE = 4.0  # neighbouring 0.1 s means of one response are not independent
 
 
 @dataclass(frozen=True)
@@ -28,13 +27,14 @@ class Floor:
     the others' floor is their high-frequency residual, which is weaker since it misses slow disturbances.
 
     lack_of_fit: channel to (lack of fit, its degrees of freedom, pure error, its degrees) of 0.1 s means, where repeats exist;
-    lack_by_kind: (channel, kind of step) to (mean square of what repeats share over the pure error's, number of cells).
+    lack_by_kind: (channel, kind of step) to (mean square of what repeats share over the pure error's at the same times since the step,
+    number of cells, repeats that say how large the pure error is).
     """
 
     std: Mapping[str, float]
     from_repeats: frozenset[str]
     lack_of_fit: Mapping[str, tuple[float, float, float, float]]
-    lack_by_kind: Mapping[tuple[str, str], tuple[float, int]] = field(default_factory=dict)
+    lack_by_kind: Mapping[tuple[str, str], tuple[float, int, float]] = field(default_factory=dict)
 
     def of(self, channel: str) -> float:
         """The floor of one channel."""
@@ -54,10 +54,8 @@ class Floor:
         if ratio <= LEAST_RATIO:
             return False
         if (channel, kind) in self.lack_by_kind:
-            lack, cells = self.lack_by_kind[channel, kind]
-            return bool(
-                lack > stats.f.ppf(1 - CHANCE, max(cells, 1), max(self.lack_of_fit[channel][3] / MEANS_PER_DEGREE, 1.0))
-            )
+            lack, cells, repeats = self.lack_by_kind[channel, kind]
+            return bool(lack > stats.f.ppf(1 - CHANCE, max(cells, 1), max(repeats, 1.0)))
         return bool(ratio > stats.f.ppf(1 - CHANCE, max(count, 1.0), 1e3))
 
 
@@ -131,14 +129,14 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
             cells.setdefault(s.cell_key, []).append(i)
     cells = {k: v for k, v in cells.items() if len(v) >= 2}
     std, repeated, lack = {}, set(), {}
-    by_kind: dict[tuple[str, str], tuple[float, int]] = {}
+    by_kind: dict[tuple[str, str], tuple[float, int, float]] = {}
     for c, name in enumerate(rows.channels):
         pure = _pure_error(rows, segments, cells, c) if cells else None
         if pure is None:
             std[name] = max(fast[name], resolution.get(name, 0.0))
             continue
         pure_ms, pure_dof, lack_ms, lack_dof, kinds, usual_ms = pure
-        by_kind |= {(name, kind): (ms / max(pure_ms, 1e-300), cells) for kind, (ms, cells) in kinds.items()}
+        by_kind |= {(name, kind): value for kind, value in kinds.items()}
         pure_ms += fast[name] ** 2  # what moves within a bin
         std[name] = max(float(np.sqrt(usual_ms + fast[name] ** 2)), resolution.get(name, 0.0))
         repeated.add(name)
@@ -148,13 +146,13 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
 
 def _pure_error(
     rows: Rows, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
-) -> tuple[float, float, float, float, dict[str, tuple[float, int]], float] | None:
-    """Mean squares of 0.1 s means: (pure error, its degrees of freedom, lack of fit, its degrees, kind to (lack of fit, cells), usual).
+) -> tuple[float, float, float, float, dict[str, tuple[float, int, float]], float] | None:
+    """Mean squares of 0.1 s means: (pure error, its degrees of freedom, lack of fit, its degrees, kind to (ratio, cells, repeats), usual).
 
     The usual pure error is the median over times since the step, so that a few bins around jittering edges do not raise the floor of
     all the others.
     """
-    kinds: dict[str, list[float]] = {}
+    kinds: dict[str, list[tuple[int, float]]] = {}
     cells_of: dict[str, int] = {}
     raw = rows.open_residual
     at = np.flatnonzero(rows.channel == c)
@@ -191,10 +189,11 @@ def _pure_error(
                     (z, d, 1 - 1 / len(entries))
                 )
             lack += len(entries) * means.mean() ** 2
-            kinds.setdefault(str(key[0]), []).append(len(entries) * means.mean() ** 2)  # type: ignore[index]
+            kinds.setdefault(str(key[0]), []).append((b, len(entries) * means.mean() ** 2))  # type: ignore[index]
             lack_dof += 1
     each: list[tuple[float, float]] = []
-    for same in bins.values():
+    at_time: dict[int, tuple[float, float]] = {}
+    for (_, b), same in bins.items():
         z = np.stack([e[0] for e in same])
         d = np.array([e[1] for e in same])
         free = sum(e[2] for e in same)
@@ -206,6 +205,8 @@ def _pure_error(
             free -= float(np.linalg.matrix_rank(scaled, tol=1e-6))
         square += float(d @ d)
         dof += max(free, 0.0)
+        old = at_time.get(b, (0.0, 0.0))
+        at_time[b] = (old[0] + float(d @ d), old[1] + max(free, 0.0))
         if free > 0.5:
             each.append((float(d @ d) / free, free))
     if dof < 3 or not each:
@@ -213,5 +214,21 @@ def _pure_error(
     each.sort()
     weight = np.cumsum([w for _, w in each])
     usual = each[int(np.searchsorted(weight, 0.5 * weight[-1]))][0]
-    shared = {kind: (float(np.mean(values)), cells_of[kind]) for kind, values in kinds.items()}
+    shared = {}
+    for kind, values in kinds.items():
+        ratio, repeats = _shared(values, at_time)
+        shared[kind] = ratio, cells_of[kind], repeats
     return square / dof, dof, lack / lack_dof, lack_dof, shared, usual
+
+
+def _shared(values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[float, float]]) -> tuple[float, float]:
+    """(what repeats share over their pure error at the same times, repeats that say how large that is).
+
+    A velocity's error grows while a response lasts, so late times are compared with late times; the means of one response go together,
+    so that a time's degrees of freedom are all there are.
+    """
+    known = [(v, at_time[b][0] / at_time[b][1], at_time[b][1]) for b, v in values if at_time[b][1] > 0.5]
+    pure = sum(p for _, p, _ in known)
+    if pure <= 0:
+        return 0.0, 1.0
+    return sum(v for v, _, _ in known) / pure, sum(p * free for _, p, free in known) / pure
