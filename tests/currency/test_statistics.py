@@ -242,6 +242,8 @@ def test_what_a_model_gets_wrong_about_directions_a_flight_of_the_same_steps_rep
 def test_a_lag_alone_does_not_say_that_the_thrust_is_what_it_was():
     one = Estimates("a", ("sigma_t",), np.array([20.0]), np.array([[0.01]]))
     assert compare.subset_tests(one, one) == ()
+    damping = Estimates("a", ("zeta_phi", "d_x"), np.array([0.4, 0.4]), np.eye(2) * 1e-6)
+    assert [t.subset for t in compare.subset_tests(damping, damping)] == ["drag"]
     weak = Estimates("a", ("K", "sigma_t"), np.array([50.0, 20.0]), np.diag([400.0, 0.01]), weak=frozenset({"K"}))
     assert compare.subset_tests(weak, weak) == ()
 

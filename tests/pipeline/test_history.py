@@ -8,7 +8,7 @@ import pytest
 
 from flighttest.identify.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline.history import Campaign, standing
+from flighttest.pipeline.history import Campaign, standing, watched
 
 NAMES = ("omega_phi", "sigma_r", "K", "alpha")
 VALUES = {"omega_phi": 25.0, "sigma_r": 21.0, "K": 54.0, "alpha": 1.7}
@@ -50,6 +50,20 @@ def test_what_takes_the_place_of_a_model(second, kept):
 
 def test_nothing_flown_nothing_stands():
     assert standing([]) is None
+
+
+def test_what_came_out_sharply_is_compared_though_two_responses_cannot_say_how_sharply():
+    made = model()
+    doubted = {
+        **made.parameters,
+        "omega_phi": replace(made.parameters["omega_phi"], identifiable=False),
+        "sigma_r": replace(made.parameters["sigma_r"], identifiable=False, std=8.0),
+        "alpha": replace(made.parameters["alpha"], identifiable=False, std=0.6),
+    }
+    found = watched(replace(made, parameters=doubted), "run")
+    assert found.names == ("omega_phi", "K", "alpha")
+    assert found.known.names == ("omega_phi", "K"), "alpha only helps to tell the thrust at the voltage flown"
+    assert found.dof[0] == 1.0
 
 
 def test_unidentified_parameters_do_not_count():
