@@ -33,6 +33,7 @@ SETS: tuple[tuple[str, ...], ...] = (
 )
 _SIZES = {"roll_step": ("amplitude_rad", "rad"), "pitch_step": ("amplitude_rad", "rad"), "yaw_rate_step": ("rate_rad_s", "rad/s"),
           "throttle_step": ("throttle_1", "throttle"), "tilt_throttle": ("throttle_1", "throttle")}  # fmt: skip
+FEW_WINDOWS = 8
 SMALLEST_SHARE = 0.01  # of the information on a parameter: groups with less say nothing of it
 CHANCE = 1e-4  # that a difference between two groups of like steps is taken for one
 
@@ -61,8 +62,9 @@ def spreads(problem: Problem, solution: Solution, covariance: Covariance) -> Map
     """Parameters that differ between sizes of steps by more than like steps scatter, by name; one Gauss-Newton step per group."""
     told = np.abs(solution.normal.hessian).sum(axis=(1, 2)) > 0
     groups: dict[str, list[int]] = {}
+    lively = _lively([s for s, t in zip(problem.segments, told, strict=True) if t])
     for i in np.flatnonzero(told):
-        label = size_of(problem.segments[i])
+        label = size_of(problem.segments[i]) or lively.get(problem.segments[i].name)
         if label is not None:
             groups.setdefault(label, []).append(int(i))
     groups = {label: members for label, members in groups.items() if len(members) > 1}
@@ -82,6 +84,20 @@ def size_of(segment: Segment) -> str | None:
     if not np.isfinite(size):
         return None
     return f"steps to throttle {size:.2f}" if unit == "throttle" else f"steps of {size:.2g} {unit}"
+
+
+def _lively(segments: Sequence[Segment]) -> dict[str, str]:
+    """Windows of free flight by name: whether they tilt more than half of them do; empty where they are few."""
+    missing = np.array([np.nan])
+    size: dict[str, float] = {}
+    for s in segments:
+        roll, pitch = s.y.get("roll_rad", missing), s.y.get("pitch_rad", missing)
+        if s.kind == "free" and np.isfinite(roll).any() and np.isfinite(pitch).any():
+            size[s.name] = float(np.hypot(np.nanstd(roll), np.nanstd(pitch)))
+    if len(size) < FEW_WINDOWS:
+        return {}
+    middle = float(np.median(list(size.values())))
+    return {n: "the livelier windows" if v > middle else "the calmer windows" for n, v in size.items()}
 
 
 def _of_set(
@@ -122,32 +138,3 @@ def _of_set(
         if high[0] - low[0] > float(np.hypot(low[1], high[1])):
             found[name] = Spread(low[0], high[0], low[2], high[2])
     return found
-
-
-def responses_telling(solution: Solution, share: float = 1e-3) -> dict[str, int]:
-    """How many responses hold at least this share of what is known of each free parameter."""
-    told = np.einsum("sii->si", solution.normal.hessian)
-    enough = told > share * np.maximum(told.sum(axis=0), 1e-300)
-    return dict(zip(solution.normal.names, enough.sum(axis=0).tolist(), strict=True))
-
-
-def leaning_on(others: Sequence[str], solution: Solution, correlation: float = 0.5) -> dict[str, str]:
-    """Free parameters that share what this data knows of them with one of `others`, by name: which one."""
-    names = solution.normal.names
-    total = solution.normal.hessian.sum(axis=0)
-    root = np.sqrt(np.maximum(np.diag(total), 1e-300))
-    shared = np.abs(total / np.outer(root, root))
-    found: dict[str, str] = {}
-    for other in others:
-        column = shared[names.index(other)]
-        for name, share in zip(names, column, strict=True):
-            if name not in others and share > correlation:
-                found.setdefault(name, other)
-    return found
-
-
-def lags_with(names: Sequence[str]) -> frozenset[str]:
-    """Every lag and delay of the loops that any of these belongs to."""
-    return frozenset(
-        n for loop in SETS if any(m.startswith("T_d") for m in loop) and set(loop) & set(names) for n in loop
-    )

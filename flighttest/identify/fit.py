@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
-from flighttest.identify.constancy import lags_with, leaning_on, responses_telling, spreads
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
+from flighttest.identify.doubts import doubts_of
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
-    Doubts,
     Known,
-    allowance,
+    assumed_share,
     judge,
     throttle_varies,
     voltage_spread_at_equal_throttle,
@@ -238,7 +237,8 @@ def _estimates(
     quality: Mapping[str, ChannelQuality],
 ) -> dict[str, Estimate]:
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
-    doubts = _doubts(problem, solution, covariance, quality)
+    unsure = 0.0 if "alpha" in (*covariance.names, *frozen) else assumed_share(problem.segments, model)
+    doubts = doubts_of(problem, solution, covariance, quality)
     found: dict[str, Estimate] = {}
     std = np.sqrt(np.diag(covariance.matrix))
     correlation = covariance.matrix / np.outer(std, std) if std.size else covariance.matrix
@@ -253,7 +253,7 @@ def _estimates(
         known_std, interval, partner = None, None, None
         if source_name in covariance.names:
             i = covariance.names.index(source_name)
-            known_std = float(std[i])
+            known_std = float(np.hypot(std[i], value * unsure)) if name == "K" else float(std[i])
             half = interval_factor(float(covariance.dof[i])) * known_std
             interval = (value - half, value + half)
             other = np.abs(correlation[i]) * (np.arange(std.size) != i)
@@ -272,28 +272,6 @@ def _estimates(
     if "T_d" not in found:
         found["T_d"] = _mean_delay(found, covariance)
     return found
-
-
-def _doubts(
-    problem: Problem, solution: Solution, covariance: Covariance, quality: Mapping[str, ChannelQuality]
-) -> dict[str, Doubts]:
-    """By name of a free parameter."""
-    differing = spreads(problem, solution, covariance)
-    wide = [n for n, s in differing.items() if s.width > allowance(problem.model.param[n], solution.values[n])]
-    loops = lags_with(wide)
-    bounds, partners = leaning_on(solution.at_bound, solution), leaning_on([n for n in wide if n in loops], solution)
-    told = responses_telling(solution)
-    best: dict[str, float] = {}
-    for part in problem.parts:
-        r2 = [q.r2 for c in part.outputs if (q := quality.get(c)) is not None and np.isfinite(q.r2)]
-        for name in part.block.params:
-            best[name] = max([best.get(name, -np.inf), *r2])
-    return {
-        n: Doubts(
-            differing.get(n), bounds.get(n), partners.get(n) if n in loops else None, told.get(n, 0), best.get(n, 1.0)
-        )
-        for n in solution.free
-    }
 
 
 def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estimate:
@@ -358,7 +336,8 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
         notes.append(
             "no attitude references were recorded: the attitude loops are left out, and the measured attitude drives thrust and drag"
         )
-    dead = dead_channels(problem.segments)
+    wanted = {c for block in model.blocks for c in (*block.outputs, *block.exogenous)}
+    dead = tuple(c for c in dead_channels(problem.segments) if c in wanted)
     if dead:
         notes.append(f"{never_changing(dead)}: taken as not recorded")
     outputs = {c for part in problem.parts for c in part.outputs}

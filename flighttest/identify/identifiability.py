@@ -10,6 +10,7 @@ import numpy as np
 from flighttest.identify.constancy import Spread
 from flighttest.identify.responses import held
 from flighttest.physics.core import Param
+from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 ALPHA_STD = 0.3
@@ -51,8 +52,8 @@ class Doubts:
     """What speaks against a parameter beside its standard error.
 
     spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it cannot be told from; partner: the
-    same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: R2 of the best
-    described channel it acts on.
+    same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: the lowest R2 of
+    the channels it is read from.
     """
 
     spread: Spread | None = None
@@ -141,6 +142,16 @@ def voltage_varies(segments: Sequence[Segment], nominal_voltage_v: float) -> boo
         return False
     spread = float(np.hypot(np.std(means), np.mean(inside)))
     return spread / nominal_voltage_v > VOLTAGE_STD
+
+
+def assumed_share(segments: Sequence[Segment], model: Model) -> float:
+    """Share of K by which it is unsure where alpha is assumed: K holds at the nominal voltage, which may not be the one flown."""
+    if "alpha" not in model.param:
+        return 0.0
+    means = [float(np.nanmean(u)) for s in segments if np.isfinite(u := s.y.get("voltage_v", np.full(1, np.nan))).any()]
+    means = [m for m in means if m > 0]
+    away = abs(float(np.mean(np.log(np.array(means) / model.nominal_voltage_v)))) if means else 0.0
+    return away * model.param["alpha"].scale
 
 
 def throttle_varies(segments: Sequence[Segment]) -> bool:

@@ -111,6 +111,31 @@ def test_a_model_no_better_than_the_mean_makes_nothing_known(flown):
     assert not estimates["sigma_t"].identifiable
 
 
+def test_a_gain_at_another_voltage_than_was_flown_rests_on_an_assumed_exponent(flown):
+    steps = [s for s in flown if s.kind == "throttle_step"]
+    at_nominal = [replace(s, y={**s.y, "voltage_v": np.full(s.t_s.size, 22.2)}) for s in steps]
+    far = [replace(s, y={**s.y, "voltage_v": np.full(s.t_s.size, 11.1)}) for s in steps]
+    near, other = fit(at_nominal).estimates["K"], fit(far).estimates["K"]
+    assert near.identifiable, near.why
+    assert not other.identifiable
+    assert other.interval_95[0] < near.value < other.interval_95[1]
+
+
+@pytest.mark.parametrize("omega", [25.43, 15.0])
+def test_windows_of_free_flight_are_compared_by_how_lively_they_are(omega):
+    """A roll loop that is slower in lively windows than in calm ones has no one natural frequency."""
+    calm = campaign(23, thrust_repeats=0, tilt_repeats=3, yaw_repeats=0)
+    lively = campaign(23, truth={**TRUTH, "omega_phi": omega}, thrust_repeats=0, tilt_repeats=3, yaw_repeats=0)
+    windows = [
+        replace(b if abs(b.cell["amplitude_rad"]) > 0.25 else a, kind="free", cell={})
+        for a, b in zip(calm, lively, strict=True)
+        if a.kind == "roll_step" and abs(a.cell["amplitude_rad"]) != 0.3
+    ]
+    estimates = fit(windows).estimates
+    assert any("livelier windows" in e.why for e in estimates.values()) == (omega == 15.0)
+    assert estimates["omega_phi"].identifiable == (omega != 15.0)
+
+
 def test_runs_with_different_filters_are_each_read_through_their_own():
     rng = np.random.default_rng(4)
     flown = campaign(

@@ -1,0 +1,83 @@
+"""What speaks against calling a parameter known, gathered for every free parameter of a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from flighttest.identify.constancy import SETS, spreads
+from flighttest.identify.covariance import Covariance
+from flighttest.identify.identifiability import Doubts, allowance
+from flighttest.identify.problem import Problem
+from flighttest.identify.quality import ChannelQuality
+from flighttest.identify.solve import Solution
+
+
+def doubts_of(
+    problem: Problem, solution: Solution, covariance: Covariance, quality: Mapping[str, ChannelQuality]
+) -> dict[str, Doubts]:
+    """By name of a free parameter."""
+    differing = spreads(problem, solution, covariance)
+    wide = [n for n, s in differing.items() if s.width > allowance(problem.model.param[n], solution.values[n])]
+    loops = _lags_with(wide)
+    bounds, partners = _leaning_on(solution.at_bound, solution), _leaning_on([n for n in wide if n in loops], solution)
+    told = _responses_telling(solution)
+    explained = _described(problem, solution, {c: q.r2 for c, q in quality.items()})
+    return {
+        n: Doubts(
+            differing.get(n),
+            bounds.get(n),
+            partners.get(n) if n in loops else None,
+            told.get(n, 0),
+            explained.get(n, 1.0),
+        )
+        for n in solution.free
+    }
+
+
+def _responses_telling(solution: Solution, share: float = 1e-3) -> dict[str, int]:
+    """How many responses hold at least this share of what is known of each free parameter."""
+    told = np.einsum("sii->si", solution.normal.hessian)
+    enough = told > share * np.maximum(told.sum(axis=0), 1e-300)
+    return dict(zip(solution.normal.names, enough.sum(axis=0).tolist(), strict=True))
+
+
+def _described(problem: Problem, solution: Solution, r2: Mapping[str, float], share: float = 0.2) -> dict[str, float]:
+    """The lowest R2 of the channels that each parameter is read from: those with this share of what is known of it.
+
+    A climb follows from its free start alone, whatever the thrust: beside it the force counts, where it was measured.
+    """
+    found: dict[str, float] = {}
+    for part, made in zip(problem.parts, solution.evaluations, strict=True):
+        std = np.array([solution.noise.channel[c] for c in part.outputs])
+        told = np.einsum("mnci,c->ic", made.jacobian**2, 1.0 / std**2)
+        names = made.columns[: len(made.columns) - len(part.locals)]
+        for name, by_channel in zip(names, told[: len(names)], strict=True):
+            read = {c for c, t in zip(part.outputs, by_channel, strict=True) if t > share * by_channel.sum() > 0}
+            read |= {"f_z_m_s2"} if "v_z_m_s" in read and "f_z_m_s2" in part.outputs else set()
+            values = [r2[c] for c in read if np.isfinite(r2.get(c, np.nan))]
+            found[name] = min([found.get(name, 1.0), *values])
+    return found
+
+
+def _leaning_on(others: Sequence[str], solution: Solution, correlation: float = 0.5) -> dict[str, str]:
+    """Free parameters that share what this data knows of them with one of `others`, by name: which one."""
+    names = solution.normal.names
+    total = solution.normal.hessian.sum(axis=0)
+    root = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    shared = np.abs(total / np.outer(root, root))
+    found: dict[str, str] = {}
+    for other in others:
+        column = shared[names.index(other)]
+        for name, share in zip(names, column, strict=True):
+            if name not in others and share > correlation:
+                found.setdefault(name, other)
+    return found
+
+
+def _lags_with(names: Sequence[str]) -> frozenset[str]:
+    """Every lag and delay of the loops that any of these belongs to."""
+    return frozenset(
+        n for loop in SETS if any(m.startswith("T_d") for m in loop) and set(loop) & set(names) for n in loop
+    )
