@@ -117,7 +117,7 @@ def test_what_differs_is_said_to_the_reader(repository):
 @pytest.mark.sitl
 def test_the_recorded_answers_are_still_those_of_the_real_firmware(arducopter, talk, real):
     values = {"FENCE_ENABLE": 0.0, "GUID_TIMEOUT": 3.0, "GUID_OPTIONS": 0.0}
-    with launch(SitlOptions(airframe="stock", speedup=3.0, parameters=values), wait_s=0.0) as vehicle:
+    with launch(SitlOptions(airframe="stock", speedup=4.0, parameters=values), wait_s=0.0) as vehicle:
         now = talk.hold(talk.Socket(vehicle.url))
     for step in (
         "parameters",
