@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from flighttest.errors import InputError
 from flighttest.identify import model_file
+from flighttest.identify.compare import LEVEL, Difference
+from flighttest.identify.compare import compare as compare_models
 from flighttest.identify.export import export as write_export
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, fit_segments
@@ -18,8 +16,6 @@ from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.pipeline.sources import open_recordings
 from flighttest.report.document import Align, Cell, Document, Section, Table
 from flighttest.report.numbers import join, percent, to_error, unit
-
-DIFFERENT_Z = 3.0
 
 
 def export(model: Path, kind: str, output: Path) -> Result:
@@ -56,62 +52,59 @@ def open_model(path: Path, progress: Progress = SILENT) -> ModelFile:
 
 
 def compare(first: Path, second: Path, progress: Progress = SILENT) -> Result:
-    """z-scores per parameter between two models or two runs."""
+    """z-scores per parameter between two models or two runs, and which differ, in one table."""
     a, b = open_model(first, progress), open_model(second, progress)
-    rows: list[tuple[Cell | str, ...]] = []
-    data: list[dict[str, Any]] = []
-    differing = []
-    for name in [n for n in a.parameters if n in b.parameters]:
-        p, q = a.parameters[name], b.parameters[name]
-        std = math.hypot(p.std, q.std) if p.std is not None and q.std is not None else math.nan
-        z = (q.value - p.value) / std if std and np.isfinite(std) else math.nan
-        change = (q.value - p.value) / abs(p.value) if p.value else math.nan
-        different = abs(z) > DIFFERENT_Z
-        if different:
-            differing.append(name)
-        word = (
-            Cell("-", "quiet", "not estimated in both")
-            if not np.isfinite(z)
-            else Cell("differs", "bad")
-            if different
-            else Cell("same", "good")
-        )
-        rows.append(
-            (
-                name,
-                to_error(p.value, p.std),
-                to_error(q.value, q.std),
-                unit(p.unit),
-                percent(change),
-                f"{z:+.1f}" if np.isfinite(z) else "-",
-                word,
-            )
-        )
-        data.append(
-            {
-                "name": name,
-                "first": p.value,
-                "second": q.value,
-                "std": std,
-                "z": z,
-                "change": change,
-                "different": different,
-            }
-        )
+    found = compare_models(a, b)
+    rows = tuple(_compared(d, a, b) for d in found)
+    data = [
+        {
+            "name": d.name,
+            "unit": d.unit,
+            "first": d.first,
+            "second": d.second,
+            "difference": d.difference,
+            "change": d.difference / abs(d.first) if d.difference is not None and d.first else None,
+            "std": d.std,
+            "z": d.z,
+            "p_value": d.p_value,
+            "different": d.differs,
+            "sentence": d.sentence,
+        }
+        for d in found
+    ]
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "right", "left")
-    table = Table(
-        ("parameter", "first", "second", "unit", "change", "z", ""),
-        tuple(rows),
-        align,
-        f"differs: |z| above {DIFFERENT_Z:g}",
-    )
-    only = sorted(set(a.parameters) ^ set(b.parameters))
-    verdict = f"{join(differing)} differ{'s' if len(differing) == 1 else ''}." if differing else "No parameter differs."
+    note = f"z: difference over its standard error; differs: beyond chance at {LEVEL:.0%} over all parameters together"
+    table = Table(("parameter", "first", "second", "unit", "change", "z", ""), rows, align, note)
+    differing = [d.name for d in found if d.differs]
+    tested = sum(d.z is not None for d in found)
+    only = [d.name for d in found if d.first is None or d.second is None]
+    if differing:
+        verdict, tone = f"{join(differing)} differ{'s' if len(differing) == 1 else ''}.", "warn"
+    elif tested:
+        verdict, tone = f"No parameter differs beyond its error ({tested} compared).", "good"
+    else:
+        verdict, tone = "Nothing can be compared: no parameter is identified in both.", "bad"
     if only:
-        verdict += f" In one of them only: {join(only)}."
+        verdict += f" In one of them only: {join(sorted(only))}."
     facts = {"first": str(first), "second": str(second)}
-    document = Document("compare", verdict, "warn" if differing else "good", (Section("table", "", (table,)),), facts)
-    return Result(document, {"parameters": data, "differing": differing, "only_in_one": only})
+    document = Document("compare", verdict, tone, (Section("table", "", (table,)),), facts)  # type: ignore[arg-type]
+    return Result(document, {"parameters": data, "differing": differing, "only_in_one": sorted(only)})
+
+
+def _compared(d: Difference, a: ModelFile, b: ModelFile) -> tuple[Cell | str, ...]:
+    p, q = a.parameters.get(d.name), b.parameters.get(d.name)
+    word = Cell("differs", "bad") if d.differs else Cell("same", "good")
+    if d.z is None:
+        word = Cell("-", "quiet", d.sentence)
+    return (
+        d.name,
+        to_error(p.value, p.std) if p is not None else "-",
+        to_error(q.value, q.std) if q is not None else "-",
+        unit(d.unit),
+        percent(d.difference / abs(d.first)) if d.difference is not None and d.first else "-",
+        "-" if d.z is None else f"{d.z:+.1f}",
+        word,
+    )
 
 
 def status(

@@ -96,6 +96,12 @@ def test_validate_export_and_compare(call, model, worn_csv, tmp_path):
     assert code == 0
     assert "K" in json.loads(out)["differing"]
     assert "omega_phi" not in json.loads(out)["differing"]
+    first = json.loads(out)["parameters"][0]
+    assert first["different"]
+    assert first["z"] == pytest.approx(first["difference"] / first["std"])
+    code, out, _ = call("compare", model, model, "--json")
+    assert json.loads(out)["differing"] == []
+    assert max(abs(p["z"]) for p in json.loads(out)["parameters"] if p["z"] is not None) == 0.0
 
 
 def test_status_sees_worn_propellers_and_not_the_same_vehicle(call, model, flight_csv, worn_csv, tmp_path):
