@@ -250,7 +250,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 WORDS = {"campaign": "campaign", "spot": "two-minute spot check"}
-BEGIN, END = "<!-- generated: benchmarks/currency.py -->", "<!-- end -->"
+BEGIN, END = "<!-- measured: benchmarks/currency.py -->", "<!-- end -->"
 
 
 def write(page: Path, text: str) -> None:

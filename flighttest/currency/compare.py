@@ -119,14 +119,27 @@ def _test(
     # Scaled before solving: the parameters differ by orders of magnitude.
     whitened = np.linalg.solve(covariance / np.outer(std, std), delta / std)
     statistic = max(float(np.dot(whitened, delta / std)), 0.0)
-    p_value = _chance(statistic, delta / std, _dof(stored, new, std**2))
+    dof = _dof(stored, new, std**2)
+    p_value = _chance(statistic, delta / std, dof)
+    needed = stats.t.isf(level / (2.0 * delta.size * (1.0 if delta.size == 1 else 2.0)), dof)
+    detectable = {
+        n: float(k * s / abs(v)) for n, k, s, v in zip(stored.names, needed, std, stored.values, strict=True) if v
+    }
     shifts = {
         n: (float(d / abs(v)) if v else math.nan, float(d / s))
         for n, d, v, s in zip(stored.names, delta, stored.values, std, strict=True)
     }
     alarm = p_value < level
     return SubsetTest(
-        subset, statistic, len(delta), p_value, level, alarm, shifts, _sentence(subset, alarm, shifts, p_value)
+        subset,
+        statistic,
+        len(delta),
+        p_value,
+        level,
+        alarm,
+        shifts,
+        _sentence(subset, alarm, shifts, p_value),
+        detectable,
     )
 
 

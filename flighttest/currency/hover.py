@@ -90,4 +90,5 @@ def hover_test(stored: Hover, new: Hover, alpha: float | None, level: float) -> 
     share = math.expm1(change)
     words = f"the throttle that holds height {verb} {abs(share) * 100:.1f} %"
     sentence = f"{words} (chance of this without a change: {p_value:.1g})" if alarm else f"{words}, as it may"
-    return SubsetTest("thrust", z * z, 1, p_value, level, alarm, {NAME: (share, z)}, sentence)
+    detectable = {NAME: float(stats.t.isf(level / 2.0, dof)) * math.sqrt(total)}
+    return SubsetTest("thrust", z * z, 1, p_value, level, alarm, {NAME: (share, z)}, sentence, detectable)

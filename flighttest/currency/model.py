@@ -59,7 +59,8 @@ class SubsetTest:
     """One parameter subset of a new recording against the stored model.
 
     statistic: squared Mahalanobis distance over `dof` parameters, p_value under "nothing changed", alarm when below `level`.
-    shifts: parameter to (relative change, z). sentence: what an operator reads.
+    shifts: parameter to (relative change, z). sentence: what an operator reads. detectable: parameter to the relative change that would
+    have raised the alarm by itself: less may have happened unseen.
     """
 
     subset: str
@@ -70,6 +71,7 @@ class SubsetTest:
     alarm: bool
     shifts: Mapping[str, tuple[float, float]]
     sentence: str
+    detectable: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

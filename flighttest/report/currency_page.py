@@ -97,19 +97,20 @@ def _tests(found: Currency) -> Section:
                     name,
                     Cell(percent(change), "bad" if moved else "plain"),
                     f"{z:+.1f}",
+                    percent(t.detectable[name]) if name in t.detectable else "-",
                     f"{t.p_value:.2g}" if index == 0 else "",
                     Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if index == 0 else "",
                 )
             )
     level = found.tests[0].level
     caption = (
-        f"p: chance of such a difference without a change; alarm below {level:.2g}, "
-        f"which an unchanged vehicle raises in {level * len(found.tests):.0%} of campaigns."
+        "shows from: a smaller change may have happened unseen. p: chance of such a difference without a change; "
+        f"alarm below {level:.2g}, which an unchanged vehicle raises in {level * len(found.tests):.0%} of campaigns."
     )
     table = Table(
-        ("subset", "parameter", "change", "z", "p", ""),
+        ("subset", "parameter", "change", "z", "shows from", "p", ""),
         tuple(rows),
-        ("left", "left", "right", "right", "right", "left"),
+        ("left", "left", "right", "right", "right", "right", "left"),
         caption,
     )
     return Section("tests", "The new recording against the model", (table,))

@@ -292,3 +292,12 @@ def test_the_throttle_that_holds_height_tells_where_steps_were_not_flown():
     assert not hover_test(full, low, 1.7, 0.01).alarm
     assert hover_test(full, low, 0.0, 0.01).alarm, "a battery the autopilot compensates for explains nothing"
     assert hover(free_flight(rng, 0.5, "a", windows=2), 22.2) is None
+
+
+def test_what_is_called_detectable_raises_the_alarm_and_half_of_it_does_not():
+    std = np.diag((0.004 * np.array([20.0, 50.0])) ** 2)
+    stored = Estimates("a", ("sigma_t", "K"), np.array([20.0, 50.0]), std)
+    smallest = compare.subset_tests(stored, stored)[0].detectable["K"]
+    for share, alarm in ((1.05, True), (0.5, False)):
+        moved = Estimates("b", ("sigma_t", "K"), np.array([20.0, 50.0 * (1.0 - share * smallest)]), std)
+        assert compare.subset_tests(stored, moved)[0].alarm is alarm
