@@ -25,6 +25,11 @@ _POSITION = ("p_x_m", "p_y_m", "p_z_m")
 _VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
 _TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
+# What stays zero in a flight straight up and down.
+_SIDEWAYS = (
+    *("roll_rad", "pitch_rad", "roll_rate_rad_s", "pitch_rate_rad_s", "r_rad_s", "v_x_m_s", "v_y_m_s"),
+    *_TARGETS[:3],
+)
 _CHANNEL = {
     "roll_ref_rad": "attitude",
     "pitch_ref_rad": "attitude",
@@ -84,16 +89,32 @@ class ModelPredictor:
 
     @cached_property
     def _rate(self) -> Vectorised:
+        return Vectorised(self._rate_of([]))
+
+    @cached_property
+    def _level_rate(self) -> Vectorised | None:
+        """The same for vehicles that have only been asked to go up and down, where that keeps them level: a quarter of the work."""
+        function = self._rate_of([n for n in _SIDEWAYS if n in (*self.model.system.states, *self.model.system.inputs)])
+        rates = function(*(ca.SX.sym("z", *function.size_in(i)) for i in range(2)))
+        still = all(rates[i].is_zero() for i, n in enumerate(self.model.system.states) if n in _SIDEWAYS)
+        return Vectorised(function) if still else None
+
+    def _rate_of(self, zero: list[str]) -> ca.Function:
+        """The rate of change of the states, some states and inputs being zero."""
         system = self.model.system
         x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-        return Vectorised(ca.Function("rate", [x, u], [system.function(x, u, self._p)[0]]))
+        at = [
+            ca.vertcat(*(0.0 if n in zero else of[i] for i, n in enumerate(ns)))
+            for of, ns in ((x, system.states), (u, system.inputs))
+        ]
+        return ca.Function("rate", [x, u], [ca.cse(ca.simplify(system.function(*at, self._p)[0]))])
 
-    def _step(self, x: FloatArray, u: FloatArray, dt_s: float) -> FloatArray:
+    def _step(self, rate: Vectorised, x: FloatArray, u: FloatArray, dt_s: float) -> FloatArray:
         """One RK4 step of n vehicles: states (k, n), inputs (m, n)."""
-        k1 = self._rate(x, u)
-        k2 = self._rate(x + dt_s / 2 * k1, u)
-        k3 = self._rate(x + dt_s / 2 * k2, u)
-        k4 = self._rate(x + dt_s * k3, u)
+        k1 = rate(x, u)
+        k2 = rate(x + dt_s / 2 * k1, u)
+        k3 = rate(x + dt_s / 2 * k2, u)
+        k4 = rate(x + dt_s * k3, u)
         return x + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def fly(
@@ -129,6 +150,8 @@ class ModelPredictor:
         history: list[FloatArray] = []
         record = np.empty((steps + 1, len(states), n))
         record[0] = x
+        turns = rows[:3]
+        rate = self._level_rate or self._rate
         for k in range(steps):
             now = Snapshot(k * dt_s, x[place].T, x[speed].T, x[angle].T)
             history.append(np.broadcast_to(np.asarray(policy(now), dtype=float), (n, 4)))
@@ -139,7 +162,9 @@ class ModelPredictor:
                     u[row] += part * ((history[late - 1] if late >= 1 else hover)[:, column] - u[row])
             if "time_s" in inputs:
                 u[inputs.index("time_s")] = k * dt_s
-            x = self._step(x, u, dt_s)
+            if rate is not self._rate and u[turns].any():
+                rate = self._rate
+            x = self._step(rate, x, u, dt_s)
             record[k + 1] = x
         flown = record.transpose(2, 0, 1)
         t_s = np.arange(steps + 1, dtype=float) * dt_s

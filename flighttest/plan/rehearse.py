@@ -177,6 +177,26 @@ class _Policy:
             )
 
     def _stop(self, now: Snapshot, a: FloatArray, active: BoolArray, targets: FloatArray) -> None:
+        if bool(np.any(self.counter_open)):
+            self._counter(now, a, active, targets)
+        if not bool(np.any(self.vertical_open)):
+            return
+        climb = now.v_m_s[:, 2] + a[:, 2] * self.thrust_ahead
+        todo = active & self.vertical_open & ~self.counter_open
+        fresh = todo & (self.direction == 0.0)
+        self.direction[fresh] = np.sign(climb[fresh])
+        self.vertical_throttle[fresh] = np.where(climb[fresh] > 0.0, self.floor[fresh], self.ceiling[fresh])
+        slow = fresh & (np.abs(climb) < STANDING_M_S)
+        turned = todo & ~fresh & (climb * self.direction <= 0.0)
+        self.vertical_s -= np.where(turned, self._overdone(self.vertical_s, climb, self.climb_before), 0.0)
+        self.climb_before = climb
+        self.vertical_open = self.vertical_open & ~slow & ~turned & ~(self.vertical_s > STOP_MAX_S)
+        doing = todo & self.vertical_open
+        self.vertical_s[doing] += self.dt_s
+        targets[doing] = 0.0
+        targets[doing, 3] = self.vertical_throttle[doing]
+
+    def _counter(self, now: Snapshot, a: FloatArray, active: BoolArray, targets: FloatArray) -> None:
         # Along the counter's push: pitch pushes forward, roll to the right; the vehicle moves the other way.
         yaw = now.rpy_rad[:, 2]
         c, s = np.cos(yaw), np.sin(yaw)
@@ -199,21 +219,6 @@ class _Policy:
         targets[doing] = 0.0
         targets[doing, 0], targets[doing, 1] = self.counter[doing, 0], self.counter[doing, 1]
         targets[doing, 3] = self.counter_hover[doing]
-
-        climb = now.v_m_s[:, 2] + a[:, 2] * self.thrust_ahead
-        todo = active & self.vertical_open & ~self.counter_open
-        fresh = todo & (self.direction == 0.0)
-        self.direction[fresh] = np.sign(climb[fresh])
-        self.vertical_throttle[fresh] = np.where(climb[fresh] > 0.0, self.floor[fresh], self.ceiling[fresh])
-        slow = fresh & (np.abs(climb) < STANDING_M_S)
-        turned = todo & ~fresh & (climb * self.direction <= 0.0)
-        self.vertical_s -= np.where(turned, self._overdone(self.vertical_s, climb, self.climb_before), 0.0)
-        self.climb_before = climb
-        self.vertical_open = self.vertical_open & ~slow & ~turned & ~(self.vertical_s > STOP_MAX_S)
-        doing = todo & self.vertical_open
-        self.vertical_s[doing] += self.dt_s
-        targets[doing] = 0.0
-        targets[doing, 3] = self.vertical_throttle[doing]
 
     def _overdone(self, lasted_s: FloatArray, now: FloatArray, before: FloatArray) -> FloatArray:
         """How much of the last step lay beyond the moment the speed passed through zero, s; none of a stop that never began."""

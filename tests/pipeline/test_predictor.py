@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from flighttest.physics.model import Model
 from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.plan.model import Motion
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +58,41 @@ def test_lags_are_those_of_the_paper(predictor):
     assert predictor.delay_s == pytest.approx(0.1)
     assert predictor.thrust_lag_s == pytest.approx(1 / 20.36)
     assert predictor.attitude_lag_s == pytest.approx(2 * 0.44 / 25.43)
+
+
+def test_a_flight_straight_up_and_down_is_computed_briefly_and_the_same():
+    predictor = ModelPredictor()
+    assert predictor._level_rate is not None
+    start, yaw, volts = np.zeros((2, 3)), np.array([0.0, 1.0]), np.array([24.0, 22.0])
+
+    def steer(tilt_rad: float, from_s: float) -> Motion:
+        def policy(now):
+            targets = np.zeros((2, 4))
+            targets[:, 3] = 0.25 if now.t_s < 0.5 else 0.1
+            targets[:, 0] = tilt_rad if now.t_s >= from_s else 0.0
+            return targets
+
+        return predictor.fly(start, yaw, volts, policy, 1.2, 0.04)
+
+    level = steer(0.0, 0.0)
+    # A tilt too small to matter, from the first moment on, takes the long way.
+    full = steer(1e-12, 0.0)
+    np.testing.assert_allclose(level.p_m, full.p_m, atol=1e-9)
+    np.testing.assert_allclose(level.v_m_s, full.v_m_s, atol=1e-9)
+    turned = steer(0.3, 0.6)
+    assert np.abs(turned.p_m[:, :, :2]).max() > 0.05, "what tilts later is not taken for level"
+
+
+def test_in_wind_nothing_is_taken_for_straight():
+    model = Model().with_terms("steady_wind")
+    windy = ModelPredictor(model, {"w_north": 3.0})
+    assert windy._level_rate is None
+
+
+def test_a_corrected_prior_hovers_where_it_was_seen_to():
+    prior = ModelPredictor()
+    for hover, age in ((0.2, None), (0.15, 0.01), (0.16, 0.2)):
+        found = prior.corrected(hover, 23.5, age)
+        assert found.hover_throttle(np.array([23.5]))[0] == pytest.approx(hover)
+        assert found.thrust_age_s == pytest.approx(prior.thrust_age_s if age is None else max(age, 0.025))
+    assert prior.corrected(0.2, 23.5).hover_throttle(np.array([21.5]))[0] > 0.2, "the battery's law stays"
