@@ -31,6 +31,7 @@ _ANGLES = ("roll", "pitch", "yaw")
 _WILD_MAX = 0.05
 _PIECE_ROWS = 10
 _PIECE_GAP_S = 10.0
+_OWN_START_S = 1.0  # pieces that were each timed from their own start begin alike
 _UPSIDE_DOWN_RAD = np.pi / 2
 _WORLD_GROUPS = ("velocity", "position", "acceleration")
 _BODY_GROUPS = ("rates", "specific_force")
@@ -127,7 +128,8 @@ def _tame(t_s: FloatArray, losses: list[str]) -> FloatArray:
 
 def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, FloatArray | None]:
     """A table whose time starts anew, as one whose steps were each timed from their own start: the pieces in a row, with their number
-    (n,), else None. A table that is merely out of order stays as it is."""
+    (n,), else None. A table that is merely out of order stays as it is; a clock that stepped back in flight makes no steps of its
+    pieces, which begin at other times than the first."""
     starts = np.flatnonzero(np.diff(t_s) < 0) + 1
     bounds = np.concatenate([[0], starts, [t_s.size]])
     if not starts.size or int(np.min(np.diff(bounds))) < _PIECE_ROWS:
@@ -140,7 +142,8 @@ def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, 
     losses.append(
         f"time starts anew {starts.size} times: the {starts.size + 1} pieces were put {_PIECE_GAP_S:g} s apart"
     )
-    return out, number
+    anew = bool(np.all(np.abs(t_s[starts] - t_s[0]) < _OWN_START_S))
+    return out, number if anew else None
 
 
 def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:

@@ -171,6 +171,15 @@ def test_steps_that_were_each_timed_from_their_own_start(tmp_path, t):
     assert [m.label for m in r.markers] == ["step 1", "step 2"]
 
 
+def test_a_clock_that_stepped_back_in_flight_makes_no_steps_of_the_pieces(tmp_path, t):
+    jumped = np.where(t < 0.6 * t[-1], t, t - 0.1 * t[-1])
+    assert jumped[np.flatnonzero(np.diff(jumped) < 0)[0] + 1] > 1.0
+    r = import_log(save(tmp_path / "a.csv", t_s=jumped, roll_rad=t))
+    assert "time starts anew 1 times" in r.provenance.losses[0], "and it is said"
+    assert len(r.series["attitude"]) == N
+    assert r.markers == ()
+
+
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
