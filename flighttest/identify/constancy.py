@@ -107,7 +107,7 @@ def _of_set(
     hessian, score = solution.normal.hessian[:, pick[:, None], pick], solution.normal.score[:, pick]
     total = np.diag(hessian.sum(axis=0))
     rows: dict[str, list[tuple[float, float, str]]] = {n: [] for n in names}
-    moved: list[tuple[str, FloatArray, FloatArray]] = []
+    moved: list[tuple[str, FloatArray, FloatArray, float]] = []
     scatter, dof = 0.0, 0.0
     for label, members in groups.items():
         information = hessian[members].sum(axis=0)
@@ -119,15 +119,17 @@ def _of_set(
         # How many responses tell anything, by their leverage; and how they scatter, in units of what the noise model expects.
         leverage = np.einsum("sij,ji->s", hessian[members], inverse)
         count = float(leverage.sum() ** 2 / (leverage**2).sum())
-        scatter += float(np.einsum("si,ij,sj->", rest, inverse, rest)) / len(names) * count
+        own = float(np.einsum("si,ij,sj->", rest, inverse, rest)) / len(names) * count
+        scatter += own
         dof += count - 1.0
-        moved.append((label, shift, np.diag(inverse)))
+        moved.append((label, shift, np.diag(inverse), own / max(count - 1.0, 1.0)))
     if len(moved) < 2 or dof < 1.0:
         return {}
-    factor = float(stats.t.isf(CHANCE / 2, dof)) * np.sqrt(max(scatter / dof, 1.0))
-    for label, shift, variance in moved:
+    quantile = float(stats.t.isf(CHANCE / 2, dof))
+    for label, shift, variance, own in moved:
+        inflated = max(scatter / dof, own, 1.0)
         for name, by, v in zip(names, shift, variance, strict=True):
-            rows[name].append((solution.values[name] + float(by), factor * float(np.sqrt(v)), label))
+            rows[name].append((solution.values[name] + float(by), quantile * float(np.sqrt(inflated * v)), label))
     found = {}
     for name, values in rows.items():
         # A value outside all groups' comes of groups that differ in something else, and were flown at other voltages or speeds.
