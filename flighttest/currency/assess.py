@@ -125,6 +125,11 @@ def _sentence(
 
 def _culprit(alarms: Sequence[SubsetTest], stored: Estimates, runs: Sequence[Estimates]) -> str:
     moved = {t.subset for t in alarms}
+    thrust = next((t for t in alarms if t.subset == "thrust"), None)
+    if thrust is not None and "K" in thrust.shifts and abs(thrust.shifts["K"][1]) < abs(_z(thrust, "sigma_t")) / 2.0:
+        return (
+            ": what delays the thrust (motors, speed controllers, a throttle filter), and not how much of it there is"
+        )
     if "thrust" in moved and "attitude" not in moved:
         what = thrust_or_mass(stored, runs[-1])
         words = {
@@ -138,6 +143,10 @@ def _culprit(alarms: Sequence[SubsetTest], stored: Estimates, runs: Sequence[Est
     if moved == {"yaw"}:
         return ": the yaw loop, and nothing else"
     return ""
+
+
+def _z(test: SubsetTest, parameter: str) -> float:
+    return test.shifts[parameter][1] if parameter in test.shifts else 0.0
 
 
 def _rivals(alarms: Sequence[SubsetTest]) -> tuple[str, ...]:

@@ -88,8 +88,8 @@ def _verdict(found: Fit, unknown: Sequence[str]) -> str:
         return f"{head}; all {total} parameters are known. {_accuracy(found)}".strip()
     if len(unknown) == total:
         return f"{head}; none of the {total} parameters is known. {_accuracy(found)}".strip()
-    named = join(list(unknown)) if len(unknown) <= 6 else f"{len(unknown)} of them"
-    return f"{head}; {total - len(unknown)} of {total} parameters are known, not {named}. {_accuracy(found)}".strip()
+    named = f", not {join(list(unknown))}" if len(unknown) <= 6 else ""
+    return f"{head}; {total - len(unknown)} of {total} parameters are known{named}. {_accuracy(found)}".strip()
 
 
 def _accuracy(found: Fit) -> str:

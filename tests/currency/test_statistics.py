@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from flighttest.currency import battery, compare, sequence
+from flighttest.currency.assess import assess
 from flighttest.currency.compare import Estimates
 from flighttest.currency.discrepancy import measured, prior, repeated, same_steps, steps_of
 from flighttest.currency.hover import hover, hover_test
+from flighttest.currency.model import Verdict
 from flighttest.identify.solve import Normal
 from flighttest.pipeline.batteries import battery_of
 from flighttest.recording import Provenance, Recording, Series
@@ -301,3 +303,12 @@ def test_what_is_called_detectable_raises_the_alarm_and_half_of_it_does_not():
     for share, alarm in ((1.05, True), (0.5, False)):
         moved = Estimates("b", ("sigma_t", "K"), np.array([20.0, 50.0 * (1.0 - share * smallest)]), std)
         assert compare.subset_tests(stored, moved)[0].alarm is alarm
+
+
+def test_a_slower_thrust_is_not_called_less_thrust():
+    base = Estimates("m", ("sigma_t", "K"), np.array([20.0, 50.0]), np.diag([0.04, 0.04]))
+    for values, lag in (([14.0, 50.1], True), ([20.0, 44.0], False)):
+        new = Estimates("r", ("sigma_t", "K"), np.array(values), np.diag([0.04, 0.04]))
+        found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=base, runs=[new])
+        assert found.verdict is Verdict.STALE
+        assert ("what delays the thrust" in found.sentence) is lag, found.sentence
