@@ -31,6 +31,7 @@ from flighttest.plan import Plan
 from flighttest.recording.store import read_events
 
 POSITION_WAIT_S = 90.0
+BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _LISTEN_AFTER_TAKE_OVER_S = 2.0
 _SLOW_STREAMS = ("ATTITUDE", "HIGHRES_IMU", "RAW_IMU", "LOCAL_POSITION_NED", "BATTERY_STATUS", "ATTITUDE_TARGET")
 
@@ -246,6 +247,7 @@ class _Flight:
         self._on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
+        self._tell_battery(cockpit)
         self._place_zone(cockpit)
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
@@ -269,6 +271,16 @@ class _Flight:
         self.recorder.manifest.update(parameters=dict(self._parameters), parameters_changed=self._changes.pending)
         self.recorder.save_manifest()
         return left
+
+    def _tell_battery(self, cockpit: Cockpit) -> None:
+        """A pack that is not full spreads a script's repeats over less than was asked for."""
+        wanted = max((leg.voltage_v or 0.0 for leg in self.plan.legs), default=0.0)
+        voltage = cockpit.state.voltage_v
+        if voltage is not None and voltage < BEGIN_SHARE * wanted:
+            self._note(
+                f"the battery begins at {voltage:.1f} V, the script's repeats at {wanted:.1f} V: what depends on voltage (alpha) "
+                "will be known less well than with a full pack"
+            )
 
     def _note(self, text: str) -> None:
         self.notes.append(text)

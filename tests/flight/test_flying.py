@@ -162,6 +162,14 @@ def test_an_empty_battery_ends_the_flight_before_the_next_leg(run_dir: Path) -> 
     assert not link.sim.vehicle.armed
 
 
+def test_a_pack_that_is_not_full_is_worth_a_word(run_dir: Path, tmp_path: Path) -> None:
+    spread = replace(make_leg("a"), voltage_v=24.5)
+    result = fly(make_plan(spread), "sim", run_dir, transport=FaultyLink(options(voltage_v=23.2)))
+    assert any("the battery begins at 23.2 V, the script's repeats at 24.5 V" in note for note in result.notes)
+    full = fly(make_plan(spread), "sim", tmp_path / "full", transport=FaultyLink(options()))
+    assert not any("battery begins" in note for note in full.notes)
+
+
 def test_what_was_flown_is_not_flown_again(run_dir: Path, tmp_path: Path) -> None:
     fly(make_plan(make_leg("a")), "sim", run_dir, transport=FaultyLink(options()))
     result = fly(
