@@ -169,7 +169,7 @@ class Search:
             if not blunt:
                 if tries >= TRIES or (best is not None and s.bic > 0.5 * best[0].bic):
                     break
-                if s.p_value > FALSE_ALARM_RATE or s.bic > -LEAST_BIC:
+                if not s.beyond_chance or s.bic > -LEAST_BIC:
                     continue
                 change = s.variant.open_columns @ s.estimate
                 linear, _ = size_in_floors(self.now.rows, change, self.bench.segments, self.floor)
@@ -324,7 +324,22 @@ class Search:
             names = self._free(model, among.dormant - {term.id})
             held = tuple(n for n in names if n not in s.variant.shapes)
             first = self.bench.fit(model, first, held, iterations=TRIAL_ITERATIONS)
-        return self._fit(model, first, among.dormant - {term.id}, TRIAL_ITERATIONS)
+        fitted = self._fit(model, first, among.dormant - {term.id}, TRIAL_ITERATIONS)
+        while self._hold_at_bound(term.id, fitted):
+            held = {p.name: float(p.off or 0.0) for p in term.amplitudes if p.name in self.pinned}
+            start = self.bench.moved(model, fitted.state, held)
+            fitted = self._fit(model, start, among.dormant - {term.id}, TRIAL_ITERATIONS)
+        return fitted
+
+    def _hold_at_bound(self, term: str, fitted: Fitted) -> bool:
+        """Pin one of several amplitudes that ran to its bound: the data cannot tell it from the base (wind from below from thrust)."""
+        own = [n for n in fitted.names if self._is_amplitude(term, n, fitted.model)]
+        param, values = fitted.model.param, fitted.state.values
+        out = [n for n in own if not param[n].lower < values[n] < param[n].upper]
+        if len(own) < 2 or not out:
+            return False
+        self.pinned[out[0]] = float(abs(param[out[0]].upper - param[out[0]].lower)) / 4
+        return True
 
     def without(self, term: str) -> Fitted:
         """The present model refitted without one of its terms."""

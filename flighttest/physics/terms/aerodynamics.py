@@ -198,10 +198,10 @@ def _wind(_s: Signals, p: Values, _x: Values) -> Contribution:
     return Contribution(ca.vertcat(p["w_north"], p["w_west"], p["w_up"]))
 
 
-def _wind_param(name: str, direction: str) -> Param:
+def _wind_param(name: str, direction: str, most: float = 20.0) -> Param:
     return Param(
-        f"w_{name}", f"w_{name}", "m/s", 2.0, -20.0, 20.0, 1.0, f"velocity of the air, towards {direction}",
-        "met. experience: 0 to 10 m/s near the ground",
+        f"w_{name}", f"w_{name}", "m/s", 2.0, -most, most, 1.0, f"velocity of the air, towards {direction}",
+        "met. experience: 0 to 10 m/s near the ground, hardly ever more than 2 m/s up or down for minutes",
     )  # fmt: skip
 
 
@@ -210,7 +210,7 @@ steady_wind = Term(
     title="Steady wind",
     family="aerodynamics",
     port=Port.WIND,
-    params=(_wind_param("north", "north"), _wind_param("west", "west"), _wind_param("up", "the sky")),
+    params=(_wind_param("north", "north"), _wind_param("west", "west"), _wind_param("up", "the sky", 3.0)),
     build=_wind,
     equation="v_air = v - (w_north, w_west, w_up)",
     plain="the air itself moves: drag acts on the velocity through the air, not over the ground",
