@@ -21,6 +21,7 @@ from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.chance import consistency, effective_size, standard_errors
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
+from flighttest.diagnose.plausible import impossible, is_amplitude, wrong_side
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import (
     FALSE_ALARM_RATE,
@@ -249,12 +250,12 @@ class Search:
         its place by the information criterion, or what is collinear with the base would be printed as physics."""
         assert self.now is not None
         for term in self.judged:
-            while len(own := [n for n in self.now.names if self._is_amplitude(term, n)]) > 1:
+            while len(own := [n for n in self.now.names if is_amplitude(term, n, self.now.model)]) > 1:
                 std = dict(zip(self.now.names, standard_errors(self.now.rows, self.now.names), strict=True))
                 off = {n: float(self.now.model.param[n].off or 0.0) for n in own}
                 t = {n: abs(self.now.state.values[n] - off[n]) / max(float(std[n]), 1e-300) for n in own}
                 least = min(own, key=lambda n: t[n])
-                wrong = [n for n in own if self._wrong_side(n, off[n])]
+                wrong = [n for n in own if wrong_side(self.now.model.param[n], self.now.state.values[n])]
                 if wrong:
                     least = min(wrong, key=lambda n: t[n])
                 elif t[least] ** 2 > np.log(effective_size(self.now.rows)):
@@ -263,15 +264,6 @@ class Search:
                 held = self.bench.moved(self.now.model, self.now.state, {least: off[least]})
                 self.now = self._fit(self.now.model, held, self.now.dormant)
                 self.progress(f"{least} is held at {off[least]:g}: the rest of {term} says as much without it")
-
-    def _wrong_side(self, name: str, off: float) -> bool:
-        assert self.now is not None
-        p = self.now.model.param[name]
-        return p.one_sided and (self.now.state.values[name] - off) * (p.nominal - off) < 0
-
-    def _is_amplitude(self, term: str, name: str, model: Model | None = None) -> bool:
-        known = model or (self.now.model if self.now else None)
-        return known is not None and known.term_of(name) == term and known.param[name].kind == "amplitude"
 
     def _worst(self) -> float:
         """Largest mean square of a place over its floor's."""
@@ -326,14 +318,14 @@ class Search:
             first = self.bench.fit(model, first, held, iterations=TRIAL_ITERATIONS)
         fitted = self._fit(model, first, among.dormant - {term.id}, TRIAL_ITERATIONS)
         while self._hold_at_bound(term.id, fitted):
-            held = {p.name: float(p.off or 0.0) for p in term.amplitudes if p.name in self.pinned}
-            start = self.bench.moved(model, fitted.state, held)
+            at_off = {p.name: float(p.off or 0.0) for p in term.amplitudes if p.name in self.pinned}
+            start = self.bench.moved(model, fitted.state, at_off)
             fitted = self._fit(model, start, among.dormant - {term.id}, TRIAL_ITERATIONS)
         return fitted
 
     def _hold_at_bound(self, term: str, fitted: Fitted) -> bool:
         """Pin one of several amplitudes that ran to its bound: the data cannot tell it from the base (wind from below from thrust)."""
-        own = [n for n in fitted.names if self._is_amplitude(term, n, fitted.model)]
+        own = [n for n in fitted.names if is_amplitude(term, n, fitted.model)]
         param, values = fitted.model.param, fitted.state.values
         out = [n for n in own if not param[n].lower < values[n] < param[n].upper]
         if len(own) < 2 or not out:
@@ -380,31 +372,11 @@ class Search:
             ss_b, ss_a = float(np.mean(before_held[at] ** 2)), float(np.mean(after_held[at] ** 2))
             excess = max(ss_b - self.floor.of(place[0]) ** 2, LEAST_GAIN * ss_b)
             gain = (ss_b - ss_a) / excess
-        reason = self._impossible(term, after)
+        reason = impossible(
+            term, after.model, after.names, after.state.values, standard_errors(after.rows, after.names)
+        )
         own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
         return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
-
-    def _impossible(self, term: str, fitted: Fitted) -> str:
-        """Why an estimate cannot be what its name says; '' when it can."""
-        model, names = fitted.model, fitted.names
-        std = standard_errors(fitted.rows, names)
-        single = sum(self._is_amplitude(term, n, model) for n in names) == 1
-        for k, name in enumerate(names):
-            p = model.param[name]
-            if model.term_of(name) != term:
-                continue
-            value = fitted.state.values[name]
-            at_bound = value <= p.lower or value >= p.upper
-            if at_bound and (p.kind == "amplitude" or len(p.screen) > 1):
-                return f"{name} runs to its bound, {value:.3g} {p.unit}: it stands in for something else"
-            if not p.one_sided or p.off is None:
-                continue
-            wrong = (value - p.off) * np.sign(p.nominal - p.off)
-            # Of several amplitudes one may be near off and on the wrong side by chance; a term that has but one claims that side.
-            allowed = std[k] if single else 3 * std[k] + 0.1 * abs(p.nominal - p.off)
-            if wrong < -allowed:
-                return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
-        return ""
 
 
 def _change(rows: Rows, first: FloatArray, second: FloatArray) -> FloatArray:

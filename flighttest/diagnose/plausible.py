@@ -1,0 +1,43 @@
+"""What an estimate must be like to be what its term's name says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.physics.core import Param
+from flighttest.physics.model import Model
+
+
+def is_amplitude(term: str, name: str, model: Model) -> bool:
+    """Whether a parameter is one of a term's amplitudes."""
+    return model.term_of(name) == term and model.param[name].kind == "amplitude"
+
+
+def wrong_side(param: Param, value: float) -> bool:
+    """On the side of off that physics does not allow."""
+    return param.one_sided and param.off is not None and (value - param.off) * (param.nominal - param.off) < 0
+
+
+def impossible(
+    term: str, model: Model, names: Sequence[str], values: Mapping[str, float], std: NDArray[np.float64]
+) -> str:
+    """Why the estimates of a term cannot be what its name says; '' when they can. names, std: of what was estimated."""
+    single = sum(is_amplitude(term, n, model) for n in names) == 1
+    for name, error in zip(names, std, strict=True):
+        p = model.param[name]
+        if model.term_of(name) != term:
+            continue
+        value = values[name]
+        at_bound = value <= p.lower or value >= p.upper
+        if at_bound and (p.kind == "amplitude" or len(p.screen) > 1):
+            return f"{name} runs to its bound, {value:.3g} {p.unit}: it stands in for something else"
+        if p.off is None or not wrong_side(p, value):
+            continue
+        # Of several amplitudes one may be near off and on the wrong side by chance; a term that has but one claims that side.
+        allowed = error if single else 3 * error + 0.1 * abs(p.nominal - p.off)
+        if abs(value - p.off) > allowed:
+            return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
+    return ""
