@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 CORRELATED = 0.9
 MAX_OVERLAYS = 40  # per kind: more lines than that are a grey cloud, and megabytes of page
+TOLD_R2 = 0.05
 SETTLED_SHARE = 0.3  # the last part of a throttle response that counts as settled
 _SPECIFIC_FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
 
@@ -94,7 +95,8 @@ def _verdict(found: Fit, unknown: Sequence[str]) -> str:
 
 def _accuracy(found: Fit) -> str:
     """The one number that says how good the model is at what it is for: thrust and attitude, as shares explained."""
-    shares = {c: q.r2 for c, q in found.quality.items() if np.isfinite(q.r2)}
+    # A channel that hardly moved is noise about its mean, of which there is nothing to explain.
+    shares = {c: q.r2 for c, q in found.quality.items() if np.isfinite(q.r2) and q.r2 > TOLD_R2}
     named = [
         (w, shares[c])
         for c, w in (("f_z_m_s2", "thrust"), ("roll_rad", "roll"), ("r_rad_s", "yaw rate"))
