@@ -252,6 +252,7 @@ class Scheduler:
         assert learnt is not None
         cockpit = self.cockpit
         self._plans += 1
+        cockpit.tell(doing="planning again for the thrust that was seen")
         self.plan = self.replanner.plan(learnt)
         cockpit.gate = replace(cockpit.gate, reaction_s=self.plan.reaction_s)
         cockpit.recorder.save_plan(self.plan)
