@@ -235,6 +235,9 @@ WITNESSES = {
     ),
     "reference_shaping": ({"shaping_ff": 0.0}, {}, [0.0, 0.3]),
     "yaw_rate_shaping": ({}, {}, [0.6]),
+    # r = cos(roll) cos(pitch) yaw_dot - sin(roll) pitch_dot, half of the way there
+    "heading_rate_reference": ({"heading_rate_share": 0.5}, {}, [0.8 + 0.5 * (
+        np.cos(0.2) * np.cos(-0.1) * 0.8 - np.sin(0.2) * (np.cos(0.2) * -0.6 - np.sin(0.2) * 0.5) - 0.8)]),
     "attitude_extra_pole": ({"attitude_pole_share": 0.5}, {}, [-0.1, 0.3]),
     # from the cable's constraint solved as one linear system for the load's acceleration and the tension
     "slung_payload": ({"payload_ratio": 0.25}, {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}, [0.158600, 0.158600, -1.570061]),

@@ -180,6 +180,40 @@ yaw_rate_shaping = Term(
 )  # fmt: skip
 
 
+def _heading_rate(s: Signals, p: Values, _x: Values) -> Contribution:
+    # Body yaw rate of the heading rate that was asked for: cos(roll) cos(pitch) r_r - sin(roll) pitch_dot.
+    lean = s.rotation[2, 1] / ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
+    upright = s.rotation[2, 2]
+    side = ca.sqrt(ca.fmax(1 - lean**2, 0.01))
+    pitch_dot = side * s.rates[1] - lean * s.rates[2]
+    body_rate = upright * s.yaw_rate_ref - lean * pitch_dot
+    return Contribution({"yaw_rate_ref": s.yaw_rate_ref + p["heading_rate_share"] * (body_rate - s.yaw_rate_ref)})
+
+
+heading_rate_reference = Term(
+    id="heading_rate_reference",
+    title="Yaw command is a heading rate",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param(
+            "heading_rate_share", "h", "1", 1.0, -1.0, 2.5, 0.3, "share of the turn from heading rate to body yaw rate",
+            "1 where the autopilot takes the command as an Euler rate", one_sided=True,
+        ),
+    ),
+    build=_heading_rate,
+    equation="r_r <- r_r + h (cos(phi) cos(theta) r_r - sin(phi) theta_dot - r_r)",
+    plain="the autopilot turns the heading at the commanded rate, so that in a banked turn the body yaws at another one; this is no "
+    "physics of the vehicle",
+    source="ArduPilot AC_AttitudeControl::input_euler_angle_roll_pitch_euler_rate_yaw, euler_rate_to_ang_vel",
+    doubt="the pitch rate is the measured one, not the target's; seen only where the vehicle is banked while it pitches or turns",
+    hides_in=("sigma_r",),
+    told_apart_by="yaw rate while banked",
+    reveals="free_flight",
+    needs=("yaw_rate_ref_rad_s", "r_rad_s", "roll_rad"),
+)  # fmt: skip
+
+
 def _extra_pole(s: Signals, p: Values, x: Values) -> Contribution:
     tau, share = p["attitude_pole_tau"], p["attitude_pole_share"]
     rates: dict[str, Expr] = {}
