@@ -178,13 +178,15 @@ def kept(path: Path) -> tuple[str, str, Flown, str]:
     return kind, extent, Flown(tuple(segments), tuple(batteries)), error
 
 
-def judge_all(folder: Path, rows_path: Path) -> list[dict[str, Any]]:
-    """Judge what was not judged yet; one JSON line per campaign, the reference's left out."""
+def judge_all(folder: Path, rows_path: Path, reference: int = 0) -> list[dict[str, Any]]:
+    """Judge what was not judged yet; one JSON line per campaign, the reference's left out. reference: number of the unchanged campaign
+    that is the stored model."""
     rows = [json.loads(line) for line in rows_path.read_text().splitlines()] if rows_path.exists() else []
     done = {(r["vehicle"], r["number"]) for r in rows}
-    for path in sorted(folder.glob("*-00.pkl.gz")):
+    for path in sorted(folder.glob(f"*-{reference:02d}.pkl.gz")):
         seed = int(path.name.split("-")[0])
         todo = [p for p in sorted(folder.glob(f"{seed}-*.pkl.gz")) if p != path]
+        todo = [p for p in todo if not p.name.endswith("-00.pkl.gz") or reference]
         todo = [p for p in todo if (seed, int(p.name.split("-")[1][:2])) not in done]
         _, _, own, refused = kept(path)
         if not todo or refused:
@@ -267,12 +269,15 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--unchanged", type=int, default=2, help="unchanged campaigns and spot checks per vehicle")
     parser.add_argument("--folder", type=Path, required=True, help="where flights and results are kept")
+    parser.add_argument(
+        "--reference", type=int, default=0, help="judge against this unchanged campaign instead (21, 22)"
+    )
     parser.add_argument("--write", type=Path, metavar="PAGE", help="also put the tables into this page")
     words = parser.parse_args()
     if words.what == "fly":
         fly_all(words.first, words.vehicles, words.unchanged, words.folder)
         return
-    text = table(judge_all(words.folder, words.folder / "pairs.jsonl"))
+    text = table(judge_all(words.folder, words.folder / f"pairs-{words.reference:02d}.jsonl", words.reference))
     print(text)
     if words.write is not None:
         write(words.write, text)

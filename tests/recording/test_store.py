@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from flighttest.errors import RecordingError
+from flighttest.pipeline.reporting import keep_segments
 from flighttest.recording import Marker, Provenance, Recording, Series
 from flighttest.recording.store import (
     open_run,
@@ -103,3 +105,12 @@ def test_a_cut_off_channel_file(tmp_path: Path, recording: Recording) -> None:
     file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(RecordingError, match=r"attitude\.parquet cannot be read"):
         open_run(tmp_path)
+
+
+def test_every_parquet_file_names_its_format(tmp_path):
+    t = np.arange(5.0)
+    recording = Recording("r", {"height": Series(t, {"height_m": t})}, (), Provenance("", "table"))
+    write_recording(tmp_path, recording)
+    assert pq.read_schema(tmp_path / "channels" / "height.parquet").metadata[b"format"] == b"channels/1"
+    kept = keep_segments(tmp_path, [])
+    assert pq.read_schema(kept).metadata[b"format"] == b"segments/1"
