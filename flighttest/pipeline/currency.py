@@ -213,9 +213,13 @@ def allowance(
     same = isinstance(flown, list) and same_steps([str(s) for s in flown], steps)
     same = same and abs(log_voltage - base.log_voltage) < SAME_VOLTAGE
     kept = quality.get("discrepancy")
-    known = {str(n): float(v) for n, v in kept.items()} if isinstance(kept, Mapping) else {}
+    known = {str(n): float(v) for n, v in kept.items() if _number(v)} if isinstance(kept, Mapping) else {}
     known = repeated(known) if same else known
     return {**known, **(own_scatter(base, earlier) or {})}
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < 10.0
 
 
 def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float] | None:
