@@ -23,6 +23,7 @@ from flighttest.diagnose.rows import (
     Nuisance,
     Rows,
     State,
+    freedom_of,
     in_order,
     project,
 )
@@ -172,7 +173,7 @@ class Bench:
             code = np.concatenate([np.tile([channels.index(c) for c in part.outputs], n), np.full(n_l, -1)])
             index = np.array([response.index for response in part.responses])
             nuisance.append(unknown)
-            freedom += _freedom(part, stacked, piece.prior)
+            freedom += freedom_of(part, stacked, piece.prior)
             columns, open_columns = unknown.of(piece.j_p * std[:, None])
             every = r.shape
             out.append(
@@ -392,14 +393,3 @@ class _Piece:
 def _diagonal(values: FloatArray) -> FloatArray:
     """(m, l) to (m, l, l)."""
     return values[..., None] * np.eye(values.shape[-1])
-
-
-def _freedom(part: Part, stacked: FloatArray, prior: FloatArray) -> float:
-    """Sum over responses of log det(I + P J' J P) for initial states that terms own, the other locals taken out first."""
-    own = [part.block.free_states.index(n) for n in part.block.spread]
-    if not own:
-        return 0.0
-    others = [k for k in range(stacked.shape[2]) if k not in own]
-    r = np.linalg.qr(stacked[..., others + own], mode="r")
-    diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))[:, len(others) :]
-    return float(2 * np.sum(np.log(diagonal / prior[:, own])))

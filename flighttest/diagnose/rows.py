@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Noise
+from flighttest.identify.problem import Noise, Part
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -114,3 +114,14 @@ class Rows:
 def project(basis: FloatArray, columns: FloatArray) -> FloatArray:
     """(m, n, k) columns without what (m, n, l) orthonormal bases span."""
     return np.asarray(columns - np.matmul(basis, np.matmul(basis.transpose(0, 2, 1), columns)))
+
+
+def freedom_of(part: Part, stacked: FloatArray, prior: FloatArray) -> float:
+    """Sum over responses of log det(I + P J' J P) for initial states that terms own, the other locals taken out first."""
+    own = [part.block.free_states.index(n) for n in part.block.spread]
+    if not own:
+        return 0.0
+    others = [k for k in range(stacked.shape[2]) if k not in own]
+    r = np.linalg.qr(stacked[..., others + own], mode="r")
+    diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))[:, len(others) :]
+    return float(2 * np.sum(np.log(diagonal / prior[:, own])))

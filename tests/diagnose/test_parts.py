@@ -8,7 +8,8 @@ import pytest
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.noise import high_frequency, inflation
+from flighttest.diagnose.noise import _shared, high_frequency, inflation
+from flighttest.diagnose.plausible import impossible
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
 from flighttest.diagnose.unknown import _sparse
@@ -158,3 +159,47 @@ def test_thrust_or_mass(ratio, drag_ratio, drag_std, answer):
 def test_orthonormal_drops_what_repeats(rng):
     x = rng.normal(size=(50, 2))
     assert orthonormal(np.column_stack([x, x[:, 0] + x[:, 1], np.zeros(50)])).shape == (50, 2)
+
+
+def test_an_effect_in_a_few_responses_is_believed_when_all_of_them_agree(rng):
+    n, segments = 4000, 40
+    column = np.zeros((n, 1))
+    column[: 8 * 100] = rng.normal(size=(800, 1))  # only the first eight responses show it
+    base = rng.normal(size=(n, 1))
+
+    def judged(sign):
+        rows = rows_of(sign * column[:, 0] + 0.2 * rng.normal(size=n), np.hstack([base, column]), segments)
+        ground = Ground.at(rows, ["p0"])
+        variants = [Variant(SimpleNamespace(id="few"), {}, ("p1",), column, column)]
+        for k in range(30):
+            noise = rng.normal(size=(n, 1))
+            variants.append(Variant(SimpleNamespace(id=f"n{k}"), {}, ("q",), noise, noise))
+        return with_chance(ground, [score(ground, v) for v in variants])[0]
+
+    agreed = judged(np.ones(n))
+    assert agreed.beyond_chance
+    assert agreed.carriers == pytest.approx(8, abs=1.5)
+    mixed = judged(np.repeat(np.where(np.arange(segments) % 2, 1.0, -1.0), n // segments))
+    assert not mixed.beyond_chance
+
+
+def test_a_load_of_negative_mass_and_a_shape_at_its_bound_are_refused():
+    from flighttest.physics.model import Model
+
+    model = Model(("linear_drag", "slung_payload", "quadratic_drag"))
+    names = ("payload_ratio", "cable_m", "k_x", "k_y", "k_z")
+    std = np.array([0.01, 0.1, 0.01, 0.01, 0.01])
+    good = {"payload_ratio": 0.1, "cable_m": 1.0, "k_x": 0.02, "k_y": 0.02, "k_z": -0.005}
+    assert impossible("slung_payload", model, names, good, std) == ""
+    assert impossible("quadratic_drag", model, names, good, std) == ""  # one of three, by chance
+    assert "does not allow" in impossible("slung_payload", model, names, good | {"payload_ratio": -0.03}, std)
+    assert "bound" in impossible("slung_payload", model, names, good | {"cable_m": 15.0}, std)
+    assert "does not allow" in impossible("quadratic_drag", model, names, good | {"k_z": -0.1}, std)
+
+
+def test_what_repeats_share_is_compared_with_their_spread_at_the_same_times():
+    at_time = {0: (1.0, 10.0), 1: (90.0, 10.0)}  # late times scatter 90 times as much
+    ratio, repeats = _shared([(0, 0.1), (1, 9.0)], at_time)
+    assert ratio == pytest.approx(1.0)
+    assert repeats == pytest.approx(10.0)
+    assert _shared([(0, 9.0)], at_time)[0] == pytest.approx(90.0)
