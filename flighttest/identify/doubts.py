@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from flighttest.identify.identifiability import Doubts, allowance
 from flighttest.identify.problem import Problem
 from flighttest.identify.quality import ChannelQuality
 from flighttest.identify.solve import Solution
+from flighttest.physics.model import Model
+
+WORTH_A_NOTE = 0.3  # of how wide a parameter may be and still be called known
 
 
 def doubts_of(
@@ -34,6 +38,28 @@ def doubts_of(
         )
         for n in solution.free
     }
+
+
+def step_sizes(doubts: Mapping[str, Doubts]) -> dict[str, Any]:
+    """For model.yaml's fit_quality: parameters that differ between sizes of steps, by name, whether or not they are known."""
+    found = {
+        n: {"low": s.low, "low_in": s.low_in, "high": s.high, "high_in": s.high_in}
+        for n, d in doubts.items()
+        if (s := d.spread) is not None
+    }
+    return {"step_sizes": found} if found else {}
+
+
+def differing_notes(known: Mapping[str, Any], doubts: Mapping[str, Doubts], model: Model) -> list[str]:
+    """Sentences on parameters that are known, and yet differ between sizes of steps by a good part of what they may."""
+    notes = []
+    for name, doubt in doubts.items():
+        param = model.param[name]
+        if doubt.spread is None or not known[name].identifiable:
+            continue
+        if doubt.spread.width > WORTH_A_NOTE * allowance(param, known[name].value):
+            notes.append(f"{name}: {doubt.spread.sentence(param.unit)}; the estimate is a compromise of these")
+    return notes
 
 
 def _responses_telling(solution: Solution, share: float = 1e-3) -> dict[str, int]:

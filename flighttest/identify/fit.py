@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
-from flighttest.identify.doubts import doubts_of
+from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
+    Doubts,
     Known,
     assumed_share,
     judge,
@@ -158,7 +159,8 @@ def fit(
             break
         held = (*held, *hopeless)
     quality = channel_quality(problem, solution)
-    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, quality)
+    doubts = doubts_of(problem, solution, covariance, quality)
+    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, doubts)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))
         for c, n in DELAY_PARAM.items()
@@ -176,10 +178,11 @@ def fit(
         valid=valid_range(problem),
         outliers=_outliers(problem, solution),
         ties=tie_tests(segments, model, filters, select, solution, ties or {}, tuple(frozen or {}), robust),
-        notes=_notes(problem, solution, model),
+        notes=(*_notes(problem, solution, model), *differing_notes(estimates, doubts, model)),
         problem=problem,
         solution=solution,
         voltage_spread_v=spread,
+        checks=step_sizes(doubts),
     )
 
 
@@ -234,11 +237,10 @@ def _estimates(
     covariance: Covariance,
     frozen: tuple[str, ...],
     spread: float | None,
-    quality: Mapping[str, ChannelQuality],
+    doubts: Mapping[str, Doubts],
 ) -> dict[str, Estimate]:
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
     unsure = 0.0 if "alpha" in (*covariance.names, *frozen) else assumed_share(problem.segments, model)
-    doubts = doubts_of(problem, solution, covariance, quality)
     found: dict[str, Estimate] = {}
     std = np.sqrt(np.diag(covariance.matrix))
     correlation = covariance.matrix / np.outer(std, std) if std.size else covariance.matrix

@@ -63,6 +63,19 @@ def test_a_gain_that_changes_with_throttle_is_no_constant():
     assert "in steps to throttle 0.40" in gain.why
 
 
+def test_what_is_known_and_yet_differs_with_the_step_is_said():
+    flown = []
+    for size in (0.2, 0.3):
+        shaped = {**TRUTH, "omega_phi": TRUTH["omega_phi"] * (1.15 if size == 0.2 else 1.0)}
+        every = campaign(24, truth=shaped, thrust_repeats=0, tilt_repeats=2, yaw_repeats=0)
+        flown += [s for s in every if abs(s.cell.get("amplitude_rad", 0.0)) == size]
+    found = fit(flown)
+    assert found.estimates["omega_phi"].identifiable
+    assert any(note.startswith("omega_phi: one number does not do") for note in found.notes)
+    assert found.checks["step_sizes"]["omega_phi"]["high_in"] == "steps of 0.2 rad"
+    assert "omega_theta" not in found.checks["step_sizes"]
+
+
 @pytest.mark.parametrize("seed", [31, 32, 33])
 def test_few_repeats_of_a_good_model_raise_no_doubt(seed):
     small = campaign(seed, thrust_repeats=1, tilt_repeats=1, yaw_repeats=1)
