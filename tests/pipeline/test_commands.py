@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from flighttest.cli import main as cli_main
 from flighttest.pipeline.fingerprints import conflicts, differences
@@ -197,3 +198,11 @@ def test_recordings_of_two_vehicles_are_called_so():
     assert conflicts([a, recorded("c", "P1")]) == ""
     assert conflicts([a, Recording("table", {}, (), Provenance("", "table"))]) == "", "not declared is not changed"
     assert differences({"components": {"propellers": {"id": "P1"}}}, [b]) == "propellers P1, here P2"
+
+
+def test_what_to_fly_takes_time_also_where_the_model_finds_no_room(call, model, tmp_path):
+    data = yaml.safe_load(model.read_text())
+    data["parameters"]["K"]["value"] *= 4.0  # nonsense, with which no throttle step of the script stays in the zone
+    (tmp_path / "odd.yaml").write_text(yaml.safe_dump(data))
+    _, out, _ = call("status", "--model", tmp_path / "odd.yaml", "--json")
+    assert json.loads(out)["minutes"]["spot_check"] > 1.3
