@@ -1,11 +1,12 @@
 """Currency on sealed pairs of rotor flights: detection, false alarms and the subset named.
 
     python benchmarks/currency.py fly --first 5000 --vehicles 40 --folder /tmp/pairs
-    python benchmarks/currency.py judge --folder /tmp/pairs --write docs/currency.md
+    python benchmarks/currency.py judge --folder /tmp/pairs --reference 0 21 22 --write docs/currency.md
 
 `fly` draws vehicles and keeps what was cut from their flights: one reference campaign each, and against it campaigns and spot checks,
 unchanged or with one change, every one in another wind (0 to 4 m/s, gusts of 15 % of it) with other packs over their whole voltage
-range. It can be stopped and continued. `judge` sees nothing of the truth while it compares, and needs a second or two per pair.
+range. It can be stopped and continued. Each unchanged campaign can be the stored model in turn. `judge` sees nothing of the truth
+while it compares, and needs a second or two per pair.
 """
 
 from __future__ import annotations
@@ -233,7 +234,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             lines.append(
                 f"| {kind} | {WORDS[extent]} | {interval(len(hits), len(mine))} | {interval(len(right), len(hits))} |"
             )
-    lines += ["", "| unchanged vehicle | flights | model called stale | battery called another |", "|---|---|---|---|"]
+    lines += ["", "| unchanged vehicle | pairs | model called stale | battery called another |", "|---|---|---|---|"]
     for extent in ("campaign", "spot"):
         still = [r for r in good if r["extent"] == extent and TOUCHED[r["kind"]] is None]
         same = [r for r in good if r["extent"] == extent and r["kind"] != "resistance +20 %"]
@@ -270,14 +271,19 @@ def main() -> None:
     parser.add_argument("--unchanged", type=int, default=2, help="unchanged campaigns and spot checks per vehicle")
     parser.add_argument("--folder", type=Path, required=True, help="where flights and results are kept")
     parser.add_argument(
-        "--reference", type=int, default=0, help="judge against this unchanged campaign instead (21, 22)"
+        "--reference",
+        type=int,
+        nargs="*",
+        default=[0],
+        help="unchanged campaigns that are the stored model in turn: 0, 21, 22",
     )
     parser.add_argument("--write", type=Path, metavar="PAGE", help="also put the tables into this page")
     words = parser.parse_args()
     if words.what == "fly":
         fly_all(words.first, words.vehicles, words.unchanged, words.folder)
         return
-    text = table(judge_all(words.folder, words.folder / f"pairs-{words.reference:02d}.jsonl", words.reference))
+    rows = [r for n in words.reference for r in judge_all(words.folder, words.folder / f"pairs-{n:02d}.jsonl", n)]
+    text = table(rows)
     print(text)
     if words.write is not None:
         write(words.write, text)
