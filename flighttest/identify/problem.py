@@ -132,15 +132,15 @@ class Problem:
         usable = tuple(s for s in segments if s.usable)
         start = model.start(values)
         found = []
+        still = dead_channels(usable)
         for block in model.blocks:
             members = [i for i, s in enumerate(usable) if _feeds(s, block)]
             if select == "paper":
                 members = _as_in_the_paper(usable, members, block)
-            outputs = _outputs(usable, members, block)
+            outputs = _outputs(usable, members, block, still)
             if members and outputs:
                 found.append(_part(usable, members, block, outputs, model, start))
         if not found:
-            still = dead_channels(usable)
             why = f"; {never_changing(still)}" if still else ""
             raise FitError(
                 f"no usable segment excites any part of the model{why}",
@@ -354,11 +354,10 @@ def _feeds(segment: Segment, block: Block) -> bool:
     return all(n in segment.u for n in block.inputs) and any(_moves(segment, n) > 0.02 for n in block.inputs)
 
 
-def _outputs(segments: Sequence[Segment], members: Sequence[int], block: Block) -> tuple[str, ...]:
+def _outputs(segments: Sequence[Segment], members: Sequence[int], block: Block, dead: Sequence[str]) -> tuple[str, ...]:
     """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
-    dead = set(dead_channels(segments))
     alive = [c for c in block.outputs if c not in dead]
-    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= dead:
+    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= set(dead):
         alive = [c for c in alive if not c.startswith("a_")]
     seen = {c for i in members for c in alive if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
     if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
