@@ -17,6 +17,7 @@ from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, short
 from flighttest.diagnose.next_flight import Question, propose
 from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
+from flighttest.diagnose.pairs import look_ahead
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
 from flighttest.diagnose.rows import RESOLUTION
 from flighttest.diagnose.search import Search
@@ -97,7 +98,9 @@ def diagnose(
             continue
         dormant = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
         here = tuple(t for t in pool if _acts(t, bench, own) and not missing_channels(t, usable))
-        search = Search(bench, here, groups, dormant, progress=lambda text, b=block: tell(f"{b}: {text}"))  # type: ignore[misc]
+        search = Search(
+            bench, here, groups, dormant, progress=lambda text, b=block: tell(f"{b}: {text}"), look_ahead=look_ahead  # type: ignore[misc]
+        )  # fmt: skip
         try:
             search.run(own, min((bench.start(own, values) for values in starts), key=lambda state: state.objective))
         except KeyboardInterrupt:

@@ -88,8 +88,8 @@ class Judged:
 class Search:
     """One block of the model (roll and pitch, yaw rate, or translation) on one bench.
 
-    pinned: amplitudes of accepted terms held at off since they did not earn their place beside the others of their term, and the
-    standard error they had.
+    look_ahead: asked where no candidate is taken (`pairs.look_ahead`). pinned: amplitudes of accepted terms held at off since they did
+    not earn their place beside the others of their term, and the standard error they had.
     """
 
     bench: Bench
@@ -97,6 +97,7 @@ class Search:
     groups: IntArray
     dormant: frozenset[str] = frozenset()
     progress: Callable[[str], None] = lambda _text: None
+    look_ahead: Callable[[Search, list[tuple[Judged, Fitted]]], bool] | None = None
     base: Fitted | None = None
     now: Fitted | None = None
     floor: Floor | None = None
@@ -119,7 +120,7 @@ class Search:
         while joined and passes < PASSES and len(self.judged) < MOST_TERMS:
             passes += 1
             # Columns are taken once and go along while terms join; a new optimum is screened anew before nothing more is said to miss.
-            self._linearise()
+            self.linearise()
             joined = False
             while len(self.judged) < MOST_TERMS and self._forward():
                 joined = True
@@ -132,7 +133,7 @@ class Search:
 
     # Steps.
 
-    def _linearise(self) -> None:
+    def linearise(self) -> None:
         """Columns of every candidate at the present optimum, and their scores."""
         assert self.now is not None
         pool = [t for t in self.pool if t.id not in self.now.model.terms or t.id in self.now.dormant]
@@ -164,6 +165,7 @@ class Search:
         )
         tries = 0
         best: tuple[Judged, Fitted] | None = None
+        refused: list[tuple[Judged, Fitted]] = []
         wrong = not self.judged and self._worst() > 1 + LEAST_FLOORS**2
         for s in ranked:
             blunt = wrong and self.bench.block != "translation" and not s.variant.names
@@ -178,7 +180,7 @@ class Search:
                     continue
             tries += 1
             self.progress(f"refitting with {s.variant.term.id}")
-            fitted = self._with(s)
+            fitted = self.refitted_with(s)
             judged = self.judge(s.variant.term.id, self.now, fitted, s.p_value)
             if blunt:
                 # The secant's score means little; what the refit changed is tested in its place, one of as many as there are candidates.
@@ -188,17 +190,30 @@ class Search:
                     judged = replace(judged, reason="what it improves is no more consistent over responses than chance")
             if not judged.kept:
                 self.refused[s.variant.term.id] = judged
+                refused.append((judged, fitted))
                 continue
             if best is None or judged.bic < best[0].bic:
                 best = judged, fitted
         if best is None:
-            return False
-        self.now = best[1]
-        self.judged[best[0].term] = best[0]
-        self.refused.clear()
-        self.floor = self._tighter(floor_of(self.now.rows, self.bench.segments, RESOLUTION))
-        self.progress(f"{best[0].term} joins the model")
+            return self.look_ahead is not None and self.look_ahead(self, refused)
+        self.take(best[1], best[0])
         return True
+
+    def take(self, fitted: Fitted, *judged: Judged) -> None:
+        """Go on with a model that terms have joined."""
+        self.now = fitted
+        self.judged |= {j.term: j for j in judged}
+        self.refused.clear()
+        self.floor = self._tighter(floor_of(fitted.rows, self.bench.segments, RESOLUTION))
+        self.progress(f"{' and '.join(j.term for j in judged)} joined the model")
+
+    def held_columns(self) -> tuple[list[Variant], list[Score], Ground | None]:
+        """What the last screening found, to come back to."""
+        return self._variants, self.scores, self.ground
+
+    def hold_columns(self, found: tuple[list[Variant], list[Score], Ground | None]) -> None:
+        """Come back to an earlier screening."""
+        self._variants, self.scores, self.ground = found
 
     def _backward(self) -> None:
         """Take out what the newcomers made superfluous."""
@@ -237,7 +252,7 @@ class Search:
                 if rival.bic > SAME * self.judged[term].bic:
                     break
                 self.progress(f"trying {rival.variant.term.id} in place of {term}")
-                fitted = self._with(rival, without)
+                fitted = self.refitted_with(rival, without)
                 other = self.judge(rival.variant.term.id, without, fitted, FALSE_ALARM_RATE)
                 if other.kept and other.bic < self.judged[term].bic - LEAST_BIC:
                     self.now = fitted
@@ -293,7 +308,7 @@ class Search:
             if model.term_of(n) not in dormant and n not in self.blind and n not in self.pinned
         )
 
-    def _with(self, s: Score, among: Fitted | None = None) -> Fitted:
+    def refitted_with(self, s: Score, among: Fitted | None = None) -> Fitted:
         """Joint refit with a candidate, from where the screening points."""
         among = among or self.now
         assert among is not None
@@ -338,18 +353,18 @@ class Search:
         assert self.now is not None
         kept = self._left_out.get(term)
         if kept is None or kept[0] is not self.now:
-            kept = self.now, self._refitted_without(term)
+            kept = self.now, self.refitted_without(term, self.now)
             self._left_out[term] = kept
         return kept[1]
 
-    def _refitted_without(self, term: str) -> Fitted:
-        assert self.now is not None
+    def refitted_without(self, term: str, fitted: Fitted) -> Fitted:
+        """A model refitted without one of its terms."""
         if term in self.dormant:
             off = {p.name: float(p.off or 0.0) for t in self.pool if t.id == term for p in t.amplitudes}
-            asleep = self.bench.moved(self.now.model, self.now.state, off)
-            return self._fit(self.now.model, asleep, self.now.dormant | {term})
-        model = self.now.model.without_terms(term)
-        return self._fit(model, self.bench.moved(model, self.now.state), self.now.dormant)
+            asleep = self.bench.moved(fitted.model, fitted.state, off)
+            return self._fit(fitted.model, asleep, fitted.dormant | {term})
+        model = fitted.model.without_terms(term)
+        return self._fit(model, self.bench.moved(model, fitted.state), fitted.dormant)
 
     def _tighter(self, floor: Floor) -> Floor:
         """The lower of two floors: what a better model leaves is nearer to what nobody can explain."""
