@@ -1,0 +1,39 @@
+"""Two effects that hide each other: neither earns its place alone, both do together.
+
+Asked only where no single candidate was taken although some, refitted, improved the fit far beyond chance: from the optimum such a
+candidate leads to, the catalogue is screened once more, and the two are judged each in the other's presence, by the bar that holds for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flighttest.diagnose.screen import best_per_term
+from flighttest.diagnose.search import LEAST_BIC, Fitted, Judged, Search
+
+PROMISING = 5 * LEAST_BIC
+MOST_FIRST, MOST_SECOND = 2, 2
+
+
+def look_ahead(search: Search, refused: Sequence[tuple[Judged, Fitted]]) -> bool:
+    """Take two candidates at once where both are kept; the search is as it was otherwise. refused: what was refitted in vain."""
+    before = search.now, search.held_columns()
+    promising = sorted((j.bic, k) for k, (j, _) in enumerate(refused) if not j.reason and j.bic < -PROMISING)
+    for _, k in promising[:MOST_FIRST]:
+        first, fitted = refused[k]
+        search.now = fitted
+        search.linearise()
+        seconds = [s for s in best_per_term(search.scores) if s.beyond_chance and s.bic < -LEAST_BIC]
+        for s in seconds[:MOST_SECOND]:
+            search.progress(f"refitting with {first.term} and {s.variant.term.id} together")
+            both = search.refitted_with(s, fitted)
+            second = search.judge(s.variant.term.id, fitted, both, s.p_value)
+            if not second.kept:
+                continue
+            again = search.judge(first.term, search.refitted_without(first.term, both), both, first.p_value)
+            if again.kept:
+                search.take(both, again, second)
+                return True
+    search.now = before[0]
+    search.hold_columns(before[1])
+    return False
