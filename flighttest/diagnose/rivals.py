@@ -118,7 +118,7 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
                 Untestable(term.id, "nothing in this flight would have looked different with it", term.reveals)
             )
         elif level > PLAUSIBLE * usual:
-            unit = next((p.unit for p in term.amplitudes if p.name == name), "of itself")
+            unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "of itself")
             found.append(
                 Untestable(
                     term.id,
