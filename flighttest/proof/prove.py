@@ -62,7 +62,10 @@ def _outcomes(cases: Sequence[Case], workers: int, scheduler: str | None) -> Ite
         yield from map(run, cases)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from (f.result() for f in as_completed([pool.submit(run, c) for c in cases]))
+        try:
+            yield from (f.result() for f in as_completed([pool.submit(run, c) for c in cases]))
+        finally:  # an interrupt waits for the trials that fly, not for those that have not begun
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def commit_of(folder: Path) -> str:
