@@ -64,14 +64,14 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         if true > 0.02 and found > 0 and right(o, e)
     ]
     gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
-    extra = sum(bool(set(o.named) - {i for c in o.classes.values() for i in c}) for o in single + pairs)
+    extra = sum(bool(set(o.named) - _hidden(o)) for o in single + pairs)
     return {
         "trials": len(outcomes),
         "flown": len(flown),
         "not_flown": [{"index": o.index, "why": o.error} for o in outcomes if o.error],
         "first": (len(first), len(single)),
         "absorbed": (sum(first_right(o, next(iter(o.hide))) for o in absorbed), len(absorbed)),
-        "false_alarms": (sum(bool(o.named) for o in clean), len(clean)),
+        "false_alarms": (sum(bool(set(o.named) - _hidden(o)) for o in clean), len(clean)),
         "pairs": (sum(all(right(o, e) for e in o.hide) for o in pairs), len(pairs)),
         "outside_misnamed": (sum(bool(o.named) for o in outside), len(outside)),
         "outside_located": (sum(o.located for o in outside), len(outside)),
@@ -112,6 +112,11 @@ def _misses(flown: Sequence[Outcome]) -> list[dict[str, Any]]:
                  "why": f"named {', '.join(o.named)}", "class": []}
             )  # fmt: skip
     return found
+
+
+def _hidden(outcome: Outcome) -> set[str]:
+    """What may rightly be named: what was hidden, however small, and what the oracle cannot tell from it."""
+    return set(outcome.hide) | {i for c in outcome.classes.values() for i in c}
 
 
 def markdown(outcomes: Sequence[Outcome], seed: int, commit: str) -> str:
