@@ -269,11 +269,9 @@ class Search:
                 std = dict(zip(self.now.names, standard_errors(self.now.rows, self.now.names), strict=True))
                 off = {n: float(self.now.model.param[n].off or 0.0) for n in own}
                 t = {n: abs(self.now.state.values[n] - off[n]) / max(float(std[n]), 1e-300) for n in own}
-                least = min(own, key=lambda n: t[n])
                 wrong = [n for n in own if wrong_side(self.now.model.param[n], self.now.state.values[n])]
-                if wrong:
-                    least = min(wrong, key=lambda n: t[n])
-                elif t[least] ** 2 > np.log(effective_size(self.now.rows)):
+                least = min(wrong or own, key=lambda n: t[n])
+                if not wrong and t[least] ** 2 > np.log(effective_size(self.now.rows)):
                     break
                 self.pinned[least] = float(std[least])
                 held = self.bench.moved(self.now.model, self.now.state, {least: off[least]})
@@ -341,11 +339,12 @@ class Search:
     def _hold_at_bound(self, term: str, fitted: Fitted) -> bool:
         """Pin one of several amplitudes that ran to its bound: the data cannot tell it from the base (wind from below from thrust)."""
         own = [n for n in fitted.names if is_amplitude(term, n, fitted.model)]
-        param, values = fitted.model.param, fitted.state.values
-        out = [n for n in own if not param[n].lower < values[n] < param[n].upper]
+        param = fitted.model.param
+        out = [n for n in own if not param[n].lower < fitted.state.values[n] < param[n].upper]
         if len(own) < 2 or not out:
             return False
-        self.pinned[out[0]] = float(abs(param[out[0]].upper - param[out[0]].lower)) / 4
+        # All that is known of it then is its range: the standard deviation of an even spread over it.
+        self.pinned[out[0]] = float(param[out[0]].upper - param[out[0]].lower) / float(np.sqrt(12.0))
         return True
 
     def without(self, term: str) -> Fitted:
