@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import SUBSETS, FloatArray, SubsetTest
+from flighttest.identify.student import beyond, fisher_beyond, quantile
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
 FALSE_ALARM = 0.01
@@ -121,7 +121,8 @@ def _test(
     statistic = max(float(np.dot(whitened, delta / std)), 0.0)
     dof = _dof(stored, new, std**2)
     p_value = _chance(statistic, delta / std, dof)
-    needed = stats.t.isf(level / (2.0 * delta.size * (1.0 if delta.size == 1 else 2.0)), dof)
+    share = level / (2.0 * delta.size * (1.0 if delta.size == 1 else 2.0))
+    needed = [-quantile(share, float(one)) for one in dof]
     detectable = {
         n: float(k * s / abs(v)) for n, k, s, v in zip(stored.names, needed, std, stored.values, strict=True) if v
     }
@@ -148,10 +149,10 @@ def _chance(statistic: float, z: FloatArray, dof: FloatArray) -> float:
 
     Most changes move one parameter (propellers: K), which a test of all together dilutes, and some move several a little.
     """
-    together = float(stats.f.sf(statistic / z.size, z.size, float(np.min(dof))))
+    together = fisher_beyond(statistic / z.size, z.size, float(np.min(dof)))
     if z.size == 1:
         return together
-    single = float(np.min(2.0 * stats.t.sf(np.abs(z), dof))) * z.size
+    single = min(map(beyond, z.tolist(), dof.tolist())) * z.size
     return min(2.0 * min(together, single), 1.0)
 
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from flighttest.currency.model import FloatArray, SubsetTest
+from flighttest.identify.student import beyond, quantile
 from flighttest.segments import Segment
 
 G_M_S2 = 9.81
@@ -84,11 +84,11 @@ def hover_test(stored: Hover, new: Hover, alpha: float | None, level: float) -> 
     total = float(parts @ parts) + doubt**2
     dof = total**2 / max(float(parts[0] ** 4 / stored.dof + parts[1] ** 4 / new.dof), 1e-12)
     z = change / math.sqrt(total)
-    p_value = float(2.0 * stats.t.sf(abs(z), dof))
+    p_value = beyond(z, dof)
     alarm = p_value < level
     verb = "rose" if change > 0 else "fell"
     share = math.expm1(change)
     words = f"the throttle that holds height {verb} {abs(share) * 100:.1f} %"
     sentence = f"{words} (chance of this without a change: {p_value:.1g})" if alarm else f"{words}, as it may"
-    detectable = {NAME: float(stats.t.isf(level / 2.0, dof)) * math.sqrt(total)}
+    detectable = {NAME: -quantile(level / 2.0, dof) * math.sqrt(total)}
     return SubsetTest("thrust", z * z, 1, p_value, level, alarm, {NAME: (share, z)}, sentence, detectable)

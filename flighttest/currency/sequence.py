@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from scipy.optimize import brentq
-
 from flighttest.currency.compare import Estimates
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import Drift
@@ -27,6 +25,8 @@ def mean_run_length(slack: float = SLACK, limit: float = 5.0) -> float:
 
 def limit_for(parameters: int, slack: float = SLACK) -> float:
     """The limit at which so many parameters together raise one false alarm in `FALSE_ALARM_EVERY` unchanged runs."""
+    from scipy.optimize import brentq
+
     wanted = FALSE_ALARM_EVERY * max(parameters, 1)
     return float(brentq(lambda limit: mean_run_length(slack, limit) - wanted, 0.1, 50.0))
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy import stats
-
 from flighttest.identify.model_file import ModelFile
+from flighttest.identify.student import normal_beyond
 
 LEVEL = (
     0.05  # chance that any parameter of two equal vehicles is called different (Holm's correction over the parameters)
@@ -54,7 +53,7 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
             continue
         std = math.hypot(a.std, b.std)
         z = difference / std if std > 0 else math.copysign(math.inf, difference) if difference else 0.0
-        p = float(2.0 * stats.norm.sf(abs(z)))
+        p = normal_beyond(z)
         rows.append(Difference(name, a.unit, a.value, b.value, difference, std, z, p, False, ""))
     tested = sorted((r for r in rows if r.p_value is not None), key=lambda r: r.p_value or 0.0)
     decided: dict[str, bool] = {}

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from flighttest.identify.covariance import Covariance, std_of
 from flighttest.identify.problem import Problem
 from flighttest.identify.solve import Solution
+from flighttest.identify.student import quantile
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -125,16 +125,16 @@ def _of_set(
         moved.append((label, shift, np.diag(inverse), own / max(count - 1.0, 1.0)))
     if len(moved) < 2 or dof < 1.0:
         return {}
-    quantile = float(stats.t.isf(CHANCE / 2, dof))
+    factor = -quantile(CHANCE / 2, dof)
     for label, shift, variance, own in moved:
         inflated = max(scatter / dof, own, 1.0)
         for name, by, v in zip(names, shift, variance, strict=True):
-            rows[name].append((solution.values[name] + float(by), quantile * float(np.sqrt(inflated * v)), label))
+            rows[name].append((solution.values[name] + float(by), factor * float(np.sqrt(inflated * v)), label))
     found = {}
     for name, values in rows.items():
         # A value outside all groups' comes of groups that differ in something else, and were flown at other voltages or speeds.
         k = covariance.names.index(name)
-        sure = float(stats.t.isf(CHANCE / 2, covariance.dof[k])) * std_of(covariance, name)
+        sure = -quantile(CHANCE / 2, float(covariance.dof[k])) * std_of(covariance, name)
         values.append((solution.values[name], sure, "all of them together"))
         low, high = min(values), max(values)
         if high[0] - low[0] > float(np.hypot(low[1], high[1])):

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from flighttest.identify.problem import Problem
 from flighttest.identify.solve import Normal, Solution
+from flighttest.identify.student import quantile
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Covariance:
 
 def interval_factor(dof: float, level: float = 0.95) -> float:
     """Two-sided Student-t quantile."""
-    return float(stats.t.ppf(0.5 + level / 2, max(dof, 1.0)))
+    return quantile(0.5 + level / 2, max(dof, 1.0))
 
 
 def cluster_covariance(normal: Normal, active: tuple[str, ...], inflation: float = 1.0) -> Covariance:

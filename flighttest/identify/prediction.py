@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from flighttest.identify.fit import Fit, heldout
 from flighttest.identify.problem import Select
+from flighttest.identify.student import normal_quantile
 from flighttest.segments.model import Segment
 
 
@@ -36,7 +36,7 @@ def coverage(found: Fit, segments: Sequence[Segment], select: Select = "paper") 
     inside: dict[str, list[np.ndarray]] = {}
     errors: dict[str, list[np.ndarray]] = {}
     stds: dict[str, list[np.ndarray]] = {}
-    z = float(stats.norm.ppf(0.975))
+    z = normal_quantile(0.975)
     for part, evaluation in zip(problem.parts, made, strict=True):
         used = [n for n in evaluation.columns if n in names]
         at = np.array([evaluation.columns.index(n) for n in used], dtype=np.intp)

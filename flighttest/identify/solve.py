@@ -192,6 +192,17 @@ def solve(
     )  # fmt: skip
 
 
+def normal_at(problem: Problem, values: Mapping[str, float], free: Sequence[str], noise: Noise) -> Normal:
+    """Normal equations by `free` at given parameters and noise: only the responses' own unknowns are estimated."""
+    known = start_noise(problem)
+    noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
+    held = solve(problem, values, free=(), noise=noise, estimate_noise=False)
+    at = _State(np.zeros(0), list(held.local), problem.evaluate(held.values, held.local, free))
+    centres = [part.start_local() for part in problem.parts]
+    hessian, score, _ = _normal(problem, at, noise, held.response_weight, centres, free, True)
+    return Normal(tuple(free), hessian, score)
+
+
 def start_noise(problem: Problem) -> Noise:
     """Noise before anything is known about it."""
     units = {c: _unit(c) for part in problem.parts for c in part.outputs}

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from flighttest.identify.covariance import covariance_of
 from flighttest.identify.problem import Problem, Select
 from flighttest.identify.solve import Solution, solve
+from flighttest.identify.student import beyond
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -50,7 +50,7 @@ def tie_tests(
         weights = np.array([(n == name) * 1.0 - (n == source) * 1.0 for n in covariance.names])
         std, dof = covariance.of(weights)
         difference = free.values[name] - free.values[source]
-        p = float(2 * stats.t.sf(abs(difference) / std, dof)) if std > 0 else 0.0
+        p = beyond(difference / std, dof) if std > 0 else 0.0
         verdict = "the data supports the tie" if p > 0.05 else "the data speaks against the tie"
         sentence = f"{name} - {source} = {difference:.3g} +- {std:.2g}: {verdict} (p = {p:.3f})"
         tests.append(TieTest(name, source, difference, std, p, sentence))

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import brentq
 
 from flighttest.currency.compare import MANY, TOLD, Estimates
 from flighttest.currency.declared import declared_changes
@@ -19,6 +17,7 @@ from flighttest.currency.model import SUBSETS
 from flighttest.errors import FlighttestError, InputError
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.student import quantile
 from flighttest.pipeline.results import Result
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
 from flighttest.report import html
@@ -86,11 +85,13 @@ def _tells(p: StoredParameter) -> bool:
 
 def dof_of(factor: float) -> float:
     """Degrees of freedom at which Student's two-sided 95 % quantile is `factor`."""
-    if factor <= float(stats.t.ppf(0.975, MANY)):
+    from scipy.optimize import brentq
+
+    if factor <= quantile(0.975, MANY):
         return MANY
-    if factor >= float(stats.t.ppf(0.975, 1.0)):
+    if factor >= quantile(0.975, 1.0):
         return 1.0
-    return float(brentq(lambda nu: stats.t.ppf(0.975, nu) - factor, 1.0, MANY))
+    return float(brentq(lambda nu: quantile(0.975, nu) - factor, 1.0, MANY))
 
 
 def run_folders(folder: Path) -> list[Path]:
