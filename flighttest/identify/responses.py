@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.channels import CHANNELS, HELD_GROUPS
 from flighttest.identify.sag import SAMPLES, between_samples
 from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
@@ -67,7 +68,8 @@ def held(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: fl
 def dead_channels(segments: Sequence[Segment]) -> tuple[str, ...]:
     """Channels recorded with one and the same value throughout: a column that somebody filled in, not a measurement."""
     found = []
-    for name in sorted({c for s in segments for c in s.y if not c.startswith("a_")}):
+    measured = {c for s in segments for c in s.y if not c.startswith("a_") and CHANNELS[c].group not in HELD_GROUPS}
+    for name in sorted(measured):
         every = np.concatenate([s.y[name][np.isfinite(s.y[name])] for s in segments if name in s.y])
         if every.size > 1 and not np.ptp(every):
             found.append(name)

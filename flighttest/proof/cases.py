@@ -5,13 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 
+from flighttest.sim.plant_motors import NOT_THE_PLANTS
 from flighttest.sim.rotor_effects import EFFECTS, resolve
 from flighttest.sim.rotor_vehicle import random_rotor
 
+Generator = Literal["rotor", "sitl"]
+GENERATORS: tuple[Generator, ...] = ("rotor", "sitl")
 # Shares of trials: clean, one effect, two effects, physics outside the catalogue.
 SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
 FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm
@@ -21,7 +25,10 @@ NOT_HIDDEN = ("linear_drag", "channel_delay")
 
 @dataclass(frozen=True)
 class Case:
-    """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s, resting voltage share."""
+    """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s.
+
+    generator: 'rotor' is the built-in copter; 'sitl' is ArduCopter's firmware on the same body, rotors and air.
+    """
 
     index: int
     seed: int
@@ -31,7 +38,7 @@ class Case:
     hide: Mapping[str, Mapping[str, float]]
     noise: float
     gust_rms_m_s: float
-    extra: Mapping[str, float] = field(default_factory=dict)
+    generator: Generator = "rotor"
 
     def truth(self) -> str:
         """As sealed: JSON with sorted keys."""
@@ -42,12 +49,14 @@ class Case:
         return hashlib.sha256(self.truth().encode()).hexdigest()
 
 
-def draw(seed: int, index: int) -> Case:
+def draw(seed: int, index: int, generator: Generator = "rotor") -> Case:
     """The case of one trial."""
     rng = np.random.default_rng([seed, index])
     kind = str(rng.choice([k for k, _ in SHARES], p=[share for _, share in SHARES]))
-    inside = [k for k, e in EFFECTS.items() if e.known and k not in NOT_HIDDEN]
-    outside = [k for k, e in EFFECTS.items() if not e.known]
+    # A firmware brings loops, estimators and mixer of its own.
+    left_out = {*NOT_HIDDEN, *(NOT_THE_PLANTS if generator == "sitl" else ())}
+    inside = [k for k, e in EFFECTS.items() if e.known and k not in left_out]
+    outside = [k for k, e in EFFECTS.items() if not e.known and k not in left_out]
     number = {"clean": 0, "single": 1, "pair": 2, "outside": 1}[kind]
     chosen = rng.choice(outside if kind == "outside" else inside, size=number, replace=False)
     vehicle_seed = int(rng.integers(1, 2**31))
@@ -62,6 +71,7 @@ def draw(seed: int, index: int) -> Case:
         hide=hide,
         noise=float(rng.uniform(0.6, 1.6)),
         gust_rms_m_s=float(rng.choice([0.0, 0.0, 0.2])),
+        generator=generator,
     )
 
 

@@ -1,4 +1,4 @@
-"""One campaign flown in this process: the same codec, scheduler and recorder as on a real link, on a vehicle without a socket."""
+"""One campaign flown and cut: on the built-in copter in this process, without a socket, or on a real firmware with our rotors and air."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from flighttest.flight.fly import fly
 from flighttest.physics.model import Model
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.sources import open_recordings
-from flighttest.plan import compile_plan
+from flighttest.plan import Plan, compile_plan
+from flighttest.proof.cases import Generator
 from flighttest.script.load import parse_script
 from flighttest.segments import Segment, cut
 from flighttest.sim import InProcess, SimOptions
+from flighttest.recording.model import Recording
+from flighttest.sim.sitl_physics import launch_on_physics
 from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.vehicle.model import Vehicle, Zone
 
@@ -42,6 +45,10 @@ repeat: {each: 2, order: interleaved}
 ZONE = Zone(x_m=(-60.0, 60.0), y_m=(-60.0, 60.0), z_m=(0.3, 40.0), margin_m=1.0)
 
 
+# Vehicle seconds per second that firmware and physics reach on a core each. Its onboard log is read, whose times this does not touch.
+FIRMWARE_SPEED = 4.0
+
+
 class InProcessTransport:
     """A `link.transport.Transport` whose other end is a vehicle in this process."""
 
@@ -65,8 +72,13 @@ def airframe(vehicle_seed: int) -> RotorVehicle:
     return random_rotor(vehicle_seed)
 
 
-def fly_campaign(options: SimOptions, folder: Path, script: str = CAMPAIGN) -> tuple[Segment, ...]:
-    """Fly the campaign and give what was cut from the raw log. FlighttestError when it could not be flown."""
+def fly_campaign(
+    options: SimOptions, folder: Path, generator: Generator = "rotor", script: str = CAMPAIGN
+) -> tuple[Segment, ...]:
+    """Fly the campaign and give what was cut from the raw log, the firmware's own where there is one.
+
+    FlighttestError when it could not be flown, or where no firmware is found.
+    """
     frame = random_rotor(options.vehicle_seed or 0)
     vehicle = Vehicle(
         name="sealed", connect="sim", firmware="ardupilot", nominal_voltage_v=frame.nominal_voltage_v,
@@ -77,5 +89,17 @@ def fly_campaign(options: SimOptions, folder: Path, script: str = CAMPAIGN) -> t
         {"K": 9.81 / frame.hover_throttle, "omega_phi": 12.0, "omega_theta": 12.0, "zeta_phi": 0.7, "zeta_theta": 0.7},
     )
     plan = compile_plan(parse_script(script), vehicle, prior)
+    recordings = _fly_firmware(plan, options, folder) if generator == "sitl" else _fly_built_in(plan, options, folder)
+    return tuple(s for recording in recordings for s in cut(recording))
+
+
+def _fly_built_in(plan: Plan, options: SimOptions, folder: Path) -> list[Recording]:
     fly(plan, "sim", folder, transport=InProcessTransport(replace(options, lockstep=True)))
-    return tuple(s for recording in open_recordings([folder]) for s in cut(recording))
+    return open_recordings([folder])
+
+
+def _fly_firmware(plan: Plan, options: SimOptions, folder: Path) -> list[Recording]:
+    with launch_on_physics(replace(options, speed=FIRMWARE_SPEED), folder=folder / "firmware") as firmware:
+        fly(plan, firmware.url, folder / "run", set_params=True)
+        logs = firmware.vehicle.onboard_logs
+    return open_recordings(logs)

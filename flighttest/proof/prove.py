@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from flighttest.errors import InputError
-from flighttest.proof.cases import Case, draw
+from flighttest.proof.cases import Case, Generator, draw
 from flighttest.proof.trial import Outcome, run
 
 Tell = Callable[[str], None]
@@ -23,6 +23,7 @@ def prove(
     seed: int | None = None,
     workers: int = 1,
     scheduler: str | None = None,
+    generator: Generator = "rotor",
     tell: Tell = lambda _text: None,
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
@@ -33,7 +34,7 @@ def prove(
     if trials < 1:
         raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    cases = [draw(seed, k) for k in range(trials)]
+    cases = [draw(seed, k, generator) for k in range(trials)]
     for case in cases:
         tell(f"sealed trial {case.index}: SHA-256 {case.sha256()}")
     done: list[Outcome] = []

@@ -99,7 +99,7 @@ def _flown(case: Case, hide: Mapping[str, Mapping[str, float]]) -> tuple[Segment
         noise=case.noise, gust_rms_m_s=case.gust_rms_m_s,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        return tuple(s for s in fly_campaign(options, Path(folder)) if s.usable)
+        return tuple(s for s in fly_campaign(options, Path(folder), case.generator) if s.usable)
 
 
 def _r2(found: Diagnosis) -> float:

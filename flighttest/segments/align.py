@@ -53,7 +53,10 @@ def prepare(recording: Recording) -> Aligned | None:
     groups: dict[str, Series] = {}
     own: set[str] = set()
     for group, series in recording.series.items():
-        if group in HELD_GROUPS or len(series) < 2:
+        if len(series) < 2 or (group in HELD_GROUPS and group != "shaped"):
+            continue
+        if group == "shaped":  # a target jumps: it holds until the next, and is neither averaged nor read off between samples
+            groups[group] = series
             continue
         series = _unwrapped(series)
         groups[group] = _averaged(series)
@@ -91,7 +94,10 @@ def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, 
         t = np.union1d(t, times[np.searchsorted(times, start_s) : np.searchsorted(times, end_s, side="right")])
     y: dict[str, FloatArray] = {}
     for group, series in aligned.groups.items():
-        y.update(_at_own(series, t) if group in aligned.own else _linear(series, aligned.rates_hz[group], t))
+        if group in HELD_GROUPS:
+            y.update(_held(series, aligned.rates_hz[group], t))
+        else:
+            y.update(_at_own(series, t) if group in aligned.own else _linear(series, aligned.rates_hz[group], t))
     if "a_x_m_s2" not in y and {"f_x_m_s2", "roll_rad", "pitch_rad", "yaw_rad"} <= set(y):
         y.update(_world_acceleration(aligned, t, y))
     return t, y
@@ -144,6 +150,13 @@ def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArr
         found[bad] = np.nan
         out[name] = found
     return out
+
+
+def _held(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArray]:
+    """The last value at each time; NaN before the first and where it is older than `_linear` would read across."""
+    at = np.searchsorted(series.t_s, t, side="right") - 1
+    fresh = (at >= 0) & (t - series.t_s[np.maximum(at, 0)] <= _GAP_PERIODS / rate_hz)
+    return {name: np.where(fresh, column[np.maximum(at, 0)], np.nan) for name, column in series.columns.items()}
 
 
 def _at_own(series: Series, t: FloatArray) -> dict[str, FloatArray]:

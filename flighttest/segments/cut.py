@@ -248,9 +248,14 @@ class _Cutter:
         out: dict[str, tuple[FloatArray, FloatArray]] = {}
         for i, name in enumerate(INPUTS):
             values = references.values[a:b, i]
-            known = np.flatnonzero(np.isfinite(values))
-            if known.size:  # what was asked before the first known target is not known; the first stands for it
-                out[name] = ed.compressed(references.t_s[a:b][known[0] :], values[known[0] :])
+            known = np.isfinite(values)
+            # What was asked for before a stretch without any target is over; the first target after it stands for that stretch.
+            # A hole inside the response is a flaw of it (`quality`); the last target stands for the hole.
+            before = np.flatnonzero(~known & (references.t_s[a:b] <= response.start_s))
+            if before.size and known[before[-1] :].any():
+                known[: before[-1]] = False
+            if known.any():
+                out[name] = ed.compressed(references.t_s[a:b][known], values[known])
         return out
 
 

@@ -16,7 +16,7 @@ from flighttest.sim.rotor_vehicle import RotorVehicle
 from flighttest.sim.weather import Air
 
 # What a real autopilot has itself, or what a plant cannot put into its estimates.
-_NOT_THE_PLANTS = frozenset(
+NOT_THE_PLANTS = frozenset(
     {
         "rate_limit",
         "reference_shaping",
@@ -26,6 +26,8 @@ _NOT_THE_PLANTS = frozenset(
         "attitude_offset",
         "velocity_latency",
         "channel_delay",
+        "yaw_rate_shaping",
+        "attitude_priority",
     }
 )
 # Where ArduCopter's motor numbers sit (frame class 1 or 2, type X), for rotors counted leftwards from the front left.
@@ -45,7 +47,7 @@ class MotorPlant(RotorPlant):
         battery: Battery | None = None,
         air: Air | None = None,
     ) -> None:
-        foreign = sorted(_NOT_THE_PLANTS & set(hide or {}))
+        foreign = sorted(NOT_THE_PLANTS & set(hide or {}))
         if foreign:
             raise InputError(
                 f"{', '.join(foreign)}: not a property of the vehicle under a real autopilot",

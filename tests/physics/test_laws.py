@@ -235,6 +235,7 @@ WITNESSES = {
     ),
     "reference_shaping": ({"shaping_ff": 0.0}, {}, [0.0, 0.3]),
     "yaw_rate_shaping": ({}, {}, [0.6]),
+    "heading_hold": ({"heading_gain": 2.0}, {}, [0.0, 0.0, 21.54 * 2.0 * 0.1]),
     # r = cos(roll) cos(pitch) yaw_dot - sin(roll) pitch_dot, half of the way there
     "heading_rate_reference": ({"heading_rate_share": 0.5}, {}, [0.8 + 0.5 * (
         np.cos(0.2) * np.cos(-0.1) * 0.8 - np.sin(0.2) * (np.cos(0.2) * -0.6 - np.sin(0.2) * 0.5) - 0.8)]),

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from flighttest.channels import INPUTS
-from flighttest.recording import Marker
+from flighttest.recording import Marker, Series
 from flighttest.segments import Flaw, cut
 
 
@@ -127,6 +129,32 @@ def test_inputs_are_kept_as_edges_and_reach_back(campaign):
     assert list(value) == [0.0, -1.0, 0.0]
     assert t[1] == segment.t_step_s
     assert list(segment.u["roll_ref_rad"][1]) == [0.0]
+
+
+def test_a_target_that_ended_before_the_response_is_not_in_force(campaign):
+    """Another mode held the position until just before the step: its stretch without any target must not reach the fit."""
+    recording = campaign.recording()
+    plain = cut(recording)[1]
+    reference = recording.series["reference"]
+    hole = (reference.t_s > plain.t_s[0] - 0.5) & (reference.t_s < plain.t_s[0] - 0.1)
+    columns = {name: np.where(hole, np.nan, values) for name, values in reference.columns.items()}
+    series = {**recording.series, "reference": Series(reference.t_s, columns)}
+    found = next(s for s in cut(replace(recording, series=series)) if s.t_step_s == plain.t_step_s)
+    for name, (times, values) in found.u.items():
+        assert np.isfinite(values).all(), name
+        assert times[0] >= reference.t_s[hole][-1]
+        assert values[-1] == plain.u[name][1][-1]
+
+
+def test_the_autopilots_own_target_is_held_between_its_samples(campaign):
+    recording = campaign.recording()
+    times = np.arange(campaign.t0_s, campaign.t0_s + campaign.duration_s, 0.05)
+    target = np.where(np.arange(times.size) % 2, 0.3, -0.3)
+    series = {**recording.series, "shaped": Series(times, {"roll_shaped_rad": target})}
+    segment = cut(replace(recording, series=series))[1]
+    assert set(np.unique(segment.y["roll_shaped_rad"])) == {-0.3, 0.3}
+    at = np.searchsorted(times, segment.t_s, side="right") - 1
+    assert np.array_equal(segment.y["roll_shaped_rad"], target[at])
 
 
 def test_the_batterys_own_samples_are_kept(campaign):

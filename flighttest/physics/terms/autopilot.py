@@ -180,6 +180,37 @@ yaw_rate_shaping = Term(
 )  # fmt: skip
 
 
+def _heading_hold(s: Signals, p: Values, x: Values) -> Contribution:
+    behind = x["heading_behind_rad"]
+    pull = s.base["sigma_r"] * p["heading_gain"] * behind
+    return Contribution(ca.vertcat(0, 0, pull), {"heading_behind_rad": s.yaw_rate_ref - s.yaw_rate})
+
+
+heading_hold = Term(
+    id="heading_hold",
+    title="Heading is held",
+    family="autopilot",
+    port=Port.ANGULAR,
+    params=(
+        Param(
+            "heading_gain", "k_psi", "1/s", 4.5, -10.0, 20.0, 1.0, "yaw rate asked for per heading behind the integrated command",
+            "ATC_ANG_YAW_P: 4.5", one_sided=True,
+        ),
+    ),
+    build=_heading_hold,
+    equation="r_dot <- r_dot + sigma_r k_psi e, e_dot = r_r - r",
+    plain="the autopilot integrates the commanded yaw rate into a heading and catches up with it, so that the yaw rate overshoots after "
+    "it lagged; this is no physics of the vehicle",
+    source="ArduPilot AC_AttitudeControl::attitude_controller_run_quat, update_ang_vel_target_from_att_error",
+    doubt="linear, where the autopilot takes a square root of large errors; with yaw rate shaping, the error is that of the shaped target",
+    hides_in=("sigma_r", "T_d"),
+    told_apart_by="shape after the step",
+    reveals="yaw_rate",
+    needs=("yaw_rate_ref_rad_s", "r_rad_s"),
+    states=(State("heading_behind_rad", "rad", "heading behind the integrated command", free=True, spread=0.05),),
+)  # fmt: skip
+
+
 def _heading_rate(s: Signals, p: Values, _x: Values) -> Contribution:
     # Body yaw rate of the heading rate that was asked for: cos(roll) cos(pitch) r_r - sin(roll) pitch_dot.
     lean = s.rotation[2, 1] / ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
