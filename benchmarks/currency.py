@@ -1,12 +1,12 @@
 """Currency on sealed pairs of rotor flights: detection, false alarms and the subset named.
 
     python benchmarks/currency.py fly --first 5000 --vehicles 40 --folder /tmp/pairs
-    python benchmarks/currency.py judge --folder /tmp/pairs --reference 0 21 22 --write docs/currency.md
+    python benchmarks/currency.py judge --folder /tmp/pairs --write docs/currency.md
 
 `fly` draws vehicles and keeps what was cut from their flights: one reference campaign each, and against it campaigns and spot checks,
 unchanged or with one change, every one in another wind (0 to 4 m/s, gusts of 15 % of it) with other packs over their whole voltage
-range. It can be stopped and continued. Each unchanged campaign can be the stored model in turn. `judge` sees nothing of the truth
-while it compares, and needs a second or two per pair.
+range. It can be stopped and continued. Every pair of a kind is another vehicle, so that the pairs are independent. `judge` sees nothing of
+the truth while it compares, and needs two seconds per pair.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import json
 import math
 import pickle
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,14 +28,13 @@ from scipy import stats
 
 from flighttest.currency.battery import check
 from flighttest.currency.compare import subset_tests
-from flighttest.currency.discrepancy import steps_of
 from flighttest.errors import FlighttestError
 from flighttest.identify.fit import fit
 from flighttest.identify.model_file import ModelFile, from_fit
 from flighttest.physics.model import Model
-from flighttest.pipeline.analysis import own_discrepancy
+from flighttest.pipeline.analysis import for_currency
 from flighttest.pipeline.batteries import battery_of
-from flighttest.pipeline.currency import allowance, reestimate_segments
+from flighttest.pipeline.currency import allowance, like_with_like, reestimate_segments
 from flighttest.pipeline.history import watched
 from flighttest.pipeline.sources import open_recordings
 from flighttest.proof.flying import fly_campaign
@@ -67,8 +66,13 @@ TOUCHED: dict[str, str | None] = {
     "attitude 20 % slower": "attitude",
     "resistance +20 %": None,
 }
-CAMPAIGN: dict[str, int] = {"thrust_hover": 1, "roll_pitch": 1, "yaw_rate": 1}
-SPOT: dict[str, int] = {"spot_check": 1}
+# Shipped scripts of each flight, flown in one go. A model's own campaign is flown over a span of voltage, as the shipped `thrust` asks:
+# with a pack from the upper and one from the lower half of the range.
+EXTENTS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "reference": (("thrust_hover", "roll_pitch", "yaw_rate"), ("thrust_hover",)),
+    "campaign": (("thrust_hover", "roll_pitch", "yaw_rate"),),
+    "spot": (("spot_check",),),
+}
 CELL_V = (3.65, 4.15)  # at rest; the load takes another 0.1 to 0.2 V off
 WIND_M_S = 4.0
 
@@ -81,23 +85,27 @@ class Flown:
     batteries: tuple[Series, ...]
 
 
-def script(name: str, repeats: int) -> str:
-    """A shipped script with fewer repeats and more air below and above, so that no draw of a vehicle lacks room."""
-    data = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
-    data["repeat"] = {**data.get("repeat", {}), "each": repeats}
-    data["repeat"].pop("over_voltage_v", None)
-    data.setdefault("limits", {})["height_m"] = [1, 14]
+def script(names: Sequence[str]) -> str:
+    """Shipped scripts as one, every step once, with more air below and above, so that no draw of a vehicle lacks room."""
+    parts = [yaml.safe_load(resolve(name).read_text(encoding="utf-8")) for name in names]
+    data = dict(parts[0])
+    data["steps"] = [step for part in parts for step in part["steps"]]
+    data["repeat"] = {"each": 1, "order": "interleaved"}
+    data["limits"] = {**data["limits"], "height_m": [1, 14]}
+    data["reset"] = {**data["reset"], "settle_s": 1}
     return str(yaml.safe_dump(data, sort_keys=False))
 
 
-def fly(vehicle_seed: int, number: int, kind: str, scripts: Mapping[str, int]) -> Flown:
+def fly(vehicle_seed: int, number: int, kind: str, extent: str) -> Flown:
     """One campaign of a vehicle. number: of the campaign, 0 is the reference; it draws wind, packs and noise."""
     rng = np.random.default_rng([vehicle_seed, number, 0x43])
     frame = random_rotor(vehicle_seed)
     wind, to = rng.uniform(0.0, WIND_M_S), rng.uniform(0.0, 2 * math.pi)
     segments: list[Segment] = []
     batteries: list[Series] = []
-    for k, (name, repeats) in enumerate(scripts.items()):
+    flights = EXTENTS[extent]
+    for k, names in enumerate(flights):
+        full = 1.0 - (k + rng.uniform(0.0, 1.0)) / len(flights)
         options = SimOptions(
             airframe="rotor",
             seed=(vehicle_seed * 100 + number) * 10 + k,
@@ -105,38 +113,36 @@ def fly(vehicle_seed: int, number: int, kind: str, scripts: Mapping[str, int]) -
             vehicle={n: getattr(frame, n) * f for n, f in CHANGES[kind].items()},
             hide={"steady_wind": {"w_north": wind * math.cos(to), "w_west": wind * math.sin(to)}},
             gust_rms_m_s=0.15 * wind,
-            voltage_v=frame.cells * rng.uniform(*CELL_V),
+            voltage_v=frame.cells * (CELL_V[0] + full * (CELL_V[1] - CELL_V[0])),
             ready_s=2.0,
             gps_s=4.0,
         )
         with tempfile.TemporaryDirectory() as folder:
-            segments += fly_campaign(options, Path(folder), script(name, repeats))
+            segments += fly_campaign(options, Path(folder), script=script(names))
             batteries += [r.series["battery"] for r in open_recordings([Path(folder)]) if "battery" in r.series]
     return Flown(tuple(segments), tuple(batteries))
 
 
-def planned(unchanged: int) -> Iterator[tuple[int, str, str]]:
+def planned(kinds: Sequence[str]) -> Iterator[tuple[int, str, str]]:
     """Number, kind and extent of a vehicle's campaigns, the reference first."""
-    yield 0, "unchanged", "campaign"
-    for i, kind in enumerate(k for k in CHANGES if k != "unchanged"):
-        yield 1 + i, kind, "campaign"
-        yield 11 + i, kind, "spot"
-    for i in range(unchanged):
-        yield 21 + i, "unchanged", "campaign"
-        yield 31 + i, "unchanged", "spot"
+    yield 0, "unchanged", "reference"
+    for i, kind in enumerate(CHANGES):
+        if kind in kinds:
+            yield 1 + i, kind, "campaign"
+            yield 11 + i, kind, "spot"
 
 
-def fly_all(first: int, vehicles: int, unchanged: int, folder: Path) -> None:
+def fly_all(first: int, vehicles: int, kinds: Sequence[str], folder: Path) -> None:
     """Fly what is not there yet."""
     folder.mkdir(parents=True, exist_ok=True)
     for vehicle_seed in range(first, first + vehicles):
-        for number, kind, extent in planned(unchanged):
+        for number, kind, extent in planned(kinds):
             path = folder / f"{vehicle_seed}-{number:02d}.pkl.gz"
             if path.exists():
                 continue
             flown, error = Flown((), ()), ""
             try:
-                flown = fly(vehicle_seed, number, kind, CAMPAIGN if extent == "campaign" else SPOT)
+                flown = fly(vehicle_seed, number, kind, extent)
             except FlighttestError as refusal:
                 error = str(refusal)
             packed = gzip.compress(pickle.dumps((kind, extent, flown.segments, flown.batteries, error)), 3)
@@ -150,7 +156,7 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
     base = watched(stored, "model")
     usable = [s for s in new.segments if s.usable]
     found = reestimate_segments(stored, usable, "new")
-    tests = subset_tests(base, found, spread=allowance(stored, base, (), steps_of(usable), found.log_voltage))
+    tests = subset_tests(base, found, spread=allowance(stored, base, ()), alike=like_with_like(stored, base, usable))
     before = battery_of([recorded(b) for b in own.batteries])
     battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)
     return {
@@ -158,6 +164,8 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
         "battery": battery.alarm,
         "p": {t.subset: t.p_value for t in tests},
         "shifts": {n: shift for t in tests for n, (shift, _) in t.shifts.items()},
+        "alike": {t.subset: t.alike for t in tests},
+        "detectable": {n: size for t in tests for n, size in t.detectable.items()},
     }
 
 
@@ -170,7 +178,7 @@ def modelled(vehicle_seed: int, flown: Flown) -> ModelFile:
     """The stored model of a reference campaign, as `flighttest run` would keep it."""
     model = Model(nominal_voltage_v=random_rotor(vehicle_seed).nominal_voltage_v)
     found = fit([s for s in flown.segments if s.usable], model)
-    return replace(from_fit(found), fit_quality=own_discrepancy(found))
+    return replace(from_fit(found), fit_quality=for_currency(found))
 
 
 def kept(path: Path) -> tuple[str, str, Flown, str]:
@@ -179,28 +187,21 @@ def kept(path: Path) -> tuple[str, str, Flown, str]:
     return kind, extent, Flown(tuple(segments), tuple(batteries)), error
 
 
-def judge_all(folder: Path, rows_path: Path, reference: int = 0) -> list[dict[str, Any]]:
-    """Judge what was not judged yet; one JSON line per campaign, the reference's left out. reference: number of the unchanged campaign
-    that is the stored model."""
+def judge_all(folder: Path) -> list[dict[str, Any]]:
+    """Judge what was not judged yet; one JSON line per pair of a vehicle's reference with another of its flights."""
+    rows_path = folder / "pairs.jsonl"
     rows = [json.loads(line) for line in rows_path.read_text().splitlines()] if rows_path.exists() else []
     done = {(r["vehicle"], r["number"]) for r in rows}
-    for path in sorted(folder.glob(f"*-{reference:02d}.pkl.gz")):
+    for path in sorted(folder.glob("*-00.pkl.gz")):
         seed = int(path.name.split("-")[0])
-        todo = [p for p in sorted(folder.glob(f"{seed}-*.pkl.gz")) if p != path]
-        todo = [p for p in todo if not p.name.endswith("-00.pkl.gz") or reference]
-        todo = [p for p in todo if (seed, int(p.name.split("-")[1][:2])) not in done]
+        todo = [p for p in sorted(folder.glob(f"{seed}-*.pkl.gz")) if p != path and (seed, number_of(p)) not in done]
         _, _, own, refused = kept(path)
         if not todo or refused:
             continue
         stored = modelled(seed, own)
         for each in todo:
             kind, extent, new, error = kept(each)
-            row: dict[str, Any] = {
-                "vehicle": seed,
-                "number": int(each.name.split("-")[1][:2]),
-                "kind": kind,
-                "extent": extent,
-            }
+            row: dict[str, Any] = {"vehicle": seed, "number": number_of(each), "kind": kind, "extent": extent}
             try:
                 row |= {"error": error} if error else judged(stored, own, new)
             except FlighttestError as refusal:
@@ -210,6 +211,11 @@ def judge_all(folder: Path, rows_path: Path, reference: int = 0) -> list[dict[st
                 stream.write(json.dumps(row) + "\n")
             print(row["vehicle"], kind, extent, row.get("alarms"), row.get("battery"), row.get("error", ""), flush=True)
     return rows
+
+
+def number_of(path: Path) -> int:
+    """The campaign's number, from the name of its file."""
+    return int(path.name.split("-")[1].split(".")[0])
 
 
 def interval(found: int, of: int) -> str:
@@ -268,21 +274,14 @@ def main() -> None:
     parser.add_argument("what", choices=["fly", "judge"])
     parser.add_argument("--first", type=int, default=5000, help="seed of the first vehicle")
     parser.add_argument("--vehicles", type=int, default=20)
-    parser.add_argument("--unchanged", type=int, default=2, help="unchanged campaigns and spot checks per vehicle")
+    parser.add_argument("--kinds", nargs="*", default=list(CHANGES), choices=list(CHANGES), help="changes to fly")
     parser.add_argument("--folder", type=Path, required=True, help="where flights and results are kept")
-    parser.add_argument(
-        "--reference",
-        type=int,
-        nargs="*",
-        default=[0],
-        help="unchanged campaigns that are the stored model in turn: 0, 21, 22",
-    )
     parser.add_argument("--write", type=Path, metavar="PAGE", help="also put the tables into this page")
     words = parser.parse_args()
     if words.what == "fly":
-        fly_all(words.first, words.vehicles, words.unchanged, words.folder)
+        fly_all(words.first, words.vehicles, words.kinds, words.folder)
         return
-    rows = [r for n in words.reference for r in judge_all(words.folder, words.folder / f"pairs-{n:02d}.jsonl", n)]
+    rows = judge_all(words.folder)
     text = table(rows)
     print(text)
     if words.write is not None:

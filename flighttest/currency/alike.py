@@ -1,9 +1,9 @@
 """Like with like: a new flight's steps against the same steps of the model's own flights.
 
-What a model gets wrong about a step it gets wrong again when the step is flown again. So the responses of a new flight are not asked
-where they would have the parameters, but at which parameters the model leaves of each kind of step what it left of it in its own
-flights. The scores (slopes of the fit's cost) of like steps are subtracted, the model's misfit with them, and what the differences
-scatter from step to step is the doubt. Steps are the units: cluster-robust, as everywhere.
+What a model gets wrong about a step it gets wrong again when that step is flown again. So a new flight is not asked for its best
+parameters, but for those at which the model misses each kind of step as it missed it in its own flights. The scores (slopes of the
+fit's cost by the parameters) of like steps are subtracted, and what the model gets wrong goes with them; what the differences
+scatter from one kind of step to the next is the doubt (cluster-robust, kinds of step being the clusters).
 """
 
 from __future__ import annotations
@@ -11,23 +11,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from flighttest.currency.compare import Estimates
+from flighttest.currency.compare import Alike, Estimates
+from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import FloatArray
-from flighttest.identify.covariance import cluster_covariance
+from flighttest.identify.covariance import cluster_covariance, correlation_inflation
+from flighttest.identify.held import normal_at
 from flighttest.identify.problem import Noise, Problem
-from flighttest.identify.solve import Normal, normal_at
+from flighttest.identify.solve import Normal
 from flighttest.segments import Segment
 
-MIN_STEPS = 2  # kinds of step that must tell of a parameter on both sides
+MIN_STEPS = 2  # kinds of step that must tell of a parameter
 MIN_SHARE = 0.02  # of the information on a parameter, for a kind of step to tell of it
-VAGUE = 0.15  # relative standard error beyond which a parameter is held: its change would only blur the others
+VAGUE = 0.15  # relative standard error beyond which a parameter is held at the model's: it would only blur the others
+DELAY_S = 0.1  # what a delay's error is relative to
 SAME_SIZE = 0.03  # relative difference of two steps' sizes within which they are the same
-ROUNDS = 6
-STILL = 1e-3  # relative change of a parameter at which the comparison has settled
-HELD = ("alpha",)  # one flight's voltages do not tell it; K is compared where the flight was
+ROUNDS = 8
+STILL = 1e-3  # relative change of every parameter at which the comparison has settled
+ALPHA_UNKNOWN = 0.6  # standard error of alpha where nothing is known of it: 0 with a battery compensation, 1.7 without
 
 
 @dataclass(frozen=True)
@@ -48,124 +52,163 @@ class Step:
         return all(abs(cell[k] - v) <= SAME_SIZE * abs(v) + 1e-6 for k, v in self.cell.items())
 
 
-def steps_kept(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: float) -> tuple[Step, ...]:
+def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: float) -> tuple[Step, ...]:
     """What to keep of a fit. normal: at the solution, clusters as `segments`."""
     found = []
-    for members in _by_step(segments, _telling(normal)).values():
-        first = segments[members[0]]
-        mean = normal.score[members].mean(axis=0)
-        told = np.abs(normal.hessian[members]).sum(axis=(0, 1)) > 0.0
-        score = {n: float(v) for n, v, t in zip(normal.names, mean, told, strict=True) if t}
-        volts = log_voltage([segments[i] for i in members], nominal_voltage_v)
-        found.append(Step(first.kind, dict(first.cell), len(members), volts, score))
+    told = np.abs(normal.hessian).sum(axis=(1, 2)) > 0.0
+    for members in _by_step(segments, told):
+        first, score = segments[members[0]], normal.score[members].mean(axis=0)
+        volts = _log_voltage([segments[i] for i in members], nominal_voltage_v)
+        kept = dict(zip(normal.names, score.tolist(), strict=True))
+        found.append(Step(first.kind, dict(first.cell), len(members), volts, kept))
     return tuple(found)
+
+
+def as_data(steps: Sequence[Step]) -> dict[str, Any]:
+    """For model.yaml: parameters in order, and one line per kind of step."""
+    order = list(steps[0].score) if steps else []
+    rows = [
+        {
+            "kind": s.kind,
+            **{k: float(f"{v:.6g}") for k, v in s.cell.items()},
+            "responses": s.responses,
+            "log_voltage": round(s.log_voltage, 5) if math.isfinite(s.log_voltage) else None,
+            "score": [float(f"{s.score[n]:.6g}") for n in order],
+        }
+        for s in steps
+    ]
+    return {"order": order, "flown": rows}
+
+
+def from_data(data: object) -> tuple[Step, ...]:
+    """What `as_data` wrote; nothing where a model was written without it or by hand."""
+    try:
+        order, rows = list(data["order"]), list(data["flown"])  # type: ignore[index]
+        return tuple(_step(order, dict(row)) for row in rows)
+    except (KeyError, TypeError, ValueError):
+        return ()
+
+
+def _step(order: Sequence[str], row: dict[str, Any]) -> Step:
+    kind, count, volts, score = (row.pop(k) for k in ("kind", "responses", "log_voltage", "score"))
+    cell = {str(k): float(v) for k, v in row.items()}
+    kept = {str(n): float(v) for n, v in zip(order, score, strict=True)}
+    return Step(str(kind), cell, int(count), math.nan if volts is None else float(volts), kept)
 
 
 def compare(
     kept: Sequence[Step], stored: Estimates, values: Mapping[str, float], noise: Noise, problem: Problem
-) -> tuple[Estimates, Estimates] | None:
-    """The model's estimates and those at which it would leave of the new steps what it left of its own: what `subset_tests` takes.
+) -> Alike | None:
+    """The new steps of `problem` against those a model kept; None where too few are alike.
 
-    stored: the model's; values: all its parameters; noise: its own, so that both sides are weighed alike. The second covariance is
-    that of the difference, the first one is zero. None where no steps are alike.
+    stored: the model's estimates, of which alpha's error counts; values: all its parameters; noise: its own, so that both sides
+    are weighed alike. One flight's voltages do not tell alpha: it is held, and K compared at the voltages flown.
     """
-    names = [n for n in problem.names if n not in HELD and any(n in s.score for s in kept)]
     pairs = _pairs(kept, problem.segments)
-    now, moved = dict(values), Normal((), np.zeros((0, 0, 0)), np.zeros((0, 0)))
-    for _ in range(ROUNDS):
-        if not pairs or not names:
-            return None
-        normal = normal_at(problem, now, (*names, "K") if "K" not in names else names, noise)
-        moved = _differences(normal, pairs, kept, names)
-        free = _told(moved, now)
-        if set(free) != set(names):
-            # What the new steps do not tell stays as the model has it.
-            now = {**now, **{n: values[n] for n in names if n not in free}}
-            names = free
-            continue
-        step = _solved(moved)
-        for n, by in zip(names, step, strict=True):
-            now[n] += float(np.clip(by, -0.5 * abs(now[n]), abs(now[n])))
-        if all(abs(by) <= STILL * abs(now[n]) for n, by in zip(names, step, strict=True)):
-            break
+    known = {n for s in kept for n in s.score}
+    names = [n for n in problem.names if n in known and n != "alpha"]
+    if not pairs or not names:
+        return None
+    held = normal_at(problem, values, names, noise)
+    # The responses' own initial states first: the parameters answer to what they leave.
+    held = normal_at(problem, values, names, noise, held.after(np.zeros(len(names))))
+    names = _told(_differences(held.normal, pairs), values)
     if not names:
         return None
-    spread = cluster_covariance(moved, tuple(names))
+    param, now = problem.model.param, dict(values)
+    moved = Normal((), np.zeros(0), np.zeros(0))
+    for _ in range(ROUNDS):
+        moved = _only(_differences(held.normal, pairs), names)
+        step = _inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0)
+        size = np.array([max(abs(now[n]), DELAY_S if _delay(n) else 0.0) for n in names])
+        if bool(np.all(np.abs(step) <= STILL * size)):
+            break
+        taken = np.zeros(len(held.normal.names))
+        for n, by in zip(names, np.clip(step, -0.5 * size, size), strict=True):
+            target = float(np.clip(now[n] + by, param[n].lower, param[n].upper))
+            taken[held.normal.names.index(n)] = target - now[n]
+            now[n] = target
+        # A parameter that is pushed beyond its bound stays there.
+        stuck = [
+            n for n, by in zip(names, step, strict=True) if now[n] == (param[n].upper if by > 0 else param[n].lower)
+        ]
+        names = [n for n in names if n not in stuck]
+        if not names:
+            return None
+        held = normal_at(problem, now, held.normal.names, noise, held.after(taken))
+    names = list(moved.names)
+    spread = cluster_covariance(moved, moved.names, correlation_inflation(problem, held.made, held.noise))
     watched = [n for n in stored.names if n in names]
     index = [names.index(n) for n in watched]
-    covariance = spread.matrix[np.ix_(index, index)]
-    away = _of_voltage(moved, pairs, kept, problem, names, values)[index]
-    before = stored.select(watched)
-    alpha = stored.names.index("alpha") if "alpha" in stored.names else None
-    doubt = ALPHA_UNKNOWN if alpha is None else min(math.sqrt(float(stored.covariance[alpha, alpha])), ALPHA_UNKNOWN)
-    covariance = covariance + np.outer(away, away) * doubt**2
-    nothing = Estimates(before.name, before.names, np.array([values[n] for n in watched]), 0.0 * covariance)
+    away = _of_voltage(moved, pairs, problem, values)[index]
+    covariance = spread.matrix[np.ix_(index, index)] + np.outer(away, away) * _alpha_std(stored) ** 2
+    before = Estimates(stored.name, tuple(watched), np.array([values[n] for n in watched]), 0.0 * covariance)
     after = Estimates("new", before.names, np.array([now[n] for n in watched]), covariance, spread.dof[index])
-    return nothing, after
+    return Alike(before, after, len(pairs))
 
 
-ALPHA_UNKNOWN = 0.6  # standard error of alpha where nothing is known of it: 0 with a battery compensation, 1.7 without
+def _alpha_std(stored: Estimates) -> float:
+    """How far the model's alpha may be off, and differ from one campaign to the next."""
+    if "alpha" not in stored.names:
+        return ALPHA_UNKNOWN
+    i = stored.names.index("alpha")
+    own = math.sqrt(float(stored.covariance[i, i]))
+    return min(math.hypot(own, prior("alpha") * float(stored.values[i])), ALPHA_UNKNOWN)
 
 
-def log_voltage(segments: Sequence[Segment], nominal_voltage_v: float) -> float:
-    """Mean ln(U / U_n); NaN where no voltage was recorded."""
+def _delay(name: str) -> bool:
+    return name.startswith("T_d")
+
+
+def _log_voltage(segments: Sequence[Segment], nominal_voltage_v: float) -> float:
     known = [v for s in segments if np.isfinite(v := s.y.get("voltage_v", np.full(1, np.nan))).any()]
     return math.log(float(np.mean([np.nanmean(v) for v in known])) / nominal_voltage_v) if known else math.nan
 
 
-def _telling(normal: Normal) -> list[int]:
-    return [int(i) for i in np.flatnonzero(np.abs(normal.hessian).sum(axis=(1, 2)) > 0.0)]
-
-
-def _by_step(segments: Sequence[Segment], members: Sequence[int]) -> dict[object, list[int]]:
+def _by_step(segments: Sequence[Segment], used: Sequence[bool] | FloatArray) -> list[list[int]]:
     found: dict[object, list[int]] = {}
-    for i in members:
-        if segments[i].cell:
-            found.setdefault(segments[i].cell_key, []).append(i)
-    return found
+    for i, segment in enumerate(segments):
+        if used[i] and segment.cell:
+            found.setdefault(segment.cell_key, []).append(i)
+    return list(found.values())
 
 
-def _pairs(kept: Sequence[Step], segments: Sequence[Segment]) -> list[tuple[int, list[int]]]:
+def _pairs(kept: Sequence[Step], segments: Sequence[Segment]) -> list[tuple[Step, list[int]]]:
     """Kept steps with the new responses of the same kind."""
     found = []
-    for members in _by_step(segments, range(len(segments))).values():
+    for members in _by_step(segments, [True] * len(segments)):
         first = segments[members[0]]
-        match = next((k for k, s in enumerate(kept) if s.same(first.kind, first.cell)), None)
+        match = next((s for s in kept if s.same(first.kind, first.cell)), None)
         if match is not None:
             found.append((match, members))
     return found
 
 
-def _weight(step: Step, count: int) -> float:
-    """Responses that a difference of two means is worth."""
-    return step.responses * count / (step.responses + count)
-
-
-def _differences(
-    normal: Normal, pairs: Sequence[tuple[int, list[int]]], kept: Sequence[Step], names: Sequence[str]
-) -> Normal:
-    """Normal equations of the change, one cluster per kind of step."""
-    pick = np.array([normal.names.index(n) for n in names])
+def _differences(normal: Normal, pairs: Sequence[tuple[Step, list[int]]]) -> Normal:
+    """Normal equations of the change, one cluster per kind of step: a difference of two means counts as so many responses."""
     hessian, score = [], []
-    for k, members in pairs:
-        weight = _weight(kept[k], len(members))
-        before = np.array([kept[k].score.get(n, 0.0) for n in names])
-        hessian.append(weight * normal.hessian[members].mean(axis=0)[np.ix_(pick, pick)])
+    for step, members in pairs:
+        weight = step.responses * len(members) / (step.responses + len(members))
+        hessian.append(weight * normal.hessian[members].mean(axis=0))
+        before = np.array([step.score.get(n, 0.0) for n in normal.names])
         told = np.diag(hessian[-1]) > 0.0
-        score.append(weight * np.where(told, normal.score[members].mean(axis=0)[pick] - before, 0.0))
-    return Normal(tuple(names), np.array(hessian), np.array(score))
+        score.append(weight * np.where(told, normal.score[members].mean(axis=0) - before, 0.0))
+    return Normal(normal.names, np.array(hessian), np.array(score))
+
+
+def _only(normal: Normal, names: Sequence[str]) -> Normal:
+    pick = [normal.names.index(n) for n in names]
+    return Normal(tuple(names), normal.hessian[:, pick][:, :, pick], normal.score[:, pick])
 
 
 def _told(moved: Normal, values: Mapping[str, float]) -> list[str]:
     """Parameters that enough kinds of step tell of, well enough."""
-    names = list(moved.names)
     diagonal = np.einsum("sii->si", moved.hessian)
     share = diagonal / np.maximum(diagonal.sum(axis=0), 1e-300)
-    names = [n for i, n in enumerate(names) if int((share[:, i] > MIN_SHARE).sum()) >= MIN_STEPS]
+    names = [n for i, n in enumerate(moved.names) if int((share[:, i] > MIN_SHARE).sum()) >= MIN_STEPS]
     while names:
-        pick = [moved.names.index(n) for n in names]
-        inverse = _inverse(moved.hessian[:, pick][:, :, pick].sum(axis=0))
-        vague = np.sqrt(np.diag(inverse)) / np.abs([values[n] for n in names])
+        error = np.sqrt(np.diag(_inverse(_only(moved, names).hessian.sum(axis=0))))
+        vague = error / np.array([DELAY_S if _delay(n) else max(abs(values[n]), 1e-9) for n in names])
         worst = int(np.argmax(vague))
         if vague[worst] <= VAGUE:
             break
@@ -179,26 +222,20 @@ def _inverse(total: FloatArray) -> FloatArray:
     return np.asarray(inverse * np.outer(scale, scale))
 
 
-def _solved(moved: Normal) -> FloatArray:
-    return np.asarray(_inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0))
-
-
 def _of_voltage(
     moved: Normal,
-    pairs: Sequence[tuple[int, list[int]]],
-    kept: Sequence[Step],
+    pairs: Sequence[tuple[Step, list[int]]],
     problem: Problem,
-    names: Sequence[str],
     values: Mapping[str, float],
 ) -> FloatArray:
-    """(n,) what an error of one in the model's alpha moves each parameter by: the packs of both sides were not the same."""
-    if "K" not in names:
-        return np.zeros(len(names))
-    k = list(names).index("K")
-    pushed = np.zeros(len(names))
-    for (match, members), hessian in zip(pairs, moved.hessian, strict=True):
-        there = log_voltage([problem.segments[i] for i in members], problem.model.nominal_voltage_v)
-        away = there - kept[match].log_voltage
+    """(n,) what an error of one in the model's alpha moves each parameter by: the packs of both sides were not as full."""
+    pushed = np.zeros(len(moved.names))
+    if "K" not in moved.names:
+        return pushed
+    k = moved.names.index("K")
+    for (step, members), hessian in zip(pairs, moved.hessian, strict=True):
+        there = _log_voltage([problem.segments[i] for i in members], problem.model.nominal_voltage_v)
+        away = there - step.log_voltage
         if math.isfinite(away):
             pushed += hessian[:, k] * values["K"] * away
     return np.asarray(_inverse(moved.hessian.sum(axis=0)) @ pushed)

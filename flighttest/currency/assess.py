@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from flighttest.currency.battery import check
-from flighttest.currency.compare import FALSE_ALARM, Estimates, subset_tests, thrust_or_mass
+from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
 from flighttest.currency.hover import Hover, hover_test
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, BatteryCheck, Change, Currency, Drift, SubsetTest, Verdict
@@ -21,6 +21,7 @@ def assess(
     vehicle_fingerprint: Mapping[str, Any] | None,
     stored: Estimates,
     runs: Sequence[Estimates] = (),
+    alike: Alike | None = None,
     spread: Mapping[str, float] | None = None,
     battery: tuple[float, float] | str | None = None,
     battery_reference: tuple[float, float] | None = None,
@@ -30,7 +31,8 @@ def assess(
     """Is the model still valid?
 
     model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's
-    estimates; runs: re-estimates of new runs, in time order, the last one the newest. battery: (Ohm, std) of the newest run or why
+    estimates; runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same
+    steps of the model's flights. battery: (Ohm, std) of the newest run or why
     it cannot be told. hovers: the throttle that holds height, of the model's flights and of the newest run. untestable: what the
     caller could not test, one sentence each.
     """
@@ -39,12 +41,14 @@ def assess(
     if vehicle_fingerprint is not None:
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
         cannot_tell += unknown
-    tests = subset_tests(stored, runs[-1], spread=spread) if runs else ()
+    tests = subset_tests(stored, runs[-1], spread=spread, alike=alike) if runs else ()
     before, now = hovers
     if before is not None and now is not None and not any(t.subset == "thrust" for t in tests):
         alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
         shared = FALSE_ALARM / (len(tests) + 1)
-        tests = subset_tests(stored, runs[-1], spread=spread, false_alarm=shared * len(tests)) if tests else ()
+        tests = (
+            subset_tests(stored, runs[-1], spread=spread, false_alarm=shared * len(tests), alike=alike) if tests else ()
+        )
         tests = (*tests, hover_test(before, now, alpha, shared))
     drift = drifts(stored, runs, spread) if len(runs) > 1 else ()
     checked = check(battery, battery_reference) if battery is not None else None
@@ -57,6 +61,7 @@ def assess(
         verdict = Verdict.CURRENT
     else:
         verdict = Verdict.UNKNOWN
+    sides = (alike.before, alike.after) if alike is not None else (stored, runs[-1]) if runs else None
     fly: tuple[str, ...] = ()
     narrow: tuple[str, ...] = ()
     if stale:
@@ -66,8 +71,7 @@ def assess(
         narrow = scripts_for(tuple(s for s in SUBSETS if s in subsets)) or ALL_SCRIPTS
     return Currency(
         verdict=verdict,
-        sentence=_sentence(verdict, changes, alarms, crossed, tests, stored, runs, bool(cannot_tell))
-        + _of_battery(checked),
+        sentence=_sentence(verdict, changes, alarms, crossed, tests, sides, bool(cannot_tell)) + _of_battery(checked),
         changes=changes,
         tests=tests,
         drifts=drift,
@@ -92,8 +96,7 @@ def _sentence(
     alarms: Sequence[SubsetTest],
     crossed: Sequence[Drift],
     tests: Sequence[SubsetTest],
-    stored: Estimates,
-    runs: Sequence[Estimates],
+    sides: tuple[Estimates, Estimates] | None,
     in_part: bool,
 ) -> str:
     if verdict is Verdict.UNKNOWN:
@@ -115,7 +118,7 @@ def _sentence(
         still = [t.subset for t in tests if not t.alarm]
         words = "; ".join(t.sentence for t in alarms)
         words += f"; {', '.join(still)} as before" if still else ""
-        parts.append(words + _culprit(alarms, stored, runs))
+        parts.append(words + _culprit(alarms, sides))
     elif crossed:
         parts.append(
             "slow drift: " + ", ".join(f"{d.parameter} {d.change * 100:+.1f} % by {d.crossed_at}" for d in crossed)
@@ -123,7 +126,7 @@ def _sentence(
     return f"Stale: {'. '.join(parts)}."
 
 
-def _culprit(alarms: Sequence[SubsetTest], stored: Estimates, runs: Sequence[Estimates]) -> str:
+def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | None) -> str:
     moved = {t.subset for t in alarms}
     thrust = next((t for t in alarms if t.subset == "thrust"), None)
     if thrust is not None and "K" in thrust.shifts and abs(thrust.shifts["K"][1]) < abs(_z(thrust, "sigma_t")) / 2.0:
@@ -131,7 +134,7 @@ def _culprit(alarms: Sequence[SubsetTest], stored: Estimates, runs: Sequence[Est
             ": what delays the thrust (motors, speed controllers, a throttle filter), and not how much of it there is"
         )
     if "thrust" in moved and "attitude" not in moved:
-        what = thrust_or_mass(stored, runs[-1])
+        what = thrust_or_mass(*sides) if sides is not None else "thrust or mass"
         words = {
             "thrust or mass": "less or more thrust (propellers, motors, battery), or another mass: this flight cannot tell which",
             "thrust": "propellers, motors or battery, and not the mass",

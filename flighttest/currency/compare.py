@@ -73,6 +73,22 @@ class Estimates:
         return replace(self, values=values, covariance=covariance, weak=self.weak - {"K"} if told else self.weak)
 
 
+@dataclass(frozen=True)
+class Alike:
+    """Like steps against like (see `alike`). before: the model's estimates, without a covariance; after: those at which the model misses
+    the new steps as it missed its own, with the covariance of the difference; steps: how many kinds of step were compared."""
+
+    before: Estimates
+    after: Estimates
+    steps: int
+
+    def tells(self, names: Sequence[str], leading: Sequence[str], others: Sequence[str]) -> tuple[str, ...]:
+        """Those of a subset's names that are told; none where `others`, the comparison of estimates, tells a leading one that is not."""
+        told = tuple(n for n in names if n in self.after.names)
+        needed = [n for n in leading if n in others] if leading else []
+        return told if set(needed or leading or told) <= set(told) else ()
+
+
 def discrepancy(
     names: Sequence[str], values: FloatArray, spread: Mapping[str, float] | None, alpha_away: float = 0.0
 ) -> FloatArray:
@@ -93,19 +109,43 @@ def subset_tests(
     spread: Mapping[str, float] | None = None,
     false_alarm: float = FALSE_ALARM,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
+    alike: Alike | None = None,
 ) -> tuple[SubsetTest, ...]:
-    """Test every subset both sides know something about. Thrust per throttle is compared at the voltage of the new recording."""
+    """Test every subset both sides know something about, by like steps or by the estimates: by what would have shown the smaller change.
+
+    Thrust per throttle is compared at the voltage of the new recording.
+    """
     alpha = float(stored.values[stored.names.index("alpha")]) if "alpha" in stored.names else 0.0
     away = alpha * (new.log_voltage - stored.log_voltage)
     before, after = stored.at_voltage(new.log_voltage, alpha).known, new.at_voltage(new.log_voltage, alpha).known
     shared = {s: tuple(n for n in names if n in before.names and n in after.names) for s, names in subsets.items()}
     # A lag alone does not say that the thrust is what it was, nor a damping that the loop is as fast.
     testable = {s: names for s, names in shared.items() if set(names) & set(LEADING.get(s, names))}
-    level = false_alarm / max(len(testable), 1)
-    return tuple(
-        _test(s, before.select(names), after.select(names), spread, away if math.isfinite(away) else 0.0, level)
-        for s, names in testable.items()
-    )
+    pairs = {s: alike.tells(n, LEADING.get(s, ()), shared[s]) for s, n in subsets.items()} if alike is not None else {}
+    pairs = {s: names for s, names in pairs.items() if names}
+    level = false_alarm / max(len({*testable, *pairs}), 1)
+    # Like steps repeat what a model gets wrong about them: no more is left of it than the prior.
+    left = {n: min(v, prior(n)) for n, v in (spread or {}).items()}
+    found = []
+    for subset in subsets:
+        tests = []
+        if alike is not None and subset in pairs:
+            names = pairs[subset]
+            test = _test(subset, alike.before.select(names), alike.after.select(names), left, 0.0, level)
+            tests.append(replace(test, alike=alike.steps))
+        if subset in testable:
+            names = testable[subset]
+            carried = away if math.isfinite(away) else 0.0
+            tests.append(_test(subset, before.select(names), after.select(names), spread, carried, level))
+        if tests:
+            found.append(min(tests, key=lambda t: _finest(t, LEADING.get(t.subset, ()))))
+    return tuple(found)
+
+
+def _finest(test: SubsetTest, leading: Sequence[str]) -> float:
+    """The smallest change of a leading parameter that would have raised the alarm."""
+    sizes = [v for n, v in test.detectable.items() if n in leading or not leading]
+    return min(sizes, default=math.inf)
 
 
 def _test(

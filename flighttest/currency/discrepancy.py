@@ -35,7 +35,6 @@ PRIOR: dict[str, float] = {
 DEFAULT_PRIOR = 0.05
 PRIOR_WEIGHT = 2.0  # groups that the prior counts as
 MIN_GROUP = 3  # responses; fewer do not know their own scatter
-SAME = 0.8  # share of the steps that two campaigns must have in common to count as the same
 MIN_SHARE = 0.1  # of a group in what is known of a parameter
 
 Condition = Callable[[Segment], float | str]
@@ -69,24 +68,6 @@ def measured(
             variance = _variance(influence[:, i] / size, share[:, i], segments, prior(name) ** 2)
             found[name] = float(np.sqrt(variance))
     return found
-
-
-def steps_of(segments: Sequence[Segment]) -> list[str]:
-    """The steps of a campaign, each once: what tells whether another one flew the same."""
-    return sorted(
-        {f"{kind} {' '.join(f'{k}={v:g}' for k, v in cell)}" for kind, cell in (s.cell_key for s in segments)}
-    )
-
-
-def repeated(kept: Mapping[str, float]) -> dict[str, float]:
-    """The discrepancy between flights of the same steps over the same voltages: what the model gets wrong about those they repeat, so
-    that no more than the stated prior is left of it."""
-    return {name: min(value, prior(name)) for name, value in kept.items()}
-
-
-def same_steps(a: Sequence[str], b: Sequence[str]) -> bool:
-    """Whether two campaigns flew the same steps, but for a few that were rejected."""
-    return bool(a) and len(set(a) & set(b)) >= SAME * max(len(set(a)), len(set(b)))
 
 
 def _variance(influence: FloatArray, share: FloatArray, segments: Sequence[Segment], stated: float) -> float:

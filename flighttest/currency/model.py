@@ -60,7 +60,8 @@ class SubsetTest:
 
     statistic: squared Mahalanobis distance over `dof` parameters, p_value under "nothing changed", alarm when below `level`.
     shifts: parameter to (relative change, z). sentence: what an operator reads. detectable: parameter to the relative change that would
-    have raised the alarm by itself: less may have happened unseen.
+    have raised the alarm by itself: less may have happened unseen. alike: kinds of step that were flown both times and compared with one
+    another; 0 where estimates were compared.
     """
 
     subset: str
@@ -72,6 +73,7 @@ class SubsetTest:
     shifts: Mapping[str, tuple[float, float]]
     sentence: str
     detectable: Mapping[str, float] = field(default_factory=dict)
+    alike: int = 0
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,13 @@ true error for alpha when each response carries its own disturbance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Problem
+from flighttest.identify.problem import Noise, PartEvaluation, Problem
 from flighttest.identify.solve import Normal, Solution
 from flighttest.identify.student import quantile
 
@@ -98,16 +99,24 @@ def inflation_of(residuals: list[FloatArray]) -> float:
     return (1 + rho) / (1 - rho)
 
 
+def correlation_inflation(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
+    """`inflation_of` all residuals of a problem."""
+    return inflation_of(
+        [
+            made.residual[j, :, k] / noise.channel[c]
+            for part, made in zip(problem.parts, evaluations, strict=True)
+            for k, c in enumerate(part.outputs)
+            for j in range(len(part.responses))
+        ]
+    )
+
+
 def covariance_of(problem: Problem, solution: Solution) -> Covariance:
     """Cluster-robust covariance of the free parameters that have an effect and are not at a bound."""
     active = tuple(n for n in solution.free if n not in solution.blind and n not in solution.at_bound)
-    residuals = [
-        made.residual[j, :, k] / solution.noise.channel[c]
-        for part, made in zip(problem.parts, solution.evaluations, strict=True)
-        for k, c in enumerate(part.outputs)
-        for j in range(len(part.responses))
-    ]
-    covariance = cluster_covariance(solution.normal, active, inflation_of(residuals))
+    covariance = cluster_covariance(
+        solution.normal, active, correlation_inflation(problem, solution.evaluations, solution.noise)
+    )
     return with_clock_error(covariance, clock_std_s(problem))
 
 

@@ -79,7 +79,9 @@ class Solution:
 
 
 @dataclass
-class _State:
+class State:
+    """Where the solver stands: parameters, the responses' own unknowns, and what was evaluated there."""
+
     theta: FloatArray
     local: list[FloatArray]
     made: list[PartEvaluation]
@@ -119,7 +121,7 @@ def solve(
 
     centres = [part.start_local() for part in problem.parts]
     begun = [c.copy() for c in centres] if local is None else [np.array(x) for x in local]
-    now = _State(theta, begun, problem.evaluate(at(theta), begun, free))
+    now = State(theta, begun, problem.evaluate(at(theta), begun, free))
     damping, status, iteration = 1e-3, FitStatus.MAX_ITERATIONS, 0
     blind = np.zeros(len(free), dtype=bool)
     flat = 0
@@ -129,7 +131,7 @@ def solve(
             noise = _update_noise(problem, now, noise, weight, centres, free)
         if robust and (warm or iteration > 2):
             weight = response_weights(problem, now.made, noise)
-        hessian, score, backs = _normal(problem, now, noise, weight, centres, free, robust)
+        hessian, score, backs = normal_equations(problem, now, noise, weight, centres, free, robust)
         h, g = hessian.sum(axis=0), score.sum(axis=0)
         sensed = np.diag(h) * scale**2
         # Information in units of the parameter's own scale: below this its standard error is a hundred scales.
@@ -156,9 +158,9 @@ def solve(
                 # So near that the Jacobian is known: residuals alone cost a fifth.
                 fresh = problem.evaluate(at(target), trial_local)
                 made = [replace(old, residual=new.residual) for old, new in zip(now.made, fresh, strict=True)]
-                trial = _State(target, trial_local, made, stale=True)
+                trial = State(target, trial_local, made, stale=True)
             else:
-                trial = _State(target, trial_local, problem.evaluate(at(target), trial_local, free))
+                trial = State(target, trial_local, problem.evaluate(at(target), trial_local, free))
             new_cost = _cost(problem, trial, noise, weight, centres, robust)
             if np.isfinite(new_cost) and new_cost <= cost * (1 + 1e-9) + 1e-9:
                 accepted = True
@@ -167,7 +169,7 @@ def solve(
                 break
             damping = max(damping * 10.0, 1e-3)
         if not accepted and now.stale:
-            now = _State(theta, now.local, problem.evaluate(at(theta), now.local, free))
+            now = State(theta, now.local, problem.evaluate(at(theta), now.local, free))
             continue
         if not accepted:
             status = FitStatus.CONVERGED if _small(full_step, h, active, 0.2) else FitStatus.NO_DESCENT
@@ -181,7 +183,7 @@ def solve(
             status = FitStatus.CONVERGED
             break
         damping = damping / 10.0 if damping > 1e-9 else 0.0
-    hessian, score, _ = _normal(problem, now, noise, weight, centres, free, robust)
+    hessian, score, _ = normal_equations(problem, now, noise, weight, centres, free, robust)
     at_bound = tuple(n for n, t, lo, up in zip(free, theta, lower, upper, strict=True) if t <= lo or t >= up)
     if status is FitStatus.CONVERGED and at_bound:
         status = FitStatus.AT_BOUND
@@ -190,17 +192,6 @@ def solve(
         status, problem.full_values(at(theta)), free, tuple(n for n, b in zip(free, blind, strict=True) if b), at_bound,
         tuple(now.local), noise, weight, tuple(now.made), Normal(free, hessian, score), cost, iteration,
     )  # fmt: skip
-
-
-def normal_at(problem: Problem, values: Mapping[str, float], free: Sequence[str], noise: Noise) -> Normal:
-    """Normal equations by `free` at given parameters and noise: only the responses' own unknowns are estimated."""
-    known = start_noise(problem)
-    noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
-    held = solve(problem, values, free=(), noise=noise, estimate_noise=False)
-    at = _State(np.zeros(0), list(held.local), problem.evaluate(held.values, held.local, free))
-    centres = [part.start_local() for part in problem.parts]
-    hessian, score, _ = _normal(problem, at, noise, held.response_weight, centres, free, True)
-    return Normal(tuple(free), hessian, score)
 
 
 def start_noise(problem: Problem) -> Noise:
@@ -290,7 +281,7 @@ def _weights(
 
 
 def _cost(
-    problem: Problem, at: _State, noise: Noise, weight: FloatArray, centres: Sequence[FloatArray], robust: bool
+    problem: Problem, at: State, noise: Noise, weight: FloatArray, centres: Sequence[FloatArray], robust: bool
 ) -> float:
     """Penalised cost; single samples count by Huber's rho, so that it is what the weights descend on."""
     total = 0.0
@@ -307,9 +298,9 @@ def _cost(
     return total
 
 
-def _normal(
+def normal_equations(
     problem: Problem,
-    at: _State,
+    at: State,
     noise: Noise,
     weight: FloatArray,
     centres: Sequence[FloatArray],
@@ -346,7 +337,7 @@ def _normal(
 
 
 def _update_noise(
-    problem: Problem, at: _State, noise: Noise, weight: FloatArray, centres: Sequence[FloatArray], free: Sequence[str]
+    problem: Problem, at: State, noise: Noise, weight: FloatArray, centres: Sequence[FloatArray], free: Sequence[str]
 ) -> Noise:
     """Channel noise from the residuals, disturbance variances from the locals (MacKay's fixed point)."""
     channel, disturbance = dict(noise.channel), dict(noise.disturbance)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.currency.discrepancy import measured, steps_of
+from flighttest.currency import alike
+from flighttest.currency.discrepancy import measured
 from flighttest.currency.hover import hover
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
@@ -159,7 +160,7 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
 def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
     """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
     battery = battery_data(recordings)
-    extra: dict[str, Any] = own_discrepancy(found)
+    extra: dict[str, Any] = for_currency(found)
     level = hover(found.problem.segments, found.model.nominal_voltage_v)
     if level is not None:
         extra["hover"] = plain(level)
@@ -168,12 +169,14 @@ def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | N
     return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
 
 
-def own_discrepancy(found: Fit) -> dict[str, Any]:
-    """What this campaign's conditions differ by beyond their errors, relative, per parameter, as currency allows for it; and its steps."""
-    made = measured(found.solution.normal, found.covariance.names, found.values, found.problem.segments)
+def for_currency(found: Fit) -> dict[str, Any]:
+    """What later flights are compared with: what this campaign's conditions differ by beyond their errors, relative, per parameter; and
+    what the model gets wrong about each kind of step."""
+    normal, segments = found.solution.normal, found.problem.segments
+    made = measured(normal, found.covariance.names, found.values, segments)
     return {
         "discrepancy": {name: round(value, 5) for name, value in made.items()},
-        "steps": steps_of(found.problem.segments),
+        "steps": alike.as_data(alike.steps_flown(normal, segments, found.model.nominal_voltage_v)),
     }
 
 

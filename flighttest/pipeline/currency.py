@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+from flighttest.currency import alike
 from flighttest.currency.assess import assess
-from flighttest.currency.compare import Estimates
-from flighttest.currency.discrepancy import repeated, same_steps, steps_of
+from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.hover import Hover, hover
 from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
 from flighttest.currency.reflight import needs
@@ -23,6 +23,7 @@ from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
+from flighttest.identify.problem import Noise, Problem
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
 from flighttest.pipeline.checking import predictor_for
@@ -45,10 +46,10 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 ALPHA_TELLS = 2.0
-SAME_VOLTAGE = 0.04  # difference of ln U within which two flights flew over the same voltages
 VAGUE = 0.2  # relative standard error beyond which the stored value serves better
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
 SPOT_CHECK = "spot_check"
+NOISE = ("channels", "disturbances")  # as model.yaml names them
 
 
 def status(
@@ -94,9 +95,11 @@ def judge(
     known = campaigns(out) if out is not None else []
     earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
     usable = [s for s in cut_all(recordings, progress) if s.usable] if recordings else []
+    paired = None
     if recordings:
         try:
             series = [*earlier, reestimate(stored, usable, recordings[-1].name, progress)]
+            paired = like_with_like(stored, base, usable)
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
     battery = battery_of(recordings) if recordings else None
@@ -105,7 +108,8 @@ def judge(
         vehicle_fingerprint=today,
         stored=base,
         runs=series,
-        spread=allowance(stored, base, earlier, steps_of(usable), series[-1].log_voltage if series else math.nan),
+        alike=paired,
+        spread=allowance(stored, base, earlier),
         battery=battery,
         battery_reference=battery_reference(stored),
         hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
@@ -174,6 +178,16 @@ def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: st
     return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v))
 
 
+def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> Alike | None:
+    """The new steps against those that a model's own flights had too; None where it kept none, or too few are alike."""
+    kept = alike.from_data(stored.fit_quality.get("steps"))
+    if not kept:
+        return None
+    noise = Noise(*({str(k): float(v) for k, v in (stored.noise.get(part) or {}).items()} for part in NOISE))
+    problem = Problem.build(segments, stored.model, values=stored.values)
+    return alike.compare(kept, base, stored.values, noise, problem)
+
+
 def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:
     """ln(U / U_n) over the throttle steps, else over all that was flown; NaN where no voltage was recorded."""
     known = [s for s in segments if s.usable and np.isfinite(s.y.get("voltage_v", np.full(1, np.nan))).any()]
@@ -198,23 +212,11 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
     return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
 
 
-def allowance(
-    stored: ModelFile,
-    base: Estimates,
-    earlier: Sequence[Estimates],
-    steps: Sequence[str] = (),
-    log_voltage: float = math.nan,
-) -> dict[str, float]:
+def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
     """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
-    between its conditions; with the same steps over the same voltages no more than is stated. What neither knows keeps
-    the stated prior."""
-    quality = stored.fit_quality
-    flown = quality.get("steps")
-    same = isinstance(flown, list) and same_steps([str(s) for s in flown], steps)
-    same = same and abs(log_voltage - base.log_voltage) < SAME_VOLTAGE
-    kept = quality.get("discrepancy")
+    between its conditions. What neither knows keeps the stated prior."""
+    kept = stored.fit_quality.get("discrepancy")
     known = {str(n): float(v) for n, v in kept.items() if _number(v)} if isinstance(kept, Mapping) else {}
-    known = repeated(known) if same else known
     return {**known, **(own_scatter(base, earlier) or {})}
 
 

@@ -6,7 +6,7 @@ import pytest
 from flighttest.currency import battery, compare, sequence
 from flighttest.currency.assess import assess
 from flighttest.currency.compare import Estimates
-from flighttest.currency.discrepancy import measured, prior, repeated, same_steps, steps_of
+from flighttest.currency.discrepancy import measured, prior
 from flighttest.currency.hover import hover, hover_test
 from flighttest.currency.model import Verdict
 from flighttest.identify.solve import Normal
@@ -229,16 +229,6 @@ def test_the_battery_of_a_campaign_is_told_from_all_its_flights():
     assert value == pytest.approx(0.02, abs=3.0 * std)
     assert std < 0.5 * battery_of([dull])[1]
     assert "UNTESTABLE" in battery_of([recorded("still", np.full(300, 20.0))])
-
-
-def test_what_a_model_gets_wrong_about_directions_a_flight_of_the_same_steps_repeats():
-    normal, steps = flown(np.random.default_rng(20), 0.05)
-    found = measured(normal, ("K",), {"K": 50.0}, steps)
-    assert found["K"] > 0.03
-    assert repeated({**found, "d_x": 0.01}) == {"K": prior("K"), "d_x": 0.01}
-    assert same_steps(steps_of(steps), steps_of(steps[:40]))
-    assert not same_steps(steps_of(steps), ["roll_step amplitude_rad=0.3"])
-    assert not same_steps([], [])
 
 
 def test_a_lag_alone_does_not_say_that_the_thrust_is_what_it_was():

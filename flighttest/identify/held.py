@@ -1,0 +1,48 @@
+"""What responses say at parameters that are given, not estimated: scores and information, the responses' own unknowns followed along."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.identify.problem import Noise, PartEvaluation, Problem
+from flighttest.identify.solve import Normal, State, normal_equations, response_weights, start_noise
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Held:
+    """Normal equations at given parameters, noise and locals, what they are made of, and how the locals follow the parameters."""
+
+    normal: Normal
+    made: tuple[PartEvaluation, ...]
+    noise: Noise
+    local: tuple[FloatArray, ...]
+    backs: tuple[tuple[FloatArray, FloatArray], ...]
+
+    def after(self, step: FloatArray) -> tuple[FloatArray, ...]:
+        """Locals for parameters moved by `step`, (p,)."""
+        pairs = zip(self.local, self.backs, strict=True)
+        return tuple(x + back_g - np.einsum("mlp,p->ml", back_h, step) for x, (back_g, back_h) in pairs)
+
+
+def normal_at(
+    problem: Problem,
+    values: Mapping[str, float],
+    free: Sequence[str],
+    noise: Noise,
+    local: Sequence[FloatArray] | None = None,
+) -> Held:
+    """Normal equations by `free` at given parameters and noise. local: measured initial states and no disturbances where None."""
+    known = start_noise(problem)
+    noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
+    centres = [part.start_local() for part in problem.parts]
+    at = State(np.zeros(0), list(centres if local is None else local), [])
+    at.made = problem.evaluate(values, at.local, free)
+    weight = response_weights(problem, at.made, noise)
+    hessian, score, backs = normal_equations(problem, at, noise, weight, centres, free, True)
+    return Held(Normal(tuple(free), hessian, score), tuple(at.made), noise, tuple(at.local), tuple(backs))

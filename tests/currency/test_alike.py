@@ -1,0 +1,108 @@
+"""Like steps against like: what a model gets wrong about a step cancels, a change of the vehicle does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from flighttest.currency import alike, compare
+from flighttest.currency.discrepancy import prior
+from flighttest.identify.fit import fit
+from flighttest.identify.model_file import from_fit
+from flighttest.identify.problem import Problem
+from flighttest.pipeline.history import watched
+from tests.identify import campaign
+
+# Thrust that no K fits: the vehicle gives more or less of it from one step to the next, as a curved throttle or a slow motor does.
+MISSED = {(0.05, 0.25): 0.06, (0.10, 0.25): 0.05, (0.05, 0.30): -0.05, (0.10, 0.35): -0.06, (0.15, 0.30): 0.04, (0.30, 0.10): -0.04,
+          (0.15, 0.35): -0.04, (0.25, 0.10): 0.05}  # fmt: skip
+SPOT = list(MISSED)[:2]  # both of them steps that the vehicle answers with more than the model
+
+
+@pytest.fixture(scope="module")
+def made():
+    def flown(seed, steps=MISSED, repeats=1, volts=23.0, **factors):
+        rng = np.random.default_rng(seed)
+        found = []
+        for repeat in range(repeats):
+            for t0, t1 in steps:
+                truth = {n: v * factors.get(n, 1.0) for n, v in campaign.TRUTH.items()}
+                truth["K"] *= 1.0 + MISSED[t0, t1]
+                refs = {"throttle": [(-9.0, t0), (0.0, t1)]}
+                cell = {"throttle_0": t0, "throttle_1": t1}
+                name = f"t{len(found)}"
+                record = campaign.RECORD_S[t1]
+                found.append(
+                    campaign.response(
+                        rng, name, "throttle_step", cell, repeat, refs, record, volts + 0.4 * repeat, truth
+                    )
+                )
+        return found
+
+    return flown
+
+
+@pytest.fixture(scope="module")
+def stored(made):
+    found = fit(made(1, repeats=2))
+    kept = alike.steps_flown(found.solution.normal, found.problem.segments, found.model.nominal_voltage_v)
+    return found, from_fit(found), alike.from_data(yaml.safe_load(yaml.safe_dump(alike.as_data(kept))))
+
+
+def compared(stored, segments):
+    found, model, kept = stored
+    return alike.compare(
+        kept,
+        watched(model, "model"),
+        found.values,
+        found.noise,
+        Problem.build(segments, found.model, values=found.values),
+    )
+
+
+def shift(found, name="K"):
+    i = found.after.names.index(name)
+    value = found.before.values[i]
+    return (found.after.values[i] - value) / value, np.sqrt(found.after.covariance[i, i]) / value
+
+
+def test_what_the_model_gets_wrong_cancels(stored, made):
+    for seed, factor in ((2, 1.0), (3, 0.95)):
+        found = compared(stored, made(seed, K=factor))
+        change, std = shift(found)
+        assert change == pytest.approx(factor - 1.0, abs=0.012)
+        assert abs(change - (factor - 1.0)) < 4.0 * std
+        assert std < 0.01, "the steps' own misfit of 5 % is no doubt"
+        base = watched(stored[1], "model")
+        (test,) = [t for t in compare.subset_tests(base, base, alike=found) if t.subset == "thrust"]
+        assert test.alarm is (factor < 1.0)
+        assert test.alike == len(MISSED)
+
+
+def test_a_few_of_the_steps_are_compared_with_those_alone(stored, made):
+    """Both steps of this spot check are among those that the model gets wrong by 5 % in one direction."""
+    spot = made(4, steps=SPOT, repeats=3)
+    change, _ = shift(compared(stored, spot))
+    assert abs(change) < 0.015
+    alone = fit(spot, frozen={n: stored[0].values[n] for n in ("alpha", "sigma_t", "d_z")})
+    assert alone.values["K"] / stored[0].values["K"] - 1.0 > 0.03, "estimated from these steps alone, K came out higher"
+
+
+def test_a_flight_at_another_voltage_is_as_doubtful_as_alpha(stored, made):
+    near, far = (shift(compared(stored, made(5, volts=v)))[1] for v in (23.2, 21.5))
+    assert far > near
+    away = np.log(21.5 / 23.2)
+    assert far > 0.9 * abs(away) * prior("alpha") * stored[0].values["alpha"]
+
+
+def test_no_like_steps_no_comparison(stored, made):
+    other = [replace(s, cell={"throttle_0": 0.12, "throttle_1": 0.22}) for s in made(6)[:3]]
+    assert compared(stored, other) is None
+
+
+@pytest.mark.parametrize(
+    "data", [None, [], {"order": ["K"]}, {"order": ["K"], "flown": [{"kind": "x"}]}, ["roll_step"]]
+)
+def test_a_model_without_steps_keeps_none(data):
+    assert alike.from_data(data) == ()
