@@ -2,7 +2,7 @@
 
 (a) the same thrust-and-drag problem as one single-shooting sum of squares for IPOPT, as in CasADi's own system identification example;
 (b) scipy's least_squares with finite differences over solve_ivp, on a smaller problem (vertical motion, thrust steps, no disturbances).
-Then the cost against the number of responses, and two threads against one.
+Then the cost against the number of responses, and two fits in two processes against one after the other.
 """
 
 from __future__ import annotations
@@ -10,18 +10,20 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 
 import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-import flighttest.identify.kernel as kernel_module
 from flighttest.identify.fit import fit
 from flighttest.identify.problem import Problem, prior_std
 from flighttest.identify.responses import held, nodes_of
 from flighttest.identify.solve import solve, start_noise
+from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
+from flighttest.physics.simulate import rk4_stages
 from tests.identify.campaign import campaign
 
 
@@ -31,18 +33,42 @@ def timed(action: Callable[[], object]) -> tuple[float, object]:
     return time.perf_counter() - began, result
 
 
+def single_shooting(block: Block, outputs: tuple[str, ...], k: int) -> ca.Function:
+    """Outputs (n, k) after each of k pieces, of parameters, locals (initial states, disturbances) and nodes: one long expression."""
+    x, p, d = (
+        ca.SX.sym("x", len(block.states)),
+        ca.SX.sym("p", len(block.params)),
+        ca.SX.sym("d", len(block.disturbances)),
+    )
+    n_u, n_e = len(block.inputs), len(block.exogenous)
+    node = ca.SX.sym("node", 2 + n_u + 2 * n_e)
+    u, e0, e1 = node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
+    h = node[0] + node[1] * block.delay_s(p)
+    after, _, _ = rk4_stages(lambda x, e: block.function(x, p, u, e, d)[0], x, h, (e0, 0.5 * (e0 + e1), e1))
+    y = block.function(after, p, u, e1, d)[1][[block.outputs.index(n) for n in outputs]]
+    step = ca.Function("step", [x, p, d, node], ca.cse([after, y]))
+    p, local, nodes = (
+        ca.MX.sym("p", p.numel()),
+        ca.MX.sym("l", x.numel() + d.numel()),
+        ca.MX.sym("nodes", node.numel(), k),
+    )
+    state, rows = local[: x.numel()], []
+    for column in ca.horzsplit(nodes):
+        state, made = step(state, p, local[x.numel() :], column)
+        rows.append(made)
+    return ca.Function("single_shooting", [p, local, nodes], [ca.horzcat(*rows)])
+
+
 def ipopt_single_shooting(problem: Problem, limit_s: float) -> tuple[float, bool, dict[str, float]]:
     """Translation only, T_d held: every response simulated by one mapped chain, all unknowns in one NLP, exact Hessian."""
-    i = next(k for k, p in enumerate(problem.parts) if p.block.name == "translation")
-    part = problem.parts[i]
+    part = next(p for p in problem.parts if p.block.name == "translation")
     began = time.perf_counter()
     delay = problem.values["T_d_thrust"]
     rows = [nodes_of(r, delay) for r in part.responses]
     k = max(len(r[0]) for r in rows)
-    kernel = problem._kernel(i, (), ())
-    chain = kernel._chain(k, False)
     m = len(rows)
-    nodes = np.zeros((m, k, kernel.n_data))
+    chain = single_shooting(part.block, part.outputs, k)
+    nodes = np.zeros((m, k, chain.size1_in(2)))
     for j, (node, _) in enumerate(rows):
         nodes[j, : len(node)] = node
         nodes[j, len(node) :] = node[-1]
@@ -100,6 +126,10 @@ def scipy_finite_differences(problem: Problem) -> tuple[float, dict[str, float]]
     return seconds, dict(zip(("sigma_t", "K", "alpha", "d_z"), result.x, strict=True))
 
 
+def fit_one(seed: int) -> float:
+    return fit(campaign(seed), Model()).values["K"]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="stop IPOPT after 20 s and skip 1000 responses")
@@ -141,12 +171,11 @@ def main() -> None:
         print(
             f"residuals and Jacobian of {count:4d} responses: {1e3 * seconds:7.1f} ms, {1e3 * seconds / count:.2f} ms each"
         )
-    for threads in (1, 2):
-        kernel_module.THREADS = threads
-        problem = Problem.build(segments, model, values=found.values)
-        problem.evaluate(problem.values, None, problem.names)
-        seconds = min(timed(lambda p=problem: p.evaluate(p.values, None, p.names))[0] for _ in range(3))
-        print(f"the campaign's residuals and Jacobian on {threads} thread(s): {1e3 * seconds:.0f} ms")
+    for workers in (1, 2):
+        with ProcessPoolExecutor(workers) as pool:
+            list(pool.map(fit_one, range(2)))
+            seconds, _ = timed(lambda pool=pool: list(pool.map(fit_one, range(4))))
+        print(f"four campaigns on {workers} core(s), as `--workers {workers}` has them: {seconds:.2f} s")
 
 
 if __name__ == "__main__":

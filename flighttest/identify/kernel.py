@@ -1,14 +1,17 @@
-"""One block of the model integrated over many responses at once, with forward sensitivities, in CasADi.
+"""One block of the model integrated over many responses at once, with exact derivatives of what is integrated.
 
-A response is a row of nodes: sample times and delayed input edges, merged (see `identify.nodes`). Between nodes inputs are constant, so one
-RK4 step per node is smooth in the state, the parameters and the delay: h = h0 + hd * delay(p) is the piece's length, with hd = +1 for
-a piece that ends at an edge, -1 for one that starts there. Sensitivities are propagated as S_next = A S + B.
-Known second-order Butterworth filters of measured channels are integrated exactly for outputs quadratic within a piece.
+A response is a row of nodes: sample times and delayed input edges, merged (see `identify.responses`). Between nodes inputs are constant,
+so one RK4 step per node is smooth in the state, the parameters and the delay: h = h0 + hd * delay(p) is the piece's length, with hd = +1
+for a piece that ends at an edge, -1 for one that starts there.
+
+Three passes. The states are stepped through time by a compiled chain, one response after the other. Once they are known every piece can
+be differentiated by itself: the four stages of all pieces at once, in numpy (`physics.vectorised`), give A and B of S_next = A S + B. What
+is left in sequence is this product of small matrices. Known second-order filters of measured channels follow on top (`identify.filters`).
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,13 +19,32 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.identify.filters import Butterworth
 from flighttest.physics.blocks import Block
+from flighttest.physics.simulate import rk4_stages
+from flighttest.physics.vectorised import Vectorised
 
 FloatArray = NDArray[np.float64]
-# Numbers of nodes are rounded up to one of these, so that few functions are built.
-_BUCKETS = (16, 32, 48, 64, 80, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 896, 1024)
+IntArray = NDArray[np.intp]
+# Numbers of nodes are rounded up to one of these, so that responses of like length are integrated together.
+_BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
+CHAIN = 16  # nodes a compiled chain steps over
 RESPONSES_PER_CALL = 96
-THREADS = 2
+PIECES_PER_CHUNK = 1024  # differentiated at once: what the processor's cache holds
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """A vector function for many columns at once: its value (rows, n) and the entries of its Jacobian that can differ from zero."""
+
+    program: Vectorised
+    rows: int
+    at: tuple[IntArray, IntArray]
+
+    def __call__(self, *arguments: Any) -> tuple[FloatArray, FloatArray]:
+        """Value (rows, n) and entries (n, entries); their rows and columns are `at`."""
+        made = self.program(*arguments)
+        return made[: self.rows], made[self.rows :].T
 
 
 @dataclass
@@ -30,20 +52,24 @@ class Kernel:
     """Integrates `block` and differentiates `outputs` by `free` parameters, free initial states and disturbances.
 
     filters_hz: output name to cut-off of its known measurement filter. Columns of a Jacobian: `free`, then locals: free initial states
-    and disturbances. Keeps the functions it builds.
+    and disturbances. What is compiled is kept with the block.
     """
 
     block: Block
     outputs: tuple[str, ...]
     free: tuple[str, ...]
     filters_hz: dict[str, float] = field(default_factory=dict)
-    _built: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        self.free = tuple(n for n in self.free if n in self.block.params)
-        self.locals = (*(f"{n}(0)" for n in self.block.free_states), *self.block.disturbances)
+        block = self.block
+        self.free = tuple(n for n in self.free if n in block.params)
+        self.locals = (*(f"{n}(0)" for n in block.free_states), *block.disturbances)
         self.n_columns = len(self.free) + len(self.locals)
-        self.n_data = 2 + len(self.block.inputs) + 2 * len(self.block.exogenous)
+        self.n_data = 2 + len(block.inputs) + 2 * len(block.exogenous)
+        self._n_x, self._n_free_x = len(block.states), len(block.free_states)
+        self._filtered = [i for i, n in enumerate(self.outputs) if n in self.filters_hz]
+        self._filters = Butterworth.of([self.filters_hz[self.outputs[i]] for i in self._filtered])
+        self._started = np.array([block.states.index(n) for n in block.free_states], dtype=np.intp)
 
     def run(
         self, p: FloatArray, local: FloatArray, nodes: FloatArray, sensitivities: bool
@@ -54,59 +80,234 @@ class Kernel:
         Returns y (m, k, n_outputs) and dy (m, k, n_outputs, n_columns), the latter empty without sensitivities.
         """
         m, k, _ = nodes.shape
-        bucket = node_bucket(k)
-        if bucket != k:
-            nodes = np.concatenate([nodes, np.repeat(_padding(nodes), bucket - k, axis=1)], axis=1)
-        n_y, n_c = len(self.outputs), self.n_columns if sensitivities else 0
-        out = np.empty((m, bucket, n_y * (1 + n_c)))
-        for first in range(0, m, RESPONSES_PER_CALL):
-            some = slice(first, min(first + RESPONSES_PER_CALL, m))
-            out[some] = self._call(p, local[some], nodes[some], sensitivities)
-        y = out[:, :k, :n_y]
-        dy = out[:, :k, n_y:].reshape(m, k, n_c, n_y).swapaxes(2, 3)
+        y = np.empty((m, k, len(self.outputs)))
+        dy = np.empty((m, k, len(self.outputs), self.n_columns if sensitivities else 0))
+        # A trial step of a solver may diverge: its cost is then infinite, and it is refused.
+        with np.errstate(all="ignore"):
+            for first in range(0, m, RESPONSES_PER_CALL):
+                some = slice(first, min(first + RESPONSES_PER_CALL, m))
+                self._run(p, local[some], nodes[some], y[some], dy[some])
         return y, dy
 
-    def _call(self, p: FloatArray, local: FloatArray, nodes: FloatArray, sensitivities: bool) -> FloatArray:
+    def _run(self, p: FloatArray, local: FloatArray, nodes: FloatArray, y: FloatArray, dy: FloatArray) -> None:
         m, k, _ = nodes.shape
-        function = self._mapped(m, k, sensitivities)
-        out = np.empty((m, k, len(self.outputs) * (1 + (self.n_columns if sensitivities else 0))))
-        buffer, run = function.buffer()
-        arguments = [np.ascontiguousarray(np.tile(p, m)), np.ascontiguousarray(local), np.ascontiguousarray(nodes)]
-        for i, argument in enumerate(arguments):
+        x, middle = self._states(p, local, nodes)
+        data = np.ascontiguousarray(nodes.transpose(2, 1, 0))
+        n_u, n_e = len(self.block.inputs), len(self.block.exogenous)
+        delay = float(self.block.delay_s(p))
+        n_c = dy.shape[3]
+        begun = np.zeros((m, self._n_x, n_c))
+        if n_c:
+            begun[:, self._started, len(self.free) + np.arange(self._n_free_x)] = 1.0
+        slope, lag = begun, None
+        for pieces in _chunks(k, max(1, PIECES_PER_CHUNK // m)):
+            of = data[:, pieces].reshape(len(data), -1)
+            size = of.shape[1] // m
+            now = _Pieces(
+                p,
+                of[0] + of[1] * delay,
+                list(of[2 : 2 + n_u]),
+                list(of[2 + n_u : 2 + n_u + n_e]),
+                list(of[2 + n_u + n_e :]),
+                list(np.tile(local[:, self._n_free_x :].T, (1, size))),
+                x[:, pieces].reshape(self._n_x, -1),
+                x[:, pieces.start + 1 : pieces.stop + 1].reshape(self._n_x, -1),
+                None if middle is None else middle[:, pieces].reshape(self._n_x, -1),
+            )
+            if lag is None and self._filtered:
+                lag = self._filters.start(self._observe(now, now.x0, now.e0)[self._filtered, :m])
+            shape = (size, m)
+            if not n_c:
+                made = self._observe(now, now.x1, now.e1)
+                if lag is not None and now.xm is not None:
+                    ends = [self._observe(now, now.x0, now.e0), self._observe(now, now.xm, now.em), made]
+                    made[self._filtered] = self._filters.run(lag, [e[self._filtered] for e in ends], now.h, shape)
+                y[:, pieces] = made.reshape(-1, *shape).transpose(2, 1, 0)
+                continue
+            slopes, slope = self._sensitivities(now, of[1], slope, shape)
+            made, d_made = self._report(now, now.x1, now.e1, slopes[1])
+            if lag is not None and now.xm is not None and slopes[2] is not None:
+                first, d_first = self._report(now, now.x0, now.e0, slopes[0])
+                half, d_half = self._report(now, now.xm, now.em, slopes[2])
+                values = [v[self._filtered] for v in (first, half, made)]
+                tangents = [d[:, self._filtered] for d in (d_first, d_half, d_made)]
+                if pieces.start == 0:
+                    self._filters.start_slopes(lag, tangents[0][:m])
+                longer = (of[1] * (now.h > self._filters.SHORTEST_S))[:, None] * self._delay_slope(p)
+                made[self._filtered], d_made[:, self._filtered] = self._filters.run_with_slopes(
+                    lag, values, tangents, now.h, longer, shape
+                )
+            y[:, pieces] = made.reshape(-1, *shape).transpose(2, 1, 0)
+            dy[:, pieces] = d_made.reshape(*shape, *d_made.shape[1:]).swapaxes(0, 1)
+
+    def _states(self, p: FloatArray, local: FloatArray, nodes: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """States before the first piece and after each (n_x, k + 1, m), and in the middle of each (n_x, k, m) where a filter needs it."""
+        m, k, _ = nodes.shape
+        block, filtered = self.block, bool(self._filtered)
+        now = np.tile([block.initial.get(n, 0.0) for n in block.states], (m, 1))
+        now[:, self._started] = local[:, : self._n_free_x]
+        x = np.empty((self._n_x, k + 1, m))
+        middle = np.empty((self._n_x, k, m)) if filtered else None
+        x[:, 0] = now.T
+        function = self._mapped(m, filtered)
+        buffer, step = function.buffer()
+        each, d = np.tile(p, m), np.ascontiguousarray(local[:, self._n_free_x :])
+        size = self._n_x * (2 if filtered else 1)
+        made, part = np.empty((m, CHAIN, size)), np.empty((m, CHAIN, self.n_data))
+        start = np.ascontiguousarray(now)
+        for i, argument in enumerate((start, each, d, part)):
             buffer.set_arg(i, memoryview(argument.reshape(-1).data))
-        buffer.set_res(0, memoryview(out.reshape(-1).data))
-        run()
-        return out
+        buffer.set_res(0, memoryview(made.reshape(-1).data))
+        for pieces in _chunks(k, CHAIN):
+            count = pieces.stop - pieces.start
+            part[:, :count] = nodes[:, pieces]
+            part[:, count:] = nodes[:, -1:]
+            step()
+            after = made[:, :count].transpose(2, 1, 0)
+            x[:, pieces.start + 1 : pieces.stop + 1] = after[: self._n_x]
+            if middle is not None:
+                middle[:, pieces] = after[self._n_x :]
+            start[:] = made[:, count - 1, : self._n_x]
+        return x, middle
 
-    def _mapped(self, m: int, k: int, sensitivities: bool) -> Any:
-        key = ("map", m, k, sensitivities)
-        if key not in self._built:
-            one = self._chain(k, sensitivities)
-            self._built[key] = one.map(m, "thread", THREADS) if m >= 2 * THREADS else one.map(m)
-        return self._built[key]
+    def _mapped(self, m: int, middles: bool) -> Any:
+        made = self.block.made
+        key = ("states", m, middles)
+        if key not in made:
+            if ("chain", middles) not in made:
+                made["chain", middles] = _chain(self.block, middles)
+            chain = made["chain", middles]
+            made[key] = chain.map(m)
+        return made[key]
 
-    def _chain(self, k: int, sensitivities: bool) -> Any:
-        key = ("chain", k, sensitivities)
-        if key in self._built:
-            return self._built[key]
-        initial, step = self._steps(sensitivities)
-        p, local = ca.MX.sym("p", len(self.block.params)), ca.MX.sym("l", len(self.locals))
-        nodes = ca.MX.sym("nodes", self.n_data, k)
-        columns = ca.horzsplit(nodes)
-        state = initial(p, local, columns[0])
-        rows = []
-        for column in columns:
-            state, y = step(state, p, local, column)
-            rows.append(y)
-        self._built[key] = ca.Function(f"{self.block.name}_{k}", [p, local, nodes], [ca.horzcat(*rows)])
-        return self._built[key]
+    def _observe(self, now: _Pieces, x: FloatArray, e: list[FloatArray]) -> FloatArray:
+        """Outputs (n_outputs, n) before filters."""
+        made = self.block.made
+        if ("outputs", self.outputs) not in made:
+            made["outputs", self.outputs] = _outputs(self.block, self.outputs)
+        return np.asarray(made["outputs", self.outputs](list(x), now.p, now.u, e, now.d))
 
-    def _steps(self, sensitivities: bool) -> Any:
-        """(initial(p, local, node) -> state, step(state, p, local, node) -> state, y) as SX functions."""
-        key = ("steps", sensitivities)
-        if key not in self._built:
-            self._built[key] = _build_steps(self, sensitivities)
-        return self._built[key]
+    def _report(
+        self, now: _Pieces, x: FloatArray, e: list[FloatArray], slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Outputs (n_outputs, n) before filters and their derivatives (n, n_outputs, n_columns), given those of the states."""
+        y, entries = self._slopes("y")(list(x), now.p, now.u, e, now.d)
+        rows, columns = self._slopes("y").at
+        n_y, by_state = len(self.outputs), columns < self._n_x
+        jacobian = np.zeros((slope.shape[0], n_y, self._n_x))
+        jacobian[:, rows[by_state], columns[by_state]] = entries[:, by_state]
+        dy = jacobian @ slope
+        dy[:, rows[~by_state], columns[~by_state] - self._n_x] += entries[:, ~by_state]
+        return y, dy
+
+    def _sensitivities(
+        self, now: _Pieces, hd: FloatArray, begun: FloatArray, shape: tuple[int, int]
+    ) -> tuple[tuple[FloatArray, FloatArray, FloatArray | None], FloatArray]:
+        """Derivatives of the states (n, n_x, n_columns) at the start, end and middle of each piece; the last ends (m, n_x, n_columns)."""
+        after, middle = self._pieces(now, hd)
+        n_x, n_c = self._n_x, self.n_columns
+        by_x, rest = after[..., :n_x].reshape(*shape, n_x, n_x), after[..., n_x:].reshape(*shape, n_x, n_c)
+        states = np.empty((shape[0] + 1, shape[1], n_x, n_c))
+        states[0] = begun
+        for i in range(shape[0]):
+            np.matmul(by_x[i], states[i], out=states[i + 1])
+            states[i + 1] += rest[i]
+        start, end = states[:-1].reshape(-1, n_x, n_c), states[1:].reshape(-1, n_x, n_c)
+        between = None if middle is None else middle[..., :n_x] @ start + middle[..., n_x:]
+        return (start, end, between), states[-1]
+
+    def _pieces(self, now: _Pieces, hd: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Of the state after each piece, and in its middle: derivatives by the state before it, then by the columns, (n, n_x, ...)."""
+        slopes, n_x = self._slopes("x_dot"), self._n_x
+        n, width = now.h.size, n_x + self.n_columns
+        rows, columns = slopes.at
+        inner = columns < n_x
+        h = now.h[:, None, None]
+        # Of the piece's length by each column: only those that move the delay.
+        d_h = hd[:, None] * self._delay_slope(now.p)
+        moved = np.flatnonzero(d_h.any(axis=0))
+        d_h = d_h[:, None, moved]
+        jacobian = np.zeros((n, n_x, n_x))
+        every = np.arange(n_x)
+        x, d_x = now.x0, np.empty((n, n_x, width))
+        ks: list[tuple[FloatArray, FloatArray]] = []
+        total, d_total = np.zeros((n, n_x)), np.zeros((n, n_x, width))
+        em = now.em
+        for weight, share, ahead, e in (
+            (1.0, 0.0, 0.5, now.e0),
+            (2.0, 0.5, 0.5, em),
+            (2.0, 0.5, 1.0, em),
+            (1.0, 1.0, 0.0, now.e1),
+        ):
+            if ks:
+                x = now.x0 + share * now.h * ks[-1][0].T
+            k, entries = slopes(list(x), now.p, now.u, e, now.d)
+            jacobian[:, rows[inner], columns[inner]] = entries[:, inner]
+            if ks:
+                d_k = jacobian @ d_x
+            else:
+                d_k = np.zeros((n, n_x, width))
+                d_k[:, :, :n_x] = jacobian
+            d_k[:, rows[~inner], columns[~inner]] += entries[:, ~inner]
+            ks.append((k.T, d_k))
+            total += weight * k.T
+            if ahead:
+                np.multiply(d_k, ahead * h, out=d_x)
+                d_x[:, every, every] += 1.0
+                d_x[:, :, n_x + moved] += ahead * d_h * k.T[:, :, None]
+            d_total += d_k if weight == 1.0 else weight * d_k
+        after = d_total
+        after *= h / 6.0
+        after[:, every, every] += 1.0
+        after[:, :, n_x + moved] += d_h / 6.0 * total[:, :, None]
+        if now.xm is None:
+            return after, None
+        (first, d_first), (last, d_last) = ks[0], ks[-1]
+        middle = 0.5 * after + h / 8.0 * (d_first - d_last)
+        middle[:, every, every] += 0.5
+        middle[:, :, n_x + moved] += d_h / 8.0 * (first - last)[:, :, None]
+        return after, middle
+
+    def _delay_slope(self, p: FloatArray) -> FloatArray:
+        """Derivative of the delay by each column."""
+        made = self.block.made
+        if "delay" not in made:
+            q = ca.SX.sym("p", len(self.block.params))
+            made["delay"] = ca.Function("delay", [q], [ca.densify(ca.jacobian(self.block.delay_s(q), q))])
+        slope = np.asarray(made["delay"](p)).ravel()
+        found = np.zeros(self.n_columns)
+        found[: len(self.free)] = slope[[self.block.params.index(n) for n in self.free]]
+        return found
+
+    def _slopes(self, what: str) -> _Slopes:
+        """The block's rate ('x_dot') or outputs ('y') with its Jacobian by the states, then the columns."""
+        key = (what, self.outputs if what == "y" else (), self.free)
+        if key not in self.block.made:
+            self.block.made[key] = _differentiated(self, what)
+        found = self.block.made[key]
+        assert isinstance(found, _Slopes)
+        return found
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Some pieces of all responses, n in all: lengths h (n,), rows of inputs, of measured signals at both ends, of disturbances; states
+    before, after and in the middle of each, (n_x, n)."""
+
+    p: FloatArray
+    h: FloatArray
+    u: list[FloatArray]
+    e0: list[FloatArray]
+    e1: list[FloatArray]
+    d: list[FloatArray]
+    x0: FloatArray
+    x1: FloatArray
+    xm: FloatArray | None
+
+    @property
+    def em(self) -> list[FloatArray]:
+        """Measured signals in the middle."""
+        return [0.5 * (a + b) for a, b in zip(self.e0, self.e1, strict=True)]
 
 
 def node_bucket(k: int) -> int:
@@ -114,157 +315,56 @@ def node_bucket(k: int) -> int:
     return next((b for b in _BUCKETS if b >= k), -(-k // 512) * 512)
 
 
-def _padding(nodes: FloatArray) -> FloatArray:
-    """The last node again, of no length."""
-    last = nodes[:, -1:, :].copy()
-    last[..., :2] = 0.0
-    return last
+def _chunks(k: int, size: int) -> Iterator[slice]:
+    return (slice(first, min(first + size, k)) for first in range(0, k, size))
 
 
-def _filter_matrix(w: float, h: Any) -> tuple[Any, Any, Any, Any]:
-    """exp(A h) of w^2/(s^2 + sqrt(2) w s + w^2) for the state (output, its rate), as (e11, e12, e21, e22)."""
-    a = w / math.sqrt(2.0)
-    decay, c, s = ca.exp(-a * h), ca.cos(a * h), ca.sin(a * h)
-    return decay * (c + s), decay * s / a, -2 * a * decay * s, decay * (c - s)
+def _symbols(block: Block) -> list[Any]:
+    """x, p, u, e, d."""
+    groups = (block.states, block.params, block.inputs, block.exogenous, block.disturbances)
+    return [ca.SX.sym(name, len(group)) for name, group in zip("xpued", groups, strict=True)]
 
 
-def _build_steps(kernel: Kernel, sensitivities: bool) -> tuple[ca.Function, ca.Function]:
-    block = kernel.block
-    n_x, n_u, n_e = len(block.states), len(block.inputs), len(block.exogenous)
-    chosen = [block.outputs.index(n) for n in kernel.outputs]
-    x, p, d = ca.SX.sym("x", n_x), ca.SX.sym("p", len(block.params)), ca.SX.sym("d", len(block.disturbances))
-    node = ca.SX.sym("node", kernel.n_data)
-    h0, hd, u, e0, e1 = node[0], node[1], node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
-    em = 0.5 * (e0 + e1)
-    h = h0 + hd * block.delay_s(p)
-
-    def rate(at: Any, e: Any) -> Any:
-        return block.function(at, p, u, e, d)[0]
-
-    k1 = rate(x, e0)
-    k2 = rate(x + h / 2 * k1, em)
-    k3 = rate(x + h / 2 * k2, em)
-    k4 = rate(x + h * k3, e1)
-    after = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-    def output(at: Any, e: Any) -> Any:
-        return block.function(at, p, u, e, d)[1][chosen]
-
-    free = [p[block.params.index(n)] for n in kernel.free]
-    n_p, n_free_x, n_d = len(free), len(block.free_states), len(block.disturbances)
-    q = ca.vertcat(*free, d)
-    local = ca.SX.sym("local", n_free_x + n_d)
-    n_c = kernel.n_columns if sensitivities else 0
-    # Columns of S: free parameters, free initial states, disturbances. `spread` puts d/dq into them.
-    spread = ca.DM.zeros(n_p + n_d, n_c)
-    if sensitivities:
-        for i in range(n_p):
-            spread[i, i] = 1
-        for i in range(n_d):
-            spread[n_p + i, n_p + n_free_x + i] = 1
-
-    def total(expr: Any, at: Any, s_at: Any) -> Any:
-        """d expr / d columns, where `expr` depends on the state `at` (with sensitivities s_at), parameters and d."""
-        if not n_c:
-            return ca.SX(expr.shape[0], 0)
-        return ca.jacobian(expr, at) @ s_at + ca.jacobian(expr, q) @ spread
-
-    s = ca.SX.sym("s", n_x, n_c)
-    filtered = [i for i, n in enumerate(kernel.outputs) if n in kernel.filters_hz]
+def _chain(block: Block, middles: bool) -> ca.Function:
+    """(x, p, d, nodes) to the states after each of `CHAIN` pieces, those in the middle below them: (n_x or 2 n_x, CHAIN)."""
+    x, p, _, _, d = _symbols(block)
+    n_u, n_e = len(block.inputs), len(block.exogenous)
+    node = ca.SX.sym("node", 2 + n_u + 2 * n_e)
+    u, e0, e1 = node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
+    h = node[0] + node[1] * block.delay_s(p)
+    after, k1, k4 = rk4_stages(lambda x, e: block.function(x, p, u, e, d)[0], x, h, (e0, 0.5 * (e0 + e1), e1))
     # The state in the middle of the piece, from states and rates at both ends (Hermite): filters see the output bend.
-    middle = 0.5 * (x + after) + h / 8 * (k1 - k4)
-    both = total(ca.vertcat(after, middle) if filtered else after, x, s)
-    s_after, s_middle = both[:n_x, :], both[n_x:, :]
-    x1, s1 = ca.SX.sym("x1", n_x), ca.SX.sym("s1", n_x, n_c)
-    y1, dy1 = output(x1, e1), None
-    dy1 = total(y1, x1, s1)
-
-    n_f = len(filtered)
-    z, sz = ca.SX.sym("z", 2 * n_f), ca.SX.sym("sz", 2 * n_f, n_c)
-    y0 = output(x, e0)
-    dy0 = total(y0, x, s)
-    z_after, sz_after = [], []
-    h_safe = ca.fmax(h, 1e-7)
-    dh = total(h_safe, x, s)
-    xm, sm = ca.SX.sym("xm", n_x), ca.SX.sym("sm", n_x, n_c)
-    y_mid = output(xm, em)
-    dy_mid = total(y_mid, xm, sm)
-    for j, i in enumerate(filtered):
-        w = 2 * math.pi * kernel.filters_hz[kernel.outputs[i]]
-        symbols = [ca.SX.sym(n) for n in ("y0", "ym", "y1", "z", "z_dot", "h")]
-        new = _filtered(w, *symbols)
-        now = [y0[i], y_mid[i], y1[i], z[2 * j], z[2 * j + 1], h_safe]
-        made = ca.substitute([new, ca.jacobian(new, ca.vertcat(*symbols))], symbols, now)
-        z_after.append(made[0])
-        if n_c:
-            rows = [dy0[i, :], dy_mid[i, :], dy1[i, :], sz[2 * j, :], sz[2 * j + 1, :], dh]
-            sz_after.append(made[1] @ ca.vertcat(*rows))
-    z_next = ca.vertcat(*z_after) if n_f else ca.SX(0, 1)
-    sz_next = ca.vertcat(*sz_after) if n_f else ca.SX(0, n_c)
-    y_out, dy_out = ca.SX(y1), ca.SX(dy1)
-    for j, i in enumerate(filtered):
-        y_out[i] = z[2 * j]
-        if n_c:
-            dy_out[i, :] = sz[2 * j, :]
-
-    def pack(*parts: Any) -> Any:
-        return ca.vertcat(*(ca.vec(part) for part in parts))
-
-    middles = [middle, s_middle] if filtered else [x, s]
-    advance = ca.Function("advance", [x, s, p, d, node], [after, s_after, *middles])
-    observe = ca.Function("observe", [x, s, xm, sm, x1, s1, z, sz, p, d, node], [z_next, sz_next])
-    report = ca.Function("report", [x1, s1, z, sz, p, d, node], [ca.densify(y_out), ca.densify(dy_out)])
-    xa, sa, xma, sma = advance(x, s, p, d, node)
-    za_, sza_ = observe(x, s, xma, sma, xa, sa, z, sz, p, d, node)
-    ya, dya = report(xa, sa, za_, sza_, p, d, node)
-    state = pack(x, s, z, sz)
-    outs = ca.cse([ca.densify(pack(xa, sa, za_, sza_)), ca.densify(pack(ya, dya))])
-    outs = [ca.substitute(o, d, local[n_free_x:]) if n_d else o for o in outs]
-    x_start = [
-        local[block.free_states.index(n)] if n in block.free_states else ca.SX(block.initial[n]) for n in block.states
-    ]
-    s_start = ca.DM.zeros(n_x, n_c)
-    if sensitivities:
-        for i, n in enumerate(block.free_states):
-            s_start[block.states.index(n), n_p + i] = 1
-    y_start = ca.substitute(output(x, e0), d, local[n_free_x:]) if n_d else output(x, e0)
-    dy_start = ca.substitute(total(output(x, e0), x, s), d, local[n_free_x:]) if n_d else total(output(x, e0), x, s)
-    at = [ca.vertcat(*x_start), ca.SX(s_start)]
-    z_start = [ca.vertcat(y_start[i], 0) for i in filtered]
-    sz_start = [ca.vertcat(dy_start[i, :], ca.SX(1, n_c)) for i in filtered]
-    begun = pack(x, s, ca.vertcat(*z_start) if n_f else ca.SX(0, 1), ca.vertcat(*sz_start) if n_f else ca.SX(0, n_c))
-    begun = ca.substitute([begun], [x, s], at)[0]
-    initial = ca.Function("initial", [p, local, node], [ca.densify(begun)])
-    slopes = [*range(n_x, n_x + n_x * n_c), *range(state.numel() - 2 * n_f * n_c, state.numel())]
-    outs = _without_zeros(state, slopes, begun, outs)
-    return initial, ca.Function("step", [state, p, local, node], outs)
+    middle = [0.5 * (x + after) + h / 8 * (k1 - k4)] if middles else []
+    step = ca.Function("step", [x, p, d, node], [ca.densify(v) for v in ca.cse([after, *middle])])
+    at, p, d = ca.MX.sym("x", len(block.states)), ca.MX.sym("p", len(block.params)), ca.MX.sym("d", d.numel())
+    nodes = ca.MX.sym("nodes", node.numel(), CHAIN)
+    start, rows = at, []
+    for column in ca.horzsplit(nodes):
+        made = step(at, p, d, column)
+        parts = made if isinstance(made, (tuple, list)) else [made]
+        at = parts[0]
+        rows.append(ca.vertcat(*parts))
+    return ca.Function(f"{block.name}_states", [start, p, d, nodes], [ca.horzcat(*rows)])
 
 
-def _without_zeros(state: Any, slopes: list[int], begun: Any, outs: list[Any]) -> list[Any]:
-    """Drop sensitivities that are zero for good (a_t does not depend on drag): `slopes` are the state's entries that may be."""
-    start = ca.densify(begun)
-    live = {i for i in slopes if not start[i].is_zero()}
-    while True:
-        dead = [i for i in slopes if i not in live]
-        if not dead:
-            return outs
-        made = ca.substitute(outs, [state[i] for i in dead], [ca.SX(0)] * len(dead))
-        grown = {i for i in dead if not made[0][i].is_zero()}
-        if not grown:
-            return list(ca.cse(made))
-        live |= grown
+def _outputs(block: Block, outputs: tuple[str, ...]) -> Vectorised:
+    arguments = _symbols(block)
+    y = block.function(*arguments)[1][[block.outputs.index(n) for n in outputs]]
+    return Vectorised(ca.Function("outputs", arguments, [ca.densify(ca.cse(y))]))
 
 
-def _filtered(w: float, y0: Any, ym: Any, y1: Any, z: Any, z_dot: Any, h: Any) -> Any:
-    """Filter state (output, its rate) after a piece of length h, exact for the parabola through the piece's ends and middle, (2, 1)."""
-    e11, e12, e21, e22 = _filter_matrix(w, h)
-    lag = math.sqrt(2.0) / w
-    bend = ym - 0.5 * (y0 + y1)
-    u2 = -4.0 * bend / h**2
-    u1 = (y1 - y0) / h + 4.0 * bend / h
-    # Particular solution a + b t + u2 t^2 of the filter's equation for the input y0 + u1 t + u2 t^2.
-    b = u1 - 2.0 * lag * u2
-    a = y0 - 2.0 * u2 / w**2 - lag * b
-    off, off_dot = z - a, z_dot - b
-    after = a + b * h + u2 * h**2 + e11 * off + e12 * off_dot
-    return ca.vertcat(after, b + 2.0 * u2 * h + e21 * off + e22 * off_dot)
+def _differentiated(kernel: Kernel, what: str) -> _Slopes:
+    block = kernel.block
+    arguments = _symbols(block)
+    x, p, _, _, d = arguments
+    value = block.function(*arguments)[0 if what == "x_dot" else 1]
+    if what == "y":
+        value = value[[block.outputs.index(n) for n in kernel.outputs]]
+    q = ca.vertcat(x, *(p[block.params.index(n)] for n in kernel.free), d)
+    jacobian = ca.jacobian(value, q)
+    rows, columns = (np.array(at, dtype=np.intp) for at in jacobian.sparsity().get_triplet())
+    # Between parameters and disturbances lie the free initial states, which the rate does not depend on.
+    columns = np.where(columns >= len(block.states) + len(kernel.free), columns + len(block.free_states), columns)
+    nonzeros = ca.vertcat(*jacobian.nonzeros()) if rows.size else ca.SX(0, 1)
+    both = ca.cse(ca.vertcat(ca.densify(value), nonzeros))
+    return _Slopes(Vectorised(ca.Function(what, arguments, [ca.densify(both)])), value.numel(), (rows, columns))

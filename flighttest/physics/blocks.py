@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -32,6 +32,7 @@ class Block:
     d: `disturbances`, constant over a segment: a_d_x/y/z_m_s2 (world) or an offset of the reference (roll_d_rad, ...); y:
     `outputs` (channel names), as measured but before known filters. free_states: initial value estimated per segment, with the prior
     standard deviation `spread` where a term owns the state; the others start at `initial`. delay: channel name; delay_s(p) its value, s.
+    made: what has been compiled of it, shared by all who integrate it.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Block:
     delay: str
     function: ca.Function
     delay_s: ca.Function
+    made: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
 
 def _finish(

@@ -32,11 +32,16 @@ def rk4_step(system: System) -> ca.Function:
 
 def rk4(rate: Any, x: Any, dt: Any) -> Any:
     """The state after one classical Runge-Kutta step of x_dot = rate(x)."""
-    k1 = rate(x)
-    k2 = rate(x + dt / 2 * k1)
-    k3 = rate(x + dt / 2 * k2)
-    k4 = rate(x + dt * k3)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return rk4_stages(lambda at, _: rate(at), x, dt, (None, None, None))[0]
+
+
+def rk4_stages(rate: Any, x: Any, dt: Any, e: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+    """The same for x_dot = rate(x, e), e given at the start, middle and end of the step; with the rates at its start and end."""
+    k1 = rate(x, e[0])
+    k2 = rate(x + dt / 2 * k1, e[1])
+    k3 = rate(x + dt / 2 * k2, e[1])
+    k4 = rate(x + dt * k3, e[2])
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), k1, k4
 
 
 @dataclass

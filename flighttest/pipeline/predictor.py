@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.physics.model import Model
-from flighttest.pipeline.vectorised import Vectorised
+from flighttest.physics.vectorised import Vectorised
 from flighttest.plan.model import Motion, Policy, Snapshot
 
 FloatArray = NDArray[np.float64]

@@ -1,13 +1,17 @@
 """The integrator of the fit: against closed forms, its derivatives against differences, its filter against scipy's."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
+from flighttest.identify.filters import _forced, _free
 from flighttest.identify.kernel import Kernel
 from flighttest.identify.responses import Response, nodes_of
 from flighttest.identify.sag import between_samples
+from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
+from flighttest.physics.simulate import rk4_stages
 from tests.identify.campaign import TRUTH, first_order, second_order
 
 BLOCKS = {b.name: b for b in Model().blocks}
@@ -154,3 +158,69 @@ def test_the_voltage_of_a_fast_monitor_and_of_few_samples_is_taken_as_it_is():
     force = stepped_load(t)
     for samples in ((t, chord), (t[:60:15], chord[:60:15])):
         assert between_samples(t, chord, samples, force, 0.01) is chord
+
+
+def whole_chain(kernel, n_nodes):
+    """The same as one long expression, which CasADi differentiates as a whole."""
+    block = kernel.block
+    x0, p, d = (
+        ca.SX.sym(n, len(g)) for n, g in zip("xpd", (block.states, block.params, block.disturbances), strict=True)
+    )
+    n_u, n_e = len(block.inputs), len(block.exogenous)
+    nodes = ca.SX.sym("nodes", 2 + n_u + 2 * n_e, n_nodes)
+    x, rows, z = x0, [], None
+    for k in range(n_nodes):
+        node = nodes[:, k]
+        h = node[0] + node[1] * block.delay_s(p)
+        u, e0, e1 = node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
+        ends = (e0, 0.5 * (e0 + e1), e1)
+        after, k1, k4 = rk4_stages(lambda at, e, u=u: block.function(at, p, u, e, d)[0], x, h, ends)
+        middle = 0.5 * (x + after) + h / 8 * (k1 - k4)
+        y0, ym, y1 = (block.function(at, p, u, e, d)[1] for at, e in zip((x, middle, after), ends, strict=True))
+        y = ca.SX(y1[[block.outputs.index(n) for n in kernel.outputs]])
+        z = z or {n: (y0[block.outputs.index(n)], ca.SX(0)) for n in kernel.filters_hz}
+        for n, hz in kernel.filters_hz.items():
+            i, w, (now, rate) = block.outputs.index(n), 2 * np.pi * hz, z[n]
+            free, forced = _free(ca, w, h), _forced(w, (y0[i], ym[i], y1[i]), h, ca)
+            z[n] = forced[0] + free[0] * now + free[1] * rate, forced[1] + free[2] * now + free[3] * rate
+            y[kernel.outputs.index(n)] = z[n][0]
+        rows.append(y)
+        x = after
+    free_x = [block.states.index(n) for n in block.free_states]
+    columns = ca.vertcat(*(p[block.params.index(n)] for n in kernel.free), *(x0[i] for i in free_x), d)
+    every = ca.vertcat(*rows)
+    return ca.Function("whole", [x0, p, d, nodes], [every, ca.densify(ca.jacobian(every, columns))])
+
+
+@pytest.mark.parametrize("term", ["", *sorted(catalogue())])
+def test_states_and_slopes_are_those_of_one_long_expression_differentiated_as_a_whole(term):
+    model = Model().with_terms(term) if term else Model()
+    rng = np.random.default_rng(5)
+    values = model.start()
+    values |= {p.name: values[p.name] + 0.05 * p.scale for p in model.params if model.term_of(p.name) == term}
+    for block in model.blocks:
+        outputs = block.outputs[:6]
+        kernel = Kernel(block, outputs, block.params, {n: 20.0 for n in outputs if n.startswith("f_")})
+        m, k = 2, 6
+        p = np.array([values[n] for n in block.params])
+        local = rng.normal(0.0, 0.3, (m, len(kernel.locals)))
+        signals = {"voltage_v": 23.0, "height_m": 1.3, "time_s": 20.0}
+        e = np.array([signals.get(n, 0.2) for n in block.exogenous]) + rng.normal(
+            0.0, 0.05, (m, k + 1, len(block.exogenous))
+        )
+        u = rng.uniform(0.15, 0.3, (m, k, len(block.inputs)))
+        # Pieces that start and end at an edge, as in `nodes_of`; their lengths move with the delay.
+        hd = np.tile([0.0, 1.0, -1.0, 0.0, 0.0, 0.0], (m, 1))
+        h0 = rng.uniform(0.01, 0.02, (m, k)) - hd * float(block.delay_s(p))
+        nodes = np.concatenate([h0[..., None], hd[..., None], u, e[:, :-1], e[:, 1:]], axis=2)
+        y, dy = kernel.run(p, local, nodes, True)
+        assert np.array_equal(y, kernel.run(p, local, nodes, False)[0])
+        whole = whole_chain(kernel, k)
+        for j in range(m):
+            start = np.array([block.initial.get(n, 0.0) for n in block.states])
+            start[[block.states.index(n) for n in block.free_states]] = local[j, : len(block.free_states)]
+            exact, slopes = whole(start, p, local[j, len(block.free_states) :], nodes[j].T)
+            np.testing.assert_allclose(y[j].ravel(), np.asarray(exact).ravel(), rtol=1e-9, atol=1e-9)
+            slopes = np.asarray(slopes).reshape(k * len(outputs), -1)
+            size = np.abs(slopes).max(axis=0) + 1e-9
+            np.testing.assert_allclose(dy[j].reshape(slopes.shape) / size, slopes / size, atol=1e-9)

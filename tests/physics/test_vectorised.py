@@ -4,7 +4,7 @@ import pytest
 
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
-from flighttest.pipeline.vectorised import Vectorised
+from flighttest.physics.vectorised import Vectorised
 
 
 @pytest.mark.parametrize("term", ["", *sorted(catalogue())])
