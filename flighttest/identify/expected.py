@@ -6,24 +6,25 @@ initial state and disturbance unknown, as in the fit. The numbers rest on the no
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.kernel import Kernel
+from flighttest.identify.feeding import feeding
 from flighttest.identify.problem import Noise, Problem
-from flighttest.identify.solve import Normal, solve
+from flighttest.identify.solve import State, normal_equations
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Run, simulate_many
-from flighttest.plan.model import Leg, Plan
+from flighttest.plan.model import AttitudeTarget, Leg, Plan
+from flighttest.script.profiles import Timeline
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
+_TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
 BEFORE_S = 0.4
 AFTER_S = 0.4
 # Noise of a usual outdoor vehicle: samples, and what is constant over a response (gusts).
@@ -70,40 +71,44 @@ def expected_of_plans(
     every = [segment for group in groups for segment in group]
     if not every:
         return tuple(() for _ in plans), ()
-    found: dict[int, tuple[Expected, ...]] = {}
-    # Which steps feed which part of the model depends on what else there is: only scripts of one sort share a problem.
-    sorts: dict[frozenset[str], list[int]] = {}
-    compiled: dict[Any, Kernel] = {}
-    for k, group in enumerate(groups):
-        sorts.setdefault(frozenset(segment.kind for segment in group), []).append(k)
-    for sort, members in sorts.items():
-        if not sort:
-            found |= dict.fromkeys(members, ())
+    ends = np.cumsum([len(group) for group in groups])
+    owned = [range(end - len(group), end) for group, end in zip(groups, ends.tolist(), strict=True)]
+    wanted = [*owned, range(len(every))]
+    # Which steps feed which part of the model depends on what else there is: each response is differentiated once for all who use it.
+    fed = [
+        {b.name: {own[i] for i in feeding(every[own.start : own.stop], b, "paper")} for b in model.blocks}
+        for own in wanted
+    ]
+    union = {b.name: set[int]().union(*(one[b.name] for one in fed)) for b in model.blocks}
+    problem = Problem.build(every, model, values=values, fed=union)
+    told = _told(problem, noise)
+    found: list[tuple[Expected, ...]] = []
+    for own, feeds in zip(wanted, fed, strict=True):
+        if not len(own):
+            found.append(())
             continue
-        every_one = [segment for k in members for segment in groups[k]]
-        problem, normal = _information(every_one, model, values, noise, compiled)
-        found |= _by_group(groups, members, problem, normal, model, values)
-    problem, normal = _information(every, model, values, noise, compiled)
-    return tuple(found[k] for k in range(len(groups))), _expected(normal, problem.segments, model, values)
+        hessian = np.zeros((len(own), len(problem.names), len(problem.names)))
+        for name, of in told.items():
+            members = np.array(sorted(feeds[name]), dtype=np.intp)
+            hessian[members - own.start] += of[members]
+        found.append(_expected(problem.names, hessian, every[own.start : own.stop], model, values))
+    return tuple(found[:-1]), found[-1]
 
 
-def _by_group(
-    groups: Sequence[Sequence[Segment]],
-    wanted: Collection[int],
-    problem: Problem,
-    normal: Normal,
-    model: Model,
-    values: Mapping[str, float],
-) -> dict[int, tuple[Expected, ...]]:
-    """What each of some groups of a problem's segments tells by itself."""
-    owner = {id(segment): k for k in wanted for segment in groups[k]}
-    whose = np.array([owner.get(id(segment), -1) for segment in problem.segments])
-    found = {}
-    for k in wanted:
-        pick = whose == k
-        part = Normal(normal.names, normal.hessian[pick], normal.score[pick])
-        segments = [s for s, mine in zip(problem.segments, pick, strict=True) if mine]
-        found[k] = _expected(part, segments, model, values)
+def _told(problem: Problem, noise: Noise) -> dict[str, FloatArray]:
+    """Fisher information of each segment by the problem's names, (n_segments, p, p), apart for each block it feeds."""
+    found = {
+        part.block.name: np.zeros((len(problem.segments), len(problem.names), len(problem.names)))
+        for part in problem.parts
+    }
+    theta = np.array([problem.values[n] for n in problem.names])
+    weight = np.ones(len(problem.segments))
+    for part in problem.parts:
+        for alike in part.by_length():
+            one = replace(problem, parts=(alike,))
+            local = [alike.start_local()]
+            at = State(theta, local, one.evaluate(problem.values, local, problem.names))
+            found[part.block.name] += normal_equations(one, at, noise, weight, local, problem.names, robust=False)[0]
     return found
 
 
@@ -111,50 +116,41 @@ def expected_of(
     segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> tuple[Expected, ...]:
     """The same for responses given as segments (measured or simulated)."""
-    problem, normal = _information(segments, model, values, noise)
-    return _expected(normal, problem.segments, model, values)
-
-
-def _information(
-    segments: Sequence[Segment],
-    model: Model,
-    values: Mapping[str, float],
-    noise: Noise,
-    compiled: dict[Any, Kernel] | None = None,
-) -> tuple[Problem, Normal]:
-    """Fisher information of each segment at these values. compiled: shared by problems of one model."""
     problem = Problem.build(segments, model, values=values)
-    if compiled is not None:
-        problem = replace(problem, _kernels=compiled)
-    return problem, solve(problem, noise=noise, estimate_noise=False, robust=False, max_iterations=0).normal
+    hessian = np.sum(list(_told(problem, noise).values()), axis=0)
+    return _expected(problem.names, hessian, problem.segments, model, values)
 
 
 def _expected(
-    normal: Normal, segments: Sequence[Segment], model: Model, values: Mapping[str, float]
+    names: tuple[str, ...],
+    hessian: FloatArray,
+    segments: Sequence[Segment],
+    model: Model,
+    values: Mapping[str, float],
 ) -> tuple[Expected, ...]:
     if not segments:
         return ()
-    covariance, usable = _inverse(normal)
-    twice, _ = _inverse(Normal(normal.names, 2.0 * normal.hessian, normal.score))
+    covariance, usable = _inverse(hessian)
+    twice, _ = _inverse(2.0 * hessian)
     found = []
     for param in model.params:
         name = param.name
-        if name not in normal.names or not usable[normal.names.index(name)]:
+        if name not in names or not usable[names.index(name)]:
             sentence = f"{name}: this script tells nothing about it"
             found.append(Expected(name, param.unit, values[name], None, None, (), sentence))
             continue
-        i = normal.names.index(name)
+        i = names.index(name)
         std, more = float(np.sqrt(covariance[i, i])), float(np.sqrt(twice[i, i]))
-        best = _best(normal, covariance, i, segments)
+        best = _best(hessian, covariance, i, segments)
         sentence = _sentence(name, param.unit, values[name], std)
         found.append(Expected(name, param.unit, values[name], std, more, best, sentence))
-    delays = [normal.names.index(n) for n in DELAY_PARAM.values() if n in normal.names]
+    delays = [names.index(n) for n in DELAY_PARAM.values() if n in names]
     delays = [i for i in delays if usable[i]]
     if delays and model.channel_delays:
-        weight = np.zeros(len(normal.names))
+        weight = np.zeros(len(names))
         weight[delays] = 1.0 / len(delays)
         std = float(np.sqrt(weight @ covariance @ weight))
-        value = float(np.mean([values[normal.names[i]] for i in delays]))
+        value = float(np.mean([values[names[i]] for i in delays]))
         found.append(Expected("T_d", "s", value, std, std / np.sqrt(2.0), (), _sentence("T_d", "s", value, std)))
     return tuple(found)
 
@@ -164,9 +160,9 @@ def _sentence(name: str, unit: str, value: float, std: float) -> str:
     return f"{name}: {value:.4g} +- {std:.2g} {unit}{share}; twice the repeats: +- {std / np.sqrt(2):.2g}"
 
 
-def _inverse(normal: Normal) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _inverse(hessian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Covariance with blind parameters left out (their rows are zero), and which are not blind."""
-    total = normal.hessian.sum(axis=0)
+    total = hessian.sum(axis=0)
     usable = np.diag(total) > 1e-9
     pick = np.flatnonzero(usable)
     scale = 1.0 / np.sqrt(np.diag(total)[pick])
@@ -176,10 +172,12 @@ def _inverse(normal: Normal) -> tuple[FloatArray, NDArray[np.bool_]]:
     return covariance, usable
 
 
-def _best(normal: Normal, covariance: FloatArray, i: int, segments: Sequence[Segment]) -> tuple[tuple[str, float], ...]:
+def _best(
+    hessian: FloatArray, covariance: FloatArray, i: int, segments: Sequence[Segment]
+) -> tuple[tuple[str, float], ...]:
     """Share of each cell in the information about one parameter, the others being estimated too."""
     direction = covariance[i] / covariance[i, i]
-    each = np.einsum("i,sij,j->s", direction, normal.hessian, direction)
+    each = np.einsum("i,sij,j->s", direction, hessian, direction)
     cells: dict[str, float] = {}
     for segment, value in zip(segments, each, strict=True):
         label = _step_words(segment)
@@ -224,17 +222,19 @@ def _run(plan: Plan, leg: Leg) -> Run | None:
     t = np.arange(0.0, min(recorded[-1].end_s + AFTER_S, leg.duration_s), 1.0 / plan.rate_hz)
     if t.size < 12:
         return None
-    targets = [leg.profile(float(x)) for x in t]
-    columns = {
-        "roll_ref_rad": [a.roll_rad for a in targets],
-        "pitch_ref_rad": [a.pitch_rad for a in targets],
-        "yaw_rate_ref_rad_s": [a.yaw_rate_rad_s for a in targets],
-        "throttle": [a.throttle for a in targets],
-    }
-    u = {n: _edges(t, np.array(v)) for n, v in columns.items()}
+    columns = dict(zip(_TARGETS, _targets(leg.profile, t).T, strict=True))
+    u = {n: _edges(t, v) for n, v in columns.items()}
     voltage = leg.voltage_v or plan.vehicle.nominal_voltage_v
     began = {"p_z_m": leg.start_m[2], "yaw_rad": leg.heading_rad}
     return Run(t, began, u, {"voltage_v": (t[:1], np.array([voltage]))})
+
+
+def _targets(profile: Callable[[float], AttitudeTarget], t: FloatArray) -> FloatArray:
+    """(n, 4) in the order of `_TARGETS`."""
+    if isinstance(profile, Timeline):
+        return profile.table(t)
+    asked = [profile(float(x)) for x in t]
+    return np.array([(a.roll_rad, a.pitch_rad, a.yaw_rate_rad_s, a.throttle) for a in asked])
 
 
 def _segment(leg: Leg, run: Run, flown: Mapping[str, FloatArray]) -> Segment:

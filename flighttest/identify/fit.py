@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from flighttest.errors import FitError, InputError
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
 from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
+from flighttest.identify.feeding import Select
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
@@ -29,7 +30,7 @@ from flighttest.identify.identifiability import (
     voltage_varies,
 )
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
-from flighttest.identify.problem import Noise, Problem, Select
+from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.responses import dead_channels, never_changing
 from flighttest.identify.solve import FitStatus, Solution, solve, start_noise

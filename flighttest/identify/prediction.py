@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flighttest.identify.feeding import Select
 from flighttest.identify.fit import Fit, heldout
-from flighttest.identify.problem import Select
 from flighttest.identify.student import normal_quantile
 from flighttest.segments.model import Segment
 

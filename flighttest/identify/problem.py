@@ -9,15 +9,16 @@ A `Part` is one block of the model with the responses that feed it. Parameters n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.errors import FitError
+from flighttest.identify.feeding import Select, feeding, outputs_of
 from flighttest.identify.kernel import Kernel, node_bucket
 from flighttest.identify.responses import Response, dead_channels, max_step_s, never_changing, nodes_of, prepare
 from flighttest.physics.blocks import Block
@@ -26,13 +27,7 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-Select = Literal["paper", "all"]
 Cutoffs = tuple[tuple[str, float], ...]
-
-STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
-ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
-FEW_STEPS = 6  # fewer steps than this of a block, beside free flight, are no campaign
-DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
 
 
 @dataclass(frozen=True)
@@ -61,6 +56,22 @@ class Part:
         """(m, n_locals): measured initial states, no disturbance."""
         return np.concatenate([self.start, np.zeros((len(self.responses), len(self.block.disturbances)))], axis=1)
 
+    def only(self, rows: Sequence[int]) -> Part:
+        """Some of the responses."""
+        responses = tuple(self.responses[j] for j in rows)
+        n = max(r.t_s.size for r in responses)
+        y, mask = self.y[rows, :n], self.mask[rows, :n]
+        return replace(
+            self, responses=responses, y=y, mask=mask, start=self.start[rows], start_std=self.start_std[rows]
+        )
+
+    def by_length(self) -> list[Part]:
+        """The same in parts of responses of like length, which take less room together."""
+        groups: dict[int, list[int]] = {}
+        for j, response in enumerate(self.responses):
+            groups.setdefault(node_bucket(response.t_s.size), []).append(j)
+        return [self.only(rows) for rows in groups.values()]
+
 
 @dataclass(frozen=True)
 class PartEvaluation:
@@ -70,6 +81,17 @@ class PartEvaluation:
     residual: FloatArray
     jacobian: FloatArray
     columns: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Responses of one part that are integrated together. members: positions in the part; nodes: (m, k, n_data); samples: node of each
+    sample of each."""
+
+    cutoffs: Cutoffs
+    members: list[int]
+    nodes: FloatArray
+    samples: list[NDArray[np.intp]]
 
 
 @dataclass(frozen=True)
@@ -109,6 +131,7 @@ class Problem:
     ties: Mapping[str, str]
     filters_hz: Mapping[str, float] | None
     _kernels: dict[Any, Kernel] = field(default_factory=dict, repr=False)
+    _laid_out: dict[int, tuple[tuple[float, float], list[_Batch]]] = field(default_factory=dict, repr=False, init=False)
 
     @classmethod
     def build(
@@ -121,23 +144,23 @@ class Problem:
         values: Mapping[str, float] | None = None,
         fixed: Sequence[str] = (),
         ties: Mapping[str, str] | None = None,
+        fed: Mapping[str, Collection[int]] | None = None,
     ) -> Problem:
         """Assign segments to blocks.
 
         filters: as `Provenance.filters`, channel group to cut-off in Hz, of all segments; None takes each one's context['filters'].
         select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
         'all' (every block on every segment in which its references move). values: start values by name; fixed: names that stay
-        there; ties: name to the name it equals. FitError when no segment feeds any block.
+        there; ties: name to the name it equals; fed: block name to the positions of its segments, in place of `select`'s (all segments are
+        then usable). FitError when no segment feeds any block.
         """
         usable = tuple(s for s in segments if s.usable)
         start = model.start(values)
         found = []
         still = dead_channels(usable)
         for block in model.blocks:
-            members = [i for i, s in enumerate(usable) if _feeds(s, block)]
-            if select == "paper":
-                members = _as_in_the_paper(usable, members, block)
-            outputs = _outputs(usable, members, block, still)
+            members = feeding(usable, block, select) if fed is None else sorted(fed.get(block.name, ()))
+            outputs = outputs_of(usable, members, block, still)
             if members and outputs:
                 found.append(_part(usable, members, block, outputs, model, start))
         if not found:
@@ -159,18 +182,7 @@ class Problem:
         for part in self.parts:
             rows = [j for j, r in enumerate(part.responses) if r.index in keep]
             rows = rows if len(rows) >= 4 else list(range(len(part.responses)))
-            responses = tuple(part.responses[j] for j in rows)
-            n = max(r.t_s.size for r in responses)
-            parts.append(
-                replace(
-                    part,
-                    responses=responses,
-                    y=part.y[rows, :n],
-                    mask=part.mask[rows, :n],
-                    start=part.start[rows],
-                    start_std=part.start_std[rows],
-                )
-            )
+            parts.append(part.only(rows))
         return replace(self, parts=tuple(parts))
 
     def full_values(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -206,27 +218,13 @@ class Problem:
         free_here = tuple(n for n in part.block.params if n in wanted)
         kernel = self._kernel(i, free_here, ())
         p = np.array([full[n] for n in part.block.params])
-        delay = float(part.block.delay_s(p))
-        step = max_step_s(part.block, self.values)
-        rows = [nodes_of(r, delay, step) for r in part.responses]
         m, n, n_y = part.y.shape
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, kernel.n_columns if sensitivities else 0))
-        alike: dict[tuple[int, Cutoffs], list[int]] = {}
-        for j, (nodes, _) in enumerate(rows):
-            cutoffs = self._cutoffs(part, part.responses[j].index)
-            alike.setdefault((node_bucket(len(nodes)), cutoffs), []).append(j)
-        for (bucket, cutoffs), members in alike.items():
-            kernel = self._kernel(i, free_here, cutoffs)
-            stacked = np.zeros((len(members), bucket, kernel.n_data))
-            for at, j in enumerate(members):
-                nodes = rows[j][0]
-                stacked[at, : len(nodes)] = nodes
-                stacked[at, len(nodes) :] = nodes[-1]
-                stacked[at, len(nodes) :, :2] = 0.0
-            made, slopes = kernel.run(p, local[members], stacked, sensitivities)
-            for at, j in enumerate(members):
-                sample = rows[j][1]
+        for batch in self._batches(i, float(part.block.delay_s(p))):
+            kernel = self._kernel(i, free_here, batch.cutoffs)
+            made, slopes = kernel.run(p, local[batch.members], batch.nodes, sensitivities)
+            for at, (j, sample) in enumerate(zip(batch.members, batch.samples, strict=True)):
                 y[j, : sample.size] = made[at, sample]
                 if sensitivities:
                     dy[j, : sample.size] = slopes[at, sample]
@@ -244,6 +242,29 @@ class Problem:
             else:
                 columns[at] = source
         return PartEvaluation(residual, dy, (*columns, *part.locals))
+
+    def _batches(self, i: int, delay_s: float) -> list[_Batch]:
+        """The responses of a part for a delay, those of like length and filters together; one point is often asked for twice."""
+        part = self.parts[i]
+        key = (delay_s, max_step_s(part.block, self.values))
+        if i in self._laid_out and self._laid_out[i][0] == key:
+            return self._laid_out[i][1]
+        rows = [nodes_of(r, *key) for r in part.responses]
+        alike: dict[tuple[int, Cutoffs], list[int]] = {}
+        for j, (nodes, _) in enumerate(rows):
+            cutoffs = self._cutoffs(part, part.responses[j].index)
+            alike.setdefault((node_bucket(len(nodes)), cutoffs), []).append(j)
+        found = []
+        for (bucket, cutoffs), members in alike.items():
+            stacked = np.zeros((len(members), bucket, rows[members[0]][0].shape[1]))
+            for at, j in enumerate(members):
+                nodes = rows[j][0]
+                stacked[at, : len(nodes)] = nodes
+                stacked[at, len(nodes) :] = nodes[-1]
+                stacked[at, len(nodes) :, :2] = 0.0
+            found.append(_Batch(cutoffs, members, stacked, [rows[j][1] for j in members]))
+        self._laid_out[i] = key, found
+        return found
 
     def _cutoffs(self, part: Part, index: int) -> Cutoffs:
         """Known measurement filters of a segment: (output, Hz) of those that have one."""
@@ -335,56 +356,3 @@ def _part(
         np.stack([r.start for r in made]),
         np.stack([r.start_std for r in made]),
     )
-
-
-def _moves(segment: Segment, name: str) -> float:
-    """Largest change of a reference within what the segment's samples can show."""
-    if name not in segment.u:
-        return 0.0
-    times, values = segment.u[name]
-    seen = values[(times > segment.t_s[0] - 0.3) & (times < segment.t_s[-1])]
-    before = values[times <= segment.t_s[0] - 0.3][-1:]
-    both = np.concatenate([before, seen])
-    return float(np.ptp(both)) if both.size else 0.0
-
-
-def _feeds(segment: Segment, block: Block) -> bool:
-    if block.name == "translation":
-        return "throttle" in segment.u
-    return all(n in segment.u for n in block.inputs) and any(_moves(segment, n) > 0.02 for n in block.inputs)
-
-
-def _outputs(segments: Sequence[Segment], members: Sequence[int], block: Block, dead: Sequence[str]) -> tuple[str, ...]:
-    """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
-    alive = [c for c in block.outputs if c not in dead]
-    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= set(dead):
-        alive = [c for c in alive if not c.startswith("a_")]
-    seen = {c for i in members for c in alive if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
-    if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
-        seen = {c for c in seen if not c.startswith("a_")}
-    return tuple(c for c in block.outputs if c in seen)
-
-
-def _amplitude(segment: Segment) -> float:
-    return abs(float(segment.cell.get("amplitude_rad", np.nan)))
-
-
-def _as_in_the_paper(segments: Sequence[Segment], members: list[int], block: Block) -> list[int]:
-    """Which of the segments that could feed a block do, by the paper's rules; none is left without data if any exists."""
-    if block.name == "translation":
-        tilt = ("roll_step", "pitch_step")
-        chosen = [
-            i for i in members
-            if segments[i].kind in ("throttle_step", "tilt_throttle")
-            or (segments[i].kind in tilt and not _amplitude(segments[i]) < DRAG_STEP_MIN_RAD)
-        ]  # fmt: skip
-        steps = chosen or [i for i in members if segments[i].kind in tilt]
-    else:
-        kinds = {kind for axis, kind in STEP_KIND.items() if axis in block.name}
-        every = [i for i in members if segments[i].kind in kinds]
-        steps = [i for i in every if not _amplitude(segments[i]) > ATTITUDE_STEP_MAX_RAD] or every
-    free = [i for i in members if segments[i].kind == "free"]
-    if len(steps) < FEW_STEPS and free:
-        # A pilot's flight with the odd step in it, no campaign: the flight is the data.
-        return sorted({*steps, *free})
-    return steps or members

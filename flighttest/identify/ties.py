@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.identify.covariance import covariance_of
-from flighttest.identify.problem import Problem, Select
+from flighttest.identify.feeding import Select
+from flighttest.identify.problem import Problem
 from flighttest.identify.solve import Solution, solve
 from flighttest.identify.student import beyond
 from flighttest.physics.model import Model

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from flighttest.physics.model import Model
 from flighttest.physics.system import System
+from flighttest.physics.vectorised import Vectorised
 
 FloatArray = NDArray[np.float64]
 Edges = tuple[FloatArray, FloatArray]
 
 MAX_STEP_S = 0.0101
 _CHUNK = 64
+TOGETHER = 16  # runs from which on numpy, over all of them, overtakes CasADi, one after the other
 
 
 def rk4_step(system: System) -> ca.Function:
@@ -145,31 +147,60 @@ def simulate(
 
 
 def simulate_many(model: Model, values: Mapping[str, float], runs: Sequence[Run]) -> list[dict[str, FloatArray]]:
-    """The same for many runs at once: compiled once, runs of like length stepped together."""
+    """The same for many runs at once."""
     system = model.system
     p = np.array([values[n] for n in system.params])
     delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
     made = [grid(system, delays, run.t_s, run.references, run.signals) for run in runs]
-    stepper = Stepper(rk4_step(system))
-    at: list[FloatArray] = [np.zeros((0, 0))] * len(runs)
-    u_at: list[FloatArray] = [np.zeros((0, 0))] * len(runs)
-    for group in _alike([g.dt_s.size for g in made]):
-        k = max(made[i].dt_s.size for i in group)
-        x0 = np.array([[_begin(model, runs[i]).get(n, 0.0) for n in system.states] for i in group])
-        # What is shorter stands still at its end.
-        u = np.stack([np.pad(made[i].u, ((0, k - made[i].dt_s.size), (0, 0)), mode="edge") for i in group])
-        dt = np.stack([np.pad(made[i].dt_s, (0, k - made[i].dt_s.size)) for i in group])
-        states = stepper.run(x0, u, p, dt)
-        for row, i in enumerate(group):
-            at[i] = np.concatenate([x0[row : row + 1], states[row]])[made[i].sample + 1]
-            u_at[i] = made[i].u[np.clip(made[i].sample, 0, None)]
-    every, inputs = np.concatenate(at), np.concatenate(u_at)
-    outputs = np.asarray(system.function.map(len(every))(every.T, inputs.T, np.tile(p[:, None], len(every)))[1])
+    begun = np.array([[_begin(model, run).get(n, 0.0) for n in system.states] for run in runs])
+    flown = _together(system, p, begun, made) if len(runs) >= TOGETHER else _one_by_one(system, p, begun, made)
+    at = [np.concatenate([x0[None], states])[g.sample + 1] for x0, states, g in zip(begun, flown, made, strict=True)]
+    every, inputs = np.concatenate(at), np.concatenate([g.u[np.clip(g.sample, 0, None)] for g in made])
+    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+    outputs = Vectorised(ca.Function("y", [x, u], [ca.densify(ca.cse(system.function(x, u, p)[1]))]))(every.T, inputs.T)
     ends = np.cumsum([run.t_s.size for run in runs])
     found = []
     for states_of, outputs_of in zip(np.split(every, ends[:-1]), np.split(outputs, ends[:-1], axis=1), strict=True):
         one = {n: states_of[:, i] for i, n in enumerate(system.states)}
         found.append(one | {n: outputs_of[i] for i, n in enumerate(system.outputs)})
+    return found
+
+
+def _one_by_one(system: System, p: FloatArray, begun: FloatArray, made: Sequence[Grid]) -> list[FloatArray]:
+    """States after each piece of each run (k, n_x), by CasADi: for few runs."""
+    stepper = Stepper(rk4_step(system))
+    found: list[FloatArray] = [np.zeros((0, 0))] * len(made)
+    for group in _alike([g.dt_s.size for g in made]):
+        k = max(made[i].dt_s.size for i in group)
+        # What is shorter stands still at its end.
+        u = np.stack([np.pad(made[i].u, ((0, k - made[i].dt_s.size), (0, 0)), mode="edge") for i in group])
+        dt = np.stack([np.pad(made[i].dt_s, (0, k - made[i].dt_s.size)) for i in group])
+        states = stepper.run(begun[group], u, p, dt)
+        for row, i in enumerate(group):
+            found[i] = states[row, : made[i].dt_s.size]
+    return found
+
+
+def _together(system: System, p: FloatArray, begun: FloatArray, made: Sequence[Grid]) -> list[FloatArray]:
+    """The same in numpy, a piece of every run at a time: for many runs."""
+    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+    rate = Vectorised(ca.Function("rate", [x, u], [ca.densify(ca.cse(system.function(x, u, p)[0]))]))
+    order = sorted(range(len(made)), key=lambda i: -made[i].dt_s.size)
+    sizes = np.array([made[i].dt_s.size for i in order])
+    k = int(sizes[0])
+    inputs, dt = np.zeros((k, len(system.inputs), len(made))), np.zeros((k, len(made)))
+    for row, i in enumerate(order):
+        inputs[: sizes[row], :, row], dt[: sizes[row], row] = made[i].u, made[i].dt_s
+    states = np.zeros((k, len(system.states), len(made)))
+    now = begun[order].T
+    for step in range(k):
+        flying = int(np.searchsorted(-sizes, -step, side="left"))
+        now, held = now[:, :flying], inputs[step, :, :flying]
+        now = rk4(lambda at, held=held: rate(at, held), now, dt[step, :flying])
+        states[step, :, :flying] = now
+    found: list[FloatArray] = [np.zeros((0, 0))] * len(made)
+    for row, i in enumerate(order):
+        found[i] = states[: sizes[row], :, row]
     return found
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.identify import model_file
 from flighttest.identify.expected import Expected, expected_of_plans
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
@@ -27,6 +26,8 @@ from flighttest.vehicle.model import Vehicle
 def predictor_for(model: Path | None, vehicle: Vehicle) -> ModelPredictor:
     """The fitted model where one is given, else the paper's, its thrust gain set by the vehicle's hover throttle."""
     if model is not None:
+        from flighttest.identify import model_file
+
         stored = model_file.read(model)
         return ModelPredictor(stored.model, stored.values)
     base = ModelPredictor().model

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from flighttest.plan.model import FloatArray, Motion, Predictor, Snapshot
 from flighttest.plan.outer_loop import OuterLoop, along
-from flighttest.script.profiles import Piece, Ramp
-from flighttest.script.profiles.timeline import Chirp, at
+from flighttest.script.profiles import Piece, Timeline
+from flighttest.script.profiles.timeline import at
 
 BoolArray = NDArray[np.bool_]
 
@@ -78,27 +78,8 @@ class Rehearsal:
 
 
 def sample(pieces: Sequence[Piece], hover_throttle: float, t_s: FloatArray) -> FloatArray:
-    """Targets (m, 4) of a row of pieces at rising times, level flight after the last: `Timeline` for many moments at once."""
-    targets = np.zeros((t_s.size, 4))
-    targets[:, 3] = hover_throttle
-    start = 0.0
-    for piece in pieces:
-        end = start + piece.duration_s
-        low, high = np.searchsorted(t_s, (start - 1e-9, end - 1e-9))
-        if high > low:
-            local = t_s[low:high] - start
-            for column, wave in enumerate((piece.roll_rad, piece.pitch_rad, piece.yaw_rate_rad_s)):
-                targets[low:high, column] = _over(wave, local)
-            if piece.throttle is None:
-                targets[low:high, 3] = hover_throttle / (np.cos(targets[low:high, 0]) * np.cos(targets[low:high, 1]))
-            else:
-                targets[low:high, 3] = _over(piece.throttle, local)
-        start = end
-    return targets
-
-
-def _over(wave: float | Ramp | Chirp, local_s: FloatArray) -> FloatArray | float:
-    return np.array([at(wave, float(t)) for t in local_s]) if isinstance(wave, (Ramp, Chirp)) else wave
+    """Targets (m, 4) of a row of pieces at rising times, level flight after the last."""
+    return Timeline(tuple(pieces), hover_throttle).table(t_s)
 
 
 class _Policy:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.padding import Padding
 from rich.panel import Panel as Box
-from rich.syntax import Syntax
 from rich.table import Table as Grid
 from rich.text import Text
 
@@ -74,6 +73,8 @@ def _block(block: Block) -> RenderableType | None:
 def _code(block: Code) -> RenderableType:
     drawn: RenderableType = Text(f"  {block.text}", style="cyan")
     if "\n" in block.text:
+        from rich.syntax import Syntax
+
         drawn = Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
     return Group(Text(block.caption, style="dim"), drawn) if block.caption else drawn
 

@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 
+import numpy as np
+from numpy.typing import NDArray
+
 from flighttest.script.target import AttitudeTarget
 
 
@@ -102,3 +105,25 @@ class Timeline:
         else:
             throttle = at(piece.throttle, local)
         return AttitudeTarget(t_s, roll, pitch, at(piece.yaw_rate_rad_s, local), throttle)
+
+    def table(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Targets (m, 4) at many rising times: roll rad, pitch rad, yaw rate rad/s, throttle."""
+        targets = np.zeros((t_s.size, 4))
+        targets[:, 3] = self.hover_throttle
+        start = 0.0
+        for piece, end in zip(self.pieces, self.ends_s, strict=True):
+            low, high = np.searchsorted(t_s, (start - 1e-9, end - 1e-9))
+            if high > low:
+                local = t_s[low:high] - start
+                for column, wave in enumerate((piece.roll_rad, piece.pitch_rad, piece.yaw_rate_rad_s)):
+                    targets[low:high, column] = _over(wave, local)
+                if piece.throttle is not None:
+                    targets[low:high, 3] = _over(piece.throttle, local)
+                elif not self.angle_boost:
+                    targets[low:high, 3] /= np.cos(targets[low:high, 0]) * np.cos(targets[low:high, 1])
+            start = end
+        return targets
+
+
+def _over(wave: Wave, local_s: NDArray[np.float64]) -> NDArray[np.float64] | float:
+    return np.array([at(wave, float(t)) for t in local_s]) if isinstance(wave, (Ramp, Chirp)) else wave

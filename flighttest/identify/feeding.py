@@ -1,0 +1,83 @@
+"""Which segments feed which block of the model, and which of their channels it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from flighttest.physics.blocks import Block
+from flighttest.segments.model import Segment
+
+Select = Literal["paper", "all"]
+
+STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
+ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
+FEW_STEPS = 6  # fewer steps than this of a block, beside free flight, are no campaign
+DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
+
+
+def feeding(segments: Sequence[Segment], block: Block, select: Select) -> list[int]:
+    """Positions of the segments that feed a block.
+
+    select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
+    'all' (every segment in which its references move).
+    """
+    members = [i for i, s in enumerate(segments) if _can_feed(s, block)]
+    return _as_in_the_paper(segments, members, block) if select == "paper" else members
+
+
+def _moves(segment: Segment, name: str) -> float:
+    """Largest change of a reference within what the segment's samples can show."""
+    if name not in segment.u:
+        return 0.0
+    times, values = segment.u[name]
+    seen = values[(times > segment.t_s[0] - 0.3) & (times < segment.t_s[-1])]
+    before = values[times <= segment.t_s[0] - 0.3][-1:]
+    both = np.concatenate([before, seen])
+    return float(np.ptp(both)) if both.size else 0.0
+
+
+def _can_feed(segment: Segment, block: Block) -> bool:
+    if block.name == "translation":
+        return "throttle" in segment.u
+    return all(n in segment.u for n in block.inputs) and any(_moves(segment, n) > 0.02 for n in block.inputs)
+
+
+def outputs_of(
+    segments: Sequence[Segment], members: Sequence[int], block: Block, dead: Sequence[str]
+) -> tuple[str, ...]:
+    """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
+    alive = [c for c in block.outputs if c not in dead]
+    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= set(dead):
+        alive = [c for c in alive if not c.startswith("a_")]
+    seen = {c for i in members for c in alive if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
+    if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
+        seen = {c for c in seen if not c.startswith("a_")}
+    return tuple(c for c in block.outputs if c in seen)
+
+
+def _amplitude(segment: Segment) -> float:
+    return abs(float(segment.cell.get("amplitude_rad", np.nan)))
+
+
+def _as_in_the_paper(segments: Sequence[Segment], members: list[int], block: Block) -> list[int]:
+    """Which of the segments that could feed a block do, by the paper's rules; none is left without data if any exists."""
+    if block.name == "translation":
+        tilt = ("roll_step", "pitch_step")
+        chosen = [
+            i for i in members
+            if segments[i].kind in ("throttle_step", "tilt_throttle")
+            or (segments[i].kind in tilt and not _amplitude(segments[i]) < DRAG_STEP_MIN_RAD)
+        ]  # fmt: skip
+        steps = chosen or [i for i in members if segments[i].kind in tilt]
+    else:
+        kinds = {kind for axis, kind in STEP_KIND.items() if axis in block.name}
+        every = [i for i in members if segments[i].kind in kinds]
+        steps = [i for i in every if not _amplitude(segments[i]) > ATTITUDE_STEP_MAX_RAD] or every
+    free = [i for i in members if segments[i].kind == "free"]
+    if len(steps) < FEW_STEPS and free:
+        # A pilot's flight with the odd step in it, no campaign: the flight is the data.
+        return sorted({*steps, *free})
+    return steps or members
