@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flighttest.cli.base import FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
+
+if TYPE_CHECKING:
+    from flighttest.proof.cases import Generator
 
 
 @command("prove")
@@ -20,7 +24,7 @@ from flighttest.cli.live import LiveProgress
 def prove(
     context: Context,
     trials: int,
-    generator: str,
+    generator: Generator,
     seed: int | None,
     workers: int,
     scheduler: str | None,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.model import short
 from flighttest.diagnose.rows import Rows
-from flighttest.diagnose.search import Fitted
 from flighttest.segments.model import Segment
 
 REFERENCE = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}

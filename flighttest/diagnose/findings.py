@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.chance import standard_errors
+from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.judge import compare, held_out
 from flighttest.diagnose.model import Finding, Rival, short
-from flighttest.diagnose.search import Fitted, Search
+from flighttest.diagnose.search import Search
 
 IntArray = NDArray[np.intp]
 

@@ -16,9 +16,10 @@ import numpy as np
 import yaml
 
 from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.rows import State
 from flighttest.diagnose.screen import orthonormal
-from flighttest.diagnose.search import Fitted, Search
+from flighttest.diagnose.search import Search
 from flighttest.errors import FlighttestError
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from flighttest.diagnose.fitted import LEAST_BIC, Fitted, Judged
 from flighttest.diagnose.screen import best_per_term
-from flighttest.diagnose.search import LEAST_BIC, Fitted, Judged, Search
+from flighttest.diagnose.search import Search
 
 PROMISING = 5 * LEAST_BIC
 MOST_FIRST, MOST_SECOND = 2, 2

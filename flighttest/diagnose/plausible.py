@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.chance import standard_errors
+from flighttest.diagnose.rows import Rows
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 
@@ -41,3 +43,13 @@ def impossible(
         if abs(value - p.off) > allowed:
             return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
     return ""
+
+
+def significance(term: str, model: Model, names: Sequence[str], values: Mapping[str, float], rows: Rows) -> float:
+    """The term's largest amplitude over its standard error at the shapes found; infinite where it has no amplitude."""
+    own = [n for n in names if is_amplitude(term, n, model)]
+    # Size and shape of one term trade with each other; what is asked here is whether there is anything of this shape.
+    asked = tuple(n for n in names if n in own or model.term_of(n) != term)
+    std = dict(zip(asked, standard_errors(rows, asked), strict=True))
+    ratios = [abs(values[n] - float(model.param[n].off or 0.0)) / max(float(std[n]), 1e-300) for n in own]
+    return max(ratios, default=float("inf"))

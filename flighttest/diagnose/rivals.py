@@ -12,10 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.fitted import LEAST_FLOORS
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.model import Rival, Untestable
 from flighttest.diagnose.screen import ABSORBED, orthonormal
-from flighttest.diagnose.search import LEAST_FLOORS, Search
+from flighttest.diagnose.search import Search
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
 

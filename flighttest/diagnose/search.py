@@ -5,7 +5,8 @@ A step forward takes the candidate with the best information criterion among tho
 - the information criterion with the effective sample size falls by 10 or more (odds of 150 to 1);
 - somewhere (a channel in a kind of maneuver) the effect has at least half the power of the noise floor (0.7 of its amplitude);
 - there, it takes away at least 5 % of the held-out excess over the floor;
-- its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise).
+- its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise), and its size is
+  at least four standard errors, clustered by response: freedom of its own alone (start states, shapes) is no evidence.
 After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place.
 """
 
@@ -19,10 +20,11 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.chance import consistency, effective_size, standard_errors
-from flighttest.diagnose.judge import held_out, information, places, size_in_floors
+from flighttest.diagnose.fitted import LEAST_BIC, LEAST_FLOORS, Fitted, Judged, judge
+from flighttest.diagnose.judge import places, size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
-from flighttest.diagnose.plausible import impossible, is_amplitude, wrong_side
-from flighttest.diagnose.rows import RESOLUTION, Rows, State
+from flighttest.diagnose.plausible import is_amplitude, wrong_side
+from flighttest.diagnose.rows import RESOLUTION, State
 from flighttest.diagnose.screen import (
     FALSE_ALARM_RATE,
     Ground,
@@ -40,48 +42,11 @@ from flighttest.physics.model import Model
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
-LEAST_BIC = 10.0
-LEAST_FLOORS = 0.7
-LEAST_GAIN = 0.05
 TRIES = 4  # candidates refitted per step before the step is given up
 MOST_TERMS = 12
 PASSES = 4  # screenings of the whole catalogue, each at the optimum that the last one led to
 TRIAL_ITERATIONS = 5  # enough to rank candidates; what is accepted is fitted to the end
 SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """A model at its optimum on one bench. names: what is estimated; rows: with columns for names; dormant: terms held at off."""
-
-    model: Model
-    names: tuple[str, ...]
-    state: State
-    rows: Rows
-    dormant: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
-class Judged:
-    """What a term adds: change of the information criterion, size in floors and where, share of the held-out excess it takes.
-
-    effect, own: (measured rows,) what it changes in predictions, and with every response's locals projected out, in the channels' units.
-    """
-
-    term: str
-    bic: float
-    floors: float
-    place: tuple[str, str]
-    gain: float
-    p_value: float
-    effect: FloatArray
-    own: FloatArray
-    reason: str = ""
-
-    @property
-    def kept(self) -> bool:
-        """Meets the bar."""
-        return self.bic < -LEAST_BIC and self.floors >= LEAST_FLOORS and self.gain >= LEAST_GAIN and not self.reason
 
 
 @dataclass
@@ -375,25 +340,4 @@ class Search:
     def judge(self, term: str, before: Fitted, after: Fitted, p_value: float) -> Judged:
         """What `after` gains over `before` by one term."""
         assert self.floor is not None
-        before_held = held_out(before.rows, before.names, self.groups)
-        after_held = held_out(after.rows, after.names, self.groups)
-        bic = information(before.rows, before.state, after.rows, after.state, len(after.names) - len(before.names))
-        effect = _change(after.rows, before.rows.open_residual, after.rows.open_residual)
-        floors, place = size_in_floors(after.rows, effect, self.bench.segments, self.floor)
-        gain = 0.0
-        if place in (table := places(after.rows, self.bench.segments)):
-            at = table[place]
-            ss_b, ss_a = float(np.mean(before_held[at] ** 2)), float(np.mean(after_held[at] ** 2))
-            excess = max(ss_b - self.floor.of(place[0]) ** 2, LEAST_GAIN * ss_b)
-            gain = (ss_b - ss_a) / excess
-        reason = impossible(
-            term, after.model, after.names, after.state.values, standard_errors(after.rows, after.names)
-        )
-        own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
-        return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
-
-
-def _change(rows: Rows, first: FloatArray, second: FloatArray) -> FloatArray:
-    """First minus second on what was measured, which comes first in the rows of any model."""
-    measured = int(np.sum(rows.sample >= 0))
-    return first[:measured] - second[:measured]
+        return judge(term, before, after, p_value, self.floor, self.groups, self.bench.segments)

@@ -68,7 +68,8 @@ def held(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: fl
 def dead_channels(segments: Sequence[Segment]) -> tuple[str, ...]:
     """Channels recorded with one and the same value throughout: a column that somebody filled in, not a measurement."""
     found = []
-    measured = {c for s in segments for c in s.y if not c.startswith("a_") and CHANNELS[c].group not in HELD_GROUPS}
+    commands = {name for name, channel in CHANNELS.items() if channel.group in HELD_GROUPS}
+    measured = {c for s in segments for c in s.y if not c.startswith("a_")} - commands
     for name in sorted(measured):
         every = np.concatenate([s.y[name][np.isfinite(s.y[name])] for s in segments if name in s.y])
         if every.size > 1 and not np.ptp(every):

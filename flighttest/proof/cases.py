@@ -15,7 +15,6 @@ from flighttest.sim.rotor_effects import EFFECTS, resolve
 from flighttest.sim.rotor_vehicle import random_rotor
 
 Generator = Literal["rotor", "sitl"]
-GENERATORS: tuple[Generator, ...] = ("rotor", "sitl")
 # Shares of trials: clean, one effect, two effects, physics outside the catalogue.
 SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
 FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm

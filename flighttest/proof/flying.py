@@ -11,12 +11,12 @@ from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.sources import open_recordings
 from flighttest.plan import Plan, compile_plan
 from flighttest.proof.cases import Generator
+from flighttest.recording.model import Recording
 from flighttest.script.load import parse_script
 from flighttest.segments import Segment, cut
 from flighttest.sim import InProcess, SimOptions
-from flighttest.recording.model import Recording
-from flighttest.sim.sitl_physics import launch_on_physics
 from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.sim.sitl_physics import launch_on_physics
 from flighttest.vehicle.model import Vehicle, Zone
 
 # Six minutes and less: every kind of step that some entry of the catalogue needs, twice, under changing headings.
@@ -93,12 +93,12 @@ def fly_campaign(
     return tuple(s for recording in recordings for s in cut(recording))
 
 
-def _fly_built_in(plan: Plan, options: SimOptions, folder: Path) -> list[Recording]:
+def _fly_built_in(plan: Plan, options: SimOptions, folder: Path) -> tuple[Recording, ...]:
     fly(plan, "sim", folder, transport=InProcessTransport(replace(options, lockstep=True)))
     return open_recordings([folder])
 
 
-def _fly_firmware(plan: Plan, options: SimOptions, folder: Path) -> list[Recording]:
+def _fly_firmware(plan: Plan, options: SimOptions, folder: Path) -> tuple[Recording, ...]:
     with launch_on_physics(replace(options, speed=FIRMWARE_SPEED), folder=folder / "firmware") as firmware:
         fly(plan, firmware.url, folder / "run", set_params=True)
         logs = firmware.vehicle.onboard_logs

@@ -5,19 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import flighttest
-from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.proof.cases import Generator
 from flighttest.proof.prove import commit_of, write
 from flighttest.proof.prove import prove as run_trials
 from flighttest.proof.scoreboard import markdown, score, share
 from flighttest.report.document import Document, Section, Table
-
-GENERATORS = ("rotor",)
+from flighttest.sim.sitl_launcher import find_arducopter
 
 
 def prove(
     trials: int,
-    generator: str = "rotor",
+    generator: Generator = "rotor",
     seed: int | None = None,
     workers: int = 1,
     scheduler: str | None = None,
@@ -25,18 +24,14 @@ def prove(
     progress: Progress = SILENT,
 ) -> Result:
     """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there."""
-    if generator not in GENERATORS:
-        raise InputError(
-            f"the proof cannot fly the generator {generator!r} by itself",
-            "use --generator rotor; recordings of the real firmware with something hidden are made with "
-            "`flighttest sim --backend sitl --hide ID:key=value` and diagnosed with `flighttest diagnose`",
-        )
-    outcomes, used = run_trials(trials, seed, workers, scheduler, progress.stage)
+    if generator == "sitl":
+        find_arducopter()  # raises, with what to do, where there is none
+    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, progress.stage)
     commit = commit_of(Path(flighttest.__file__).parent)
     found = score(outcomes)
     if output is not None:
         write(outcomes, used, output)
-        (output / "proof.md").write_text(markdown(outcomes, used, commit), encoding="utf-8")
+        (output / "proof.md").write_text(markdown(outcomes, used, commit, generator), encoding="utf-8")
     rows = (
         ("right class first", share(*found["first"])),
         ("right class first where the base fit looks good", share(*found["absorbed"])),
@@ -55,6 +50,7 @@ def prove(
         "format": "proof/1",
         "seed": used,
         "commit": commit,
+        "generator": generator,
         "score": found,
         "outcomes": [o.to_json() for o in outcomes],
     }

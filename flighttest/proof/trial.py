@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose import Diagnosis, diagnose
 from flighttest.diagnose.bench import BLOCKS, Bench
 from flighttest.diagnose.judge import size_in_floors
+from flighttest.diagnose.model import Verdict
 from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
@@ -38,13 +39,15 @@ CONFUSABLE = 0.95
 class Outcome:
     """What came of one trial. named: effects the tool named, strongest first; sizes: hidden effect to noise floors after the refit (by
     ablation); classes: hidden effect to the ids the oracle cannot tell from it; forces: hidden effect to (true, found) RMS force, m/s^2;
-    base_r2: of the base fit alone; gain: share of the excess over the floor that is gone on held-out data."""
+    base_r2: of the base fit alone; gain: share of the excess over the floor that is gone on held-out data; own: what was named of the
+    firmware's own doing (shaping, angle boost), which nobody hid and which is no false alarm."""
 
     index: int
     kind: str
     sha256: str
     hide: Mapping[str, Mapping[str, float]]
     named: tuple[str, ...] = ()
+    own: tuple[str, ...] = ()
     verdict: str = ""
     sizes: Mapping[str, float] = field(default_factory=dict)
     classes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -72,7 +75,9 @@ def run(case: Case) -> Outcome:
         found = diagnose(segments, nominal_voltage_v=frame.nominal_voltage_v)
     except FlighttestError as error:
         return Outcome(case.index, case.kind, sha, case.hide, error=error.message, truth=case.truth())
-    named = tuple(f.term for f in sorted(found.findings, key=lambda f: f.evidence["delta_bic"]))
+    ranked = [f.term for f in sorted(found.findings, key=lambda f: f.evidence["delta_bic"])]
+    own = tuple(t for t in ranked if case.generator == "sitl" and catalogue()[t].family == "autopilot")
+    named = tuple(t for t in ranked if t not in own)
     sizes, classes, forces = _measured(case, segments, found, frame.nominal_voltage_v)
     return Outcome(
         index=case.index,
@@ -80,6 +85,7 @@ def run(case: Case) -> Outcome:
         sha256=sha,
         hide=case.hide,
         named=named,
+        own=own,
         verdict=found.verdict.name,
         sizes=sizes,
         classes=classes,
@@ -87,7 +93,8 @@ def run(case: Case) -> Outcome:
         base_r2=_r2(found),
         gain=1.0 - float(found.unexplained["excess_share"]) if found.located else float("nan"),
         coverage=float(found.cost.get("coverage", float("nan"))),
-        located=bool(found.located),
+        # A firmware that adds something of its own is always located: what counts is what stays after that.
+        located=found.verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY) if own else bool(found.located),
         confusable={f.term: tuple(r.term for r in f.rivals if r.verdict == "CONFUSABLE") for f in found.findings},
         truth=case.truth(),
     )

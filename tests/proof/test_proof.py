@@ -8,9 +8,11 @@ import pytest
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
 from flighttest.proof.cases import draw
+from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.prove import prove
 from flighttest.proof.scoreboard import interval, markdown, score
 from flighttest.proof.trial import Outcome
+from flighttest.sim.options import SimOptions
 from flighttest.sim.rotor_effects import EFFECTS
 
 
@@ -79,6 +81,34 @@ def test_counts_are_of_what_they_say():
     text = markdown(outcomes, 1, "commit abc")
     assert "1 of 2, 50 %" in text
     assert "trial 3: steady_wind (5.0 floors): named accelerometer_bias" in text
+
+
+def test_what_the_firmware_adds_by_itself_is_no_false_alarm():
+    outcomes = [
+        outcome(0, "clean", own=("angle_boost",)),
+        outcome(1, "clean", named=["steady_wind"], own=("angle_boost",)),
+    ]
+    assert score(outcomes)["false_alarms"] == (1, 2)
+    assert "generator: `sitl`" in markdown(outcomes, 1, "commit abc", "sitl")
+
+
+def test_only_what_a_vehicle_can_hide_from_its_firmware_is_drawn():
+    drawn = [draw(5, k, "sitl") for k in range(300)]
+    hidden = {name for case in drawn for name in case.hide}
+    assert {"ground_effect", "steady_wind", "slung_payload", "tether"} <= hidden
+    assert not hidden & {"angle_boost", "reference_shaping", "attitude_offset", "attitude_priority"}
+
+
+@pytest.mark.sitl
+def test_the_real_firmware_flies_a_sealed_campaign(tmp_path, arducopter):
+    script = CAMPAIGN[: CAMPAIGN.index("steps:")] + (
+        "steps:\n  - attitude_step: {axis: [roll], amplitude_rad: 0.3, sign: both, hold_s: 0.8, coast_s: 1.0}\n"
+        "repeat: {each: 1, order: interleaved}\n"
+    )
+    options = SimOptions(airframe="rotor", vehicle_seed=3, hide={"steady_wind": {}})
+    segments = fly_campaign(options, tmp_path, "sitl", script)
+    assert sorted(s.kind for s in segments) == ["roll_step", "roll_step"]
+    assert all("roll_shaped_rad" in s.y for s in segments)
 
 
 def test_binomial_interval_against_the_table():

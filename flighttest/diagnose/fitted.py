@@ -1,0 +1,94 @@
+"""Two fits side by side: what a term adds, and whether it has earned its name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.chance import standard_errors
+from flighttest.diagnose.judge import held_out, information, places, size_in_floors
+from flighttest.diagnose.noise import Floor
+from flighttest.diagnose.plausible import impossible, significance
+from flighttest.diagnose.rows import Rows, State
+from flighttest.physics.model import Model
+from flighttest.segments import Segment
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+LEAST_BIC = 10.0
+LEAST_FLOORS = 0.7
+LEAST_GAIN = 0.05
+LEAST_SIZE = 4.0  # standard errors, clustered by response: those that physics puts there have dozens
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its optimum on one bench. names: what is estimated; rows: with columns for names; dormant: terms held at off."""
+
+    model: Model
+    names: tuple[str, ...]
+    state: State
+    rows: Rows
+    dormant: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a term adds: change of the information criterion, size in floors and where, share of the held-out excess it takes.
+
+    effect, own: (measured rows,) what it changes in predictions, and with every response's locals projected out, in the channels' units.
+    """
+
+    term: str
+    bic: float
+    floors: float
+    place: tuple[str, str]
+    gain: float
+    p_value: float
+    effect: FloatArray
+    own: FloatArray
+    reason: str = ""
+
+    @property
+    def kept(self) -> bool:
+        """Meets the bar."""
+        return self.bic < -LEAST_BIC and self.floors >= LEAST_FLOORS and self.gain >= LEAST_GAIN and not self.reason
+
+
+def judge(
+    term: str,
+    before: Fitted,
+    after: Fitted,
+    p_value: float,
+    floor: Floor,
+    groups: IntArray,
+    segments: Sequence[Segment],
+) -> Judged:
+    """What `after` gains over `before` by one term, held out by `groups`. p_value: that the screening's score is chance."""
+    before_held = held_out(before.rows, before.names, groups)
+    after_held = held_out(after.rows, after.names, groups)
+    bic = information(before.rows, before.state, after.rows, after.state, len(after.names) - len(before.names))
+    effect = _change(after.rows, before.rows.open_residual, after.rows.open_residual)
+    floors, place = size_in_floors(after.rows, effect, segments, floor)
+    gain = 0.0
+    if place in (table := places(after.rows, segments)):
+        at = table[place]
+        ss_b, ss_a = float(np.mean(before_held[at] ** 2)), float(np.mean(after_held[at] ** 2))
+        excess = max(ss_b - floor.of(place[0]) ** 2, LEAST_GAIN * ss_b)
+        gain = (ss_b - ss_a) / excess
+    values = after.state.values
+    reason = impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
+    if not reason and (z := significance(term, after.model, after.names, values, after.rows)) < LEAST_SIZE:
+        reason = f"its size is {z:.1f} standard errors, where {LEAST_SIZE:g} are asked for: no more than chance"
+    own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
+    return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
+
+
+def _change(rows: Rows, first: FloatArray, second: FloatArray) -> FloatArray:
+    """First minus second on what was measured, which comes first in the rows of any model."""
+    measured = int(np.sum(rows.sample >= 0))
+    return first[:measured] - second[:measured]
