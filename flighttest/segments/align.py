@@ -55,7 +55,9 @@ def prepare(recording: Recording) -> Aligned | None:
     for group, series in recording.series.items():
         if len(series) < 2 or (group in HELD_GROUPS and group != "shaped"):
             continue
-        if group == "shaped":  # a target jumps: it holds until the next, and is neither averaged nor read off between samples
+        if (
+            group == "shaped"
+        ):  # a target jumps: it holds until the next, and is neither averaged nor read off between samples
             groups[group] = series
             continue
         series = _unwrapped(series)
