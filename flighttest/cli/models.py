@@ -36,16 +36,25 @@ def validate(
 @click.argument("runs", nargs=-1, type=ANY, metavar="[RUN...]")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml as the vehicle is today.")
 @click.option("--model", type=FILE, help="The stored model; otherwise the last one in --out.")
+@click.option(
+    "--connect", metavar="URL", help="Read the vehicle's firmware and parameters as they are now; nothing is set."
+)
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders and models are.")
 @click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for history.html and the scripts to fly.")
 def status(
-    context: Context, runs: tuple[Path, ...], vehicle: Path | None, model: Path | None, out: Path, output: Path | None
+    context: Context,
+    runs: tuple[Path, ...],
+    vehicle: Path | None,
+    model: Path | None,
+    connect: str | None,
+    out: Path,
+    output: Path | None,
 ) -> int:
     """Current, stale or unknown: does the model still hold for this vehicle, and what must be flown again."""
     from flighttest.pipeline import keeping
 
     with LiveProgress(context.show) as progress:
-        result = keeping.status(runs, vehicle, model, out, output, progress)
+        result = keeping.status(runs, vehicle, model, out, output, progress, connect)
     return context.finish(result)
 
 

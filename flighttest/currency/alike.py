@@ -29,7 +29,8 @@ MIN_SHARE = 0.02  # of the information on a parameter, for a kind of step to tel
 VAGUE = 0.15  # relative standard error beyond which a parameter is held at the model's: it would only blur the others
 DELAY_S = 0.1  # what a delay's error is relative to
 SAME_SIZE = 0.03  # relative difference of two steps' sizes within which they are the same
-ROUNDS = 8
+ROUNDS = 6
+LARGEST = 0.3  # relative change of a parameter in one round
 STILL = 1e-3  # relative change of every parameter at which the comparison has settled
 ALPHA_UNKNOWN = 0.6  # standard error of alpha where nothing is known of it: 0 with a battery compensation, 1.7 without
 
@@ -112,33 +113,35 @@ def compare(
     held = normal_at(problem, values, names, noise)
     # The responses' own initial states first: the parameters answer to what they leave.
     held = normal_at(problem, values, names, noise, held.after(np.zeros(len(names))))
-    names = _told(_differences(held.normal, pairs), values)
+    inflation = correlation_inflation(problem, held.made, held.noise)
+    names = _told(_differences(held.normal, pairs), values, inflation)
     if not names:
         return None
     param, now = problem.model.param, dict(values)
-    moved = Normal((), np.zeros(0), np.zeros(0))
     for _ in range(ROUNDS):
         moved = _only(_differences(held.normal, pairs), names)
         step = _inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0)
-        size = np.array([max(abs(now[n]), DELAY_S if _delay(n) else 0.0) for n in names])
+        size = np.array([_size(n, now) for n in names])
         if bool(np.all(np.abs(step) <= STILL * size)):
             break
         taken = np.zeros(len(held.normal.names))
-        for n, by in zip(names, np.clip(step, -0.5 * size, size), strict=True):
+        for n, by in zip(names, np.clip(step, -LARGEST * size, LARGEST * size), strict=True):
             target = float(np.clip(now[n] + by, param[n].lower, param[n].upper))
             taken[held.normal.names.index(n)] = target - now[n]
             now[n] = target
-        # A parameter that is pushed beyond its bound stays there.
-        stuck = [
-            n for n, by in zip(names, step, strict=True) if now[n] == (param[n].upper if by > 0 else param[n].lower)
-        ]
-        names = [n for n in names if n not in stuck]
-        if not names:
-            return None
         held = normal_at(problem, now, held.normal.names, noise, held.after(taken))
-    names = list(moved.names)
+    moved = _only(_differences(held.normal, pairs), names)
     spread = cluster_covariance(moved, moved.names, correlation_inflation(problem, held.made, held.noise))
-    watched = [n for n in stored.names if n in names]
+    # What has not settled by now, or hangs at a bound, was not told after all.
+    rest = np.abs(_inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0))
+    settled = {
+        n
+        for n, by, std in zip(names, rest, np.sqrt(np.diag(spread.matrix)), strict=True)
+        if by <= max(std, STILL * _size(n, now))
+    }
+    watched = [n for n in stored.names if n in settled]
+    if not watched:
+        return None
     index = [names.index(n) for n in watched]
     away = _of_voltage(moved, pairs, problem, values)[index]
     covariance = spread.matrix[np.ix_(index, index)] + np.outer(away, away) * _alpha_std(stored) ** 2
@@ -156,8 +159,9 @@ def _alpha_std(stored: Estimates) -> float:
     return min(math.hypot(own, prior("alpha") * float(stored.values[i])), ALPHA_UNKNOWN)
 
 
-def _delay(name: str) -> bool:
-    return name.startswith("T_d")
+def _size(name: str, values: Mapping[str, float]) -> float:
+    """What a parameter's error is relative to."""
+    return DELAY_S if name.startswith("T_d") else max(abs(values[name]), 1e-9)
 
 
 def _log_voltage(segments: Sequence[Segment], nominal_voltage_v: float) -> float:
@@ -201,14 +205,14 @@ def _only(normal: Normal, names: Sequence[str]) -> Normal:
     return Normal(tuple(names), normal.hessian[:, pick][:, :, pick], normal.score[:, pick])
 
 
-def _told(moved: Normal, values: Mapping[str, float]) -> list[str]:
-    """Parameters that enough kinds of step tell of, well enough."""
+def _told(moved: Normal, values: Mapping[str, float], inflation: float) -> list[str]:
+    """Parameters that enough kinds of step tell of, and agree on."""
     diagonal = np.einsum("sii->si", moved.hessian)
     share = diagonal / np.maximum(diagonal.sum(axis=0), 1e-300)
     names = [n for i, n in enumerate(moved.names) if int((share[:, i] > MIN_SHARE).sum()) >= MIN_STEPS]
     while names:
-        error = np.sqrt(np.diag(_inverse(_only(moved, names).hessian.sum(axis=0))))
-        vague = error / np.array([DELAY_S if _delay(n) else max(abs(values[n]), 1e-9) for n in names])
+        error = np.sqrt(np.diag(cluster_covariance(moved, tuple(names), inflation).matrix))
+        vague = error / np.array([_size(n, values) for n in names])
         worst = int(np.argmax(vague))
         if vague[worst] <= VAGUE:
             break

@@ -61,6 +61,7 @@ def assess(
         verdict = Verdict.CURRENT
     else:
         verdict = Verdict.UNKNOWN
+    compared = _same_parameters(model_fingerprint, vehicle_fingerprint) if vehicle_fingerprint is not None else ""
     sides = (alike.before, alike.after) if alike is not None else (stored, runs[-1]) if runs else None
     fly: tuple[str, ...] = ()
     narrow: tuple[str, ...] = ()
@@ -71,7 +72,8 @@ def assess(
         narrow = scripts_for(tuple(s for s in SUBSETS if s in subsets)) or ALL_SCRIPTS
     return Currency(
         verdict=verdict,
-        sentence=_sentence(verdict, changes, alarms, crossed, tests, sides, bool(cannot_tell)) + _of_battery(checked),
+        sentence=_sentence(verdict, changes, alarms, crossed, tests, sides, bool(cannot_tell), compared)
+        + _of_battery(checked),
         changes=changes,
         tests=tests,
         drifts=drift,
@@ -80,6 +82,16 @@ def assess(
         fly_narrow=narrow,
         could_also_be=_rivals(alarms),
         cannot_tell=tuple(dict.fromkeys(cannot_tell)),
+    )
+
+
+def _same_parameters(model: Mapping[str, Any], vehicle: Mapping[str, Any]) -> str:
+    """What was compared where both sides know their parameters, in words."""
+    count = len(set(model.get("shaping_parameters") or ()) & set(vehicle.get("shaping_parameters") or ()))
+    return (
+        f"{'firmware and ' if model.get('firmware') else ''}the {count} parameters that shape the response"
+        if count
+        else ""
     )
 
 
@@ -98,7 +110,13 @@ def _sentence(
     tests: Sequence[SubsetTest],
     sides: tuple[Estimates, Estimates] | None,
     in_part: bool,
+    compared: str,
 ) -> str:
+    if verdict is Verdict.UNKNOWN and compared:
+        return (
+            f"Unknown: {compared} are what they were when the model was flown; whether its components are, only vehicle.yaml can say "
+            "(--vehicle), or the spot check."
+        )
     if verdict is Verdict.UNKNOWN:
         return "Unknown: nothing was given that could tell whether the model still holds; declare the components, or fly the spot check."
     if verdict is Verdict.CURRENT:

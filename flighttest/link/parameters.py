@@ -68,7 +68,7 @@ def read_all(session: Session) -> dict[str, float]:
     def look(message: Message, _t_s: float) -> None:
         nonlocal count
         if message.get_type() == "PARAM_VALUE" and message.param_index < 0xFFFF:
-            by_index[message.param_index] = (message.param_id, float(message.param_value))
+            by_index[message.param_index] = (message.param_id, _value(session, message))
             count = max(count, message.param_count)
 
     session.listen(look)
@@ -97,6 +97,16 @@ def read_all(session: Session) -> dict[str, float]:
         return dict(by_index[i] for i in range(count))
     finally:
         session.forget(look)
+
+
+def _value(session: Session, message: Message) -> float:
+    """A parameter's value: PX4 sends the bytes of an integer in the place of a float."""
+    beat = session.latest.get("HEARTBEAT")
+    if beat is not None and beat.message.autopilot == book.MAV_AUTOPILOT_PX4:
+        form = {book.MAV_PARAM_TYPE_INT32: "<i", book.MAV_PARAM_TYPE_UINT32: "<I"}.get(message.param_type)
+        if form is not None:
+            return float(struct.unpack(form, struct.pack("<f", message.param_value))[0])
+    return float(message.param_value)
 
 
 def _until_quiet(session: Session, received: dict[int, tuple[str, float]]) -> None:

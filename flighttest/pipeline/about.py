@@ -176,7 +176,7 @@ def doctor(connect: str | None) -> Result:
 
 
 def _reach(connect: str, note: Any) -> Status:
-    from flighttest.pipeline.flying import hello
+    from flighttest.pipeline.present import hello
 
     try:
         note("vehicle", hello(connect), True)

@@ -29,6 +29,7 @@ from flighttest.pipeline.batteries import battery_of, battery_reference
 from flighttest.pipeline.checking import predictor_for
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
 from flighttest.pipeline.history import TESTED, campaigns, standing, watched, when
+from flighttest.pipeline.present import Present
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.plan import check as check_plan
@@ -42,6 +43,7 @@ from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
 from flighttest.segments import Segment
 from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.fingerprint import fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
@@ -59,13 +61,14 @@ def status(
     out: Path,
     output: Path | None = None,
     progress: Progress = SILENT,
+    present: Present | None = None,
 ) -> Result:
-    """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign."""
+    """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign; present: the vehicle as it is now."""
     stored = model_file.read(model) if model is not None else newest_model(out)
     declared = load_vehicle(vehicle) if vehicle is not None else None
     recordings = open_recordings(runs, progress=progress)
-    found = judge(stored, recordings, declared, out, progress)
-    return finish(found, stored, declared, [str(r) for r in runs], output)
+    found = judge(stored, recordings, declared, out, progress, present)
+    return finish(found, stored, declared, [str(r) for r in runs], output, present)
 
 
 def newest_model(out: Path) -> ModelFile:
@@ -85,10 +88,15 @@ def judge(
     vehicle: Vehicle | None,
     out: Path | None = None,
     progress: Progress = SILENT,
+    present: Present | None = None,
 ) -> Currency:
-    """All the evidence. recordings: one new campaign, possibly none; out: where earlier campaigns may lie."""
+    """All the evidence. recordings: one new campaign, possibly none; out: where earlier campaigns may lie; present: the vehicle as it is
+    now, which counts more than what the recordings say of it."""
     base = watched(stored, "model")
     today = today_fingerprint(recordings, vehicle)
+    if present is not None:
+        reached = fingerprint(None, present.firmware, present.parameters).as_data()
+        today = {**(today or {}), **reached}
     untestable: list[str] = []
     series: list[Estimates] = []
     new = {r.name for r in recordings}
@@ -246,7 +254,12 @@ def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, floa
 
 
 def finish(
-    found: Currency, stored: ModelFile, vehicle: Vehicle | None, runs: Sequence[str], output: Path | None
+    found: Currency,
+    stored: ModelFile,
+    vehicle: Vehicle | None,
+    runs: Sequence[str],
+    output: Path | None,
+    present: Present | None = None,
 ) -> Result:
     """Document, data, and with `output` the page and the scripts to fly."""
     where = vehicle or DEFAULT_VEHICLE
@@ -271,6 +284,8 @@ def finish(
     facts = {"model": stored.path or "the last one fitted"}
     if vehicle is not None:
         facts["vehicle"] = vehicle.path or vehicle.name
+    if present is not None:
+        facts["read"] = present.sentence
     if runs:
         facts["new recordings"] = ", ".join(runs)
     if output is not None:

@@ -18,17 +18,14 @@ from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, legs
 from flighttest.flight.fly import OnVehicle
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
-from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.onboard import fetch
-from flighttest.link.port import Port
-from flighttest.link.session import Session
-from flighttest.link.transport import open_transport
 from flighttest.pipeline.campaign import analyse
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.currency import SPOT_CHECK, flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.history import campaigns, standing, vehicle_name
 from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.replanning import ScriptReplanner
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.simulator import options
@@ -44,7 +41,6 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 BUILTIN_SPEED = 20.0
-BUILTIN = "sim"
 
 
 @dataclass(frozen=True)
@@ -333,16 +329,6 @@ def _flown(folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequenc
     }
     document = Document("flight", verdict, "good" if usable else "bad", (Section("flights", "", tuple(blocks)),))
     return Result(document, data, Status.DONE if usable else Status.UNUSABLE, tuple(ends))
-
-
-def hello(url: str) -> str:
-    """What answers at a URL, in words. LinkError when nothing does."""
-    session = Session(Port(open_transport(url)))
-    try:
-        session.connect()
-        return f"{url}: ArduCopter {ArduPilot(session).firmware()}".strip()
-    finally:
-        session.port.close()
 
 
 def fetch_log(url: str, output: Path, number: int | None = None, progress: Progress = SILENT) -> Result:

@@ -114,11 +114,13 @@ def status(
     out: Path,
     output: Path | None,
     progress: Progress = SILENT,
+    connect: str | None = None,
 ) -> Result:
-    """Current, stale or unknown."""
+    """Current, stale or unknown. connect: URL of the vehicle to read, and no more."""
     from flighttest.pipeline.currency import status as judge
+    from flighttest.pipeline.present import read
 
-    return judge(runs, vehicle, model, out, output, progress)
+    return judge(runs, vehicle, model, out, output, progress, read(connect, progress) if connect is not None else None)
 
 
 def runs(folder: Path, *, html: bool = False) -> Result:

@@ -1,0 +1,79 @@
+"""`status --connect`: the vehicle as it is now against a model's fingerprint; it asks, and does nothing else."""
+
+import json
+
+import pytest
+import yaml
+
+from flighttest.cli import main as cli_main
+from flighttest.link.port import Port
+from flighttest.pipeline import present
+from flighttest.vehicle.fingerprint import fingerprint
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """The built-in vehicle as read, and the names of all messages that were sent to it."""
+    sent = []
+    honest = Port.send
+
+    def watched(port, message):
+        sent.append((message.get_type(), getattr(message, "command", None)))
+        return honest(port, message)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Port, "send", watched)
+        found = present.read("sim")
+    return found, sent
+
+
+def test_it_asks_and_does_nothing_else(seen):
+    found, sent = seen
+    assert found.firmware.startswith("ArduCopter")
+    assert len(found.parameters) > 50
+    assert {name for name, _ in sent} <= {
+        "HEARTBEAT",
+        "TIMESYNC",
+        "PARAM_REQUEST_LIST",
+        "PARAM_REQUEST_READ",
+        "COMMAND_LONG",
+    }
+    assert {command for name, command in sent if name == "COMMAND_LONG"} <= {512}, "REQUEST_MESSAGE alone"
+
+
+@pytest.fixture
+def status(seen, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(present, "read", lambda _url, _progress: seen[0])
+
+    def run(change=None, components=None):
+        carried = fingerprint(None, seen[0].firmware, {**seen[0].parameters, **(change or {})}).as_data()
+        model = {
+            "format": "model/1",
+            "terms": ["body"],
+            "parameters": {"K": {"value": 54.5, "unit": "m/s^2", "std": 0.2}},
+            "fingerprint": {**carried, **({"components": components} if components else {})},
+        }
+        (tmp_path / "model.yaml").write_text(yaml.safe_dump(model))
+        argv = ["status", "--connect", "sim", "--model", str(tmp_path / "model.yaml"), "--out", str(tmp_path), "--json"]
+        code = cli_main.call(argv)
+        return code, json.loads(capsys.readouterr().out)
+
+    return run
+
+
+def test_a_changed_parameter_of_the_vehicle_makes_the_model_stale(status):
+    code, found = status()
+    assert (code, found["verdict"]) == (0, "CURRENT")
+    code, found = status({"MOT_SPIN_MIN": 0.25})
+    assert (code, found["verdict"]) == (4, "STALE")
+    assert [c["name"] for c in found["changes"]] == ["MOT_SPIN_MIN"]
+
+
+def test_parameters_alone_do_not_tell_of_components(status):
+    code, found = status(components={"propellers": {"id": "P1"}})
+    assert (code, found["verdict"]) == (0, "UNKNOWN")
+    assert "parameters that shape the response are what they were" in found["sentence"]
+
+
+def test_what_every_flight_sets_is_no_change(seen):
+    assert int(seen[0].parameters["GUID_OPTIONS"]) & 8
