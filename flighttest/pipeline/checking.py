@@ -29,7 +29,8 @@ def predictor_for(model: Path | None, vehicle: Vehicle) -> ModelPredictor:
         from flighttest.identify import model_file
 
         stored = model_file.read(model)
-        return ModelPredictor(stored.model, stored.values)
+        # A model of free flights alone has no attitude loops, and a script is flown through them: the paper's stand in.
+        return ModelPredictor(replace(stored.model, attitude_loops=True), stored.values)
     base = ModelPredictor().model
     gain = base.g_m_s2 / vehicle.hover_throttle
     return ModelPredictor(replace(base, nominal_voltage_v=vehicle.nominal_voltage_v), {"K": gain})
