@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 
 _TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
 BEFORE_S = 0.4
+# Steps in which a planned response is flown: what it would measure need not be known to a hair.
+PLANNED_STEP_S = 0.0201
 AFTER_S = 0.4
 # Noise of a usual outdoor vehicle: samples, and what is constant over a response (gusts).
 ASSUMED = Noise(
@@ -183,7 +185,8 @@ def _best(
         label = _step_words(segment)
         cells[label] = cells.get(label, 0.0) + float(value)
     total = sum(cells.values()) or 1.0
-    ranked = sorted(((c, v / total) for c, v in cells.items()), key=lambda pair: -pair[1])
+    # Steps to the left and to the right tell the same: what differs by rounding only stays in the order of the script.
+    ranked = sorted(((c, v / total) for c, v in cells.items()), key=lambda pair: -round(pair[1], 6))
     return tuple(pair for pair in ranked[:3] if pair[1] > 0.01)
 
 
@@ -205,7 +208,7 @@ def _planned(plans: Sequence[Plan], model: Model, values: Mapping[str, float]) -
     ]
     if not wanted:
         return [[] for _ in plans]
-    flown = simulate_many(model, values, [run for *_, run in wanted])
+    flown = simulate_many(model, values, [run for *_, run in wanted], PLANNED_STEP_S)
     groups: list[list[Segment]] = [[] for _ in plans]
     for (k, _, leg, run), one in zip(wanted, flown, strict=True):
         groups[k].append(_segment(leg, run, one))

@@ -146,12 +146,14 @@ def simulate(
     return simulate_many(model, values, [Run(t_s, start, references, signals)])[0]
 
 
-def simulate_many(model: Model, values: Mapping[str, float], runs: Sequence[Run]) -> list[dict[str, FloatArray]]:
+def simulate_many(
+    model: Model, values: Mapping[str, float], runs: Sequence[Run], max_step_s: float = MAX_STEP_S
+) -> list[dict[str, FloatArray]]:
     """The same for many runs at once."""
     system = model.system
     p = np.array([values[n] for n in system.params])
     delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
-    made = [grid(system, delays, run.t_s, run.references, run.signals) for run in runs]
+    made = [grid(system, delays, run.t_s, run.references, run.signals, max_step_s) for run in runs]
     begun = np.array([[_begin(model, run).get(n, 0.0) for n in system.states] for run in runs])
     flown = _together(system, p, begun, made) if len(runs) >= TOGETHER else _one_by_one(system, p, begun, made)
     at = [np.concatenate([x0[None], states])[g.sample + 1] for x0, states, g in zip(begun, flown, made, strict=True)]

@@ -10,7 +10,7 @@ from typing import Any
 from flighttest.identify.expected import Expected, expected_of_plans
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
-from flighttest.plan import Plan, compile_plan
+from flighttest.plan import Plan, compile_plans
 from flighttest.plan import check as check_plan
 from flighttest.report.check_page import check_document
 from flighttest.report.document import Cell, Section, Table
@@ -41,7 +41,7 @@ def plans(
 ) -> tuple[Plan, ...]:
     """Load and compile; ScriptError lists everything wrong with a script."""
     loaded = [load_script(resolve(name)) for name in scripts]
-    return tuple(compile_plan(script, vehicle, predictor, angle_boost=angle_boost) for script in loaded)
+    return compile_plans(loaded, vehicle, predictor, angle_boost=angle_boost)
 
 
 def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, verbose: bool = False) -> Result:

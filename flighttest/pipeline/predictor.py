@@ -5,18 +5,18 @@ The equations are those of `physics.model`; nothing is written twice.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.physics.model import Model
-from flighttest.physics.vectorised import Vectorised
-from flighttest.plan.model import Motion, Policy, Snapshot
+from flighttest.physics.stepping import SIDEWAYS, Forms, Stepping
+from flighttest.plan.model import Motion, Policy, Snapshot, Trail
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 # What the coarse steps of a rehearsal can follow.
 SHORTEST_LAG_S = 0.025
@@ -25,11 +25,6 @@ _POSITION = ("p_x_m", "p_y_m", "p_z_m")
 _VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
 _TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
-# What stays zero in a flight straight up and down.
-_SIDEWAYS = (
-    *("roll_rad", "pitch_rad", "roll_rate_rad_s", "pitch_rate_rad_s", "r_rad_s", "v_x_m_s", "v_y_m_s"),
-    *_TARGETS[:3],
-)
 _CHANNEL = {
     "roll_ref_rad": "attitude",
     "pitch_ref_rad": "attitude",
@@ -87,36 +82,6 @@ class ModelPredictor:
             values |= {"sigma_t": 1.0 / lag, **{name: delay for name in values if name.startswith("T_d")}}
         return ModelPredictor(self.model, values)
 
-    @cached_property
-    def _rate(self) -> Vectorised:
-        return Vectorised(self._rate_of([]))
-
-    @cached_property
-    def _level_rate(self) -> Vectorised | None:
-        """The same for vehicles that have only been asked to go up and down, where that keeps them level: a quarter of the work."""
-        function = self._rate_of([n for n in _SIDEWAYS if n in (*self.model.system.states, *self.model.system.inputs)])
-        rates = function(*(ca.SX.sym("z", *function.size_in(i)) for i in range(2)))
-        still = all(rates[i].is_zero() for i, n in enumerate(self.model.system.states) if n in _SIDEWAYS)
-        return Vectorised(function) if still else None
-
-    def _rate_of(self, zero: list[str]) -> ca.Function:
-        """The rate of change of the states, some states and inputs being zero."""
-        system = self.model.system
-        x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-        at = [
-            ca.vertcat(*(0.0 if n in zero else of[i] for i, n in enumerate(ns)))
-            for of, ns in ((x, system.states), (u, system.inputs))
-        ]
-        return ca.Function("rate", [x, u], [ca.cse(ca.simplify(system.function(*at, self._p)[0]))])
-
-    def _step(self, rate: Vectorised, x: FloatArray, u: FloatArray, dt_s: float) -> FloatArray:
-        """One RK4 step of n vehicles: states (k, n), inputs (m, n)."""
-        k1 = rate(x, u)
-        k2 = rate(x + dt_s / 2 * k1, u)
-        k3 = rate(x + dt_s / 2 * k2, u)
-        k4 = rate(x + dt_s * k3, u)
-        return x + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
     def fly(
         self,
         start_m: FloatArray,
@@ -127,45 +92,113 @@ class ModelPredictor:
         dt_s: float,
     ) -> Motion:
         """Fly n vehicles from rest at start_m (n, 3), yaw_rad (n,), voltage_v (n,), hovering until now, for duration_s."""
-        system = self.model.system
+        steps = np.full(len(np.atleast_2d(start_m)), max(round(duration_s / dt_s), 1))
+        return self.fly_each(start_m, yaw_rad, voltage_v, policy, steps, dt_s).motion
+
+    def fly_each(
+        self,
+        start_m: FloatArray,
+        yaw_rad: FloatArray,
+        voltage_v: FloatArray,
+        policy: Policy,
+        steps: IntArray,
+        dt_s: float,
+    ) -> Trail:
+        """The same, each for its own number of steps, (n,), falling."""
         start, yaw, volts = np.atleast_2d(start_m), np.atleast_1d(yaw_rad), np.atleast_1d(voltage_v)
-        n, steps = len(start), max(round(duration_s / dt_s), 1)
-        states, inputs = list(system.states), list(system.inputs)
-        x = np.zeros((len(states), n))
-        for name, value in system.initial.items():
+        states = self._states
+        x = np.zeros((len(states), len(start)))
+        for name, value in self.model.system.initial.items():
             x[states.index(name)] = value
-        place = [states.index(s) for s in _POSITION]
-        speed = [states.index(s) for s in _VELOCITY]
-        angle = [states.index(s) for s in _ATTITUDE]
-        x[place] = start.T
-        x[angle[2]] = yaw
+        x[self._at(_POSITION)] = start.T
+        x[states.index("yaw_rad")] = yaw
         x[states.index("a_t_m_s2")] = self.model.g_m_s2
-        hover = np.zeros((n, 4))
-        hover[:, 3] = self.hover_throttle(volts)
+        hover = np.zeros((4, len(start)))
+        hover[3] = self.hover_throttle(volts)
+        return self._fly(x, [hover] * self._memory(dt_s), volts, np.zeros(len(start)), policy, steps, dt_s)
+
+    def branch(self, trail: Trail, of: IntArray, at: IntArray, policy: Policy, steps: IntArray, dt_s: float) -> Trail:
+        """Fly on n vehicles, the k-th from what vehicle of[k] of an earlier flight was at step at[k]; targets under way arrive."""
+        hover = np.zeros((4, of.size))
+        hover[3] = self.hover_throttle(trail.voltage_v[of])
+        past = [
+            np.where(at > back, trail.asked[np.maximum(at - 1 - back, 0), :, of].T, hover)
+            for back in reversed(range(self._memory(dt_s)))
+        ]
+        return self._fly(
+            trail.states[at, :, of].T, past, trail.voltage_v[of], trail.clock_s[of] + at * dt_s, policy, steps, dt_s
+        )
+
+    def _fly(
+        self,
+        x: FloatArray,
+        past: list[FloatArray],
+        volts: FloatArray,
+        clock_s: FloatArray,
+        policy: Policy,
+        steps: IntArray,
+        dt_s: float,
+    ) -> Trail:
+        """Fly on from states x (n_states, n), with the targets sent until now, (4, n) each, the last one last."""
+        system, inputs, (total, n) = self.model.system, self._inputs, (int(steps[0]), x.shape[1])
+        place, speed, angle = self._at(_POSITION), self._at(_VELOCITY), self._at(_ATTITUDE)
         # A delay between two steps is the mean of both, weighted: what is held is then delayed by it on the mean.
         lag = [divmod(self._delays_s[_CHANNEL[t]] / dt_s + 1e-9, 1.0) for t in _TARGETS]
         u = np.zeros((len(inputs), n))
         u[inputs.index("voltage_v")] = volts
         rows = [inputs.index(t) for t in _TARGETS]
-        history: list[FloatArray] = []
-        record = np.empty((steps + 1, len(states), n))
+        record, asked = np.empty((total + 1, len(system.states), n)), np.zeros((total, 4, n))
         record[0] = x
-        turns = rows[:3]
-        rate = self._level_rate or self._rate
-        for k in range(steps):
-            now = Snapshot(k * dt_s, x[place].T, x[speed].T, x[angle].T)
-            history.append(np.broadcast_to(np.asarray(policy(now), dtype=float), (n, 4)))
-            for column, (row, (whole, part)) in enumerate(zip(rows, lag, strict=True)):
-                late = k - int(whole)
-                u[row] = (history[late] if late >= 0 else hover)[:, column]
+        history = list(past)
+        step = self._stepper(x, u, dt_s)
+        flying = n
+        for k in range(total):
+            if steps[flying - 1] <= k:
+                ended, flying = flying, int(np.searchsorted(-steps, -k, side="left"))
+                record[k + 1 :, :, flying:ended] = x[:, flying:]
+                x, u, history = x[:, :flying], u[:, :flying], [h[:, :flying] for h in history]
+                step.keep(flying)
+            targets = np.asarray(policy(Snapshot(k * dt_s, x[place].T, x[speed].T, x[angle].T)), dtype=float)
+            asked[k, :, :flying] = targets.T
+            history.append(asked[k, :, :flying])
+            if step.straight and asked[k, :3].any():
+                step = Stepping(self._forms, u, dt_s)
+            for column in (3,) if step.straight else range(4):
+                row, (whole, part) = rows[column], lag[column]
+                late = history[-1 - int(whole)][column]
+                u[row] = late
                 if part > 1e-6:
-                    u[row] += part * ((history[late - 1] if late >= 1 else hover)[:, column] - u[row])
+                    u[row] += part * (history[-2 - int(whole)][column] - late)
             if "time_s" in inputs:
-                u[inputs.index("time_s")] = k * dt_s
-            if rate is not self._rate and u[turns].any():
-                rate = self._rate
-            x = self._step(rate, x, u, dt_s)
-            record[k + 1] = x
-        flown = record.transpose(2, 0, 1)
-        t_s = np.arange(steps + 1, dtype=float) * dt_s
-        return Motion(t_s, flown[:, :, place], flown[:, :, speed], flown[:, :, angle])
+                u[inputs.index("time_s")] = clock_s[:flying] + k * dt_s
+            x = step(x, u)
+            record[k + 1, :, :flying] = x
+        t_s = np.arange(total + 1, dtype=float) * dt_s
+        p, v, rpy = (np.ascontiguousarray(record[:, i].transpose(2, 0, 1)) for i in (place, speed, angle))
+        return Trail(Motion(t_s, p, v, rpy), record, asked, volts, clock_s)
+
+    def _memory(self, dt_s: float) -> int:
+        """How many targets are on their way at most."""
+        return int(max(self._delays_s.values(), default=0.0) / dt_s + 1e-9) + 2
+
+    @property
+    def _states(self) -> list[str]:
+        return list(self.model.system.states)
+
+    @property
+    def _inputs(self) -> list[str]:
+        return list(self.model.system.inputs)
+
+    def _at(self, names: Sequence[str]) -> slice | list[int]:
+        """Where these states are; a slice, which copies nothing, where they follow each other."""
+        found = [self._states.index(n) for n in names]
+        return slice(found[0], found[-1] + 1) if found == list(range(found[0], found[-1] + 1)) else found
+
+    @cached_property
+    def _forms(self) -> Forms:
+        return Forms(self.model.system, self._p)
+
+    def _stepper(self, x: FloatArray, u: FloatArray, dt_s: float) -> Stepping:
+        """The shortest way to fly on from these states."""
+        sideways = [i for i, n in enumerate(self._states) if n in SIDEWAYS]
+        return Stepping(self._forms, u, dt_s, straight=not x[sideways].any())

@@ -12,9 +12,10 @@ import numpy as np
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, row_of, useful_s
 from flighttest.plan.free_flight import fly_waypoints
 from flighttest.plan.model import CellPlan, Leg, Phase, Plan, Predictor
-from flighttest.plan.rehearse import Rehearsal, reaction_s, rehearse
+from flighttest.plan.rehearse import Rehearsal, reaction_s
 from flighttest.plan.remedy import remedy
 from flighttest.plan.room import Placement, Room, box, place, worst
+from flighttest.plan.together import Ask, Work, together
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
 from flighttest.vehicle.model import Vehicle
@@ -43,6 +44,17 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
     predictor: a prior model of this vehicle (see `Predictor`). angle_boost: the autopilot divides throttle by the cosine of the
     tilt by itself; `Leg.flown_with` sets it later as well.
     """
+    return compile_plans([script], vehicle, predictor, angle_boost=angle_boost)[0]
+
+
+def compile_plans(
+    scripts: Sequence[Script], vehicle: Vehicle, predictor: Predictor, *, angle_boost: bool = False
+) -> tuple[Plan, ...]:
+    """The same for several scripts, each by itself; their rehearsals are flown together."""
+    return tuple(together([_compile(script, vehicle, predictor, angle_boost) for script in scripts], predictor))
+
+
+def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost: bool) -> Work[Plan]:
     zone = vehicle.zone
     if script.limits.floor_m is not None:
         zone = replace(zone, z_m=(min(script.limits.floor_m, zone.z_m[0]), zone.z_m[1]))
@@ -65,14 +77,16 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
         throttle=script.limits.throttle,
         speed_max_m_s=script.limits.speed_max_m_s,
     )
-    fitted = fit_cells(cells, setting)
-    fitted = [fly_waypoints(f, setting, script.reset, zone) if f.cell.waypoints else f for f in fitted]
+    fitted = yield from fit_cells(cells, setting)
+    paths = [i for i, f in enumerate(fitted) if f.cell.waypoints]
+    for i, f in zip(paths, (yield from fly_waypoints([fitted[i] for i in paths], setting)), strict=True):
+        fitted[i] = f
     slots = _order(len(cells), script, span)
     places = [_places(f, i, script, setting, zone.heading_rad) for i, f in enumerate(fitted)]
-    refusals = _refusals(script, fitted, places, setting)
+    refusals = yield from _refusals(script, fitted, places, setting)
     refused = {label for label, _, _ in refusals}
     slots = [slot for slot in slots if _leg_id(script, cells[slot.cell], slot.repeat) not in refused]
-    legs, stops = _legs(script, fitted, places, slots, setting, zone.heading_rad, angle_boost)
+    legs, stops = yield from _legs(script, fitted, places, slots, setting, zone.heading_rad, angle_boost)
     return Plan(
         script=script,
         vehicle=vehicle,
@@ -151,7 +165,7 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting, zone_headin
 
 def _refusals(
     script: Script, fitted: Sequence[Fitted], places: Sequence[Sequence[Placement]], setting: Setting
-) -> tuple[tuple[str, str, str], ...]:
+) -> Work[tuple[tuple[str, str, str], ...]]:
     found: list[tuple[str, str, str]] = []
     for f, placed in zip(fitted, places, strict=True):
         hint: str | None = None
@@ -160,7 +174,8 @@ def _refusals(
             if f.complaint:
                 found.append((name, f.complaint, f.remedy))
             if placement.excess is not None:
-                hint = hint or remedy(f, setting, script.reset.to_m, list(script.reset.heading_rad), placement)
+                if hint is None:
+                    hint = yield from remedy(f, setting, script.reset.to_m, list(script.reset.heading_rad), placement)
                 found.append((name, f"it leaves the zone by {placement.excess.words}", hint))
     return tuple(found)
 
@@ -173,10 +188,10 @@ def _legs(
     setting: Setting,
     zone_heading: float,
     angle_boost: bool,
-) -> tuple[tuple[Leg, ...], dict[int, tuple[tuple[str, float, float], ...]]]:
+) -> Work[tuple[tuple[Leg, ...], dict[int, tuple[tuple[str, float, float], ...]]]]:
     flying = [slot for slot in slots if not fitted[slot.cell].cell.motors_off and not fitted[slot.cell].cell.waypoints]
     rows = [row_of(fitted[slot.cell].cell, fitted[slot.cell].lead, setting, slot.voltage_v) for slot in flying]
-    flown = rehearse(rows, setting.predictor, STOP_STEP_S) if rows else None
+    flown = (yield Ask(rows, STOP_STEP_S)) if rows else None
     hover = setting.predictor.hover_throttle(np.array([slot.voltage_v for slot in slots])) if slots else np.zeros(0)
     at = {id(slot): j for j, slot in enumerate(flying)}
     stops: dict[int, tuple[tuple[str, float, float], ...]] = {}

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.plan.model import FloatArray, Predictor
-from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, rehearse, sample
+from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, sample
 from flighttest.plan.room import GATE_SLACK_M, Room, Track, box
+from flighttest.plan.together import Ask, Work
 from flighttest.script.profiles import Cell, Piece
 
 # Six time constants of the paper's thrust lag: less than this after the delay shows nothing.
@@ -72,25 +73,28 @@ def row_of(cell: Cell, lead: tuple[Piece, ...], setting: Setting, voltage_v: flo
     return Row(lead, cell.stops, cell.counter, tail, voltage_v, setting.stop_throttle(cell))
 
 
-def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
+def fit_cells(cells: Sequence[Cell], setting: Setting) -> Work[list[Fitted]]:
     """Durations, tracks and complaints of all cells, in order; the predictor is flown few times with many vehicles."""
     leads = [cell.lead for cell in cells]
     adjustable = [i for i, cell in enumerate(cells) if cell.shortest_s]
-    for i, lead in _search([cells[i] for i in adjustable], setting, adjustable) if adjustable else ():
-        leads[i] = lead
-    found = _tracks(cells, leads, setting)
+    if adjustable:
+        for i, lead in (yield from _search([cells[i] for i in adjustable], setting, adjustable)):
+            leads[i] = lead
+    found = yield from _tracks(cells, leads, setting)
     # The search loses the link at two moments only; where a third one is worse, the record gives way a little more.
     for _ in range(ROUNDS):
         tight = [i for i in adjustable if not _has_start(found[i], setting) and _can_shrink(found[i], setting)]
         if not tight:
             break
         shorter = [_with(found[i].lead, {"step": _step_of(found[i].lead) - 2 * GRID_S}) for i in tight]
-        for i, f in zip(tight, _tracks([cells[i] for i in tight], shorter, setting), strict=True):
+        again = yield from _tracks([cells[i] for i in tight], shorter, setting)
+        for i, f in zip(tight, again, strict=True):
             found[i] = f
     held = [i for i in adjustable if _has_hold(cells[i]) and not _has_start(found[i], setting)]
     if held:
-        finer = [lead for _, lead in _search([cells[i] for i in held], setting, held, FINE_HOLD_SHARES)]
-        for i, f in zip(held, _tracks([cells[i] for i in held], finer, setting), strict=True):
+        searched = yield from _search([cells[i] for i in held], setting, held, FINE_HOLD_SHARES)
+        again = yield from _tracks([cells[i] for i in held], [lead for _, lead in searched], setting)
+        for i, f in zip(held, again, strict=True):
             if _has_start(f, setting):
                 found[i] = f
     return found
@@ -145,7 +149,7 @@ class _Option:
 
 def _search(
     cells: list[Cell], setting: Setting, indices: list[int], hold_shares: tuple[float, ...] = HOLD_SHARES
-) -> list[tuple[int, tuple[Piece, ...]]]:
+) -> Work[list[tuple[int, tuple[Piece, ...]]]]:
     """Longest record that fits, for each length of what comes before it; then the longest record wins, then the longest hold."""
     options: list[_Option] = []
     for k, cell in enumerate(cells):
@@ -162,7 +166,7 @@ def _search(
     high = np.array([option.longest_s for option in options])
     steps = np.maximum(np.round((high - low) / GRID_S), 0).astype(int)
     # Both ends in one flight, then false position: a flight that fits also fits when it is shorter.
-    both = _slack(cells, [*options, *options], np.concatenate([low, low + steps * GRID_S]), setting)
+    both = yield from _slack(cells, [*options, *options], np.concatenate([low, low + steps * GRID_S]), setting)
     at_good, at_bad = both[: len(options)], both[len(options) :]
     fits = at_good >= 0.0
     good, bad = np.where(at_bad >= 0.0, steps, 0), steps.copy()
@@ -172,7 +176,7 @@ def _search(
         part = at_good / np.maximum(at_good - at_bad, 1e-9)
         middle = np.clip(good + np.floor(part * (bad - good)).astype(int), good + 1, np.maximum(bad - 1, good + 1))
         middle = np.where(fits & (bad - good > 1), middle, good)
-        slack = _slack(cells, options, low + middle * GRID_S, setting)
+        slack = yield from _slack(cells, options, low + middle * GRID_S, setting)
         ok = slack >= 0.0
         at_good, at_bad = np.where(ok, slack, at_good), np.where(ok, at_bad, slack)
         good, bad = np.where(ok, np.maximum(good, middle), good), np.where(ok, bad, np.minimum(bad, middle))
@@ -192,7 +196,7 @@ def _slack(
     options: list[_Option],
     record_s: FloatArray,
     setting: Setting,
-) -> FloatArray:
+) -> Work[FloatArray]:
     """What each option's flight has to spare, m (and m/s), at both voltages, as planned and with the link lost; negative: too large."""
     rows = []
     for option, seconds in zip(options, record_s, strict=True):
@@ -202,13 +206,14 @@ def _slack(
             row = row_of(cell, lead, setting, voltage)
             # The two worst moments: at the end of what comes before the step, and at the end of the record.
             rows += [row, row.losing_link_at(row.lead_s), row.losing_link_at(row.lead_s - float(seconds))]
-    flown = rehearse(rows, setting.predictor, SEARCH_STEP_S, STOP_S)
+    flown = yield Ask(rows, SEARCH_STEP_S, STOP_S)
     p = flown.motion.p_m.reshape(len(options), len(setting.voltages_v), 3, -1, 3)
-    speed = np.linalg.norm(flown.motion.v_m_s, axis=-1).reshape(p.shape[:-1])[:, :, 0].max(axis=(1, 2))
+    speed = np.linalg.norm(flown.motion.v_m_s.reshape(p.shape)[:, :, 0], axis=-1).max(axis=(1, 2))
     room = setting.room
-    planned, lost = p[:, :, 0], p[:, :, 1:]
-    low, high = planned.min(axis=(1, 2))[:, 2], planned.max(axis=(1, 2))[:, 2]
-    lost_low, lost_high = lost.min(axis=(1, 2, 3))[:, 2], lost.max(axis=(1, 2, 3))[:, 2]
+    planned = p[:, :, 0]
+    heights, gone = planned[..., 2], p[:, :, 1:, :, 2]
+    low, high = heights.min(axis=(1, 2)), heights.max(axis=(1, 2))
+    lost_low, lost_high = gone.min(axis=(1, 2, 3)), gone.max(axis=(1, 2, 3))
     reach_low = flown.reach_low_m.reshape(p.shape[:-1])[:, :, 0].min(axis=(1, 2))
     reach_high = flown.reach_high_m.reshape(p.shape[:-1])[:, :, 0].max(axis=(1, 2))
     start_low = np.maximum(room.inner_low[2] - low, room.outer_low[2] - lost_low) + SLACK_M
@@ -218,12 +223,13 @@ def _slack(
     heights = np.array([cells[option.cell].height_m or math.nan for option in options])
     start = np.where(np.isnan(heights), 0.5 * (start_low + start_high), heights)
     tall = np.minimum(start - start_low, start_high - start)
-    spread = np.sort(planned.max(axis=(1, 2))[:, :2] - planned.min(axis=(1, 2))[:, :2], axis=1)
+    flat_span = [np.ptp(planned[..., axis], axis=(1, 2)) for axis in (0, 1)]
+    spread = np.sort(np.stack(flat_span, axis=1), axis=1)
     flat = (np.sort((room.inner_high - room.inner_low)[:2]) - spread).min(axis=1)
     return np.asarray(np.minimum(np.minimum(tall, flat), setting.speed_max_m_s - speed))
 
 
-def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> list[Fitted]:
+def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> Work[list[Fitted]]:
     """Tracks of every cell at every voltage, as planned and with the link lost every so often."""
     rows: list[tuple[int, Row]] = []
     for i, cell in enumerate(cells):
@@ -240,7 +246,9 @@ def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Sett
     nominal: list[list[Track]] = [[] for _ in cells]
     lost: list[list[Track]] = [[] for _ in cells]
     speed = [0.0 for _ in cells]
-    flown = rehearse([row for _, row in rows], setting.predictor, SEARCH_STEP_S, DRIFT_S + 0.5) if rows else None
+    flown = (
+        (yield Ask([row for _, row in rows], SEARCH_STEP_S, DRIFT_S + 0.5, GUID_TIMEOUT_S + DRIFT_S)) if rows else None
+    )
     for j, (i, row) in enumerate(rows):
         assert flown is not None
         track = track_of(flown, j, row)

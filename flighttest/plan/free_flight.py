@@ -2,49 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from flighttest.plan.fit_zone import DRIFT_S, SEARCH_STEP_S, Fitted, Setting, track_of
-from flighttest.plan.rehearse import Row, rehearse
+from flighttest.plan.rehearse import GUID_TIMEOUT_S, Row
 from flighttest.plan.room import Track
-from flighttest.script.model import Reset
-from flighttest.vehicle.model import Zone
+from flighttest.plan.together import Ask, Work
 
 LOSS_EVERY_S = 1.0
 
 
-def fly_waypoints(f: Fitted, setting: Setting, reset: Reset, zone: Zone) -> Fitted:
-    """The cell with its tracks in the zone's own coordinates (a path is not placed: it says where it is)."""
-    path = f.cell.waypoints
-    lead_s = sum(piece.duration_s for piece in f.lead)
-    voltage = float(np.mean(setting.voltages_v))
-    row = Row(
-        f.lead,
-        (),
-        None,
-        0.0,
-        voltage,
-        setting.stop_throttle(f.cell),
-        start_m=(path[0][1], path[0][2], path[0][3]),
-        waypoints=path,
-    )
-    moments = np.arange(LOSS_EVERY_S, lead_s, LOSS_EVERY_S)
-    rows = [row, *(row.losing_link_at(float(t)) for t in moments)]
-    flown = rehearse(rows, setting.predictor, SEARCH_STEP_S, DRIFT_S)
-    origin = np.array(path[0][1:])
-    tracks = []
-    for j, one in enumerate(rows):
-        track = track_of(flown, j, one)
-        tracks.append(
-            Track(
-                track.t_s,
-                track.p_m + origin,
-                track.v_m_s,
-                (track.reach_m[0] + path[0][3], track.reach_m[1] + path[0][3]),
-            )
-        )
+def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> Work[list[Fitted]]:
+    """The cells with their tracks in the zone's own coordinates (a path is not placed: it says where it is)."""
+    rows = [_rows(f, setting) for f in free]
+    every = [row for some in rows for row in some]
+    if not every:
+        return []
+    flown = yield Ask(every, SEARCH_STEP_S, DRIFT_S, GUID_TIMEOUT_S + DRIFT_S)
+    tracks = [track_of(flown, j, row) for j, row in enumerate(every)]
+    ends = np.cumsum([len(some) for some in rows]).tolist()
+    return [_fitted(f, tracks[end - len(some) : end], setting) for f, some, end in zip(free, rows, ends, strict=True)]
+
+
+def _rows(f: Fitted, setting: Setting) -> list[Row]:
+    """The path as planned, and with the link lost now and then."""
+    path, voltage = f.cell.waypoints, float(np.mean(setting.voltages_v))
+    stop, start = setting.stop_throttle(f.cell), (path[0][1], path[0][2], path[0][3])
+    row = Row(f.lead, (), None, 0.0, voltage, stop, start_m=start, waypoints=path)
+    moments = np.arange(LOSS_EVERY_S, sum(piece.duration_s for piece in f.lead), LOSS_EVERY_S)
+    return [row, *(row.losing_link_at(float(t)) for t in moments)]
+
+
+def _fitted(f: Fitted, flown: Sequence[Track], setting: Setting) -> Fitted:
+    origin = np.array(f.cell.waypoints[0][1:])
+    tracks = [
+        Track(t.t_s, t.p_m + origin, t.v_m_s, (t.reach_m[0] + origin[2], t.reach_m[1] + origin[2])) for t in flown
+    ]
     speed = float(np.linalg.norm(tracks[0].v_m_s, axis=1).max())
     found = replace(f, nominal=tracks[:1], lost=tracks[1:], speed_m_s=speed)
     if speed > setting.speed_max_m_s:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,4 +168,48 @@ class Predictor(Protocol):
         dt_s: float,
     ) -> Motion:
         """Fly n vehicles from rest at start_m (n, 3), yaw_rad (n,), voltage_v (n,), hovering until now, for duration_s."""
+        ...
+
+
+@dataclass(frozen=True)
+class Trail:
+    """A flight that can be taken up again at any of its moments. motion: as flown, what ended earlier filled up with its last state;
+    states (m, n_states, n) and asked (m - 1, 4, n): the predictor's own, and the targets it was sent; clock_s: (n,) when it began."""
+
+    motion: Motion
+    states: FloatArray
+    asked: FloatArray
+    voltage_v: FloatArray
+    clock_s: FloatArray
+
+
+@runtime_checkable
+class BranchingPredictor(Predictor, Protocol):
+    """A predictor that flies vehicles for different times, and takes flights up again: what begins alike is flown once.
+
+    steps: (n,) of dt_s, falling; the policy is asked for the vehicles that still fly, always the first ones.
+    """
+
+    def fly_each(
+        self,
+        start_m: FloatArray,
+        yaw_rad: FloatArray,
+        voltage_v: FloatArray,
+        policy: Policy,
+        steps: NDArray[np.intp],
+        dt_s: float,
+    ) -> Trail:
+        """As `fly`, each vehicle for its own number of steps."""
+        ...
+
+    def branch(
+        self,
+        trail: Trail,
+        of: NDArray[np.intp],
+        at: NDArray[np.intp],
+        policy: Policy,
+        steps: NDArray[np.intp],
+        dt_s: float,
+    ) -> Trail:
+        """Fly on n vehicles, the k-th from what vehicle of[k] of an earlier flight was at step at[k]; targets under way arrive."""
         ...

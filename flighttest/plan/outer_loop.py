@@ -72,10 +72,21 @@ class OuterLoop:
 
 def along(waypoints: tuple[tuple[float, float, float, float], ...], t_s: float) -> tuple[FloatArray, FloatArray]:
     """Where a timed path (t_s, x, y, z) is at t_s, and how fast it moves: two (3,) vectors in the path's own frame."""
+    place, speed = all_along(waypoints, np.array([t_s]))
+    return place[0], speed[0]
+
+
+def all_along(
+    waypoints: tuple[tuple[float, float, float, float], ...], t_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The same at many times (m,): two (m, 3)."""
     path = np.asarray(waypoints, dtype=float)
     times = path[:, 0]
-    place = np.array([np.interp(t_s, times, path[:, k]) for k in (1, 2, 3)])
-    index = int(np.searchsorted(times, t_s, side="right")) - 1
-    if index < 0 or index >= len(times) - 1:
-        return place, np.zeros(3)
-    return place, (path[index + 1, 1:] - path[index, 1:]) / (times[index + 1] - times[index])
+    place = np.stack([np.interp(t_s, times, path[:, k]) for k in (1, 2, 3)], axis=1)
+    index = np.searchsorted(times, t_s, side="right") - 1
+    moving = (index >= 0) & (index < len(times) - 1)
+    speed = np.zeros_like(place)
+    if len(times) > 1:
+        each = np.diff(path[:, 1:], axis=0) / np.diff(times)[:, None]
+        speed[moving] = each[index[moving]]
+    return place, speed

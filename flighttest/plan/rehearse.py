@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.plan.model import FloatArray, Motion, Predictor, Snapshot
-from flighttest.plan.outer_loop import OuterLoop, along
+from flighttest.plan.outer_loop import OuterLoop, all_along
 from flighttest.script.profiles import Piece, Timeline
 from flighttest.script.profiles.timeline import at
 
@@ -51,6 +51,7 @@ class Row:
     start_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     waypoints: tuple[tuple[float, float, float, float], ...] = ()
     lost_s: float = math.inf
+    of: Row | None = field(default=None, compare=False, repr=False)
 
     @property
     def lead_s(self) -> float:
@@ -58,8 +59,18 @@ class Row:
         return sum(piece.duration_s for piece in self.lead)
 
     def losing_link_at(self, t_s: float) -> Row:
-        """The same row with the link lost at t_s."""
-        return replace(self, lost_s=t_s)
+        """The same row with the link lost at t_s; `of` is the row it is like until then."""
+        return replace(self, lost_s=t_s, of=self.of or self)
+
+    @property
+    def straight(self) -> bool:
+        """Whether it is only ever asked to go up and down."""
+        turns = [(p.roll_rad, p.pitch_rad, p.yaw_rate_rad_s) for p in self.lead]
+        return (
+            not self.waypoints
+            and "counter" not in self.stops
+            and not any(wave != 0.0 for turn in turns for wave in turn)
+        )
 
 
 @dataclass(frozen=True)
@@ -82,31 +93,40 @@ def sample(pieces: Sequence[Piece], hover_throttle: float, t_s: FloatArray) -> F
     return Timeline(tuple(pieces), hover_throttle).table(t_s)
 
 
-class _Policy:
-    """What every row is sent at each moment, and the stops it has found so far."""
+class StopPolicy:
+    """What every row is sent at each moment, and the stops it has found so far.
 
-    def __init__(self, rows: Sequence[Row], predictor: Predictor, duration_s: float, dt_s: float) -> None:
+    Rows may end one after the other, the last ones first: what is known of those that have ended stays as it is.
+    """
+
+    def __init__(self, rows: Sequence[Row], predictor: Predictor, steps: int, dt_s: float) -> None:
         n = len(rows)
         self.dt_s = dt_s
         voltage = np.array([row.voltage_v for row in rows])
         self.hover = np.asarray(predictor.hover_throttle(voltage), dtype=float)
         # A step longer than the grid of durations holds the mean of what is asked during it, so that no edge is rounded.
         fine = max(1, round(dt_s / GRID_S))
-        t: FloatArray = np.arange((round(duration_s / dt_s) + 1) * fine, dtype=float) * (dt_s / fine)
-        hovers: list[float] = self.hover.tolist()
-        table = np.stack([sample(row.lead, hover, t) for row, hover in zip(rows, hovers, strict=True)])
-        self.table: FloatArray = table.reshape(n, -1, fine, 4).mean(axis=2)
+        longest = min(steps, math.ceil(max(row.lead_s for row in rows) / dt_s) + 1)
+        t: FloatArray = np.arange((longest + 1) * fine, dtype=float) * (dt_s / fine)
+        made: dict[tuple[int, float], FloatArray] = {}
+        tables = []
+        for row, hover in zip(rows, self.hover.tolist(), strict=True):
+            key = (id(row.lead), hover)
+            if key not in made:
+                made[key] = sample(row.lead, hover, t).reshape(-1, fine, 4).mean(axis=1)
+            tables.append(made[key])
+        self.table: FloatArray = np.stack(tables, axis=1)
         self.lead_end = np.array([row.lead_s for row in rows])
         self.lost = np.array([row.lost_s for row in rows])
+        self.first_stop_s = float(min(self.lead_end.min(), self.lost.min())) - 1e-9
         self.floor = np.array([row.stop_throttle[0] for row in rows])
         self.ceiling = np.array([row.stop_throttle[1] for row in rows])
-        has_counter = np.array(["counter" in row.stops and row.counter is not None for row in rows])
         self.counter = np.zeros((n, 2))
         for i, row in enumerate(rows):
             if row.counter is not None:
                 self.counter[i] = at(row.counter.roll_rad, 0.0), at(row.counter.pitch_rad, 0.0)
         self.counter_hover = self.hover / np.prod(np.cos(self.counter), axis=1)
-        self.counter_open: BoolArray = has_counter
+        self.counter_open: BoolArray = np.array(["counter" in row.stops and row.counter is not None for row in rows])
         self.vertical_open: BoolArray = np.array(["vertical" in row.stops for row in rows])
         self.counter_s = np.zeros(n)
         self.vertical_s = np.zeros(n)
@@ -116,73 +136,86 @@ class _Policy:
         self.attitude_ahead = predictor.delay_s + predictor.attitude_lag_s
         self.thrust_ahead = predictor.delay_s + predictor.thrust_lag_s
         self.before: FloatArray | None = None
-        self.sent: list[FloatArray] = []
-        self.last = self.table[:, 0].copy()
-        paths: dict[tuple[tuple[float, float, float, float], ...], list[int]] = {}
-        for i, row in enumerate(rows):
-            if row.waypoints:
-                paths.setdefault(row.waypoints, []).append(i)
-        self.paths = paths
+        self.sent = np.tile(self.hover, (steps, 1))
+        self.last = self.table[0].copy()
+        self.steered = np.array([i for i, row in enumerate(rows) if row.waypoints], dtype=np.intp)
+        # Goals and their speeds: (steps, rows with a path, 3) each.
+        times: FloatArray = np.arange(steps, dtype=float) * dt_s
+        goals = [all_along(rows[i].waypoints, times) for i in self.steered]
+        self.goals = [np.stack(part, axis=1) for part in zip(*goals, strict=True)]
         self.yaw = np.array([row.yaw_rad for row in rows])
         self.climb_before = np.zeros(n)
         self.speed_before = np.zeros(n)
         self.loop = OuterLoop()
 
     def __call__(self, now: Snapshot) -> FloatArray:
-        k = min(round(now.t_s / self.dt_s), self.table.shape[1] - 1)
-        targets: FloatArray = self.table[:, k].copy()
-        if self.paths:
-            self._steer(now, targets)
-        a = np.zeros_like(now.v_m_s) if self.before is None else (now.v_m_s - self.before) / self.dt_s
-        self.before = now.v_m_s.copy()
-        past = now.t_s > self.lead_end - 1e-9
-        active = past & (now.t_s < self.lost - 1e-9)
-        if bool(np.any(active)):
-            self._stop(now, a, active, targets)
-        held = (now.t_s >= self.lost - 1e-9) & (now.t_s < self.lost + GUID_TIMEOUT_S - 1e-9)
-        targets[held] = self.last[held]
-        level = now.t_s >= self.lost + GUID_TIMEOUT_S - 1e-9
-        if bool(np.any(level)):
-            wanted = np.clip(-LEVEL_OUT_GAIN_1_S * now.v_m_s[:, 2], -LEVEL_OUT_MAX_M_S2, LEVEL_OUT_MAX_M_S2)
-            targets[level] = 0.0
-            targets[level, 3] = (self.hover * (1.0 + wanted / 9.81))[level]
+        """Targets (n, 4) of the rows that still fly."""
+        k, n = round(now.t_s / self.dt_s), len(now.p_m)
+        targets: FloatArray = self.table[min(k, len(self.table) - 1), :n].copy()
+        if self.steered.size:
+            self._steer(k, now, targets)
+        if now.t_s >= self.first_stop_s:
+            v_before = now.v_m_s if self.before is None else self.before[:n]
+            a = (now.v_m_s - v_before) / self.dt_s
+            active = (now.t_s > self.lead_end[:n] - 1e-9) & (now.t_s < self.lost[:n] - 1e-9)
+            if active.any():
+                self._stop(now, a, active, targets)
+            self._lose(now, targets)
+        self.before = now.v_m_s
         self.last = targets
-        self.sent.append(targets[:, 3].copy())
+        self.sent[k, :n] = targets[:, 3]
         return targets
 
-    def _steer(self, now: Snapshot, targets: FloatArray) -> None:
-        for path, i in self.paths.items():
-            goal, goal_v = along(path, now.t_s)
+    def _lose(self, now: Snapshot, targets: FloatArray) -> None:
+        n = len(targets)
+        gone = now.t_s >= self.lost[:n] - 1e-9
+        if gone.any():
+            level = now.t_s >= self.lost[:n] + GUID_TIMEOUT_S - 1e-9
+            held = gone & ~level
+            targets[held] = self.last[:n][held]
+            targets[level] = levelled(now.v_m_s[level, 2], self.hover[:n][level])
+
+    def _steer(self, k: int, now: Snapshot, targets: FloatArray) -> None:
+        still = int(np.searchsorted(self.steered, len(targets)))
+        if still:
+            i, (goal, goal_v) = self.steered[:still], (part[k, :still] for part in self.goals)
             targets[i] = self.loop.steer(
                 now.p_m[i], now.v_m_s[i], now.rpy_rad[i, 2], goal, goal_v, self.yaw[i], self.hover[i]
             )
 
     def _stop(self, now: Snapshot, a: FloatArray, active: BoolArray, targets: FloatArray) -> None:
-        if bool(np.any(self.counter_open)):
+        n = len(targets)
+        counter_open, vertical_open = self.counter_open[:n], self.vertical_open[:n]
+        if counter_open.any():
             self._counter(now, a, active, targets)
-        if not bool(np.any(self.vertical_open)):
+        if not vertical_open.any():
             return
+        vertical_s, direction, throttle = self.vertical_s[:n], self.direction[:n], self.vertical_throttle[:n]
         climb = now.v_m_s[:, 2] + a[:, 2] * self.thrust_ahead
-        todo = active & self.vertical_open & ~self.counter_open
-        fresh = todo & (self.direction == 0.0)
-        self.direction[fresh] = np.sign(climb[fresh])
-        self.vertical_throttle[fresh] = np.where(climb[fresh] > 0.0, self.floor[fresh], self.ceiling[fresh])
+        todo = active & vertical_open & ~counter_open
+        fresh = todo & (direction == 0.0)
+        if fresh.any():
+            direction[fresh] = np.sign(climb[fresh])
+            throttle[fresh] = np.where(climb[fresh] > 0.0, self.floor[:n][fresh], self.ceiling[:n][fresh])
         slow = fresh & (np.abs(climb) < STANDING_M_S)
-        turned = todo & ~fresh & (climb * self.direction <= 0.0)
-        self.vertical_s -= np.where(turned, self._overdone(self.vertical_s, climb, self.climb_before), 0.0)
-        self.climb_before = climb
-        self.vertical_open = self.vertical_open & ~slow & ~turned & ~(self.vertical_s > STOP_MAX_S)
-        doing = todo & self.vertical_open
-        self.vertical_s[doing] += self.dt_s
+        turned = todo & ~fresh & (climb * direction <= 0.0)
+        if turned.any():
+            vertical_s[turned] -= self._overdone(vertical_s, climb, self.climb_before[:n])[turned]
+        self.climb_before[:n] = climb
+        vertical_open &= ~slow & ~turned & ~(vertical_s > STOP_MAX_S)
+        doing = todo & vertical_open
+        vertical_s[doing] += self.dt_s
         targets[doing] = 0.0
-        targets[doing, 3] = self.vertical_throttle[doing]
+        targets[doing, 3] = throttle[doing]
 
     def _counter(self, now: Snapshot, a: FloatArray, active: BoolArray, targets: FloatArray) -> None:
         # Along the counter's push: pitch pushes forward, roll to the right; the vehicle moves the other way.
+        n = len(targets)
+        counter, counter_s, counter_open = self.counter[:n], self.counter_s[:n], self.counter_open[:n]
         yaw = now.rpy_rad[:, 2]
         c, s = np.cos(yaw), np.sin(yaw)
         forward_left = np.stack([[c, s], [-s, c]])  # (2, 2, n)
-        push = np.stack([np.sin(self.counter[:, 1]), -np.sin(self.counter[:, 0])])
+        push = np.stack([np.sin(counter[:, 1]), -np.sin(counter[:, 0])])
         scale = np.maximum(np.abs(push).sum(axis=0), 1e-9)
 
         def against(vector: FloatArray) -> FloatArray:
@@ -190,16 +223,17 @@ class _Policy:
             return np.asarray(-(body * push).sum(axis=0) / scale)
 
         speed = against(now.v_m_s) + against(a) * self.attitude_ahead
-        todo = active & self.counter_open
-        moving = speed > 0.0
-        self.counter_s -= np.where(todo & ~moving, self._overdone(self.counter_s, speed, self.speed_before), 0.0)
-        self.speed_before = speed
-        self.counter_open = self.counter_open & ~(todo & ~moving) & ~(self.counter_s > STOP_MAX_S)
-        doing = todo & self.counter_open
-        self.counter_s[doing] += self.dt_s
+        todo = active & counter_open
+        turned = todo & ~(speed > 0.0)
+        if turned.any():
+            counter_s[turned] -= self._overdone(counter_s, speed, self.speed_before[:n])[turned]
+        self.speed_before[:n] = speed
+        counter_open &= ~turned & ~(counter_s > STOP_MAX_S)
+        doing = todo & counter_open
+        counter_s[doing] += self.dt_s
         targets[doing] = 0.0
-        targets[doing, 0], targets[doing, 1] = self.counter[doing, 0], self.counter[doing, 1]
-        targets[doing, 3] = self.counter_hover[doing]
+        targets[doing, 0], targets[doing, 1] = counter[doing, 0], counter[doing, 1]
+        targets[doing, 3] = self.counter_hover[:n][doing]
 
     def _overdone(self, lasted_s: FloatArray, now: FloatArray, before: FloatArray) -> FloatArray:
         """How much of the last step lay beyond the moment the speed passed through zero, s; none of a stop that never began."""
@@ -207,22 +241,34 @@ class _Policy:
         return np.where(lasted_s > 0.0, np.minimum(lasted_s, self.dt_s * share), 0.0)
 
 
-def rehearse(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: float | None = None) -> Rehearsal:
-    """Fly all rows for as long as the longest needs: its stops and tail, or `after_s` beyond its record or loss of link."""
+def levelled(climb_m_s: FloatArray, hover_throttle: FloatArray) -> FloatArray:
+    """Targets (n, 4) of an autopilot that has given up waiting: level, and no more climbing or falling."""
+    wanted = np.clip(-LEVEL_OUT_GAIN_1_S * climb_m_s, -LEVEL_OUT_MAX_M_S2, LEVEL_OUT_MAX_M_S2)
+    targets = np.zeros((climb_m_s.size, 4))
+    targets[:, 3] = hover_throttle * (1.0 + wanted / 9.81)
+    return targets
+
+
+def steps_of(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: float | None) -> int:
+    """How many steps the row that takes longest needs: its stops and tail, or `after_s` beyond its record or loss of link."""
     spare = after_s if after_s is not None else max(row.tail_s for row in rows) + 2.5
-    ends = [min(row.lead_s, row.lost_s) for row in rows]
-    duration = max(ends) + spare + predictor.delay_s
-    duration = math.ceil(duration / dt_s) * dt_s
-    policy = _Policy(rows, predictor, duration, dt_s)
+    duration = max(min(row.lead_s, row.lost_s) for row in rows) + spare + predictor.delay_s
+    return math.ceil(duration / dt_s)
+
+
+def rehearse(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: float | None = None) -> Rehearsal:
+    """Fly all rows for as long as the longest needs (see `steps_of`), each from its start: the plain way. `plan.together` shares work."""
+    steps = steps_of(rows, predictor, dt_s, after_s)
+    policy = StopPolicy(rows, predictor, steps, dt_s)
     motion = predictor.fly(
         np.array([row.start_m for row in rows], dtype=float),
         np.array([row.yaw_rad for row in rows], dtype=float),
         np.array([row.voltage_v for row in rows], dtype=float),
         policy,
-        duration,
+        steps * dt_s,
         dt_s,
     )
-    low, high = _reach(motion, np.stack(policy.sent, axis=1), policy.hover, reaction_s(predictor))
+    low, high = reach(motion, policy.sent.T, policy.hover, reaction_s(predictor))
     return Rehearsal(motion, low, high, policy.counter_s, policy.vertical_s, policy.vertical_throttle)
 
 
@@ -231,7 +277,7 @@ def reaction_s(predictor: Predictor) -> float:
     return round(predictor.delay_s + predictor.thrust_lag_s + REACTION_MARGIN_S, 2)
 
 
-def _reach(motion: Motion, throttle: FloatArray, hover: FloatArray, reaction: float) -> tuple[FloatArray, FloatArray]:
+def reach(motion: Motion, throttle: FloatArray, hover: FloatArray, reaction: float) -> tuple[FloatArray, FloatArray]:
     """What the gate foresees (see `flight.gate`): this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
     z, v = motion.p_m[:, :, 2], motion.v_m_s[:, :, 2]
     asked = np.column_stack([throttle, throttle[:, -1:]])[:, : z.shape[1]]

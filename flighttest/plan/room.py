@@ -15,6 +15,8 @@ from flighttest.vehicle.model import Zone
 BRAKE_M_S2 = 4.0
 # The gate judges what is measured; measured heights differ from predicted ones by as much.
 GATE_SLACK_M = 0.4
+# What a start that just fits loses to rounding.
+ROUNDING_M = 1e-3
 AXIS_WORDS = ("along the zone", "across the zone", "in height")
 
 
@@ -61,9 +63,14 @@ class Track:
 
     def turned(self, angle_rad: float) -> Track:
         """The same flight with the vehicle turned by angle_rad."""
-        c, s = math.cos(angle_rad), math.sin(angle_rad)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        turn = turning(angle_rad)
         return Track(self.t_s, self.p_m @ turn.T, self.v_m_s @ turn.T, self.reach_m)
+
+
+def turning(angle_rad: float) -> FloatArray:
+    """The matrix that turns vectors by an angle about the vertical, (3, 3)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -122,9 +129,10 @@ def place(
     headings_rad: relative to the zone's x axis, in order of preference. height_m: start height, where it is not free.
     """
     best: Placement | None = None
+    flights = _Flights(nominal, lost)
     # A heading under which even a lost link stays inside by itself goes before one that needs the fence.
     for heading, fence in [(heading, fence) for fence in (False, True) for heading in headings_rad]:
-        found = _place(nominal, lost, room, wish_m, heading, height_m, fence)
+        found = _place(flights, room, wish_m, heading, height_m, fence)
         if found.excess is None:
             return found
         if best is None or best.excess is None or found.excess.metres < best.excess.metres:
@@ -133,21 +141,47 @@ def place(
     return best
 
 
+class _Flights:
+    """All flights of a step, and the boxes they take under each heading that was asked for."""
+
+    def __init__(self, nominal: list[Track], lost: list[Track]) -> None:
+        self.nominal, self.lost = nominal, lost
+        self._places = [np.concatenate([track.p_m for track in some]) for some in (nominal, lost or nominal)]
+        self._boxes: dict[float, list[tuple[FloatArray, FloatArray]]] = {}
+
+    def boxes(self, heading_rad: float) -> list[tuple[FloatArray, FloatArray]]:
+        """Lowest and highest corner of the flights as planned, and of those with the link lost."""
+        if heading_rad not in self._boxes:
+            turned = [p @ turning(heading_rad).T for p in self._places]
+            self._boxes[heading_rad] = [(p.min(axis=0), p.max(axis=0)) for p in turned]
+        return self._boxes[heading_rad]
+
+    def worst(self, room: Room, start: FloatArray, heading_rad: float, fence: bool) -> Excess | None:
+        """See `worst`. What stays inside by its boxes needs no closer look."""
+        (low, high), (lost_low, lost_high) = self.boxes(heading_rad)
+        outside = max(
+            float(np.max([room.inner_low - start - low, start + high - room.inner_high])),
+            float(np.max([room.outer_low - start - lost_low, start + lost_high - room.outer_high])),
+        )
+        below, above = _reach(self.nominal)
+        if max(outside, room.gate_m[0] - start[2] - below, start[2] + above - room.gate_m[1]) <= 0.5 * ROUNDING_M:
+            return None
+        turned = [[track.turned(heading_rad) for track in some] for some in (self.nominal, self.lost)]
+        return worst(turned[0], turned[1], room, start, fence)
+
+
 def _place(
-    nominal: list[Track],
-    lost: list[Track],
+    flights: _Flights,
     room: Room,
     wish_m: tuple[float, float, float],
     heading: float,
     height_m: float | None,
     fence: bool,
 ) -> Placement:
-    turned, turned_lost = [track.turned(heading) for track in nominal], [track.turned(heading) for track in lost]
-    low, high = box(turned)
-    lost_low, lost_high = box(turned_lost) if turned_lost else (low, high)
+    (low, high), (lost_low, lost_high) = flights.boxes(heading)
     # Starts that keep the flight as planned inside, and those that contain a lost link without a fence as well.
     from_inner, to_inner = room.inner_low - low, room.inner_high - high
-    reach = _reach(nominal)
+    reach = _reach(flights.nominal)
     from_inner[2] = max(from_inner[2], room.gate_m[0] + GATE_SLACK_M - reach[0])
     to_inner[2] = min(to_inner[2], room.gate_m[1] - GATE_SLACK_M - reach[1])
     from_outer, to_outer = (
@@ -171,7 +205,7 @@ def _place(
     for x in candidates[0]:
         for y in candidates[1]:
             start = np.array([x, y, candidates[2][0]])
-            excess = worst(turned, turned_lost, room, start, fence)
+            excess = flights.worst(room, start, heading, fence)
             found = Placement((float(x), float(y), float(start[2])), heading, excess, fence)
             if excess is None:
                 return found
@@ -192,7 +226,7 @@ def worst(nominal: list[Track], lost: list[Track], room: Room, start: FloatArray
         found = _larger(found, _excess(track, over, lost=False))
     below, above = _reach(nominal)
     for metres, high in ((room.gate_m[0] - start[2] - below, False), (start[2] + above - room.gate_m[1], True)):
-        if metres > 1e-3:
+        if metres > ROUNDING_M:
             found = _larger(found, Excess(float(metres), 0.0, 2, high, lost=False, stopped=True))
     for track in lost:
         p = track.p_m + start
@@ -227,8 +261,7 @@ def _beyond(p: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _excess(track: Track, over: FloatArray, lost: bool) -> Excess | None:
-    # A millimetre is what a start that just fits loses to rounding.
-    if float(over.max()) <= 1e-3:
+    if float(over.max()) <= ROUNDING_M:
         return None
     k, axis, side = np.unravel_index(int(np.argmax(over)), over.shape)
     return Excess(float(over.max()), float(track.t_s[k]), int(axis), bool(side), lost)

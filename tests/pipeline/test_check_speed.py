@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from flighttest.identify import expected
 from flighttest.identify.expected import expected_of_plans
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.vehicle.default import DEFAULT_VEHICLE
@@ -26,7 +27,25 @@ def test_what_scripts_tell_together_is_what_each_tells_alone():
             )
             assert [cell for cell, _ in mine.best] == [cell for cell, _ in theirs.best]
     std = {e.name: e.std for e in altogether}
-    assert std["sigma_r"] < {e.name: e.std for e in each[0]}["sigma_r"], "more flights tell more"
+    assert std["d_x"] < 0.99 * {e.name: e.std for e in each[1]}["d_x"], "more flights tell more"
+    assert std["sigma_r"] == pytest.approx({e.name: e.std for e in each[0]}["sigma_r"], rel=1e-9), "of what they move"
+
+
+def test_flying_a_plan_in_coarser_steps_moves_no_expected_error(monkeypatch):
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    compiled = plans(["roll_pitch", "spot_check", "reversals"], DEFAULT_VEHICLE, prior)
+    coarse, _ = expected_of_plans(compiled, prior.model, prior.values)
+    monkeypatch.setattr(expected, "PLANNED_STEP_S", 0.004)
+    fine, _ = expected_of_plans(compiled, prior.model, prior.values)
+    told = [
+        (a, b)
+        for one, other in zip(coarse, fine, strict=True)
+        for a, b in zip(one, other, strict=True)
+        if a.std is not None
+    ]
+    assert len(told) > 20
+    for a, b in told:
+        assert a.std == pytest.approx(b.std, rel=2e-3), a.name
 
 
 def test_nothing_heavy_is_loaded_that_check_does_not_use():

@@ -115,11 +115,13 @@ class Timeline:
             low, high = np.searchsorted(t_s, (start - 1e-9, end - 1e-9))
             if high > low:
                 local = t_s[low:high] - start
-                for column, wave in enumerate((piece.roll_rad, piece.pitch_rad, piece.yaw_rate_rad_s)):
-                    targets[low:high, column] = _over(wave, local)
+                turns = (piece.roll_rad, piece.pitch_rad, piece.yaw_rate_rad_s)
+                for column, wave in enumerate(turns):
+                    if wave != 0.0:
+                        targets[low:high, column] = _over(wave, local)
                 if piece.throttle is not None:
                     targets[low:high, 3] = _over(piece.throttle, local)
-                elif not self.angle_boost:
+                elif not self.angle_boost and turns[:2] != (0.0, 0.0):
                     targets[low:high, 3] /= np.cos(targets[low:high, 0]) * np.cos(targets[low:high, 1])
             start = end
         return targets
