@@ -9,6 +9,7 @@ from flighttest.currency.battery import check
 from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
 from flighttest.currency.hover import Hover, hover_test
+from flighttest.currency.matters import matters
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, BatteryCheck, Change, Currency, Drift, SubsetTest, Verdict
 from flighttest.currency.sequence import drifts
 
@@ -78,6 +79,7 @@ def assess(
         tests=tests,
         drifts=drift,
         battery=checked,
+        matters=matters(changes, alarms),
         fly=fly,
         fly_narrow=narrow,
         could_also_be=_rivals(alarms),
@@ -141,7 +143,8 @@ def _sentence(
         parts.append(
             "slow drift: " + ", ".join(f"{d.parameter} {d.change * 100:+.1f} % by {d.crossed_at}" for d in crossed)
         )
-    return f"Stale: {'. '.join(parts)}."
+    later = [part[:1].upper() + part[1:] for part in parts[1:]]
+    return f"Stale: {'. '.join([*parts[:1], *later])}."
 
 
 def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | None) -> str:
@@ -175,11 +178,11 @@ def _rivals(alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
     moved = {t.subset for t in alarms}
     if "thrust" in moved:
         found += [
-            "a change of mass looks like a change of thrust (both scale K); a scale settles it",
-            "air density: 10 degC or 300 m of height change thrust by about 3 %",
+            "another mass (weigh it)",
+            "air density (10 °C or 300 m: 3 %)",
         ]
     if "drag" in moved:
-        found.append("steady wind looks like drag unless all headings were flown")
+        found.append("steady wind, unless all headings were flown")
     if "attitude" in moved:
-        found.append("a slower link looks like a slower attitude loop in part; compare the delay")
+        found.append("a slower link, in part: compare the delays")
     return tuple(found)

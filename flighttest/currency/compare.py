@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.currency.discrepancy import prior
-from flighttest.currency.model import SUBSETS, FloatArray, SubsetTest
+from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
 from flighttest.identify.student import beyond, fisher_beyond, quantile
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
@@ -208,26 +208,10 @@ def _dof(stored: Estimates, new: Estimates, total: FloatArray) -> FloatArray:
     return np.asarray(1.0 / doubt)
 
 
-_WORDS = {
-    "K": "thrust per throttle",
-    "alpha": "dependence of thrust on voltage",
-    "sigma_t": "speed of the thrust response",
-    "omega_phi": "speed of the roll response",
-    "omega_theta": "speed of the pitch response",
-    "zeta_phi": "damping of the roll response",
-    "zeta_theta": "damping of the pitch response",
-    "sigma_r": "speed of the yaw rate response",
-    "d_x": "drag forward",
-    "d_y": "drag sideways",
-    "d_z": "drag in climb",
-    "hover_throttle": "the throttle that holds height",
-}
-
-
 def in_words(parameter: str, change: float) -> str:
     """'thrust per throttle fell 6 %'."""
     verb = "rose" if change > 0 else "fell"
-    return f"{_WORDS.get(parameter, parameter)} {verb} {abs(change) * 100:.1f} %"
+    return f"{WORDS.get(parameter, parameter)} {verb} {abs(change) * 100:.1f} %"
 
 
 def _sentence(subset: str, alarm: bool, shifts: Mapping[str, tuple[float, float]], p_value: float) -> str:

@@ -27,6 +27,23 @@ SCRIPTS: dict[str, tuple[str, ...]] = {
 ALL_SCRIPTS: tuple[str, ...] = ("roll_pitch", "yaw_rate", "thrust")
 
 
+# What an operator reads for a parameter.
+WORDS: dict[str, str] = {
+    "K": "thrust per throttle",
+    "alpha": "dependence of thrust on voltage",
+    "sigma_t": "speed of the thrust response",
+    "omega_phi": "speed of the roll response",
+    "omega_theta": "speed of the pitch response",
+    "zeta_phi": "damping of the roll response",
+    "zeta_theta": "damping of the pitch response",
+    "sigma_r": "speed of the yaw rate response",
+    "d_x": "drag forward",
+    "d_y": "drag sideways",
+    "d_z": "drag in climb",
+    "hover_throttle": "the throttle that holds height",
+}
+
+
 class Verdict(Enum):
     """Whether the model still holds. The value is the sentence shown to the reader."""
 
@@ -103,7 +120,7 @@ class BatteryCheck:
 
 @dataclass(frozen=True)
 class Currency:
-    """The whole answer. fly: script names, in order; because: why the verdict is what it is, one sentence each."""
+    """The whole answer. matters: what the change means for a plan made with the model; fly: script names, in order."""
 
     verdict: Verdict
     sentence: str
@@ -111,6 +128,7 @@ class Currency:
     tests: tuple[SubsetTest, ...] = ()
     drifts: tuple[Drift, ...] = ()
     battery: BatteryCheck | None = None
+    matters: tuple[str, ...] = ()
     fly: tuple[str, ...] = ()
     fly_narrow: tuple[str, ...] = ()
     could_also_be: tuple[str, ...] = ()

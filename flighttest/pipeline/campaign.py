@@ -16,6 +16,7 @@ from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
 from flighttest.pipeline.currency import judge
 from flighttest.pipeline.diagnosis import UNFINISHED, run_diagnosis, write_diagnosis
 from flighttest.pipeline.history import FIT_NAME, as_good
+from flighttest.pipeline.reflights import reflights
 from flighttest.pipeline.reporting import REPORT_NAME, keep_segments, provenance, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
@@ -78,7 +79,7 @@ def analyse(
         data["currency"] = {"verdict": found.currency.verdict.name, "sentence": found.currency.sentence}
     if found.diagnosis is not None:
         data["diagnosis"] = found.diagnosis
-    return Result(_summary(found, view, folders, notes, page), data, _status(found, usable), found)
+    return Result(_summary(found, view, folders, notes, page, vehicle), data, _status(found, usable), found)
 
 
 def _analysis(
@@ -140,7 +141,8 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
     if found.currency is not None:
         stale = found.currency.verdict is Verdict.STALE
         if not renewed(found):
-            parts.insert(0, found.currency.sentence)
+            # A few steps make no model: what was asked is whether the one in use still holds.
+            parts = [found.currency.sentence, *parts[1:]]
             tone = TONES[found.currency.verdict]
             tone = tone if found.explained or tone != "good" else "warn"
         elif stale:
@@ -155,18 +157,26 @@ def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Docume
     if notes:
         extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(notes)),)))
     if found.currency is not None:
-        extra += status_document(found.currency, {}, {}, {}).sections
+        extra += status_document(found.currency, {}, ()).sections
     return run_document(
         found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, verdict=verdict, tone=tone
     )
 
 
 def _summary(
-    found: Analysis, view: FitView | None, folders: Sequence[Path], notes: Sequence[str], page: Document
+    found: Analysis,
+    view: FitView | None,
+    folders: Sequence[Path],
+    notes: Sequence[str],
+    page: Document,
+    vehicle: Vehicle | None,
 ) -> Document:
-    """What the terminal shows: the verdict, the parameters, where everything is."""
+    """What the terminal shows: the verdict, the parameters (or what speaks for and against the model in use), where everything is."""
     sections: list[Section] = []
-    if view is not None:
+    if found.currency is not None and found.previous is not None and not renewed(found):
+        rows, _, _ = reflights(found.currency, found.previous, vehicle)
+        sections += status_document(found.currency, {}, rows, brief=True).sections
+    elif view is not None:
         sections.append(fit_sections.parameters(view))
     else:
         sections.append(fit_sections.segments(segment_views(found.segments)))

@@ -9,15 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from flighttest.currency import alike
 from flighttest.currency.assess import assess
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.hover import Hover, hover
 from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
-from flighttest.currency.reflight import needs
-from flighttest.documents import write_text
 from flighttest.errors import FitError, InputError
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
@@ -26,23 +23,18 @@ from flighttest.identify.model_file import ModelFile
 from flighttest.identify.problem import Noise, Problem
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
-from flighttest.pipeline.checking import predictor_for
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
 from flighttest.pipeline.history import TESTED, campaigns, standing, watched, when
 from flighttest.pipeline.present import Present
+from flighttest.pipeline.reflights import reflights
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
-from flighttest.plan import check as check_plan
-from flighttest.plan import compile_plan
 from flighttest.recording import Recording
 from flighttest.report import html
 from flighttest.report.currency_page import status_document
 from flighttest.report.numbers import join
 from flighttest.report.plain import plain
-from flighttest.script.load import load_script
-from flighttest.script.shipped import resolve
 from flighttest.segments import Segment
-from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.fingerprint import fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
@@ -50,7 +42,6 @@ from flighttest.vehicle.model import Vehicle
 ALPHA_TELLS = 2.0
 VAGUE = 0.2  # relative standard error beyond which the stored value serves better
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
-SPOT_CHECK = "spot_check"
 NOISE = ("channels", "disturbances")  # as model.yaml names them
 
 
@@ -262,58 +253,22 @@ def finish(
     present: Present | None = None,
 ) -> Result:
     """Document, data, and with `output` the page and the scripts to fly."""
-    where = vehicle or DEFAULT_VEHICLE
-    predictor = predictor_for(Path(stored.path), where) if stored.path else predictor_for(None, where)
-    scripts: dict[str, str] = {}
-    minutes: dict[str, float] = {}
-    repeats: dict[str, Any] = {}
-    for name in dict.fromkeys((*found.fly, SPOT_CHECK)):
-        script = load_script(resolve(name))
-        plan = compile_plan(script, where, predictor)
-        if (
-            plan.refusals
-        ):  # a stale or half-known model may find no room for a step: the time it takes is that of the usual vehicle
-            plan = compile_plan(script, where, predictor_for(None, where))
-        minutes[name] = check_plan(plan).duration_s / 60.0
-        if name == SPOT_CHECK:
-            scripts[f"or first the spot check, {minutes[name]:.1f} min in the air"] = name
-    if found.verdict is Verdict.STALE:
-        known = {n: (p.value, p.std) for n, p in stored.parameters.items() if p.std is not None}
-        flown = {name: load_script(resolve(name)).repeat.each for name in found.fly}
-        repeats = {n.script: n for n in needs(found.fly_narrow or found.fly, known, flown)}
+    rows, minutes, repeats = reflights(found, stored, vehicle, output)
     facts = {"model": stored.path or "the last one fitted"}
     if vehicle is not None:
         facts["vehicle"] = vehicle.path or vehicle.name
     if present is not None:
         facts["read"] = present.sentence
     if runs:
-        facts["new recordings"] = ", ".join(runs)
+        facts["new flight"] = ", ".join(runs)
+    document = status_document(found, facts, rows, brief=True)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        for name, need in repeats.items():
-            path = output / f"{name}_again.yaml"
-            path.write_text(shortened(name, need.repeats), encoding="utf-8")
-            scripts[f"{name}, {_repeats(need.repeats, need.usual)}"] = str(path)
-    document = status_document(found, facts, scripts, minutes)
-    if output is not None:
-        html.write(document, output / "status.html")
+        html.write(status_document(found, facts, rows), output / "status.html")
+        document = replace(document, footer=f"page: {output / 'status.html'}")
     data = plain(found)
     data["verdict"] = found.verdict.name
     data["repeats"] = {name: need.repeats for name, need in repeats.items()}
     data["minutes"] = minutes
     status_of = {Verdict.CURRENT: Status.DONE, Verdict.STALE: Status.STALE, Verdict.UNKNOWN: Status.DONE}
     return Result(document, data, status_of[found.verdict], found)
-
-
-def _repeats(wanted: int, usual: int) -> str:
-    if wanted > usual:
-        return f"{wanted} repeats instead of the usual {usual}, for errors small enough to plan with"
-    return f"{wanted} of the usual {usual} repeats are enough"
-
-
-def shortened(script: str, repeats: int) -> str:
-    """A shipped script with another number of repeats, as text."""
-    data = yaml.safe_load(resolve(script).read_text(encoding="utf-8"))
-    data["name"] = f"{data['name']}_again"
-    data["repeat"] = {**data.get("repeat", {}), "each": repeats}
-    return write_text(data)

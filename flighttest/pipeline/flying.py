@@ -21,11 +21,12 @@ from flighttest.identify.model_file import ModelFile
 from flighttest.link.onboard import fetch
 from flighttest.pipeline.campaign import analyse
 from flighttest.pipeline.checking import plans, predictor_for
-from flighttest.pipeline.currency import SPOT_CHECK, flown_until
+from flighttest.pipeline.currency import flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.history import campaigns, standing, vehicle_name
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.present import BUILTIN
+from flighttest.pipeline.reflights import SPOT_CHECK
 from flighttest.pipeline.replanning import ScriptReplanner
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.simulator import options

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flighttest.currency.model import Currency, Verdict
+from flighttest.currency.model import WORDS, Currency, Verdict
 from flighttest.report.document import (
+    Align,
     Block,
     Bullets,
     Cell,
-    Code,
     Document,
     Figure,
     Panel,
@@ -25,113 +25,169 @@ from flighttest.report.numbers import duration, join, percent, to_error, unit
 TONES: dict[Verdict, Tone] = {Verdict.CURRENT: "good", Verdict.STALE: "bad", Verdict.UNKNOWN: "warn"}
 
 
+@dataclass(frozen=True)
+class Reflight:
+    """One way on. what: whom it is for; minutes: in the air; command: what flies it."""
+
+    what: str
+    scripts: tuple[str, ...]
+    minutes: float
+    command: str
+
+
+FEW_CHANGES = 6  # rows of changes on a terminal
+_FIRST = (
+    "component",
+    "mass",
+    "firmware",
+    "frame",
+    "voltage",
+)  # what a person changed, before what a parameter list says
+
+
 def status_document(
-    found: Currency, facts: Mapping[str, str], scripts: Mapping[str, str], minutes: Mapping[str, float]
+    found: Currency, facts: Mapping[str, str], flights: Sequence[Reflight], *, brief: bool = False
 ) -> Document:
-    """facts: what was compared; scripts: what to fly to the path of the script; minutes: flying time per script."""
+    """What changed, why it matters, what to fly and how long it takes. facts: what was compared; brief: for one screen of a terminal."""
     sections = []
     if found.changes:
-        rows = tuple(
-            (c.name, c.kind, c.before, c.after, c.since or "-", join(c.touches), join(c.narrower))
-            for c in found.changes
-        )
-        table = Table(("what", "", "the model's", "today's", "since", "touches", "at least fly"), rows)
-        reasons = tuple(
-            dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in found.changes)
-        )
-        sections.append(Section("declared", "What changed", (table, Bullets(reasons))))
+        sections.append(_changes(found, brief))
     if found.tests:
-        sections.append(_tests(found))
-    if found.drifts:
-        drift_rows = tuple(
-            (
-                d.parameter,
-                percent(d.change),
-                f"{d.excursion:+.1f}",
-                f"{d.limit:.1f}",
-                Cell(d.crossed_at or "within", "bad" if d.crossed_at else "good"),
-            )
-            for d in found.drifts
-        )
-        caption = (
-            "CUSUM over runs, in standard deviations; an unchanged vehicle crosses one of these limits once in about "
-            f"{found.drifts[0].false_alarm_every / len(found.drifts):.0f} runs."
-        )
-        sections.append(
-            Section(
-                "drift",
-                "Drift over runs",
-                (
-                    Table(
-                        ("parameter", "now", "excursion", "limit", ""),
-                        drift_rows,
-                        ("left", "right", "right", "right", "left"),
-                        caption,
-                    ),
-                ),
-            )
-        )
-    if found.battery is not None:
-        sections.append(
-            Section(
-                "battery", "Battery", (Paragraph(found.battery.sentence, "bad" if found.battery.alarm else "plain"),)
-            )
-        )
+        sections.append(_tests(found) if brief else _tests_in_full(found))
+    if found.matters:
+        sections.append(_listed("matters", "Why it matters", found.matters, brief))
+    if flights and (found.fly or found.verdict is Verdict.UNKNOWN):
+        sections.append(_fly(flights, brief))
+    if found.battery is not None and not (brief and found.tests and found.battery.resistance_ohm is not None):
+        tone: Tone = "bad" if found.battery.alarm else "plain"
+        sections.append(Section("battery", "" if brief else "Battery", (Paragraph(found.battery.sentence, tone),)))
+    if any(d.crossed_at for d in found.drifts) or (found.drifts and not brief):
+        sections.append(_drifts(found))
     if found.could_also_be:
-        sections.append(Section("rivals", "What else could look like it", (Bullets(found.could_also_be),)))
-    if found.fly:
-        sections.append(_fly(found, scripts, minutes))
+        sections.append(_listed("rivals", "It could also be", found.could_also_be, brief))
     if found.cannot_tell:
-        sections.append(Section("unknown", "What could not be compared", (Bullets(found.cannot_tell),)))
+        sections.append(_listed("unknown", "What could not be compared", found.cannot_tell, brief))
     return Document("Is the model current?", found.sentence, TONES[found.verdict], tuple(sections), dict(facts))
 
 
+def _listed(name: str, title: str, items: tuple[str, ...], brief: bool) -> Section:
+    """A heading and its sentences; in one paragraph where the screen is small."""
+    if brief:
+        return Section(name, "", (Paragraph(f"{title}: {'; '.join(items)}."),))
+    return Section(name, title, (Bullets(items),))
+
+
+def _changes(found: Currency, brief: bool) -> Section:
+    ordered = sorted(found.changes, key=lambda c: (_FIRST.index(c.kind) if c.kind in _FIRST else len(_FIRST), c.name))
+    shown = ordered[:FEW_CHANGES] if brief and len(ordered) > FEW_CHANGES + 1 else ordered
+    rows = [(c.name, Cell(c.before, "quiet"), Cell(c.after, "bad"), join(c.touches)) for c in shown]
+    rest = ordered[len(shown) :]
+    if rest:
+        touched = join(tuple(dict.fromkeys(s for c in rest for s in c.touches)))
+        rows.append((f"and {len(rest)} more", Cell("(all with --json)", "quiet"), Cell(""), touched))
+    since = tuple(dict.fromkeys(c.since for c in ordered if c.since))
+    blocks: list[Block] = [Table(("what", "the model's", "today's", "touches"), tuple(rows))]
+    reasons = [c for c in ordered if c.kind in _FIRST or not brief]
+    said = tuple(dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in reasons))
+    if said:
+        blocks.append(Bullets(said))
+    title = f"What changed {since[0]}" if len(since) == 1 and since[0].startswith("after") else "What changed"
+    if len(since) > 1 or (since and title == "What changed"):
+        when = {c.since: [d.name for d in ordered if d.since == c.since] for c in ordered if c.since}
+        blocks.append(Paragraph("; ".join(f"{join(names)}: {s}" for s, names in when.items()), "quiet"))
+    return Section("declared", title, tuple(blocks))
+
+
 def _tests(found: Currency) -> Section:
+    """One line per subset: what moved most."""
+    rows = []
+    for t in found.tests:
+        name = max(t.shifts, key=lambda n: abs(t.shifts[n][1]))
+        change = t.shifts[name][0]
+        rows.append(
+            (
+                t.subset,
+                WORDS.get(name, name),
+                Cell(f"{change * 100:+.1f} %", "bad" if t.alarm else "plain"),
+                f"{t.detectable[name] * 100:.1f} %" if name in t.detectable else "-",
+                f"{t.p_value:.1g}",
+                Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good"),
+            )
+        )
+    if found.battery is not None and found.battery.resistance_ohm is not None:
+        now, before = found.battery.resistance_ohm, found.battery.reference_ohm
+        moved = f"{(now[0] / before[0] - 1.0) * 100:+.1f} %" if before else "-"
+        word = ("changed" if found.battery.alarm else "as before") if before else "not known before"
+        bad: Tone = "bad" if found.battery.alarm else "plain"
+        last = Cell(word, "bad" if found.battery.alarm else "good" if before else "quiet")
+        rows.append(("battery", "internal resistance", Cell(moved, bad), "-", "-", last))
+    align: tuple[Align, ...] = ("left", "left", "right", "right", "right", "left")
+    heads = ("subset", "what moved most", "change", "shows from", "chance", "")
+    return Section("tests", "", (Table(heads, tuple(rows), align, _caption(found, brief=True)),))
+
+
+def _caption(found: Currency, *, brief: bool = False) -> str:
+    level, alike = found.tests[0].level, max(t.alike for t in found.tests)
+    rate = f"{level * len(found.tests) * 100:.0f} %"
+    if brief:
+        return f"A change below 'shows from' may go unseen. False alarms: {rate} of campaigns."
+    how = f"like steps with like, {alike} kinds of step; " if alike else ""
+    return (
+        f"shows from: a smaller change may have happened unseen; {how}chance: of such a difference without a change, alarm below "
+        f"{level:.2g}, which an unchanged vehicle raises in {rate} of campaigns."
+    )
+
+
+def _tests_in_full(found: Currency) -> Section:
     rows = []
     for t in found.tests:
         for index, (name, (change, z)) in enumerate(t.shifts.items()):
-            moved = t.alarm and abs(z) > 2
+            first = index == 0
             rows.append(
                 (
-                    t.subset if index == 0 else "",
+                    t.subset if first else "",
                     name,
-                    Cell(percent(change), "bad" if moved else "plain"),
+                    Cell(percent(change), "bad" if t.alarm and abs(z) > 2 else "plain"),
                     f"{z:+.1f}",
                     percent(t.detectable[name]) if name in t.detectable else "-",
-                    f"{t.p_value:.2g}" if index == 0 else "",
-                    Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if index == 0 else "",
+                    (f"{t.alike} kinds of step" if t.alike else "estimates") if first else "",
+                    f"{t.p_value:.2g}" if first else "",
+                    Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if first else "",
                 )
             )
-    level = found.tests[0].level
-    caption = (
-        "shows from: a smaller change may have happened unseen. p: chance of such a difference without a change; "
-        f"alarm below {level:.2g}, which an unchanged vehicle raises in {level * len(found.tests):.0%} of campaigns."
-    )
     table = Table(
-        ("subset", "parameter", "change", "z", "shows from", "p", ""),
+        ("subset", "parameter", "change", "z", "shows from", "compared by", "chance", ""),
         tuple(rows),
-        ("left", "left", "right", "right", "right", "right", "left"),
-        caption,
+        ("left", "left", "right", "right", "right", "left", "right", "left"),
+        _caption(found),
     )
-    return Section("tests", "The new recording against the model", (table,))
+    return Section("tests", "The new flight against the model", (table,))
 
 
-def _fly(found: Currency, scripts: Mapping[str, str], minutes: Mapping[str, float]) -> Section:
-    def words(names: Sequence[str]) -> str:
-        known = [minutes[n] for n in names if n in minutes]
-        tail = f" (about {duration(sum(known) * 60)} of flight)" if len(known) == len(names) and known else ""
-        return f"{join(list(names))}{tail}"
+def _drifts(found: Currency) -> Section:
+    rows = tuple(
+        (
+            d.parameter,
+            percent(d.change),
+            f"{d.excursion:+.1f}",
+            f"{d.limit:.1f}",
+            Cell(d.crossed_at or "within", "bad" if d.crossed_at else "good"),
+        )
+        for d in found.drifts
+    )
+    caption = (
+        "CUSUM over runs, in standard deviations; an unchanged vehicle crosses one of these limits once in about "
+        f"{found.drifts[0].false_alarm_every / len(found.drifts):.0f} runs."
+    )
+    align: tuple[Align, ...] = ("left", "right", "right", "right", "left")
+    table = Table(("parameter", "now", "excursion", "limit", ""), rows, align, caption)
+    return Section("drift", "Drift over runs", (table,))
 
-    blocks: list[Block] = [
-        Paragraph(f"The paper's rule, after any change of a component: fly all of it again: {words(found.fly)}.")
-    ]
-    if found.fly_narrow and set(found.fly_narrow) != set(found.fly):
-        blocks.append(Paragraph(f"Enough, if nothing else was touched: {words(found.fly_narrow)}."))
-    blocks.append(Code(f"flighttest run {' '.join(scripts.get(n, n) for n in found.fly)}"))
-    for name, path in scripts.items():
-        if name not in found.fly:
-            blocks.append(Code(f"flighttest run {path}", f"{name}:"))
-    return Section("fly", "What to fly", tuple(blocks))
+
+def _fly(flights: Sequence[Reflight], brief: bool) -> Section:
+    rows = tuple((f.what, duration(f.minutes * 60.0), Cell(f.command, "good")) for f in flights)
+    heads = ("what to fly" if brief else "", "in the air", "command")
+    return Section("fly", "" if brief else "What to fly", (Table(heads, rows, ("left", "right", "left")),))
 
 
 @dataclass(frozen=True)
