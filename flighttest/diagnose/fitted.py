@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
 from flighttest.diagnose.noise import Floor
-from flighttest.diagnose.plausible import impossible, significance
+from flighttest.diagnose.plausible import impossible, no_more_than_freedom
 from flighttest.diagnose.rows import Rows, State
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
@@ -22,7 +22,6 @@ IntArray = NDArray[np.intp]
 LEAST_BIC = 10.0
 LEAST_FLOORS = 0.7
 LEAST_GAIN = 0.05
-LEAST_SIZE = 4.0  # standard errors, clustered by response: those that physics puts there have dozens
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,9 @@ def judge(
         gain = (ss_b - ss_a) / excess
     values = after.state.values
     reason = impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
-    if not reason and (z := significance(term, after.model, after.names, values, after.rows)) < LEAST_SIZE:
-        reason = f"its size is {z:.1f} standard errors, where {LEAST_SIZE:g} are asked for: no more than chance"
+    if not reason:
+        tried = next(t for t in after.model.built_terms if t.id == term)
+        reason = no_more_than_freedom(tried, after.model, after.names, values, after.rows)
     own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
     return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
 

@@ -18,6 +18,7 @@ BIN_S = 0.1  # responses of one cell are compared in bins of this width after th
 EQUATIONS_PER_COVARIATE = 4
 SMALL_CORRELATION = 0.05
 LEAST_RATIO = 1.25
+OUTRIGHT = 3.5
 CHANCE = 0.001
 
 
@@ -28,13 +29,13 @@ class Floor:
 
     lack_of_fit: channel to (lack of fit, its degrees of freedom, pure error, its degrees) of 0.1 s means, where repeats exist;
     lack_by_kind: (channel, kind of step) to (mean square of what repeats share over the pure error's at the same times since the step,
-    number of cells, repeats that say how large the pure error is).
+    number of cells, repeats that say how large the pure error is, independent times of one response).
     """
 
     std: Mapping[str, float]
     from_repeats: frozenset[str]
     lack_of_fit: Mapping[str, tuple[float, float, float, float]]
-    lack_by_kind: Mapping[tuple[str, str], tuple[float, int, float]] = field(default_factory=dict)
+    lack_by_kind: Mapping[tuple[str, str], tuple[float, int, float, float]] = field(default_factory=dict)
 
     def of(self, channel: str) -> float:
         """The floor of one channel."""
@@ -54,8 +55,10 @@ class Floor:
         if ratio <= LEAST_RATIO:
             return False
         if (channel, kind) in self.lack_by_kind:
-            lack, cells, repeats = self.lack_by_kind[channel, kind]
-            return bool(lack > stats.f.ppf(1 - CHANCE, max(cells, 1), max(repeats, 1.0)))
+            lack, cells, repeats, times = self.lack_by_kind[channel, kind]
+            # A response whose samples all went astray together is one observation. What stands out by far needs no such caution.
+            looks = times if ratio > OUTRIGHT**2 else 1.0
+            return bool(lack > stats.f.ppf(1 - CHANCE, max(cells * looks, 1.0), max(repeats * looks, 1.0)))
         return bool(ratio > stats.f.ppf(1 - CHANCE, max(count, 1.0), 1e3))
 
 
@@ -129,7 +132,7 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
             cells.setdefault(s.cell_key, []).append(i)
     cells = {k: v for k, v in cells.items() if len(v) >= 2}
     std, repeated, lack = {}, set(), {}
-    by_kind: dict[tuple[str, str], tuple[float, int, float]] = {}
+    by_kind: dict[tuple[str, str], tuple[float, int, float, float]] = {}
     for c, name in enumerate(rows.channels):
         pure = _pure_error(rows, segments, cells, c) if cells else None
         if pure is None:
@@ -146,7 +149,7 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
 
 def _pure_error(
     rows: Rows, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
-) -> tuple[float, float, float, float, dict[str, tuple[float, int, float]], float] | None:
+) -> tuple[float, float, float, float, dict[str, tuple[float, int, float, float]], float] | None:
     """Mean squares of 0.1 s means: (pure error, its degrees of freedom, lack of fit, its degrees, kind to (ratio, cells, repeats), usual).
 
     The usual pure error is the median over times since the step, so that a few bins around jittering edges do not raise the floor of
@@ -162,6 +165,7 @@ def _pure_error(
     known = {i: covariates(segments[i]) for i in by_segment}
     square, dof, lack, lack_dof = 0.0, 0.0, 0.0, 0.0
     bins: dict[tuple[str, int], list[tuple[FloatArray, float, float]]] = {}
+    apart: dict[str, dict[int, list[tuple[int, float]]]] = {}
     for key, members in cells.items():
         table: dict[int, list[tuple[int, float]]] = {}
         cells_of[str(key[0])] = cells_of.get(str(key[0]), 0) + 1  # type: ignore[index]
@@ -184,10 +188,11 @@ def _pure_error(
             covs = np.array([known[e[0]] for e in entries])
             covs = covs - covs.mean(axis=0)
             spread = means - means.mean()
-            for z, d in zip(covs, spread, strict=True):
+            for (i, _), z, d in zip(entries, covs, spread, strict=True):
                 bins.setdefault((str(key[0]) if isinstance(key, tuple) else "", b), []).append(
                     (z, d, 1 - 1 / len(entries))
                 )
+                apart.setdefault(str(key[0]), {}).setdefault(i, []).append((b, float(d)))  # type: ignore[index]
             lack += len(entries) * means.mean() ** 2
             kinds.setdefault(str(key[0]), []).append((b, len(entries) * means.mean() ** 2))  # type: ignore[index]
             lack_dof += 1
@@ -217,18 +222,51 @@ def _pure_error(
     shared = {}
     for kind, values in kinds.items():
         ratio, repeats = _shared(values, at_time)
-        shared[kind] = ratio, cells_of[kind], repeats
+        several = _independent_times(list(apart.get(kind, {}).values()), at_time)
+        shared[kind] = ratio, cells_of[kind], repeats, several
     return square / dof, dof, lack / lack_dof, lack_dof, shared, usual
 
 
 def _shared(values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[float, float]]) -> tuple[float, float]:
     """(what repeats share over their pure error at the same times, repeats that say how large that is).
 
-    A velocity's error grows while a response lasts, so late times are compared with late times; the means of one response go together,
-    so that a time's degrees of freedom are all there are.
+    A velocity's error grows while a response lasts, so late times are compared with late times. The repeats are those of one time.
     """
     known = [(v, at_time[b][0] / at_time[b][1], at_time[b][1]) for b, v in values if at_time[b][1] > 0.5]
     pure = sum(p for _, p, _ in known)
     if pure <= 0:
         return 0.0, 1.0
     return sum(v for v, _, _ in known) / pure, sum(p * free for _, p, free in known) / pure
+
+
+def _independent_times(
+    curves: Sequence[Sequence[tuple[int, float]]], at_time: Mapping[int, tuple[float, float]]
+) -> float:
+    """How many independent looks one response gives, 1 or more: few where what differs lasts (a gust moves the whole response), many
+    where it comes and goes.
+
+    curves: of each response (time bin, difference from the mean of its repeats). Satterthwaite's degrees of freedom of a sum of
+    squares whose terms are correlated: (sum p)^2 / sum rho^2 p p', p the pure error of a time.
+    """
+    usual = {b: square / free for b, (square, free) in at_time.items() if free > 0.5 and square > 0}
+    length = 1 + max(usual, default=0) - min(usual, default=0)
+    if length < 2:
+        return 1.0
+    first = min(usual)
+    power = np.zeros(length)
+    for b, p in usual.items():
+        power[b - first] = p
+    product, both = np.zeros(length), np.zeros(length)
+    for curve in curves:
+        d = np.zeros(length)
+        for b, value in curve:
+            if b in usual:
+                d[b - first] = value / np.sqrt(usual[b])
+        seen = (d != 0.0).astype(float)
+        product += np.correlate(d, d, "full")[length - 1 :]
+        both += np.correlate(seen, seen, "full")[length - 1 :]
+    if product[0] <= 0:
+        return 1.0
+    rho = np.where(both > 0, product / np.maximum(both, 1.0), 0.0) / (product[0] / both[0])
+    together = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+    return max(1.0, float(power.sum() ** 2 / (power @ (np.minimum(rho**2, 1.0)[together] @ power))))

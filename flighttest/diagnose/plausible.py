@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.rows import Rows
-from flighttest.physics.core import Param
+from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
+
+LEAST_SIZE = 4.0  # standard errors
+LEAST_SHARE = 0.05  # of the usual size
 
 
 def is_amplitude(term: str, name: str, model: Model) -> bool:
@@ -45,11 +48,22 @@ def impossible(
     return ""
 
 
-def significance(term: str, model: Model, names: Sequence[str], values: Mapping[str, float], rows: Rows) -> float:
-    """The term's largest amplitude over its standard error at the shapes found; infinite where it has no amplitude."""
-    own = [n for n in names if is_amplitude(term, n, model)]
-    # Size and shape of one term trade with each other; what is asked here is whether there is anything of this shape.
-    asked = tuple(n for n in names if n in own or model.term_of(n) != term)
+def no_more_than_freedom(
+    term: Term, model: Model, names: Sequence[str], values: Mapping[str, float], rows: Rows
+) -> str:
+    """Why a term whose start states are free in every response is there by that freedom alone; '' when it is not, or has none.
+
+    A pendulum of no weight that may begin anywhere fits a slow wander of the velocity: its size has to stand out from its error
+    (clustered by response, at the shapes found), and to be a size at all.
+    """
+    if not any(s.free for s in term.states):
+        return ""
+    own = [n for n in names if is_amplitude(term.id, n, model)]
+    asked = tuple(n for n in names if n in own or model.term_of(n) != term.id)
     std = dict(zip(asked, standard_errors(rows, asked), strict=True))
-    ratios = [abs(values[n] - float(model.param[n].off or 0.0)) / max(float(std[n]), 1e-300) for n in own]
-    return max(ratios, default=float("inf"))
+    for name in own:
+        p = model.param[name]
+        size, usual = (abs(x - float(p.off or 0.0)) for x in (values[name], p.nominal))
+        if size >= max(LEAST_SIZE * float(std[name]), LEAST_SHARE * usual):
+            return ""
+    return f"its size is no more than what free start states make of a wander ({LEAST_SIZE:g} standard errors, {LEAST_SHARE:.0%} of usual)"
