@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.feeding import feeding
+from flighttest.identify.feeding import able, feeding
 from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.solve import State, normal_equations
 from flighttest.physics.body import DELAY_PARAM
@@ -77,8 +77,9 @@ def expected_of_plans(
     owned = [range(end - len(group), end) for group, end in zip(groups, ends.tolist(), strict=True)]
     wanted = [*owned, range(len(every))]
     # Which steps feed which part of the model depends on what else there is: each response is differentiated once for all who use it.
+    can = {b.name: able(every, b) for b in model.blocks}
     fed = [
-        {b.name: {own[i] for i in feeding(every[own.start : own.stop], b, "paper")} for b in model.blocks}
+        {b.name: set(feeding(every, b, "paper", [i for i in can[b.name] if i in own])) for b in model.blocks}
         for own in wanted
     ]
     union = {b.name: set[int]().union(*(one[b.name] for one in fed)) for b in model.blocks}

@@ -18,13 +18,18 @@ FEW_STEPS = 6  # fewer steps than this of a block, beside free flight, are no ca
 DRAG_STEP_MIN_RAD = 0.25  # the paper's Pi_4 uses 0.3 and 0.5 rad
 
 
-def feeding(segments: Sequence[Segment], block: Block, select: Select) -> list[int]:
-    """Positions of the segments that feed a block.
+def able(segments: Sequence[Segment], block: Block) -> list[int]:
+    """Positions of the segments in which a block's references move."""
+    return [i for i, s in enumerate(segments) if _can_feed(s, block)]
+
+
+def feeding(segments: Sequence[Segment], block: Block, select: Select, among: Sequence[int] | None = None) -> list[int]:
+    """Positions of the segments that feed a block, among those that are `able` to.
 
     select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
     'all' (every segment in which its references move).
     """
-    members = [i for i, s in enumerate(segments) if _can_feed(s, block)]
+    members = able(segments, block) if among is None else list(among)
     return _as_in_the_paper(segments, members, block) if select == "paper" else members
 
 

@@ -84,6 +84,7 @@ class Stepping:
     def __init__(self, forms: Forms, u: FloatArray, dt_s: float, straight: bool = False) -> None:
         self.forms, self.dt_s = forms, dt_s
         self.straight = straight and forms.level is not None
+        self._moving = np.zeros(0, dtype=np.intp)
         self._linear: tuple[FloatArray, FloatArray, FloatArray] | None = None
         if self.straight and forms.matrix is not None:
             self._linear = self._affine(forms.matrix, u)
@@ -99,7 +100,9 @@ class Stepping:
         """One step."""
         if self._linear is not None:
             power, free, forced = self._linear
-            return np.asarray(power @ x + free + forced * u[self._throttle])
+            after = x.copy()
+            after[self._moving] = power @ x[self._moving] + free + forced * u[self._throttle]
+            return after
         if x.shape[1] <= FEW and not self.straight:
             n = x.shape[1]
             return np.asarray(self.forms.single(n)(x, u, np.full((1, n), self.dt_s)))
@@ -121,4 +124,8 @@ class Stepping:
             asked = u.copy()
             asked[row] = throttle
             pushed.append(self.forms.level(at_rest, asked))
-        return one + z @ q, self.dt_s * q @ pushed[0], self.dt_s * q @ (pushed[1] - pushed[0])
+        power, free, forced = one + z @ q, self.dt_s * q @ pushed[0], self.dt_s * q @ (pushed[1] - pushed[0])
+        # What neither changes nor is changed need not be carried along.
+        alive = z.any(axis=0) | z.any(axis=1) | free.any(axis=1) | forced.any(axis=1)
+        self._moving = np.flatnonzero(alive)
+        return power[np.ix_(alive, alive)], free[alive], forced[alive]

@@ -276,10 +276,10 @@ def track_of(flown: Rehearsal, j: int, row: Row) -> Track:
         end = row.lost_s + GUID_TIMEOUT_S + DRIFT_S
     count = int(np.searchsorted(motion.t_s, end + 1e-9))
     start = motion.p_m[j, 0]
-    reach = (
-        float(flown.reach_low_m[j, :count].min() - start[2]),
-        float(flown.reach_high_m[j, :count].max() - start[2]),
-    )
+    reach = (0.0, 0.0)
+    if math.isinf(row.lost_s):
+        low, high = flown.reach_low_m[j, :count].min(), flown.reach_high_m[j, :count].max()
+        reach = (float(low - start[2]), float(high - start[2]))
     track = Track(motion.t_s[:count], motion.p_m[j, :count] - start, motion.v_m_s[j, :count], reach)
     return _drifted(track)
 
@@ -287,7 +287,7 @@ def track_of(flown: Rehearsal, j: int, row: Row) -> Track:
 def _drifted(track: Track) -> Track:
     """The track with where its drift over ground will end: speed goes on falling at the rate of its last half second."""
     k = int(np.searchsorted(track.t_s, track.t_s[-1] - 0.5))
-    now, before = float(np.linalg.norm(track.v_m_s[-1, :2])), float(np.linalg.norm(track.v_m_s[k, :2]))
+    now, before = math.hypot(*track.v_m_s[-1, :2].tolist()), math.hypot(*track.v_m_s[k, :2].tolist())
     if now < 0.05 or before <= now:
         return track
     rate = math.log(before / now) / float(track.t_s[-1] - track.t_s[k])

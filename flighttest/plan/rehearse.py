@@ -93,6 +93,33 @@ def sample(pieces: Sequence[Piece], hover_throttle: float, t_s: FloatArray) -> F
     return Timeline(tuple(pieces), hover_throttle).table(t_s)
 
 
+def sample_all(rows: Sequence[Row], hover_throttle: FloatArray, t_s: FloatArray) -> FloatArray:
+    """The same for the leads of n rows, each with its own hover throttle: (m, n, 4). Rows of constant pieces are looked up at once."""
+    table = np.empty((t_s.size, len(rows), 4))
+    plain: dict[int, list[int]] = {}
+    for i, row in enumerate(rows):
+        waves = (w for p in row.lead for w in (p.roll_rad, p.pitch_rad, p.yaw_rate_rad_s, p.throttle or 0.0))
+        if all(isinstance(wave, (int, float)) for wave in waves):
+            plain.setdefault(len(row.lead), []).append(i)
+        else:
+            table[:, i] = sample(row.lead, float(hover_throttle[i]), t_s)
+    for pieces, members in plain.items():
+        leads = [rows[i].lead for i in members]
+        ends = np.cumsum([[p.duration_s for p in lead] for lead in leads], axis=1).reshape(len(members), pieces)
+        turns = np.array([[(p.roll_rad, p.pitch_rad, p.yaw_rate_rad_s) for p in lead] for lead in leads], dtype=float)
+        asked = np.array(
+            [[math.nan if p.throttle is None else p.throttle for p in lead] for lead in leads], dtype=float
+        )
+        hover = hover_throttle[members][:, None]
+        values = np.zeros((len(members), pieces + 1, 4))
+        values[:, :pieces, :3] = turns.reshape(len(members), pieces, 3)
+        values[..., 3] = hover / (np.cos(values[..., 0]) * np.cos(values[..., 1]))
+        values[:, :pieces, 3] = np.where(np.isnan(asked), values[:, :pieces, 3], asked)
+        index = (ends[None, :, :] <= t_s[:, None, None] + 1e-9).sum(axis=2)
+        table[:, members] = values[np.arange(len(members))[None, :], index]
+    return table
+
+
 class StopPolicy:
     """What every row is sent at each moment, and the stops it has found so far.
 
@@ -108,14 +135,7 @@ class StopPolicy:
         fine = max(1, round(dt_s / GRID_S))
         longest = min(steps, math.ceil(max(row.lead_s for row in rows) / dt_s) + 1)
         t: FloatArray = np.arange((longest + 1) * fine, dtype=float) * (dt_s / fine)
-        made: dict[tuple[int, float], FloatArray] = {}
-        tables = []
-        for row, hover in zip(rows, self.hover.tolist(), strict=True):
-            key = (id(row.lead), hover)
-            if key not in made:
-                made[key] = sample(row.lead, hover, t).reshape(-1, fine, 4).mean(axis=1)
-            tables.append(made[key])
-        self.table: FloatArray = np.stack(tables, axis=1)
+        self.table: FloatArray = sample_all(rows, self.hover, t).reshape(-1, fine, n, 4).mean(axis=1)
         self.lead_end = np.array([row.lead_s for row in rows])
         self.lost = np.array([row.lost_s for row in rows])
         self.first_stop_s = float(min(self.lead_end.min(), self.lost.min())) - 1e-9

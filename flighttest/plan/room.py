@@ -53,7 +53,7 @@ class Room:
 class Track:
     """A predicted flight relative to its start, vehicle's starting heading along x: p_m, v_m_s (m, 3), t_s (m,).
 
-    reach_m: (low, high) heights it would stay between if the supervisor stopped it at its worst moment.
+    reach_m: (low, high) heights it would stay between if the supervisor stopped it at its worst moment; of a flight as planned.
     """
 
     t_s: FloatArray
@@ -146,14 +146,14 @@ class _Flights:
 
     def __init__(self, nominal: list[Track], lost: list[Track]) -> None:
         self.nominal, self.lost = nominal, lost
-        self._places = [np.concatenate([track.p_m for track in some]) for some in (nominal, lost or nominal)]
+        self._places = [np.concatenate([track.p_m.T for track in some], axis=1) for some in (nominal, lost or nominal)]
         self._boxes: dict[float, list[tuple[FloatArray, FloatArray]]] = {}
 
     def boxes(self, heading_rad: float) -> list[tuple[FloatArray, FloatArray]]:
         """Lowest and highest corner of the flights as planned, and of those with the link lost."""
         if heading_rad not in self._boxes:
-            turned = [p @ turning(heading_rad).T for p in self._places]
-            self._boxes[heading_rad] = [(p.min(axis=0), p.max(axis=0)) for p in turned]
+            turned = [turning(heading_rad) @ p for p in self._places]
+            self._boxes[heading_rad] = [(p.min(axis=1), p.max(axis=1)) for p in turned]
         return self._boxes[heading_rad]
 
     def worst(self, room: Room, start: FloatArray, heading_rad: float, fence: bool) -> Excess | None:

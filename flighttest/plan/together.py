@@ -101,8 +101,8 @@ class _Filling:
     def __init__(self, ask: Ask, steps: int) -> None:
         self.ask, self.steps = ask, steps
         n = len(ask.rows)
-        self.p, self.v = np.zeros((n, steps + 1, 3)), np.zeros((n, steps + 1, 3))
-        self.low, self.high = np.zeros((n, steps + 1)), np.zeros((n, steps + 1))
+        self.p, self.v = (np.empty((n, 3, steps + 1)).transpose(0, 2, 1) for _ in range(2))
+        self.low, self.high = np.empty((n, steps + 1)), np.empty((n, steps + 1))
         self.counter_s, self.vertical_s, self.throttle = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def rehearsal(self, dt_s: float) -> Rehearsal:
