@@ -210,6 +210,8 @@ def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> 
         outcome=str(manifest.get("outcome") or manifest.get("importer") or ""),
         parameters=parameters,
         components=components,
+        completed=manifest.get("outcome_name") == "COMPLETED",
+        campaign=tuple(map(str, stored.runs)) if stored is not None else (),
     )
 
 

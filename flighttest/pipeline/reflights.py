@@ -65,10 +65,8 @@ def reflights(
     wanted = found.fly_narrow or found.fly
     repeats = {n.script: n for n in needs(wanted, known, flown)} if found.fly else {}
 
-    def row(what: str, names: Sequence[str], paths: Sequence[str] = ()) -> Reflight:
-        return Reflight(
-            what, tuple(names), sum(minutes[n] for n in names), f"flighttest run {' '.join(paths or names)}"
-        )
+    def row(what: str, names: Sequence[str]) -> Reflight:
+        return Reflight(what, tuple(names), sum(minutes[n] for n in names), f"flighttest run {' '.join(names)}")
 
     rows = []
     if found.fly:
@@ -82,9 +80,10 @@ def reflights(
                 paths.append(output / f"{name}_again.yaml")
                 paths[-1].write_text(shortened(own([name])[0], need.repeats), encoding="utf-8")
             times = sum(minutes[own([n])[0]] * need.repeats / need.usual for n, need in repeats.items())
-            each = ", ".join(f"{n}: {need.repeats} of {need.usual} repeats" for n, need in repeats.items())
-            command = f"flighttest run {' '.join(map(str, paths))}"
-            rows.append(Reflight(f"just enough ({each})", tuple(repeats), times, command))
+            each = ", ".join(f"{n}: {need.repeats} repeats, usually {need.usual}" for n, need in repeats.items())
+            fewer = all(need.repeats <= need.usual for need in repeats.values())
+            what = f"{'the shortest that serves' if fewer else 'for errors to plan with'} ({each})"
+            rows.append(Reflight(what, tuple(repeats), times, f"flighttest run {' '.join(map(str, paths))}"))
     if not any(test.alarm for test in found.tests):
         rows.append(row("first, to see" if found.fly else "to be sure", [SPOT_CHECK]))
     return tuple(rows), minutes, repeats

@@ -192,7 +192,8 @@ def _fly(flights: Sequence[Reflight], brief: bool) -> Section:
 
 @dataclass(frozen=True)
 class HistoryPoint:
-    """One run of the history. parameters: name to (value, half width of its 95 % interval); components in one line each."""
+    """One run of the history. parameters: name to (value, half width of its 95 % interval); components in one line each; completed: flown
+    to its end; campaign: runs that were fitted together, which carry the same estimates."""
 
     run: str
     when: str
@@ -201,6 +202,8 @@ class HistoryPoint:
     outcome: str
     parameters: Mapping[str, tuple[float, float]]
     components: Mapping[str, str]
+    completed: bool = False
+    campaign: tuple[str, ...] = ()
 
 
 def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str]) -> Document:
@@ -212,42 +215,48 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str]) -
     marks = changes_between(points)
     # A run folder's name begins with its date and ends with its script: said once. Numbers are those under the pictures.
     dated = all(p.run[:4].isdigit() for p in points)
-    heads = ("", "run", *(() if dated else ("when", "script")), "vehicle", "how it ended", "changed before it")
+    vehicles = list(dict.fromkeys(p.vehicle for p in points if p.vehicle))
+    several = len(vehicles) > 1
+    heads = (
+        "", "run", *(() if dated else ("when", "script")), *(("vehicle",) if several else ()), "changed before it", "how it ended",
+    )  # fmt: skip
     rows = tuple(
         (
             f"{i}",
             p.run,
             *(() if dated else (p.when, p.script)),
-            p.vehicle,
-            p.outcome,
+            *((p.vehicle,) if several else ()),
             Cell("; ".join(marks.get(p.run, ())), "warn"),
+            Cell("flown", "quiet") if p.completed else p.outcome,
         )
         for i, p in enumerate(points, 1)
     )
     sections = [Section("runs", "Runs", (Table(heads, rows, ("right",)),))]
     names = list(dict.fromkeys(n for p in points for n in p.parameters))
-    panels = tuple(
-        _history_panel(
-            name, [(i, p) for i, p in enumerate(points, 1) if name in p.parameters], units.get(name, ""), marks
-        )
-        for name in names
-    )
+    # Runs that were fitted together carry the same estimates: shown once.
+    before = [p.campaign for p in points]
+    own = [(i, p) for i, p in enumerate(points, 1) if not p.campaign or p.campaign not in before[: i - 1]]
+    numbered = {n: [(i, p) for i, p in own if n in p.parameters] for n in names}
+    panels = tuple(_history_panel(name, numbered[name], units.get(name, ""), marks) for name in names)
     if panels:
-        latest = next(p for p in reversed(points) if p.parameters)
         table = Table(
-            ("parameter", "latest", "unit"),
-            tuple(
-                (n, f"{to_error(v, s)} +- {to_error(s, s)}", unit(units.get(n, "")))
-                for n, (v, s) in latest.parameters.items()
-            ),
-            ("left", "right", "left"),
-            f"from {latest.run}",
+            ("parameter", "latest", "unit", "run", "since the first"),
+            tuple(_latest(n, numbered[n], units.get(n, "")) for n in names),
+            ("left", "right", "left", "right", "right"),
         )
-        caption = "Each run's estimate with its 95 % interval; dashed: a component changed before this run."
+        caption = "Each campaign's estimate with its 95 % interval; dashed: a component changed before this run."
         sections.append(Section("history", "Parameters over runs", (Figure("history", panels, caption, 3, 230), table)))
     fitted = sum(1 for p in points if p.parameters)
-    verdict = f"{len(points)} run{'s' if len(points) != 1 else ''}, {fitted} with a fit."
+    of = f" of {vehicles[0]}" if len(vehicles) == 1 else ""
+    verdict = f"{len(points)} run{'s' if len(points) != 1 else ''}{of}, {fitted} with a fit."
     return Document("Runs on this machine", verdict, "plain", tuple(sections))
+
+
+def _latest(name: str, numbered: Sequence[tuple[int, HistoryPoint]], unit_text: str) -> tuple[Cell | str, ...]:
+    (_, first), (number, last) = numbered[0], numbered[-1]
+    (before, _), (now, half) = first.parameters[name], last.parameters[name]
+    change = percent((now - before) / abs(before)) if len(numbered) > 1 and before else "-"
+    return name, f"{to_error(now, half)} +- {to_error(half, half)}", unit(unit_text), f"{number}", change
 
 
 def changes_between(points: Sequence[HistoryPoint]) -> dict[str, tuple[str, ...]]:
