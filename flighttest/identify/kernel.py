@@ -19,32 +19,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.identify.compiled import CHAIN, Slopes, chain, differentiated, observed
 from flighttest.identify.filters import Butterworth
 from flighttest.physics.blocks import Block
-from flighttest.physics.simulate import rk4_stages
-from flighttest.physics.vectorised import Vectorised
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 # Numbers of nodes are rounded up to one of these, so that responses of like length are integrated together.
 _BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
-CHAIN = 16  # nodes a compiled chain steps over
 RESPONSES_PER_CALL = 96
+FLIGHTS_KEPT = 12  # batches of responses of a block whose states are kept
 PIECES_PER_CHUNK = 1024  # differentiated at once: what the processor's cache holds
-
-
-@dataclass(frozen=True)
-class _Slopes:
-    """A vector function for many columns at once: its value (rows, n) and the entries of its Jacobian that can differ from zero."""
-
-    program: Vectorised
-    rows: int
-    at: tuple[IntArray, IntArray]
-
-    def __call__(self, *arguments: Any) -> tuple[FloatArray, FloatArray]:
-        """Value (rows, n) and entries (n, entries); their rows and columns are `at`."""
-        made = self.program(*arguments)
-        return made[: self.rows], made[self.rows :].T
 
 
 @dataclass
@@ -91,11 +75,16 @@ class Kernel:
 
     def _run(self, p: FloatArray, local: FloatArray, nodes: FloatArray, y: FloatArray, dy: FloatArray) -> None:
         m, k, _ = nodes.shape
-        x, middle = self._states(p, local, nodes)
+        flown = self._flown(p, local, nodes)
+        n_c = dy.shape[3]
+        told = (self.outputs, tuple(self.filters_hz.items()))
+        if not n_c and told in flown.y:
+            y[:] = flown.y[told]
+            return
+        x, middle = flown.x, flown.middle
         data = np.ascontiguousarray(nodes.transpose(2, 1, 0))
         n_u, n_e = len(self.block.inputs), len(self.block.exogenous)
         delay = float(self.block.delay_s(p))
-        n_c = dy.shape[3]
         begun = np.zeros((m, self._n_x, n_c))
         if n_c:
             begun[:, self._started, len(self.free) + np.arange(self._n_free_x)] = 1.0
@@ -139,6 +128,22 @@ class Kernel:
                 )
             y[:, pieces] = made.reshape(-1, *shape).transpose(2, 1, 0)
             dy[:, pieces] = d_made.reshape(*shape, *d_made.shape[1:]).swapaxes(0, 1)
+        flown.y[told] = y.copy()
+
+    def _flown(self, p: FloatArray, local: FloatArray, nodes: FloatArray) -> _Flown:
+        """The states of these responses; the last ones are kept, since a point is asked for again: its values, then its slopes."""
+        kept: dict[Any, _Flown] = self.block.made.setdefault("flown", {})
+        key = (nodes.ctypes.data, nodes.shape, bool(self._filtered))
+        known = kept.pop(key, None)
+        if nodes.flags.writeable:  # it may be changed before the next call
+            return _Flown(p, local, nodes, *self._states(p, local, nodes), {})
+        if known is None or not (np.array_equal(known.p, p) and np.array_equal(known.local, local)):
+            x, middle = self._states(p, local, nodes)
+            known = _Flown(p.copy(), local.copy(), nodes, x, middle, {})
+        kept[key] = known
+        while len(kept) > FLIGHTS_KEPT:
+            del kept[next(iter(kept))]
+        return known
 
     def _states(self, p: FloatArray, local: FloatArray, nodes: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """States before the first piece and after each (n_x, k + 1, m), and in the middle of each (n_x, k, m) where a filter needs it."""
@@ -175,16 +180,15 @@ class Kernel:
         key = ("states", m, middles)
         if key not in made:
             if ("chain", middles) not in made:
-                made["chain", middles] = _chain(self.block, middles)
-            chain = made["chain", middles]
-            made[key] = chain.map(m)
+                made["chain", middles] = chain(self.block, middles)
+            made[key] = made["chain", middles].map(m)
         return made[key]
 
     def _observe(self, now: _Pieces, x: FloatArray, e: list[FloatArray]) -> FloatArray:
         """Outputs (n_outputs, n) before filters."""
         made = self.block.made
         if ("outputs", self.outputs) not in made:
-            made["outputs", self.outputs] = _outputs(self.block, self.outputs)
+            made["outputs", self.outputs] = observed(self.block, self.outputs)
         return np.asarray(made["outputs", self.outputs](list(x), now.p, now.u, e, now.d))
 
     def _report(
@@ -279,14 +283,27 @@ class Kernel:
         found[: len(self.free)] = slope[[self.block.params.index(n) for n in self.free]]
         return found
 
-    def _slopes(self, what: str) -> _Slopes:
+    def _slopes(self, what: str) -> Slopes:
         """The block's rate ('x_dot') or outputs ('y') with its Jacobian by the states, then the columns."""
         key = (what, self.outputs if what == "y" else (), self.free)
         if key not in self.block.made:
-            self.block.made[key] = _differentiated(self, what)
+            self.block.made[key] = differentiated(self.block, what, self.outputs, self.free)
         found = self.block.made[key]
-        assert isinstance(found, _Slopes)
+        assert isinstance(found, Slopes)
         return found
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """Responses as they were integrated at p and local: states before the first piece and after each, in the middle of each, and what came
+    out of it by outputs and filters. nodes: held on to, so that no others can take their place in memory."""
+
+    p: FloatArray
+    local: FloatArray
+    nodes: FloatArray
+    x: FloatArray
+    middle: FloatArray | None
+    y: dict[Any, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -317,54 +334,3 @@ def node_bucket(k: int) -> int:
 
 def _chunks(k: int, size: int) -> Iterator[slice]:
     return (slice(first, min(first + size, k)) for first in range(0, k, size))
-
-
-def _symbols(block: Block) -> list[Any]:
-    """x, p, u, e, d."""
-    groups = (block.states, block.params, block.inputs, block.exogenous, block.disturbances)
-    return [ca.SX.sym(name, len(group)) for name, group in zip("xpued", groups, strict=True)]
-
-
-def _chain(block: Block, middles: bool) -> ca.Function:
-    """(x, p, d, nodes) to the states after each of `CHAIN` pieces, those in the middle below them: (n_x or 2 n_x, CHAIN)."""
-    x, p, _, _, d = _symbols(block)
-    n_u, n_e = len(block.inputs), len(block.exogenous)
-    node = ca.SX.sym("node", 2 + n_u + 2 * n_e)
-    u, e0, e1 = node[2 : 2 + n_u], node[2 + n_u : 2 + n_u + n_e], node[2 + n_u + n_e :]
-    h = node[0] + node[1] * block.delay_s(p)
-    after, k1, k4 = rk4_stages(lambda x, e: block.function(x, p, u, e, d)[0], x, h, (e0, 0.5 * (e0 + e1), e1))
-    # The state in the middle of the piece, from states and rates at both ends (Hermite): filters see the output bend.
-    middle = [0.5 * (x + after) + h / 8 * (k1 - k4)] if middles else []
-    step = ca.Function("step", [x, p, d, node], [ca.densify(v) for v in ca.cse([after, *middle])])
-    at, p, d = ca.MX.sym("x", len(block.states)), ca.MX.sym("p", len(block.params)), ca.MX.sym("d", d.numel())
-    nodes = ca.MX.sym("nodes", node.numel(), CHAIN)
-    start, rows = at, []
-    for column in ca.horzsplit(nodes):
-        made = step(at, p, d, column)
-        parts = made if isinstance(made, (tuple, list)) else [made]
-        at = parts[0]
-        rows.append(ca.vertcat(*parts))
-    return ca.Function(f"{block.name}_states", [start, p, d, nodes], [ca.horzcat(*rows)])
-
-
-def _outputs(block: Block, outputs: tuple[str, ...]) -> Vectorised:
-    arguments = _symbols(block)
-    y = block.function(*arguments)[1][[block.outputs.index(n) for n in outputs]]
-    return Vectorised(ca.Function("outputs", arguments, [ca.densify(ca.cse(y))]))
-
-
-def _differentiated(kernel: Kernel, what: str) -> _Slopes:
-    block = kernel.block
-    arguments = _symbols(block)
-    x, p, _, _, d = arguments
-    value = block.function(*arguments)[0 if what == "x_dot" else 1]
-    if what == "y":
-        value = value[[block.outputs.index(n) for n in kernel.outputs]]
-    q = ca.vertcat(x, *(p[block.params.index(n)] for n in kernel.free), d)
-    jacobian = ca.jacobian(value, q)
-    rows, columns = (np.array(at, dtype=np.intp) for at in jacobian.sparsity().get_triplet())
-    # Between parameters and disturbances lie the free initial states, which the rate does not depend on.
-    columns = np.where(columns >= len(block.states) + len(kernel.free), columns + len(block.free_states), columns)
-    nonzeros = ca.vertcat(*jacobian.nonzeros()) if rows.size else ca.SX(0, 1)
-    both = ca.cse(ca.vertcat(ca.densify(value), nonzeros))
-    return _Slopes(Vectorised(ca.Function(what, arguments, [ca.densify(both)])), value.numel(), (rows, columns))

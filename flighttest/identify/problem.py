@@ -262,6 +262,7 @@ class Problem:
                 stacked[at, : len(nodes)] = nodes
                 stacked[at, len(nodes) :] = nodes[-1]
                 stacked[at, len(nodes) :, :2] = 0.0
+            stacked.flags.writeable = False
             found.append(_Batch(cutoffs, members, stacked, [rows[j][1] for j in members]))
         self._laid_out[i] = key, found
         return found
