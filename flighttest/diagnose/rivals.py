@@ -25,6 +25,7 @@ FloatArray = NDArray[np.float64]
 CONFUSABLE = 0.95
 STANDARD_ERRORS = 4.0
 PLAUSIBLE = 2.0  # times the usual size: an effect that shows only above that could not be seen
+NEVER = 100.0  # times the usual size: no such thing flies, so that this is no different from seeing nothing
 
 
 def missing_channels(term: Term, segments: Sequence[Segment]) -> tuple[str, ...]:
@@ -114,7 +115,7 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
             continue
         level, name = levels.get(term.id, (np.inf, ""))
         usual = next((abs(p.nominal - float(p.off or 0.0)) for p in term.amplitudes if p.name == name), 1.0)
-        if not np.isfinite(level):
+        if not level < NEVER * usual:
             found.append(
                 Untestable(term.id, "nothing in this flight would have looked different with it", term.reveals)
             )
