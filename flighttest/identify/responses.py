@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import weakref
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
+T = TypeVar("T")
 
 # Longer pieces are split. The step resolves the fastest pole of the block: RK4 then errs by less than 1e-4 in any parameter.
 MAX_STEP_S = 0.0251
@@ -83,8 +86,33 @@ def never_changing(channels: Sequence[str]) -> str:
     return f"{shown} never change{'s' if len(channels) == 1 else ''} in any sample, as no measurement does"
 
 
+# What was worked out of a segment, for as long as it lives: a diagnosis prepares the same segments for dozens of models.
+_worked_out: dict[int, tuple[weakref.ref[Segment], dict[Any, Any]]] = {}
+
+
+def _once(segment: Segment, key: Any, work: Callable[[], T]) -> T:
+    """The result of `work` on a segment, which is done once."""
+    number = id(segment)
+    if number not in _worked_out or _worked_out[number][0]() is not segment:
+        _worked_out[number] = weakref.ref(segment, lambda _: _worked_out.pop(number, None)), {}
+    known = _worked_out[number][1]
+    if key not in known:
+        known[key] = work()
+    found: T = known[key]
+    return found
+
+
 def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
     """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
+    key = (
+        name,
+        nominal_voltage_v if name == "voltage_v" else 0.0,
+        attitude_delay_s if name.startswith("target_") else 0.0,
+    )
+    return _once(segment, key, lambda: _exogenous(segment, name, nominal_voltage_v, attitude_delay_s))
+
+
+def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
     t, y = segment.t_s, segment.y
     if name == "voltage_v":
         return _voltage(segment, nominal_voltage_v)
@@ -122,6 +150,10 @@ def _voltage(segment: Segment, nominal_voltage_v: float) -> FloatArray:
 
 def merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Times at which any of the inputs changes (m,), and all inputs from then on (m, n)."""
+    return _once(segment, ("edges", tuple(inputs)), lambda: _merged_edges(segment, inputs))
+
+
+def _merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     parts = [segment.u[n][0] for n in inputs if n in segment.u]
     times = np.unique(np.concatenate(parts)) if parts else np.array([segment.t_s[0] - 1.0])
     values = np.stack([held(segment.u.get(n), times) for n in inputs], axis=1) if inputs else np.empty((times.size, 0))
