@@ -64,6 +64,7 @@ _RENAMED = {
     "ATC_ACCEL_Y_MAX": "ATC_ACC_Y_MAX",
 }
 _ALIASES = {**_RENAMED, **{new: old for old, new in _RENAMED.items()}}
+FEW, PARTLY = 5, 0.2  # number and share of the parameters that a firmware's next version does not take away
 _UNTELLING_FIELDS = frozenset({"installed", "note", "notes", "comment", "url"})
 
 
@@ -180,6 +181,7 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             unknown.append("the model does not carry the parameters it was flown with")
         return []
     found = []
+    partly = _partly(before, after, unknown)
     for name in sorted({*before, *after}):
         if name in before and name in after:
             if same(before[name], after[name]):
@@ -187,7 +189,7 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             old, new = before[name], after[name]
         else:
             here, there = (before, after) if name in before else (after, before)
-            if _ALIASES.get(name) in there:
+            if partly or _ALIASES.get(name) in there:
                 continue
             old, new = (here[name], "absent") if here is before else ("absent", here[name])
         subsets = touched(name)
@@ -198,6 +200,16 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             Change("parameter", name, _plain(old), _plain(new), subsets, ALL_SCRIPTS, scripts_for(subsets), because)
         )
     return found
+
+
+def _partly(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> bool:
+    """Whether one side knows its parameters in part only (a log that began late, another program's list): what it lacks is unknown then."""
+    for here, there, whose in ((before, after, "today's vehicle"), (after, before, "the model's flight")):
+        missing = [n for n in here if n not in there and _ALIASES.get(n) not in there]
+        if len(missing) > max(FEW, PARTLY * len(here)):
+            unknown.append(f"{len(missing)} of {len(here)} parameters that shape the response are not known of {whose}")
+            return True
+    return False
 
 
 def _mass(old: Any, new: Any) -> list[Change]:

@@ -133,11 +133,13 @@ def fit(
     frozen: Mapping[str, float] | None = None,
     ties: Mapping[str, str] | None = None,
     robust: bool = True,
+    noise: Noise | None = None,
 ) -> Fit:
     """Estimate the model's parameters from usable segments of one or several recordings, jointly.
 
     filters: known measurement filters (channel group to Hz); start: values to start from; frozen: held there; ties: name to the
-    name it equals (each tie is tested). FitError where nothing can be estimated.
+    name it equals (each tie is tested); noise: of an earlier fit whose estimates are `start`, to stay with its optimum. FitError where
+    nothing can be estimated.
     """
     segments = tuple(s for s in segments if s.usable)
     if not segments:
@@ -153,7 +155,7 @@ def fit(
     while True:
         fixed = (*(frozen or {}), *held)
         problem = Problem.build(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
-        solution = _best(problem, robust, model.start(start))
+        solution = _best(problem, robust, model.start(start), noise)
         covariance = covariance_of(problem, solution)
         hopeless = _hopeless(solution, covariance)
         if not hopeless or len(hopeless) == len(covariance.names):
@@ -206,10 +208,13 @@ def _check_names(model: Model, names: Sequence[str]) -> None:
             raise InputError(f"the model has no parameter {name!r}", f"it has {', '.join(model.names)}")
 
 
-def _best(problem: Problem, robust: bool, nominal: Mapping[str, float]) -> Solution:
-    """Solve from the shape-based start; from others too where that did not end well."""
-    start, noise = None, None
-    if len(problem.segments) >= 3 * COARSE_STRIDE**2:
+def _best(problem: Problem, robust: bool, nominal: Mapping[str, float], noise: Noise | None = None) -> Solution:
+    """Solve from the shape-based start; from others too where that did not end well.
+
+    noise: the start is an estimate already, and this its noise: of optima that serve alike, the one next to it is meant.
+    """
+    start = None
+    if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
         # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
         coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
         start, noise = coarse.values, coarse.noise

@@ -169,10 +169,11 @@ def reestimate(stored: ModelFile, usable: Sequence[Segment], name: str, progress
 
 def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: str) -> Estimates:
     """`reestimate` from segments that are already cut."""
-    found = identify(segments, stored.model, start=stored.values)
+    noise = stored_noise(stored, Problem.build(segments, stored.model, values=stored.values))
+    found = identify(segments, stored.model, start=stored.values, noise=noise)
     weak = {n: stored.values[n] for n in TESTED if n in found.estimates and _tells_less(found, stored, n)}
     if weak:
-        found = identify(segments, stored.model, start=stored.values, frozen=weak)
+        found = identify(segments, stored.model, start=stored.values, frozen=weak, noise=noise)
     estimates = watched(model_file.from_fit(found), name)
     return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v))
 
@@ -182,9 +183,17 @@ def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segmen
     kept = alike.from_data(stored.fit_quality.get("steps"))
     if not kept:
         return None
-    noise = Noise(*({str(k): float(v) for k, v in (stored.noise.get(part) or {}).items()} for part in NOISE))
     problem = Problem.build(segments, stored.model, values=stored.values)
-    return alike.compare(kept, base, stored.values, noise, problem)
+    noise = stored_noise(stored, problem)
+    return alike.compare(kept, base, stored.values, noise, problem) if noise is not None else None
+
+
+def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
+    """A model's noise, where it knows that of everything in `problem`."""
+    noise = Noise(*({str(k): float(v) for k, v in (stored.noise.get(part) or {}).items()} for part in NOISE))
+    channels = {c for part in problem.parts for c in part.outputs}
+    others = {n for part in problem.parts for n in part.block.disturbances}
+    return noise if channels <= set(noise.channel) and others <= set(noise.disturbance) else None
 
 
 def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:

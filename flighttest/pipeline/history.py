@@ -27,6 +27,12 @@ from flighttest.report.document import Document
 FIT_NAME = "fit.yaml"
 DEFAULT_RUNS = Path("runs")  # where runs go unless told otherwise; not there before the first
 TOGETHER = ("K", "alpha")  # may say together what a throttle gives where neither is known alone
+# Where a delay hangs at its bound, the loop behind it takes up what the delay cannot: it is not told.
+LAGS: dict[str, tuple[str, ...]] = {
+    "T_d_attitude": SUBSETS["attitude"],
+    "T_d_yaw_rate": SUBSETS["yaw"],
+    "T_d_thrust": ("sigma_t",),
+}
 TESTED = tuple(n for names in SUBSETS.values() for n in names)
 
 
@@ -56,10 +62,11 @@ def watched(model: ModelFile, name: str) -> Estimates:
 
     Few responses know their own scatter badly: the degrees of freedom are those of the 95 % intervals (Student's factor).
     """
+    lost = {n for delay, lags in LAGS.items() if _at_bound(model.parameters.get(delay)) for n in lags}
     names = tuple(
         n
         for n in model.order
-        if n in TESTED and n in model.parameters and (n in TOGETHER or _tells(model.parameters[n]))
+        if n in TESTED and n in model.parameters and n not in lost and (n in TOGETHER or _tells(model.parameters[n]))
     )
     values = np.array([model.parameters[n].value for n in names])
     pick = np.array([model.order.index(n) for n in names], dtype=np.intp)
@@ -75,6 +82,10 @@ def watched(model: ModelFile, name: str) -> Estimates:
     there = math.log(float(np.mean(volts)) / nominal) if volts else math.nan
     weak = frozenset(n for n in names if n in TOGETHER and not model.parameters[n].identifiable)
     return Estimates(name, names, values, matrix, dof, there, weak)
+
+
+def _at_bound(delay: StoredParameter | None) -> bool:
+    return delay is not None and delay.source == "fit" and delay.std is None
 
 
 def _tells(p: StoredParameter) -> bool:

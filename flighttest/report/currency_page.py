@@ -116,7 +116,7 @@ def _tests(found: Currency) -> Section:
         )
     if found.battery is not None and found.battery.resistance_ohm is not None:
         now, before = found.battery.resistance_ohm, found.battery.reference_ohm
-        moved = f"{(now[0] / before[0] - 1.0) * 100:+.1f} %" if before else "-"
+        moved = f"{(now[0] / before[0] - 1.0) * 100:+.1f} %" if before and before[0] else "-"
         word = ("changed" if found.battery.alarm else "as before") if before else "not known before"
         bad: Tone = "bad" if found.battery.alarm else "plain"
         last = Cell(word, "bad" if found.battery.alarm else "good" if before else "quiet")

@@ -93,6 +93,18 @@ def test_what_is_not_declared_is_unknown_not_changed():
     assert unknown
 
 
+def test_a_list_of_a_few_parameters_is_no_change_of_the_others():
+    """A telemetry log holds the parameters that somebody asked for while it ran."""
+    whole = {"shaping_parameters": {f"MOT_{i}": float(i) for i in range(30)}}
+    few = {"shaping_parameters": {"MOT_1": 1.0, "MOT_2": 7.0}}
+    for before, after, whose in ((whole, few, "today's vehicle"), (few, whole, "the model's flight")):
+        changes, unknown = declared_changes(before, after)
+        assert [c.name for c in changes] == ["MOT_2"]
+        assert any(f"28 of 30 parameters that shape the response are not known of {whose}" in u for u in unknown)
+    less = {"shaping_parameters": {k: v for k, v in whole["shaping_parameters"].items() if k != "MOT_3"}}
+    assert [(c.name, c.after) for c in declared_changes(whole, less)[0]] == [("MOT_3", "absent")]
+
+
 def test_a_vehicle_file_that_names_only_the_autopilot_is_no_change_of_firmware():
     assert declared_changes(FINGERPRINT, changed(("firmware",), "ardupilot"))[0] == ()
 

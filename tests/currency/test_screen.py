@@ -19,14 +19,13 @@ FLIGHTS = (
 )
 
 
-def found(**factors):
+def found(resistance=(0.02, 0.0004), **factors):
     exact = Estimates("model", NAMES, VALUES, np.zeros((10, 10)))
     moved = VALUES * [factors.get(n, 1.0) for n in NAMES]
     after = Estimates("new", NAMES, moved, np.diag((0.003 * VALUES) ** 2))
-    battery = (0.02, 0.0004)
     return assess(
         model_fingerprint={}, vehicle_fingerprint=None, stored=exact, runs=[after], alike=Alike(exact, after, 12),
-        battery=battery, battery_reference=battery,
+        battery=resistance, battery_reference=resistance,
     )  # fmt: skip
 
 
@@ -45,6 +44,10 @@ def test_all_of_it_is_on_one_small_screen():
                   "10 min 00 s flighttest run thrust", "16 min 54 s flighttest run roll_pitch yaw_rate thrust",
                   "another mass"):  # fmt: skip
         assert words in said, words
+
+
+def test_a_battery_without_resistance_is_shown_as_such():
+    assert "internal resistance" in screen(found(resistance=(0.0, 0.001)))
 
 
 def test_nothing_to_fly_where_nothing_changed():

@@ -66,6 +66,14 @@ def test_what_came_out_sharply_is_compared_though_two_responses_cannot_say_how_s
     assert found.dof[0] == 1.0
 
 
+def test_a_loop_whose_delay_hangs_at_its_bound_is_not_compared():
+    made = model()
+    stuck = StoredParameter(0.0, "s", None, None, "fit", False)
+    found = watched(replace(made, parameters={**made.parameters, "T_d_attitude": stuck}), "run")
+    assert "omega_phi" not in found.names
+    assert "K" in found.names
+
+
 def test_unidentified_parameters_do_not_count():
     first = campaign("first")
     weak = {**first.model.parameters, "alpha": replace(first.model.parameters["alpha"], identifiable=False)}
