@@ -40,7 +40,7 @@ def validate(
     "--connect", metavar="URL", help="Read the vehicle's firmware and parameters as they are now; nothing is set."
 )
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders and models are.")
-@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for history.html and the scripts to fly.")
+@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for status.html and the scripts to fly.")
 def status(
     context: Context,
     runs: tuple[Path, ...],
