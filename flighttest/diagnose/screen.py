@@ -9,7 +9,8 @@ the catalogue as a whole.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 FLIPS = 1999
 FALSE_ALARM_RATE = 0.01  # for the whole catalogue, not per candidate
@@ -46,6 +48,13 @@ class Variant:
         columns, open_columns = rows.of(self.raw)
         return Variant(self.term, self.shapes, self.names, columns, open_columns, self.raw)
 
+    def keeping(self, columns: Sequence[int]) -> Variant:
+        """With some of its amplitudes only."""
+        at = list(columns)
+        names = tuple(self.names[k] for k in at)
+        raw = tuple(one[..., at] for one in self.raw)
+        return Variant(self.term, self.shapes, names, self.columns[:, at], self.open_columns[:, at], raw)
+
 
 @dataclass(frozen=True)
 class Score:
@@ -53,7 +62,8 @@ class Score:
 
     own: (n, q) what of its columns the present model cannot copy, left: their largest share; estimate, std: (q,); bic: change of the
     information criterion (negative: better); flip: robust score; p_value: that the catalogue's largest score is as high by chance.
-    agreement: of the responses' parts in the score, -1 to 1; carriers: how many responses share it (the inverse of its concentration).
+    agreement: of the responses' parts in the score, -1 to 1; carriers: how many responses share it (the inverse of its concentration);
+    left_off: amplitudes that did not earn their place, and the standard error they had.
     """
 
     variant: Variant
@@ -66,6 +76,7 @@ class Score:
     p_value: float = 1.0
     agreement: float = 0.0
     carriers: float = 0.0
+    left_off: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def beyond_chance(self) -> bool:
@@ -96,7 +107,21 @@ class Ground:
         residual = rows.residual - basis @ (basis.T @ rows.residual)
         return cls(rows, basis, residual, inflation(rows, residual))
 
-    @property
+    @cached_property
+    def of_channels(self) -> list[tuple[tuple[IntArray, float], float]]:
+        """Of each channel ((its rows, sum of squares of the residual there), inflation)."""
+        return [(self._squares(self.rows.channel == c), tau) for c, tau in self.inflation.items()]
+
+    @cached_property
+    def of_disturbances(self) -> tuple[IntArray, float]:
+        """The rows that hold responses' own disturbances near zero, and the sum of squares there."""
+        return self._squares(self.rows.sample == DISTURBANCE)
+
+    def _squares(self, inside: NDArray[np.bool_]) -> tuple[IntArray, float]:
+        at = np.flatnonzero(inside)
+        return at, float(self.residual[at] @ self.residual[at])
+
+    @cached_property
     def weight(self) -> FloatArray:
         """(n,): 1 / inflation of the row's channel."""
         table = np.array([1.0 / self.inflation[c] for c in range(len(self.rows.channels))] + [1.0])
@@ -177,13 +202,33 @@ def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Ter
 
 
 def score(ground: Ground, variant: Variant) -> Score | None:
-    """One variant on the present residual; None where nothing of it is left beside the present model."""
+    """One variant on the present residual; None where nothing of it is left beside the present model.
+
+    Of several amplitudes those are scored that earn their place (a wind from the side is no wind from below): the rest stay off.
+    """
     columns = variant.columns
     own = columns - ground.basis @ (ground.basis.T @ columns)
     length = np.sqrt(np.sum(columns**2, axis=0))
     left = np.sqrt(np.sum(own**2, axis=0)) / np.maximum(length, 1e-300)
     if not np.any(length > 0) or left.max() < ABSORBED:
         return None
+    best = _scored(ground, variant, own, float(left.max()))
+    while len(best.variant.names) > 1:
+        fewer = [
+            _scored(ground, best.variant.keeping(keep), best.own[:, keep], best.left)
+            for drop in range(len(best.variant.names))
+            if (keep := [k for k in range(len(best.variant.names)) if k != drop])
+        ]
+        next_best = min(fewer, key=lambda s: s.bic)
+        if next_best.bic >= best.bic:
+            break
+        errors = dict(zip(best.variant.names, best.std.tolist(), strict=True))
+        off = {n: error for n, error in errors.items() if n not in next_best.variant.names}
+        best = replace(next_best, left_off={**best.left_off, **off})
+    return best
+
+
+def _scored(ground: Ground, variant: Variant, own: FloatArray, left: float) -> Score:
     r = ground.residual
     gram = own.T @ own
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
@@ -192,28 +237,22 @@ def score(ground: Ground, variant: Variant) -> Score | None:
     if not variant.names:
         # The change is made in whole or not at all; a refit decides, here its size may adapt.
         estimate = np.clip(estimate, 0.0, 2.0)
-    effect = own @ estimate
-    after = r - effect
-    q = len(variant.names) or 1
-    q += len(variant.shapes)
-    bic = 0.0
-    n_total = 0.0
-    for c, tau in ground.inflation.items():
-        at = ground.rows.channel == c
-        before_ss, after_ss = float(r[at] @ r[at]), float(after[at] @ after[at])
-        n_eff = at.sum() / tau
+    after = r - own @ estimate
+    bic, n_total = 0.0, 0.0
+    for (at, before_ss), tau in ground.of_channels:
+        after_ss = float(after[at] @ after[at])
+        n_eff = at.size / tau
         n_total += n_eff
         if before_ss > 0:
             bic += n_eff * float(np.log(max(after_ss, 1e-12) / before_ss))
     # What a constant force explains, responses had to call their own disturbance.
-    at = ground.rows.sample == DISTURBANCE
-    before_ss, after_ss = float(r[at] @ r[at]), float(after[at] @ after[at])
+    at, before_ss = ground.of_disturbances
+    after_ss = float(after[at] @ after[at])
     if before_ss > 0 and after_ss > 0:
-        bic += at.sum() * float(np.log(after_ss / before_ss))
-    bic += q * float(np.log(max(n_total, 2.0)))
+        bic += at.size * float(np.log(after_ss / before_ss))
+    bic += ((len(variant.names) or 1) + len(variant.shapes)) * float(np.log(max(n_total, 2.0)))
     spread = inverse @ (own.T @ (own / ground.weight[:, None])) @ inverse
-    noise_std = np.sqrt(np.maximum(np.diag(spread), 0))
-    return Score(variant, own, estimate, noise_std, float(left.max()), bic, 0.0)
+    return Score(variant, own, estimate, np.sqrt(np.maximum(np.diag(spread), 0)), left, bic, 0.0)
 
 
 def with_chance(ground: Ground, scores: Sequence[Score], seed: int = 0) -> list[Score]:

@@ -278,6 +278,7 @@ class Search:
         term = s.variant.term
         for p in term.amplitudes:
             self.pinned.pop(p.name, None)
+        self.pinned |= s.left_off
         model = among.model.with_terms(term)
         values = dict(s.variant.shapes)
         for name, value in zip(s.variant.names, s.estimate, strict=False):
