@@ -89,8 +89,11 @@ def _verdict(found: Fit, unknown: Sequence[str]) -> str:
         return f"{head}; all {total} parameters are known. {_accuracy(found)}".strip()
     if len(unknown) == total:
         return f"{head}; none of the {total} parameters is known. {_accuracy(found)}".strip()
-    named = f", not {join(list(unknown))}" if len(unknown) <= 6 else ""
-    return f"{head}; {total - len(unknown)} of {total} parameters are known{named}. {_accuracy(found)}".strip()
+    known = total - len(unknown)
+    count = f"{known} of {total} parameters {'is' if known == 1 else 'are'} known"
+    if len(unknown) <= 6:
+        count += f"; {join(list(unknown))} {'is' if len(unknown) == 1 else 'are'} not"
+    return f"{head}: {count}. {_accuracy(found)}".strip()
 
 
 def _accuracy(found: Fit) -> str:
