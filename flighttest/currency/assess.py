@@ -124,7 +124,8 @@ def _sentence(
     if verdict is Verdict.CURRENT:
         if not tests:
             limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
-            return f"Current: nothing that is declared has changed since the model was flown{limit}."
+            alike = f"; {compared} are what they were" if compared else ""
+            return f"Current: nothing that is declared has changed since the model was flown{alike}{limit}."
         told = [t.subset for t in tests]
         blind = [s for s in SUBSETS if s not in told]
         nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""
