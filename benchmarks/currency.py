@@ -234,6 +234,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     for kind in (k for k in CHANGES if k != "unchanged"):
         for extent in ("campaign", "spot"):
             mine = [r for r in good if (r["kind"], r["extent"]) == (kind, extent)]
+            if not mine:
+                continue
             wanted = [] if TOUCHED[kind] is None else [TOUCHED[kind]]
             hits = [r for r in mine if (r["alarms"] if wanted else r["battery"])]
             right = [r for r in hits if r["alarms"] == wanted]
@@ -253,7 +255,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         "",
         f"{len(vehicles)} vehicles (seeds {vehicles[0]} to {vehicles[-1]}), {len(rows)} pairs, {len(failed)} of them not judged"
         + "".join(f"; {r['kind']}, {WORDS[r['extent']]}: {r['error'].splitlines()[0]}" for r in failed[:3])
-        + ". A battery with more resistance leaves the model as it is: such pairs count as unchanged for the model.",
+        + ".",
     ]
     return "\n".join(lines)
 
