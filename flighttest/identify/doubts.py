@@ -28,6 +28,9 @@ def doubts_of(
     bounds, partners = _leaning_on(solution.at_bound, solution), _leaning_on([n for n in wide if n in loops], solution)
     told = _responses_telling(solution)
     explained = _described(problem, solution, {c: q.r2 for c, q in quality.items()})
+    # How fast a loop answers is told by the course of each response: what the model misses of that, it puts into the lag.
+    followed = _described(problem, solution, {c: 1.0 - q.missed for c, q in quality.items()})
+    lags = _lags_with(solution.free)
     return {
         n: Doubts(
             differing.get(n),
@@ -35,6 +38,7 @@ def doubts_of(
             partners.get(n) if n in loops else None,
             told.get(n, 0),
             explained.get(n, 1.0),
+            1.0 - followed.get(n, 1.0) if n in lags else 0.0,
         )
         for n in solution.free
     }

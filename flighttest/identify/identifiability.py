@@ -24,6 +24,7 @@ WEAK_DELAY_S = 0.01
 CORRELATED = 0.98
 FEWEST_RESPONSES = 3
 EXPLAINS_NOTHING = 0.05  # R2
+MISSED_SHARE = 0.2  # of variance, neither explained nor noise: what is left is half as large as what the vehicle did
 
 _FLY = {
     "omega_phi": "roll_pitch", "zeta_phi": "roll_pitch", "omega_theta": "roll_pitch", "zeta_theta": "roll_pitch",
@@ -53,7 +54,7 @@ class Doubts:
 
     spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it cannot be told from; partner: the
     same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: the lowest R2 of
-    the channels it is read from.
+    the channels it is read from; missed: of a lag or delay, the largest share of their variance that is neither explained nor noise.
     """
 
     spread: Spread | None = None
@@ -61,6 +62,7 @@ class Doubts:
     partner: str | None = None
     responses: int = FEWEST_RESPONSES
     explained: float = 1.0
+    missed: float = 0.0
 
 
 def maneuver_for(param: Param, reveals: str) -> str:
@@ -90,6 +92,9 @@ def judge(
         return Known(False, "no error could be estimated for it", fly)
     if doubts.explained < EXPLAINS_NOTHING:
         return Known(False, "the model describes these responses no better than their mean does", fly)
+    if doubts.missed > MISSED_SHARE:
+        missed = f"{100 * doubts.missed:.0f} % of how the vehicle moved is neither explained nor noise"
+        return Known(False, f"{missed}; `flighttest diagnose` looks for what is behind it", fly)
     if doubts.responses < FEWEST_RESPONSES:
         few = "one response tells" if doubts.responses == 1 else f"{doubts.responses} responses tell"
         return Known(False, f"only {few} of it: without repeats its error is not known", fly)

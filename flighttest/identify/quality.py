@@ -25,6 +25,11 @@ class ChannelQuality:
     count: int
 
     @property
+    def missed(self) -> float:
+        """Share of variance that is neither explained nor noise."""
+        return (1.0 - self.r2) * max(1.0 - (self.floor / self.rmse) ** 2, 0.0) if self.rmse > 0 else 0.0
+
+    @property
     def sentence(self) -> str:
         """Whiteness in words."""
         if self.autocorrelation < 0.2:
