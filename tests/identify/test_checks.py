@@ -65,3 +65,33 @@ def test_intervals_for_unseen_responses_hold_what_they_promise(found):
     for c in coverage(found, campaign(31, thrust_repeats=1, tilt_repeats=1, yaw_repeats=1)):
         assert 0.9 < c.share < 0.99, c
         assert c.rmse == pytest.approx(c.std, rel=0.25)
+
+
+def few_of(segments, pick):
+    """A spot check: one each of the larger tilt steps and of some throttle steps."""
+    tilts = [s for s in segments if s.kind in ("roll_step", "pitch_step") and abs(s.cell["amplitude_rad"]) == 0.3]
+    pairs = {(0.05, 0.25), (0.05, 0.3), (0.1, 0.25), (0.1, 0.3), (0.2, 0.1), (0.25, 0.1)}
+    steps = [s for s in segments if s.kind == "throttle_step" and (s.cell["throttle_0"], s.cell["throttle_1"]) in pairs]
+    each: dict[object, list[object]] = {}
+    for s in (*tilts, *steps):
+        each.setdefault((s.kind, *sorted(s.cell.items())), []).append(s)
+    return [some[pick % len(some)] for some in each.values()]
+
+
+@pytest.mark.parametrize("seed", [5, 9])
+def test_few_responses_of_the_right_model_do_not_make_the_alternation_differ(seed):
+    spot = few_of(campaign(seed), seed)
+    assert len(spot) == 10
+    assert alternation(fit(spot)).differs == ()
+
+
+def test_throttle_and_tilt_steps_of_different_vehicles_are_told_apart():
+    throttle = [s for s in campaign(1) if s.kind == "throttle_step"]
+    tilt = [
+        s
+        for s in campaign(2, truth={**TRUTH, "sigma_t": 12.0, "d_x": 0.7, "d_y": 0.7, "K": 80.0})
+        if s.kind != "throttle_step"
+    ]
+    result = alternation(fit([*throttle, *tilt]))
+    assert "K" in result.differs or "d_z" in result.differs, result.z
+    assert "do not agree on one model" in result.sentence
