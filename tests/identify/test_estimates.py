@@ -185,7 +185,7 @@ def test_the_papers_subsets_feed_the_papers_parameters(flown):
 
 def test_the_integrators_steps_put_no_bias_into_the_attitude_loops():
     # 3e-5 is a tenth of the best damping ratio's standard error in a full campaign; steps of 12.5 ms would err by 7e-5.
-    tilts = [s for s in campaign(3, noise=QUIET, thrust_repeats=0, tilt_repeats=1, yaw_repeats=1)]
+    tilts = campaign(3, noise=QUIET, thrust_repeats=0, tilt_repeats=1, yaw_repeats=1)
     exact = fit([s for s in tilts if s.kind != "throttle_step"], robust=False)
     for name in ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r"):
         assert exact.estimates[name].value == pytest.approx(TRUTH[name], rel=3e-5), name
