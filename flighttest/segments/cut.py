@@ -33,6 +33,8 @@ _MARK_EARLY_S = 0.3  # a mark and the target that follows it leave in any order
 _MARK_LATE_S = 3.0
 _SAME_CELL = {"amplitude_rad": 0.012, "rate_rad_s": 0.03, "throttle_0": 0.004, "throttle_1": 0.004, "height_m": 0.2}
 _ENDED = {"LINK_LOST": Flaw.LINK_LOST, "TAKE_OVER": Flaw.TAKE_OVER, "NOT_SETTLED": Flaw.NOT_SETTLED}
+# A step that the gate ended shows what there is to see from here on: the delay, and ten time constants of a slow thrust lag.
+_ENOUGH_S = 0.6
 _FREE_STRETCH_S = 15.0
 _FREE_MARGIN_S = 1.0
 _PAUSE_S = 1.0
@@ -194,11 +196,17 @@ class _Cutter:
     def segment(self, response: Response, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
         flaws = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
+        notes: tuple[str, ...] = ()
         if mark is not None and response.kind != "free" and not response.cell and Flaw.REFERENCE_MOVED not in flaws:
             flaws = (*flaws, Flaw.REFERENCE_MOVED)
         if mark is not None and mark.outcome not in ("", "FLOWN"):
             ended = _ENDED.get(mark.outcome, Flaw.ABORTED)
-            flaws = flaws if ended in flaws else (*flaws, ended)
+            recorded_s = response.end_s - response.t_step_s
+            if mark.outcome == "REFUSED" and response.kind != "free" and recorded_s >= _ENOUGH_S:
+                # Until the gate refused a target, the vehicle did what it was asked.
+                notes = (f"the gate ended it {recorded_s:.2f} s after the step; what was recorded until then is used",)
+            elif ended not in flaws:
+                flaws = (*flaws, ended)
         yaw = y["yaw_rad"] if "yaw_rad" in y else np.full(t_s.size, np.nan)
         known = np.flatnonzero(np.isfinite(yaw))
         heading = float(np.interp(response.t_step_s, t_s[known], yaw[known])) if known.size else float("nan")
@@ -213,6 +221,7 @@ class _Cutter:
             y=y,
             u=self._inputs(response),
             flaws=flaws,
+            notes=notes,
             maneuver=(mark.maneuver if mark is not None and mark.maneuver else response.kind),
             heading_rad=float((heading + np.pi) % (2 * np.pi) - np.pi),
             time_since_takeoff_s=response.t_step_s - self.takeoff_s,

@@ -61,7 +61,7 @@ def test_the_marked_throttle_step_is_t_1(campaign):
 
 
 @pytest.mark.parametrize(
-    ("outcome", "flaw"), [("LINK_LOST", Flaw.LINK_LOST), ("TAKE_OVER", Flaw.TAKE_OVER), ("REFUSED", Flaw.ABORTED)]
+    ("outcome", "flaw"), [("LINK_LOST", Flaw.LINK_LOST), ("TAKE_OVER", Flaw.TAKE_OVER), ("STOPPED", Flaw.ABORTED)]
 )
 def test_a_leg_that_ended_badly_is_rejected_with_its_reason(campaign, outcome, flaw):
     edge = campaign.edges_s()[0]
@@ -72,6 +72,20 @@ def test_a_leg_that_ended_badly_is_rejected_with_its_reason(campaign, outcome, f
     (segment,) = cut(campaign.recording())
     assert flaw in segment.flaws
     assert segment.t_s[-1] <= edge + 0.8
+
+
+@pytest.mark.parametrize(("after_s", "usable"), [(0.35, False), (0.9, True)])
+def test_what_was_recorded_before_the_gate_ended_a_step_is_used_where_it_shows_enough(campaign, after_s, usable):
+    edge = campaign.edges_s()[0]
+    campaign.markers = [
+        Marker(edge - 0.9, "leg", "a/b/r1", {"leg": "a/b/r1"}), phase(edge, "a/b/r1", "step"),
+        phase(edge + after_s, "a/b/r1", "end", outcome="REFUSED"),
+    ]  # fmt: skip
+    (segment,) = cut(campaign.recording())
+    assert segment.usable is usable
+    assert (Flaw.ABORTED in segment.flaws) is not usable
+    assert ("the gate ended it 0.90 s after the step" in " ".join(segment.notes)) is usable
+    assert segment.t_s[-1] <= edge + after_s
 
 
 def test_texts_of_another_ground_station_name_the_steps(campaign):
