@@ -48,7 +48,11 @@ class Block:
     delay: str
     function: ca.Function
     delay_s: ca.Function
-    made: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+    made: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False, init=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What has been compiled stays behind when a block goes to another process."""
+        return {**self.__dict__, "made": {}}
 
 
 def _finish(
