@@ -58,6 +58,17 @@ class Judged:
         return self.bic < -LEAST_BIC and self.floors >= LEAST_FLOORS and self.gain >= LEAST_GAIN and not self.reason
 
 
+def preferred(a: Fitted, b: Fitted) -> bool:
+    """Whether a fits better than b by the information criterion, the samples counted as each of the two would have them: the one with
+    the whiter residual must not win by counting more."""
+    more = len(a.names) - len(b.names)
+    to_a, to_b = (
+        information(b.rows, b.state, a.rows, a.state, more),
+        information(a.rows, a.state, b.rows, b.state, -more),
+    )
+    return to_a < to_b
+
+
 def judge(
     term: str,
     before: Fitted,

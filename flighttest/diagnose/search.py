@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.chance import consistency, effective_size, standard_errors
-from flighttest.diagnose.fitted import LEAST_BIC, LEAST_FLOORS, Fitted, Judged, judge
+from flighttest.diagnose.fitted import LEAST_BIC, LEAST_FLOORS, Fitted, Judged, judge, preferred
 from flighttest.diagnose.judge import places, size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.plausible import is_amplitude, wrong_side
@@ -46,6 +46,7 @@ TRIES = 4  # candidates refitted per step before the step is given up
 MOST_TERMS = 12
 PASSES = 4  # screenings of the whole catalogue, each at the optimum that the last one led to
 TRIAL_ITERATIONS = 5  # enough to rank candidates; what is accepted is fitted to the end
+ASTRAY = 3.0
 SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
 
 
@@ -54,7 +55,7 @@ class Search:
     """One block of the model (roll and pitch, yaw rate, or translation) on one bench.
 
     look_ahead: asked where no candidate is taken (`pairs.look_ahead`). pinned: amplitudes of accepted terms held at off since they did
-    not earn their place beside the others of their term, and the standard error they had.
+    not earn their place beside the others of their term, and the standard error they had. origin: where the base parameters began.
     """
 
     bench: Bench
@@ -72,12 +73,14 @@ class Search:
     ground: Ground | None = None
     blind: frozenset[str] = frozenset()
     pinned: dict[str, float] = field(default_factory=dict)
+    origin: dict[str, float] = field(default_factory=dict)
     _variants: list[Variant] = field(default_factory=list)
     _left_out: dict[str, tuple[Fitted, Fitted]] = field(default_factory=dict)
 
     def run(self, model: Model, start: State) -> None:
         """Fit the base, then search. What is done is kept on interruption."""
         self.blind = self.bench.blind(model, start)
+        self.origin = {n: start.values[n] for n in self.bench.problem(model).names}
         self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
@@ -130,6 +133,7 @@ class Search:
         )
         tries = 0
         best: tuple[Judged, Fitted] | None = None
+        kept: list[tuple[Judged, Fitted]] = []
         refused: list[tuple[Judged, Fitted]] = []
         wrong = not self.judged and self._worst() > 1 + LEAST_FLOORS**2
         for s in ranked:
@@ -157,12 +161,28 @@ class Search:
                 self.refused[s.variant.term.id] = judged
                 refused.append((judged, fitted))
                 continue
-            if best is None or judged.bic < best[0].bic:
-                best = judged, fitted
+            kept.append((judged, fitted))
+            best = min(kept, key=lambda k: k[0].bic)
         if best is None:
             return self.look_ahead is not None and self.look_ahead(self, refused)
+        close = [k for k in kept if k[0].bic < SAME * best[0].bic]
+        if len(close) > 1:
+            best = self._best_at_the_end(close)
         self.take(best[1], best[0])
         return True
+
+    def _best_at_the_end(self, close: list[tuple[Judged, Fitted]]) -> tuple[Judged, Fitted]:
+        """Of candidates that a trial fit cannot tell apart, the one that is best when all are fitted to the end."""
+        assert self.now is not None
+        ended = []
+        for judged, fitted in close:
+            final = self._fit(fitted.model, fitted.state, fitted.dormant)
+            again = self.judge(judged.term, self.now, final, judged.p_value)
+            ended.append((again, final) if again.kept else (judged, fitted))
+        best = ended[0]
+        for other in ended[1:]:
+            best = other if preferred(other[1], best[1]) else best
+        return best
 
     def take(self, fitted: Fitted, *judged: Judged) -> None:
         """Go on with a model that terms have joined."""
@@ -296,11 +316,23 @@ class Search:
             held = tuple(n for n in names if n not in s.variant.shapes)
             first = self.bench.fit(model, first, held, iterations=TRIAL_ITERATIONS)
         fitted = self._fit(model, first, among.dormant - {term.id}, TRIAL_ITERATIONS)
+        if self._astray(among):
+            # The base bent itself to stand in for what is missing, and small steps from there do not lead back.
+            back = self.bench.moved(model, first, {n: v for n, v in self.origin.items() if n in among.names})
+            again = self._fit(model, back, among.dormant - {term.id}, TRIAL_ITERATIONS)
+            fitted = again if preferred(again, fitted) else fitted
         while self._hold_at_bound(term.id, fitted):
             at_off = {p.name: float(p.off or 0.0) for p in term.amplitudes if p.name in self.pinned}
             start = self.bench.moved(model, fitted.state, at_off)
             fitted = self._fit(model, start, among.dormant - {term.id}, TRIAL_ITERATIONS)
         return fitted
+
+    def _astray(self, fitted: Fitted) -> bool:
+        """Whether a base parameter has run far from where the responses' shapes put it."""
+        return any(
+            n in fitted.names and v > 0 and not v / ASTRAY < fitted.state.values[n] < v * ASTRAY
+            for n, v in self.origin.items()
+        )
 
     def _hold_at_bound(self, term: str, fitted: Fitted) -> bool:
         """Pin one of several amplitudes that ran to its bound: the data cannot tell it from the base (wind from below from thrust)."""
