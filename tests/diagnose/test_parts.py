@@ -1,5 +1,6 @@
 """The parts of a diagnosis against answers known without it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +9,8 @@ import pytest
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.noise import _shared, high_frequency, inflation
-from flighttest.diagnose.plausible import impossible
+from flighttest.diagnose.noise import _independent_times, _shared, high_frequency, inflation
+from flighttest.diagnose.plausible import impossible, no_more_than_freedom
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
 from flighttest.diagnose.unknown import _sparse
@@ -161,6 +162,19 @@ def test_orthonormal_drops_what_repeats(rng):
     assert orthonormal(np.column_stack([x, x[:, 0] + x[:, 1], np.zeros(50)])).shape == (50, 2)
 
 
+def test_of_several_amplitudes_only_those_are_asked_for_that_say_something(rng):
+    n = 4000
+    columns = rng.normal(size=(n, 4))
+    rows = rows_of(0.2 * columns[:, 2] + rng.normal(size=n), columns)
+    variant = Variant(SimpleNamespace(id="bias"), {}, ("x", "y", "z"), columns[:, 1:], columns[:, 1:])
+    found = score(Ground.at(rows, ["p0"]), variant)
+    assert found.variant.names == ("y",)
+    assert found.own.shape == (n, 1)
+    assert found.estimate == pytest.approx([0.2], abs=0.06)
+    assert set(found.left_off) == {"x", "z"}
+    assert all(error == pytest.approx(1 / np.sqrt(n), rel=0.2) for error in found.left_off.values())
+
+
 def test_an_effect_in_a_few_responses_is_believed_when_all_of_them_agree(rng):
     n, segments = 4000, 40
     column = np.zeros((n, 1))
@@ -203,3 +217,29 @@ def test_what_repeats_share_is_compared_with_their_spread_at_the_same_times():
     assert ratio == pytest.approx(1.0)
     assert repeats == pytest.approx(10.0)
     assert _shared([(0, 9.0)], at_time)[0] == pytest.approx(90.0)
+
+
+def test_a_response_that_goes_astray_as_a_whole_is_one_observation(rng):
+    at_time = dict.fromkeys(range(20), (4.0, 4.0))
+    gust = [[(b, float(g)) for b in range(20)] for g in rng.normal(size=40)]
+    assert _independent_times(gust, at_time) == pytest.approx(1.0, abs=0.05)
+    white = [list(enumerate(rng.normal(size=20).tolist())) for _ in range(40)]
+    assert _independent_times(white, at_time) == pytest.approx(20, rel=0.2)
+
+
+def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng):
+    from flighttest.physics.catalogue import catalogue
+    from flighttest.physics.model import Model
+
+    model, term = Model(("slung_payload",)), catalogue()["slung_payload"]
+    names = ("payload_ratio",)
+    column = rng.normal(size=(4000, 1))
+
+    def refused(size):
+        rows = replace(rows_of(rng.normal(size=4000), column * 100), names=names)  # a standard error of 0.00016
+        return no_more_than_freedom(term, model, names, {"payload_ratio": size}, rows)
+
+    assert "free start states" in refused(0.003)
+    assert refused(0.05) == ""
+    drag = catalogue()["quadratic_drag"]
+    assert no_more_than_freedom(drag, model, (), {}, rows_of(column[:, 0], column)) == ""  # it has no start states
