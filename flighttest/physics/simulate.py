@@ -186,7 +186,7 @@ def _one_by_one(system: System, p: FloatArray, begun: FloatArray, made: Sequence
 def _together(system: System, p: FloatArray, begun: FloatArray, made: Sequence[Grid]) -> list[FloatArray]:
     """The same in numpy, a piece of every run at a time: for many runs."""
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-    rate = Vectorised(ca.Function("rate", [x, u], [ca.densify(ca.cse(system.function(x, u, p)[0]))]))
+    rate = Vectorised(ca.Function("rate", [x, u], [ca.densify(ca.cse(ca.simplify(system.function(x, u, p)[0])))]))
     order = sorted(range(len(made)), key=lambda i: -made[i].dt_s.size)
     sizes = np.array([made[i].dt_s.size for i in order])
     k = int(sizes[0])

@@ -134,7 +134,8 @@ def least_s(cell: Cell, name: str, setting: Setting) -> float:
 
 
 def _with(lead: tuple[Piece, ...], durations: dict[str, float]) -> tuple[Piece, ...]:
-    return tuple(replace(piece, duration_s=durations.get(piece.name, piece.duration_s)) for piece in lead)
+    wanted = [(piece, durations.get(piece.name, piece.duration_s)) for piece in lead]
+    return tuple(piece if s == piece.duration_s else replace(piece, duration_s=s) for piece, s in wanted)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ class Row:
     lost_s: float = math.inf
     of: Row | None = field(default=None, compare=False, repr=False)
 
-    @property
+    @cached_property
     def lead_s(self) -> float:
         """End of the record."""
         return sum(piece.duration_s for piece in self.lead)
@@ -62,7 +63,7 @@ class Row:
         """The same row with the link lost at t_s; `of` is the row it is like until then."""
         return replace(self, lost_s=t_s, of=self.of or self)
 
-    @property
+    @cached_property
     def straight(self) -> bool:
         """Whether it is only ever asked to go up and down."""
         turns = [(p.roll_rad, p.pitch_rad, p.yaw_rate_rad_s) for p in self.lead]
