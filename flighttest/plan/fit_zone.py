@@ -207,7 +207,7 @@ def _slack(
             row = row_of(cell, lead, setting, voltage)
             # The two worst moments: at the end of what comes before the step, and at the end of the record.
             rows += [row, row.losing_link_at(row.lead_s), row.losing_link_at(row.lead_s - float(seconds))]
-    flown = yield Ask(rows, SEARCH_STEP_S, STOP_S)
+    flown = yield Ask(rows, SEARCH_STEP_S, STOP_S, lost_heights=True)
     p = flown.motion.p_m.reshape(len(options), len(setting.voltages_v), 3, -1, 3)
     speed = np.linalg.norm(flown.motion.v_m_s.reshape(p.shape)[:, :, 0], axis=-1).max(axis=(1, 2))
     room = setting.room

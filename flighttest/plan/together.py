@@ -33,12 +33,14 @@ IntArray = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Ask:
-    """Rows to be flown (see `rehearse`). lost_for_s: how long after the loss of its link a row is of interest; None: as all others."""
+    """Rows to be flown (see `rehearse`). lost_for_s: how long after the loss of its link a row is of interest; None: as all others;
+    lost_heights: only heights are, after the loss and before it: the rest of such rows may be left at zero."""
 
     rows: Sequence[Row]
     dt_s: float
     after_s: float | None = None
     lost_for_s: float | None = None
+    lost_heights: bool = False
 
 
 Work = Generator[Ask, Rehearsal, T]
@@ -101,7 +103,7 @@ class _Filling:
     def __init__(self, ask: Ask, steps: int) -> None:
         self.ask, self.steps = ask, steps
         n = len(ask.rows)
-        self.p, self.v = (np.empty((n, 3, steps + 1)).transpose(0, 2, 1) for _ in range(2))
+        self.p, self.v = (np.zeros((n, 3, steps + 1)).transpose(0, 2, 1) for _ in range(2))
         self.low, self.high = np.empty((n, steps + 1)), np.empty((n, steps + 1))
         self.counter_s, self.vertical_s, self.throttle = np.zeros(n), np.zeros(n), np.zeros(n)
 
@@ -182,10 +184,11 @@ def _lose_links(
     motion = trail.motion
     pairs = ((motion.p_m, rest.p_m), (motion.v_m_s, rest.v_m_s))
     for k, (count, j, begin, _, into, place) in enumerate(branches):
-        for whole, (before, after) in zip((into.p, into.v), pairs, strict=True):
-            whole[place, :begin] = before[j, :begin]
-            whole[place, begin : begin + count + 1] = after[k, : count + 1]
-            whole[place, begin + count + 1 :] = after[k, count]
+        what = slice(2, 3) if into.ask.lost_heights else slice(None)
+        for whole, (before, after) in zip((into.p, into.v)[: 1 if into.ask.lost_heights else 2], pairs, strict=False):
+            whole[place, :begin, what] = before[j, :begin, what]
+            whole[place, begin : begin + count + 1, what] = after[k, : count + 1, what]
+            whole[place, begin + count + 1 :, what] = after[k, count, what]
         into.low[place] = into.high[place] = into.p[place, :, 2]
 
 
