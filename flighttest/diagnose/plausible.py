@@ -13,7 +13,7 @@ from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 
 LEAST_SIZE = 4.0  # standard errors
-LEAST_SHARE = 0.05  # of the usual size
+LEAST_SHARE = 0.2  # of the usual size
 
 
 def is_amplitude(term: str, name: str, model: Model) -> bool:
