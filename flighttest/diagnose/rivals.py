@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from flighttest.diagnose.fitted import LEAST_FLOORS
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.model import Rival, Untestable
-from flighttest.diagnose.screen import ABSORBED, orthonormal
+from flighttest.diagnose.rows import Rows
+from flighttest.diagnose.screen import ABSORBED, FALSE_ALARM_RATE, LEAST_CARRIERS, PLAIN_BIC, orthonormal
 from flighttest.diagnose.search import Search
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
@@ -25,6 +26,7 @@ FloatArray = NDArray[np.float64]
 CONFUSABLE = 0.95
 STANDARD_ERRORS = 4.0
 PLAUSIBLE = 2.0  # times the usual size: an effect that shows only above that could not be seen
+UNSEEN = "nothing in this flight would have looked different with it, or too few responses to believe it"
 NEVER = 100.0  # times the usual size: no such thing flies, so that this is no different from seeing nothing
 
 
@@ -92,7 +94,7 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
             if float(alone @ alone) <= (ABSORBED * float(np.linalg.norm(v.columns[:, k]))) ** 2 or information <= 0:
                 level = np.inf
             else:
-                level = STANDARD_ERRORS * float(np.sqrt(1.0 / information))
+                level = _asked(rows, alone**2 * ground.weight) * float(np.sqrt(1.0 / information))
                 sizes = [
                     float(np.sqrt(np.mean(v.open_columns[at, k] ** 2))) / search.floor.of(c)
                     for (c, _), at in of_place.items()
@@ -101,6 +103,18 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
             if level < found.get(v.term.id, (np.inf, ""))[0] or v.term.id not in found:
                 found[v.term.id] = (level, name)
     return found
+
+
+def _asked(rows: Rows, information: FloatArray) -> float:
+    """Standard errors that naming takes: more where few responses carry the information, for sign flips of few never exclude chance;
+    infinitely many below the fewest that are believed at all. information: (n,) per row."""
+    _, which = np.unique(rows.segment, return_inverse=True)
+    by_response = np.bincount(which, information)
+    carriers = float(by_response.sum() ** 2 / max(float(by_response @ by_response), 1e-300))
+    if carriers < LEAST_CARRIERS:
+        return float("inf")
+    few = carriers < np.log2(1.0 / FALSE_ALARM_RATE) + 1.0
+    return float(np.sqrt(-PLAIN_BIC + np.log(max(rows.residual.size, 2)))) if few else STANDARD_ERRORS
 
 
 def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Untestable]:
@@ -117,7 +131,11 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
         usual = next((abs(p.nominal - float(p.off or 0.0)) for p in term.amplitudes if p.name == name), 1.0)
         if not level < NEVER * usual:
             found.append(
-                Untestable(term.id, "nothing in this flight would have looked different with it", term.reveals)
+                Untestable(
+                    term.id,
+                    UNSEEN,
+                    term.reveals,
+                )
             )
         elif level > PLAUSIBLE * usual:
             unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "of itself")
