@@ -12,11 +12,28 @@ from flighttest.diagnose.rows import Rows
 FloatArray = NDArray[np.float64]
 
 
-def consistency(rows: Rows, own: FloatArray) -> float:
-    """Probability that an effect would go along with the residual as well as it does if responses had random signs."""
+AGREEMENT = 0.9
+PLAIN = ((6.0, -50.0), (3.0, -200.0))
+
+
+def plain(parts: FloatArray, bic: float) -> bool:
+    """Whether an effect is beyond chance although too few responses carry it for sign flips ever to say so: they agree on it, and the
+    criterion falls far, the further the fewer they are. parts: of each response in the score; bic: change of the criterion."""
+    size = float(np.abs(parts).sum())
+    agreement, carriers = float(parts.sum()) / max(size, 1e-300), size**2 / max(float(parts @ parts), 1e-300)
+    return agreement >= AGREEMENT and any(carriers >= fewest and bic < least for fewest, least in PLAIN)
+
+
+def parts_of(rows: Rows, own: FloatArray) -> FloatArray:
+    """(responses,) how far an effect, (measured rows,) in the channels' units, goes along with the residual of each response."""
     _, which = np.unique(rows.segment, return_inverse=True)
-    n = own.size
-    parts = np.bincount(which[:n], own / rows.scale[:n] * rows.residual[:n])
+    return np.asarray(
+        np.bincount(which[: own.size], own / rows.scale[: own.size] * rows.residual[: own.size]), dtype=float
+    )
+
+
+def consistency(parts: FloatArray) -> float:
+    """Probability that an effect would go along with the residual as well as it does if responses had random signs."""
     spread = float(np.sqrt(np.sum(parts**2)))
     if spread <= 0:
         return 1.0

@@ -94,7 +94,7 @@ def judge(
     reason = impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
     if not reason:
         tried = next(t for t in after.model.built_terms if t.id == term)
-        reason = no_more_than_freedom(tried, after.model, after.names, values, after.rows)
+        reason = no_more_than_freedom(tried, after.model, after.names, values, after.rows, bic)
     own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
     return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
 

@@ -14,6 +14,7 @@ from flighttest.physics.model import Model
 
 LEAST_SIZE = 4.0  # standard errors
 LEAST_SHARE = 0.2  # of the usual size
+WEAK_BIC = -50.0  # above it, a fall of the criterion alone is not believed
 
 
 def is_amplitude(term: str, name: str, model: Model) -> bool:
@@ -49,21 +50,23 @@ def impossible(
 
 
 def no_more_than_freedom(
-    term: Term, model: Model, names: Sequence[str], values: Mapping[str, float], rows: Rows
+    term: Term, model: Model, names: Sequence[str], values: Mapping[str, float], rows: Rows, bic: float
 ) -> str:
-    """Why a term whose start states are free in every response is there by that freedom alone; '' when it is not, or has none.
+    """Why a term is there by its freedom alone; '' when its size stands out from its error (clustered by response, at the shapes found).
 
-    A pendulum of no weight that may begin anywhere fits a slow wander of the velocity: its size has to stand out from its error
-    (clustered by response, at the shapes found), and to be a size at all.
+    Asked where the criterion falls but little, and of terms whose start states are free in every response: a pendulum of no weight that
+    may begin anywhere fits a slow wander of the velocity, so that its size has to be a size at all. bic: change of the criterion.
     """
-    if not any(s.free for s in term.states):
-        return ""
+    free = any(s.free for s in term.states)
     own = [n for n in names if is_amplitude(term.id, n, model)]
+    if not own or not (free or bic > WEAK_BIC):
+        return ""
     asked = tuple(n for n in names if n in own or model.term_of(n) != term.id)
     std = dict(zip(asked, standard_errors(rows, asked), strict=True))
     for name in own:
         p = model.param[name]
         size, usual = (abs(x - float(p.off or 0.0)) for x in (values[name], p.nominal))
-        if size >= max(LEAST_SIZE * float(std[name]), LEAST_SHARE * usual):
+        if size >= max(LEAST_SIZE * float(std[name]), LEAST_SHARE * usual if free else 0.0):
             return ""
-    return f"its size is no more than what free start states make of a wander ({LEAST_SIZE:g} standard errors, {LEAST_SHARE:.0%} of usual)"
+    least = f" and {LEAST_SHARE:.0%} of usual, since its start states are free" if free else ""
+    return f"its size does not stand out: {LEAST_SIZE:g} standard errors are asked for{least}"

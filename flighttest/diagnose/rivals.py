@@ -12,11 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.chance import PLAIN
 from flighttest.diagnose.fitted import LEAST_FLOORS
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.model import Rival, Untestable
 from flighttest.diagnose.rows import Rows
-from flighttest.diagnose.screen import ABSORBED, FALSE_ALARM_RATE, LEAST_CARRIERS, PLAIN_BIC, orthonormal
+from flighttest.diagnose.screen import ABSORBED, FALSE_ALARM_RATE, orthonormal
 from flighttest.diagnose.search import Search
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
@@ -111,10 +112,10 @@ def _asked(rows: Rows, information: FloatArray) -> float:
     _, which = np.unique(rows.segment, return_inverse=True)
     by_response = np.bincount(which, information)
     carriers = float(by_response.sum() ** 2 / max(float(by_response @ by_response), 1e-300))
-    if carriers < LEAST_CARRIERS:
-        return float("inf")
-    few = carriers < np.log2(1.0 / FALSE_ALARM_RATE) + 1.0
-    return float(np.sqrt(-PLAIN_BIC + np.log(max(rows.residual.size, 2)))) if few else STANDARD_ERRORS
+    if carriers >= np.log2(1.0 / FALSE_ALARM_RATE) + 1.0:
+        return STANDARD_ERRORS
+    falls = [-least for fewest, least in PLAIN if carriers >= fewest]
+    return float(np.sqrt(min(falls) + np.log(max(rows.residual.size, 2)))) if falls else float("inf")
 
 
 def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Untestable]:

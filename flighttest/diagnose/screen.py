@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.chance import plain
 from flighttest.diagnose.noise import inflation
 from flighttest.diagnose.rows import DISTURBANCE, Rows, State
 from flighttest.physics.core import Term
@@ -26,7 +27,6 @@ IntArray = NDArray[np.intp]
 
 FLIPS = 1999
 FALSE_ALARM_RATE = 0.01  # for the whole catalogue, not per candidate
-AGREEMENT, LEAST_CARRIERS, PLAIN_BIC = 0.9, 6.0, -50.0
 ABSORBED = 1e-3  # a candidate of which less than this is left beside the present model has no column of its own
 
 
@@ -62,7 +62,7 @@ class Score:
 
     own: (n, q) what of its columns the present model cannot copy, left: their largest share; estimate, std: (q,); bic: change of the
     information criterion (negative: better); flip: robust score; p_value: that the catalogue's largest score is as high by chance.
-    agreement: of the responses' parts in the score, -1 to 1; carriers: how many responses share it (the inverse of its concentration);
+    plain: beyond chance without flips (`chance.plain`);
     left_off: amplitudes that did not earn their place, and the standard error they had.
     """
 
@@ -74,16 +74,14 @@ class Score:
     bic: float
     flip: float
     p_value: float = 1.0
-    agreement: float = 0.0
-    carriers: float = 0.0
+    plain: bool = False
     left_off: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def beyond_chance(self) -> bool:
         """Not by chance: by the sign flips, or, where an effect lives in too few responses for flips ever to say so, because all of these
         agree on it and it is far above their noise."""
-        plain = self.agreement >= AGREEMENT and self.carriers >= LEAST_CARRIERS and self.bic < PLAIN_BIC
-        return self.p_value <= FALSE_ALARM_RATE or plain
+        return self.p_value <= FALSE_ALARM_RATE or self.plain
 
     @property
     def effect(self) -> FloatArray:
@@ -263,7 +261,7 @@ def with_chance(ground: Ground, scores: Sequence[Score], seed: int = 0) -> list[
     n_groups = int(which.max()) + 1
     flips = np.random.default_rng(seed).choice([-1.0, 1.0], size=(FLIPS, n_groups))
     largest = np.zeros(FLIPS)
-    values, agreement, carriers = [], [], []
+    values, agreed = [], []
     for s in scores:
         parts = s.own * (ground.residual * ground.weight)[:, None]
         by_group = np.zeros((n_groups, parts.shape[1]))
@@ -271,9 +269,7 @@ def with_chance(ground: Ground, scores: Sequence[Score], seed: int = 0) -> list[
         spread = by_group.T @ by_group
         root = np.sqrt(np.maximum(np.diag(spread), 1e-300))
         inverse = np.linalg.pinv(spread / np.outer(root, root), rcond=1e-8, hermitian=True) / np.outer(root, root)
-        share = by_group @ s.estimate
-        agreement.append(float(share.sum() / max(np.abs(share).sum(), 1e-300)))
-        carriers.append(float(np.abs(share).sum() ** 2 / max(share @ share, 1e-300)))
+        agreed.append(plain(by_group @ s.estimate, s.bic))
         total = by_group.sum(axis=0)
         q = parts.shape[1]
         value = float(total @ inverse @ total) / q
@@ -284,8 +280,8 @@ def with_chance(ground: Ground, scores: Sequence[Score], seed: int = 0) -> list[
         values.append(value / max(null_scale, 1e-12))
         largest = np.maximum(largest, null / max(null_scale, 1e-12))
     return [
-        replace(s, flip=v, p_value=float((1 + np.sum(largest >= v)) / (FLIPS + 1)), agreement=a, carriers=n)
-        for s, v, a, n in zip(scores, values, agreement, carriers, strict=True)
+        replace(s, flip=v, p_value=float((1 + np.sum(largest >= v)) / (FLIPS + 1)), plain=a)
+        for s, v, a in zip(scores, values, agreed, strict=True)
     ]
 
 

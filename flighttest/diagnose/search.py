@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.bench import Bench
-from flighttest.diagnose.chance import consistency, effective_size, standard_errors
+from flighttest.diagnose.chance import consistency, effective_size, parts_of, plain, standard_errors
 from flighttest.diagnose.fitted import LEAST_BIC, LEAST_FLOORS, Fitted, Judged, judge, preferred
 from flighttest.diagnose.judge import places, size_in_floors
 from flighttest.diagnose.noise import Floor, floor_of
@@ -153,9 +153,10 @@ class Search:
             judged = self.judge(s.variant.term.id, self.now, fitted, s.p_value)
             if blunt:
                 # The secant's score means little; what the refit changed is tested in its place, one of as many as there are candidates.
-                chance = consistency(self.now.rows, judged.own) * len(ranked)
+                parts = parts_of(self.now.rows, judged.own)
+                chance = consistency(parts) * len(ranked)
                 judged = replace(judged, p_value=min(chance, 1.0))
-                if chance > FALSE_ALARM_RATE and not judged.reason:
+                if chance > FALSE_ALARM_RATE and not plain(parts, judged.bic) and not judged.reason:
                     judged = replace(judged, reason="what it improves is no more consistent over responses than chance")
             if not judged.kept:
                 self.refused[s.variant.term.id] = judged

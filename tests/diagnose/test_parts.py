@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
@@ -191,8 +192,8 @@ def test_an_effect_in_a_few_responses_is_believed_when_all_of_them_agree(rng):
         return with_chance(ground, [score(ground, v) for v in variants])[0]
 
     agreed = judged(np.ones(n))
+    assert agreed.plain
     assert agreed.beyond_chance
-    assert agreed.carriers == pytest.approx(8, abs=1.5)
     mixed = judged(np.repeat(np.where(np.arange(segments) % 2, 1.0, -1.0), n // segments))
     assert not mixed.beyond_chance
 
@@ -237,9 +238,30 @@ def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng)
 
     def refused(size):
         rows = replace(rows_of(rng.normal(size=4000), column * 100), names=names)  # a standard error of 0.00016
-        return no_more_than_freedom(term, model, names, {"payload_ratio": size}, rows)
+        return no_more_than_freedom(term, model, names, {"payload_ratio": size}, rows, -500.0)
 
-    assert "free start states" in refused(0.003)
+    assert "start states are free" in refused(0.003)
     assert refused(0.05) == ""
-    drag = catalogue()["quadratic_drag"]
-    assert no_more_than_freedom(drag, model, (), {}, rows_of(column[:, 0], column)) == ""  # it has no start states
+
+
+def test_a_size_within_its_error_is_believed_only_where_much_else_speaks_for_it(rng):
+    from flighttest.physics.catalogue import catalogue
+    from flighttest.physics.model import Model
+
+    model, names = Model(("steady_wind",)), ("w_up",)
+    rows = replace(rows_of(rng.normal(size=4000), rng.normal(size=(4000, 1))), names=names)  # a standard error of 0.016
+    asked = (catalogue()["steady_wind"], model, names)
+    assert "stand out" in no_more_than_freedom(*asked, {"w_up": 0.04}, rows, -30.0)
+    assert no_more_than_freedom(*asked, {"w_up": 0.1}, rows, -30.0) == ""
+    assert no_more_than_freedom(*asked, {"w_up": 0.04}, rows, -300.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("carriers", "bic", "believed"), [(8, -60, True), (4, -60, False), (4, -400, True), (2, -4000, False)]
+)
+def test_few_responses_are_believed_when_they_agree_and_much_speaks_for_them(carriers, bic, believed):
+    parts = np.zeros(40)
+    parts[:carriers] = 1.0
+    assert plain(parts, bic) is believed
+    parts[0] = -1.0
+    assert not plain(parts, bic)
