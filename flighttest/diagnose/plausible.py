@@ -31,7 +31,10 @@ def impossible(
     term: str, model: Model, names: Sequence[str], values: Mapping[str, float], std: NDArray[np.float64]
 ) -> str:
     """Why the estimates of a term cannot be what its name says; '' when they can. names, std: of what was estimated."""
-    single = sum(is_amplitude(term, n, model) for n in names) == 1
+    own = [n for n in names if is_amplitude(term, n, model)]
+    if own and not any(model.param[n].alone for n in own):
+        return f"{', '.join(own)} without the rest of its term is no such thing: it stands in for something else"
+    single = len(own) == 1
     for name, error in zip(names, std, strict=True):
         p = model.param[name]
         if model.term_of(name) != term:

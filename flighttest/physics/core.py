@@ -53,7 +53,8 @@ class Param:
     kind: 'base' (always estimated), 'amplitude' (vanishes exactly at `off`, with a slope there that is not zero) or 'shape' (a
     limit, pole, width, length: without meaning at off; screened on `screen`, three to five declared values). scale: a
     typical size, used to normalise. one_sided: physics allows only the side of `off` on which `nominal` lies (a drag cannot push): an
-    estimate well on the other side is another effect in disguise.
+    estimate well on the other side is another effect in disguise. alone: whether it can be all there is of its term (a wind that only
+    rises cannot: what does that is thrust).
     """
 
     name: str
@@ -69,6 +70,7 @@ class Param:
     off: float | None = 0.0
     screen: tuple[float, ...] = ()
     one_sided: bool = False
+    alone: bool = True
 
 
 @dataclass(frozen=True)

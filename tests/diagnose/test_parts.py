@@ -244,16 +244,24 @@ def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng)
     assert refused(0.05) == ""
 
 
+def test_a_wind_that_only_rises_is_refused():
+    from flighttest.physics.model import Model
+
+    model, values = Model(("steady_wind",)), {"w_up": 0.5, "w_north": 1.0}
+    assert "without the rest" in impossible("steady_wind", model, ("w_up",), values, np.array([0.01]))
+    assert impossible("steady_wind", model, ("w_up", "w_north"), values, np.array([0.01, 0.01])) == ""
+
+
 def test_a_size_within_its_error_is_believed_only_where_much_else_speaks_for_it(rng):
     from flighttest.physics.catalogue import catalogue
     from flighttest.physics.model import Model
 
-    model, names = Model(("steady_wind",)), ("w_up",)
+    model, names = Model(("steady_wind",)), ("w_north",)
     rows = replace(rows_of(rng.normal(size=4000), rng.normal(size=(4000, 1))), names=names)  # a standard error of 0.016
     asked = (catalogue()["steady_wind"], model, names)
-    assert "stand out" in no_more_than_freedom(*asked, {"w_up": 0.04}, rows, -30.0)
-    assert no_more_than_freedom(*asked, {"w_up": 0.1}, rows, -30.0) == ""
-    assert no_more_than_freedom(*asked, {"w_up": 0.04}, rows, -300.0) == ""
+    assert "stand out" in no_more_than_freedom(*asked, {"w_north": 0.04}, rows, -30.0)
+    assert no_more_than_freedom(*asked, {"w_north": 0.1}, rows, -30.0) == ""
+    assert no_more_than_freedom(*asked, {"w_north": 0.04}, rows, -300.0) == ""
 
 
 @pytest.mark.parametrize(

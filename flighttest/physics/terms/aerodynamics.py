@@ -202,6 +202,7 @@ def _wind_param(name: str, direction: str, most: float = 20.0) -> Param:
     return Param(
         f"w_{name}", f"w_{name}", "m/s", 2.0, -most, most, 1.0, f"velocity of the air, towards {direction}",
         "met. experience: 0 to 10 m/s near the ground, hardly ever more than 2 m/s up or down for minutes",
+        alone=name != "up",
     )  # fmt: skip
 
 
