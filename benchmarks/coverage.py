@@ -18,26 +18,13 @@ from flighttest.identify.fit import fit
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.sources import open_recordings
 from flighttest.proof.flying import InProcessTransport
+from flighttest.script.load import PARAMETERS
 from flighttest.segments import Segment, cut
 from flighttest.sim import SimOptions
 from flighttest.sim.plant_paper import PaperParameters
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SCRIPTS = ("thrust", "roll_pitch", "yaw_rate")
-NAMES = (
-    "omega_phi",
-    "omega_theta",
-    "zeta_phi",
-    "zeta_theta",
-    "sigma_r",
-    "sigma_t",
-    "K",
-    "alpha",
-    "d_x",
-    "d_y",
-    "d_z",
-    "T_d",
-)
 CHANNELS = ("T_d_attitude", "T_d_yaw_rate", "T_d_thrust")
 
 
@@ -58,7 +45,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=100)
     asked = parser.parse_args()
     table = PaperParameters()
-    truth = {n: float(getattr(table, n if n in NAMES else "T_d")) for n in (*NAMES, *CHANNELS)}
+    truth = {n: float(getattr(table, n if n in PARAMETERS else "T_d")) for n in (*PARAMETERS, *CHANNELS)}
     errors, claimed, held = [], [], []
     for seed in range(asked.first, asked.first + asked.seeds):
         found = fit(campaign(seed)).estimates
@@ -76,7 +63,8 @@ def main() -> None:
         worst = 100 * np.max(np.abs(error[:, i])) / values[i]
         print(f"| {name} | {100 * inside[:, i].mean():.0f} % | {worst:.2f} % | {z.mean():+.2f} | {z.std():.2f} |")
     print(
-        f"\n{asked.seeds} seeds, 12 parameters pooled: {100 * inside[:, : len(NAMES)].mean():.1f} % of the intervals hold the truth."
+        f"\n{asked.seeds} seeds, {len(PARAMETERS)} parameters pooled: "
+        f"{100 * inside[:, : len(PARAMETERS)].mean():.1f} % of the intervals hold the truth."
     )
 
 

@@ -12,8 +12,8 @@ from flighttest.diagnose.rows import Rows
 FloatArray = NDArray[np.float64]
 
 
-AGREEMENT = 0.9
-PLAIN = ((6.0, -50.0), (3.0, -200.0))
+AGREEMENT = 0.9  # of the responses' parts in a score, -1 to 1
+PLAIN = ((6.0, -50.0), (3.0, -200.0))  # (responses that carry an effect, fall of the criterion that is then asked for)
 
 
 def plain(parts: FloatArray, bic: float) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
 from flighttest.diagnose.noise import Floor
-from flighttest.diagnose.plausible import impossible, no_more_than_freedom
+from flighttest.diagnose.plausible import does_not_stand_out, impossible
 from flighttest.diagnose.rows import Rows, State
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
@@ -94,7 +94,7 @@ def judge(
     reason = impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
     if not reason:
         tried = next(t for t in after.model.built_terms if t.id == term)
-        reason = no_more_than_freedom(tried, after.model, after.names, values, after.rows, bic)
+        reason = does_not_stand_out(tried, after.model, after.names, values, after.rows, bic)
     own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
     return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
 

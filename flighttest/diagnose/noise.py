@@ -18,7 +18,7 @@ BIN_S = 0.1  # responses of one cell are compared in bins of this width after th
 EQUATIONS_PER_COVARIATE = 4
 SMALL_CORRELATION = 0.05
 LEAST_RATIO = 1.25
-OUTRIGHT = 3.5
+OUTRIGHT = 3.5  # floors: above it, times of one response that differ on their own count as several looks
 CHANCE = 0.001
 
 

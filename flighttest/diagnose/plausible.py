@@ -52,10 +52,10 @@ def impossible(
     return ""
 
 
-def no_more_than_freedom(
+def does_not_stand_out(
     term: Term, model: Model, names: Sequence[str], values: Mapping[str, float], rows: Rows, bic: float
 ) -> str:
-    """Why a term is there by its freedom alone; '' when its size stands out from its error (clustered by response, at the shapes found).
+    """Why a term's size is too small to be believed; '' when it stands out from its error (clustered by response, at the shapes found).
 
     Asked where the criterion falls but little, and of terms whose start states are free in every response: a pendulum of no weight that
     may begin anywhere fits a slow wander of the velocity, so that its size has to be a size at all. bic: change of the criterion.

@@ -131,13 +131,7 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
         level, name = levels.get(term.id, (np.inf, ""))
         usual = next((abs(p.nominal - float(p.off or 0.0)) for p in term.amplitudes if p.name == name), 1.0)
         if not level < NEVER * usual:
-            found.append(
-                Untestable(
-                    term.id,
-                    UNSEEN,
-                    term.reveals,
-                )
-            )
+            found.append(Untestable(term.id, UNSEEN, term.reveals))
         elif level > PLAUSIBLE * usual:
             unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "of itself")
             found.append(

@@ -6,7 +6,7 @@ A step forward takes the candidate with the best information criterion among tho
 - somewhere (a channel in a kind of maneuver) the effect has at least half the power of the noise floor (0.7 of its amplitude);
 - there, it takes away at least 5 % of the held-out excess over the floor;
 - its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise), and where
-  start states are free its size stands out by itself: freedom is no evidence.
+  the criterion falls but little, or start states are free, its size stands out from its error: freedom is no evidence.
 After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place.
 """
 
@@ -46,7 +46,7 @@ TRIES = 4  # candidates refitted per step before the step is given up
 MOST_TERMS = 12
 PASSES = 4  # screenings of the whole catalogue, each at the optimum that the last one led to
 TRIAL_ITERATIONS = 5  # enough to rank candidates; what is accepted is fitted to the end
-ASTRAY = 3.0
+ASTRAY = 3.0  # a base parameter by this factor off its start is fitted from there, too
 SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
 
 

@@ -11,7 +11,7 @@ from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.noise import _independent_times, _shared, high_frequency, inflation
-from flighttest.diagnose.plausible import impossible, no_more_than_freedom
+from flighttest.diagnose.plausible import does_not_stand_out, impossible
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
 from flighttest.diagnose.unknown import _sparse
@@ -238,7 +238,7 @@ def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng)
 
     def refused(size):
         rows = replace(rows_of(rng.normal(size=4000), column * 100), names=names)  # a standard error of 0.00016
-        return no_more_than_freedom(term, model, names, {"payload_ratio": size}, rows, -500.0)
+        return does_not_stand_out(term, model, names, {"payload_ratio": size}, rows, -500.0)
 
     assert "start states are free" in refused(0.003)
     assert refused(0.05) == ""
@@ -259,9 +259,9 @@ def test_a_size_within_its_error_is_believed_only_where_much_else_speaks_for_it(
     model, names = Model(("steady_wind",)), ("w_north",)
     rows = replace(rows_of(rng.normal(size=4000), rng.normal(size=(4000, 1))), names=names)  # a standard error of 0.016
     asked = (catalogue()["steady_wind"], model, names)
-    assert "stand out" in no_more_than_freedom(*asked, {"w_north": 0.04}, rows, -30.0)
-    assert no_more_than_freedom(*asked, {"w_north": 0.1}, rows, -30.0) == ""
-    assert no_more_than_freedom(*asked, {"w_north": 0.04}, rows, -300.0) == ""
+    assert "stand out" in does_not_stand_out(*asked, {"w_north": 0.04}, rows, -30.0)
+    assert does_not_stand_out(*asked, {"w_north": 0.1}, rows, -30.0) == ""
+    assert does_not_stand_out(*asked, {"w_north": 0.04}, rows, -300.0) == ""
 
 
 @pytest.mark.parametrize(
