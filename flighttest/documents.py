@@ -327,6 +327,13 @@ class _Plain(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
+    def represent_str(self, data: str) -> Any:
+        """Text; with a next-line character in quotes that escape it, for readers take a bare one for a line break."""
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style='"' if "\x85" in data else None)
+
+
+_Plain.add_representer(str, _Plain.represent_str)
+
 
 def write_text(data: Mapping[str, Any]) -> str:
     """YAML that `Document` reads back, keys in the order given."""

@@ -1,4 +1,4 @@
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from flighttest.documents import Document, nearest, write_text
@@ -27,6 +27,7 @@ def test_what_is_written_twice_is_written_out():
     assert document.root.plain() == {"a": [1, 2], "b": [1, 2]}
 
 
+@example({"a": {"\x85": "b\x85c"}})
 @given(st.dictionaries(st.sampled_from("abc"), plain, min_size=1, max_size=3))
 @settings(max_examples=100, deadline=None, derandomize=True)
 def test_what_is_written_is_read_back(data):
