@@ -63,6 +63,37 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return found[0] if found else None
 
 
+class _Refused(Exception):
+    """A file that is no honest one: what is wrong, and on which line."""
+
+    def __init__(self, line: int, what: str, hint: str) -> None:
+        super().__init__(what)
+        self.line, self.what, self.hint = line, what, hint
+
+
+class _Watched(yaml.SafeLoader):
+    """The safe loader, which gives up at an anchor or beyond a size before it builds anything of it."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = self._count = 0
+
+    def get_event(self) -> Any:
+        """The next event, once it is known to be harmless."""
+        event: Any = super().get_event()  # type: ignore[no-untyped-call]
+        line = event.start_mark.line + 1 if event.start_mark else 1
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            hint = "write the value out where it is needed"
+            raise _Refused(line, "anchors and aliases (& and *) are not allowed", hint)
+        self._count += 1
+        self._depth += isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent))
+        self._depth -= isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent))
+        if self._depth > MAX_DEPTH or self._count > MAX_NODES:
+            hint = "it is no file of this kind"
+            raise _Refused(line, "the file is nested too deeply or holds too many values", hint)
+        return event
+
+
 class Document:
     """One file being read. Every problem found is kept; `root` is None when the text is no YAML mapping at all."""
 
@@ -74,10 +105,11 @@ class Document:
             self.problem(1, "", f"the file is larger than {MAX_BYTES} bytes", "it is no file of this kind")
             return
         try:
-            if self._sane(text):
-                node = yaml.compose(text, Loader=yaml.SafeLoader)
-                if node is not None:
-                    self.root = self._convert(node, "")
+            node = yaml.compose(text, Loader=_Watched)
+            if node is not None:
+                self.root = self._convert(node, "")
+        except _Refused as refused:
+            self.problem(refused.line, "", refused.what, refused.hint)
         except yaml.YAMLError as error:
             mark = getattr(error, "problem_mark", None)
             what = getattr(error, "problem", None) or str(error).splitlines()[0]
@@ -240,26 +272,6 @@ class Document:
         return node.value
 
     # From text to nodes.
-
-    def _sane(self, text: str) -> bool:
-        depth = 0
-        for nodes, event in enumerate(yaml.parse(text, Loader=yaml.SafeLoader)):
-            line = event.start_mark.line + 1 if event.start_mark else 1
-            if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-                self.problem(
-                    line, "", "anchors and aliases (& and *) are not allowed", "write the value out where it is needed"
-                )
-                return False
-            if isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
-                depth += 1
-            elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
-                depth -= 1
-            if depth > MAX_DEPTH or nodes > MAX_NODES:
-                self.problem(
-                    line, "", "the file is nested too deeply or holds too many values", "it is no file of this kind"
-                )
-                return False
-        return True
 
     def _convert(self, node: yaml.Node, path: str) -> Node:
         line = node.start_mark.line + 1
