@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -12,13 +13,14 @@ from numpy.typing import NDArray
 
 from flighttest.physics.model import Model
 from flighttest.physics.system import System
-from flighttest.physics.vectorised import Vectorised
+from flighttest.physics.vectorised import Columns, Vectorised
 
 FloatArray = NDArray[np.float64]
 Edges = tuple[FloatArray, FloatArray]
 
 MAX_STEP_S = 0.0101
 _CHUNK = 64
+FEW = 96  # columns up to which CasADi is faster than numpy
 TOGETHER = 16  # runs from which on numpy, over all of them, overtakes CasADi, one after the other
 
 
@@ -44,6 +46,33 @@ def rk4_stages(rate: Any, x: Any, dt: Any, e: tuple[Any, Any, Any]) -> tuple[Any
     k3 = rate(x + dt / 2 * k2, e[1])
     k4 = rate(x + dt * k3, e[2])
     return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), k1, k4
+
+
+class Step:
+    """One RK4 step of x_dot = rate(x, u), inputs held, for many columns at once: x (k, n), u (m, n), dt a number or (n,), s."""
+
+    def __init__(self, rate: ca.Function) -> None:
+        self._rate = rate
+        self._few: dict[int, Columns] = {}
+
+    def __call__(self, x: FloatArray, u: FloatArray, dt: float | FloatArray) -> FloatArray:
+        """The states after the step (k, n)."""
+        n = x.shape[1]
+        if n > FEW:
+            return np.asarray(rk4(lambda at: self.rate(at, u), x, dt))
+        if n not in self._few:
+            self._few[n] = Columns(self._step, n)
+        return self._few[n](x, u, np.asarray(dt))
+
+    @cached_property
+    def rate(self) -> Vectorised:
+        """x_dot (k, n) of x (k, n), u (m, n)."""
+        return Vectorised(self._rate)
+
+    @cached_property
+    def _step(self) -> ca.Function:
+        x, u, dt = ca.SX.sym("x", self._rate.size1_in(0)), ca.SX.sym("u", self._rate.size1_in(1)), ca.SX.sym("dt")
+        return ca.Function("step", [x, u, dt], [ca.densify(ca.cse(rk4(lambda at: self._rate(at, u), x, dt)))])
 
 
 @dataclass
@@ -184,9 +213,9 @@ def _one_by_one(system: System, p: FloatArray, begun: FloatArray, made: Sequence
 
 
 def _together(system: System, p: FloatArray, begun: FloatArray, made: Sequence[Grid]) -> list[FloatArray]:
-    """The same in numpy, a piece of every run at a time: for many runs."""
+    """The same, a piece of every run at a time: for many runs."""
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-    rate = Vectorised(ca.Function("rate", [x, u], [ca.densify(ca.cse(ca.simplify(system.function(x, u, p)[0])))]))
+    step = Step(ca.Function("rate", [x, u], [ca.densify(ca.cse(ca.simplify(system.function(x, u, p)[0])))]))
     order = sorted(range(len(made)), key=lambda i: -made[i].dt_s.size)
     sizes = np.array([made[i].dt_s.size for i in order])
     k = int(sizes[0])
@@ -195,11 +224,10 @@ def _together(system: System, p: FloatArray, begun: FloatArray, made: Sequence[G
         inputs[: sizes[row], :, row], dt[: sizes[row], row] = made[i].u, made[i].dt_s
     states = np.zeros((k, len(system.states), len(made)))
     now = begun[order].T
-    for step in range(k):
-        flying = int(np.searchsorted(-sizes, -step, side="left"))
-        now, held = now[:, :flying], inputs[step, :, :flying]
-        now = rk4(lambda at, held=held: rate(at, held), now, dt[step, :flying])
-        states[step, :, :flying] = now
+    for piece in range(k):
+        flying = int(np.searchsorted(-sizes, -piece, side="left"))
+        now = step(now[:, :flying], inputs[piece, :, :flying], dt[piece, :flying])
+        states[piece, :, :flying] = now
     found: list[FloatArray] = [np.zeros((0, 0))] * len(made)
     for row, i in enumerate(order):
         found[i] = states[: sizes[row], :, row]

@@ -1,7 +1,7 @@
 """Many vehicles stepped through time at once, by the shortest way that gives the same: RK4 steps of `System`, inputs held.
 
 What has only been asked to go up and down stays level, and most of the equations vanish; where what is left is linear, a step is a product
-with a constant matrix. Single vehicles go through CasADi, whose calls cost less than numpy's many.
+with a constant matrix.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.physics.simulate import rk4
+from flighttest.physics.simulate import Step
 from flighttest.physics.system import System
-from flighttest.physics.vectorised import Vectorised
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +23,6 @@ SIDEWAYS = (
     *("roll_rad", "pitch_rad", "roll_rate_rad_s", "pitch_rate_rad_s", "r_rad_s", "v_x_m_s", "v_y_m_s"),
     *("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s"),
 )
-FEW = 12  # vehicles up to which CasADi is faster
 
 
 class Forms:
@@ -32,20 +30,19 @@ class Forms:
 
     def __init__(self, system: System, p: FloatArray) -> None:
         self.system, self.p = system, p
-        self._steps: dict[int, ca.Function] = {}
 
     @cached_property
-    def full(self) -> Vectorised:
+    def full(self) -> Step:
         """Of states (k, n) and inputs (m, n)."""
-        return Vectorised(self._function(straight=False))
+        return Step(self._function(straight=False))
 
     @cached_property
-    def level(self) -> Vectorised | None:
+    def level(self) -> Step | None:
         """The same while nothing moves sideways, a quarter of the work; None where that does not last (wind, an askew rotor)."""
         function = self._function(straight=True)
         rates = function(*(ca.SX.sym("z", *function.size_in(i)) for i in range(2)))
         still = all(rates[i].is_zero() for i, n in enumerate(self.system.states) if n in SIDEWAYS)
-        return Vectorised(function) if still else None
+        return Step(function) if still else None
 
     @cached_property
     def matrix(self) -> FloatArray | None:
@@ -58,15 +55,6 @@ class Forms:
         if timed or ca.depends_on(by_x, ca.vertcat(x, u)) or ca.depends_on(by_throttle, ca.vertcat(x, throttle)):
             return None
         return np.asarray(ca.evalf(ca.densify(by_x)), dtype=float)
-
-    def single(self, n: int) -> ca.Function:
-        """x_next = step(x (k, n), u (m, n), dt) for few vehicles."""
-        if n not in self._steps:
-            function = self._function(straight=False)
-            x, u, dt = ca.SX.sym("x", *function.size_in(0)), ca.SX.sym("u", *function.size_in(1)), ca.SX.sym("dt")
-            step = ca.Function("step", [x, u, dt], [ca.densify(ca.cse(rk4(lambda at: function(at, u), x, dt)))])
-            self._steps[n] = step.map(n) if n > 1 else step
-        return self._steps[n]
 
     def _function(self, straight: bool) -> ca.Function:
         x, u = ca.SX.sym("x", len(self.system.states)), ca.SX.sym("u", len(self.system.inputs))
@@ -103,13 +91,8 @@ class Stepping:
             after = x.copy()
             after[self._moving] = power @ x[self._moving] + free + forced * u[self._throttle]
             return after
-        if x.shape[1] <= FEW and not self.straight:
-            n = x.shape[1]
-            return np.asarray(self.forms.single(n)(x, u, np.full((1, n), self.dt_s)))
-        rate = self.forms.full
-        if self.straight and self.forms.level is not None:
-            rate = self.forms.level
-        return np.asarray(rk4(lambda at: rate(at, u), x, self.dt_s))
+        level = self.forms.level if self.straight else None
+        return (level or self.forms.full)(x, u, self.dt_s)
 
     def _affine(self, matrix: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """RK4's own step of x_dot = A x + a + b throttle: x_next = P x + Q a + Q b throttle, P and Q its polynomials in A."""
@@ -123,7 +106,7 @@ class Stepping:
         for throttle in (0.0, 1.0):
             asked = u.copy()
             asked[row] = throttle
-            pushed.append(self.forms.level(at_rest, asked))
+            pushed.append(self.forms.level.rate(at_rest, asked))
         power, free, forced = one + z @ q, self.dt_s * q @ pushed[0], self.dt_s * q @ (pushed[1] - pushed[0])
         # What neither changes nor is changed need not be carried along.
         alive = z.any(axis=0) | z.any(axis=1) | free.any(axis=1) | forced.any(axis=1)

@@ -4,7 +4,8 @@ import pytest
 
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
-from flighttest.physics.vectorised import Vectorised
+from flighttest.physics.simulate import FEW, Step
+from flighttest.physics.vectorised import Columns, Vectorised
 
 
 @pytest.mark.parametrize("term", ["", *sorted(catalogue())])
@@ -25,6 +26,29 @@ def test_columns_are_what_casadi_gives_one_by_one(term):
         np.testing.assert_allclose(
             found[:, k], np.asarray(function(states[:, k], inputs[:, k])).ravel(), rtol=1e-12, atol=1e-12
         )
+
+
+@pytest.mark.parametrize("n", [1, 5])
+def test_few_columns_through_shared_memory_are_what_numpy_gives(n):
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u")
+    function = ca.Function("f", [x, u], [ca.vertcat(x[1] * u, ca.sin(x[0]))])
+    columns = Columns(function, n)
+    rng = np.random.default_rng(4)
+    first, second = (rng.normal(size=(3, n)) for _ in range(2))
+    kept = columns(first, np.arange(n, dtype=float))
+    np.testing.assert_allclose(columns(second, 2.0), Vectorised(function)(second, np.full((1, n), 2.0)), rtol=1e-14)
+    np.testing.assert_allclose(kept, Vectorised(function)(first, [np.arange(n)]), rtol=1e-14, err_msg="it is a copy")
+
+
+def test_a_step_of_few_columns_is_the_step_of_many():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    step = Step(ca.Function("rate", [x, u], [ca.vertcat(x[1], -9.0 * ca.sin(x[0]) + u)]))
+    rng = np.random.default_rng(5)
+    many, dt = rng.normal(size=(2, FEW + 1)), rng.uniform(0.0, 0.05, FEW + 1)
+    held = rng.normal(size=(1, FEW + 1))
+    after = step(many, held, dt)
+    assert not np.allclose(after, many)
+    np.testing.assert_allclose(step(many[:, :3], held[:, :3], dt[:3]), after[:, :3], rtol=1e-13)
 
 
 def test_an_operation_it_does_not_know_is_refused():
