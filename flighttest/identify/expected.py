@@ -58,47 +58,75 @@ class Expected:
     sentence: str
 
 
-def planned_segments(plan: Plan, model: Model, values: Mapping[str, float]) -> list[Segment]:
-    """Noise-free responses the prior model would record; legs without a profile (waypoints, motors off) are left out."""
-    return _planned([plan], model, values)[0]
+@dataclass(frozen=True)
+class Told:
+    """What the responses of one plan would tell, each with what it needs to know of the others left open.
+
+    steps: their segments, without samples (n,); able: block name to the positions of those in which its references move; information:
+    block name to Fisher information (n, p, p) by `model.names`, zero for a response that feeds the block in no company.
+    """
+
+    steps: tuple[Segment, ...]
+    able: Mapping[str, Sequence[int]]
+    information: Mapping[str, FloatArray]
+
+
+def told_by_plans(
+    plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
+) -> list[Told]:
+    """What each plan would tell: every response is flown and differentiated once. Legs without a profile (waypoints, motors off) are
+    left out."""
+    groups = _planned(plans, model, values)
+    every = [segment for group in groups for segment in group]
+    starts = np.cumsum([0, *(len(group) for group in groups)]).tolist()
+    can = [{b.name: able(group, b) for b in model.blocks} for group in groups]
+    fed: dict[str, set[int]] = {b.name: set() for b in model.blocks}
+    for start, group, of in zip(starts, groups, can, strict=False):
+        for block in model.blocks:
+            # In more company a response feeds what it feeds here, or less; but free flight is called in where there are few steps.
+            free = [i for i in of[block.name] if group[i].kind == "free"]
+            fed[block.name] |= {start + i for i in (*feeding(group, block, "paper", of[block.name]), *free)}
+    p = len(model.names)
+    information = {b.name: np.zeros((len(every), p, p)) for b in model.blocks}
+    if every:
+        problem = Problem.build(every, model, values=values, fed=fed)
+        at = [model.names.index(n) for n in problem.names]
+        for name, of_block in _information(problem, noise).items():
+            information[name][:, np.array(at)[:, None], at] = of_block
+    return [
+        Told(
+            tuple(replace(s, t_s=s.t_s[:0], y={}, u={}) for s in group),
+            of,
+            {name: each[start : start + len(group)] for name, each in information.items()},
+        )
+        for start, group, of in zip(starts, groups, can, strict=False)
+    ]
+
+
+def expected_of_told(told: Sequence[Told], model: Model, values: Mapping[str, float]) -> tuple[Expected, ...]:
+    """Expected standard error of every parameter from plans flown together; empty where nothing in them can be predicted.
+
+    Information adds up; which steps feed which part of the model depends on what else there is.
+    """
+    steps = [step for one in told for step in one.steps]
+    starts = np.cumsum([0, *(len(one.steps) for one in told)]).tolist()
+    hessian = np.zeros((len(steps), len(model.names), len(model.names)))
+    for block in model.blocks if steps else ():
+        can = [start + i for start, one in zip(starts, told, strict=False) for i in one.able[block.name]]
+        members = np.array(sorted(feeding(steps, block, "paper", can)), dtype=np.intp)
+        hessian[members] += np.concatenate([one.information[block.name] for one in told])[members]
+    return _expected(model.names, hessian, steps, model, values)
 
 
 def expected_of_plans(
     plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> tuple[tuple[tuple[Expected, ...], ...], tuple[Expected, ...]]:
-    """Expected standard error of every parameter for each plan, and for all of them flown together; empty where nothing in it can be
-    predicted. Information adds up, so all plans are flown and differentiated once.
-    """
-    groups = _planned(plans, model, values)
-    every = [segment for group in groups for segment in group]
-    if not every:
-        return tuple(() for _ in plans), ()
-    ends = np.cumsum([len(group) for group in groups])
-    owned = [range(end - len(group), end) for group, end in zip(groups, ends.tolist(), strict=True)]
-    wanted = [*owned, range(len(every))]
-    # Which steps feed which part of the model depends on what else there is: each response is differentiated once for all who use it.
-    can = {b.name: able(every, b) for b in model.blocks}
-    fed = [
-        {b.name: set(feeding(every, b, "paper", [i for i in can[b.name] if i in own])) for b in model.blocks}
-        for own in wanted
-    ]
-    union = {b.name: set[int]().union(*(one[b.name] for one in fed)) for b in model.blocks}
-    problem = Problem.build(every, model, values=values, fed=union)
-    told = _told(problem, noise)
-    found: list[tuple[Expected, ...]] = []
-    for own, feeds in zip(wanted, fed, strict=True):
-        if not len(own):
-            found.append(())
-            continue
-        hessian = np.zeros((len(own), len(problem.names), len(problem.names)))
-        for name, of in told.items():
-            members = np.array(sorted(feeds[name]), dtype=np.intp)
-            hessian[members - own.start] += of[members]
-        found.append(_expected(problem.names, hessian, every[own.start : own.stop], model, values))
-    return tuple(found[:-1]), found[-1]
+    """The same for each plan by itself, and for all of them together."""
+    told = told_by_plans(plans, model, values, noise)
+    return tuple(expected_of_told([one], model, values) for one in told), expected_of_told(told, model, values)
 
 
-def _told(problem: Problem, noise: Noise) -> dict[str, FloatArray]:
+def _information(problem: Problem, noise: Noise) -> dict[str, FloatArray]:
     """Fisher information of each segment by the problem's names, (n_segments, p, p), apart for each block it feeds."""
     found = {
         part.block.name: np.zeros((len(problem.segments), len(problem.names), len(problem.names)))
@@ -120,7 +148,7 @@ def expected_of(
 ) -> tuple[Expected, ...]:
     """The same for responses given as segments (measured or simulated)."""
     problem = Problem.build(segments, model, values=values)
-    hessian = np.sum(list(_told(problem, noise).values()), axis=0)
+    hessian = np.sum(list(_information(problem, noise).values()), axis=0)
     return _expected(problem.names, hessian, problem.segments, model, values)
 
 

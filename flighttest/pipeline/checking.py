@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.identify.expected import Expected, expected_of_plans
+from flighttest.identify.expected import Expected, Told, expected_of_told, told_by_plans
+from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
 from flighttest.plan import Plan, compile_plans
@@ -17,6 +18,7 @@ from flighttest.report.document import Cell, Section, Table
 from flighttest.report.numbers import number, percent, unit
 from flighttest.report.plain import plain
 from flighttest.script.load import load_script
+from flighttest.script.model import Script
 from flighttest.script.shipped import resolve
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
@@ -48,8 +50,14 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     """Plan, duration, battery and predicted envelope of every script, against the zone."""
     declared = load_vehicle(vehicle) if vehicle is not None else DEFAULT_VEHICLE
     prior = predictor_for(model, declared)
-    compiled = plans(scripts, declared, prior)
-    forecast, altogether = expected_of_plans(compiled, prior.model, prior.values)
+
+    def rehearsed(some: Sequence[Script]) -> list[tuple[Plan, Told]]:
+        made = compile_plans(some, declared, prior)
+        return list(zip(made, told_by_plans(made, prior.model, prior.values), strict=True))
+
+    compiled, told = zip(*in_halves(rehearsed, [load_script(resolve(name)) for name in scripts]), strict=True)
+    forecast = [expected_of_told([one], prior.model, prior.values) for one in told]
+    altogether = expected_of_told(told, prior.model, prior.values)
     results = tuple(
         replace(check_plan(plan), expected_std={e.name: e.std for e in expected if e.std is not None and _useful(e)})
         for plan, expected in zip(compiled, forecast, strict=True)

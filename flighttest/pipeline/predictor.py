@@ -174,9 +174,9 @@ class ModelPredictor:
             x = step(x, u)
             record[k + 1, :, :flying] = x
         t_s = np.arange(total + 1, dtype=float) * dt_s
-        # Each coordinate of each vehicle in one piece of memory: they are searched for extremes.
-        laid = (np.ascontiguousarray(record[:, i].transpose(2, 1, 0)) for i in (place, speed, angle))
-        p, v, rpy = (one.transpose(0, 2, 1) for one in laid)
+        # Each coordinate of each vehicle in one piece of memory: they are searched for extremes. Attitudes are not.
+        p, v = (np.ascontiguousarray(record[:, i].transpose(2, 1, 0)).transpose(0, 2, 1) for i in (place, speed))
+        rpy = record[:, angle].transpose(2, 0, 1)
         return Trail(Motion(t_s, p, v, rpy), record, asked, volts, clock_s)
 
     def _memory(self, dt_s: float) -> int:

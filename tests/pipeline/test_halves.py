@@ -1,0 +1,62 @@
+"""Work in two processes: the same results in the same order, and what fails there fails here with its own words."""
+
+import os
+
+import pytest
+
+from flighttest.errors import FitError
+from flighttest.pipeline.halves import in_halves
+
+HERE = os.getpid()
+
+
+@pytest.fixture
+def two_cores(monkeypatch):
+    monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: True)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_results_are_those_of_the_items_in_order(two_cores, count):
+    done = in_halves(lambda some: [(10 * i, os.getpid()) for i in some], range(count))
+    assert [value for value, _ in done] == [10 * i for i in range(count)]
+    assert len({pid for _, pid in done}) == min(count, 2), "one alone is not worth a second process"
+
+
+def test_without_a_second_core_nothing_is_begun(monkeypatch):
+    monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: False)
+    assert set(in_halves(lambda some: [os.getpid() for _ in some], range(4))) == {HERE}
+
+
+def test_what_dies_there_is_done_here(two_cores):
+    def work(some):
+        if os.getpid() != HERE:
+            os._exit(1)
+        return [i * i for i in some]
+
+    assert in_halves(work, range(5)) == [0, 1, 4, 9, 16]
+
+
+def test_what_fails_fails_with_its_own_words(two_cores, capfd):
+    def work(some):
+        if 3 in some:
+            raise FitError("step 3 does not fit", "make it shorter")
+        return list(some)
+
+    with pytest.raises(FitError, match="step 3 does not fit"):
+        in_halves(work, range(5))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_no_process_is_left_behind(two_cores, monkeypatch):
+    begun, fork = [], os.fork
+    monkeypatch.setattr(os, "fork", lambda: begun.append(fork()) or begun[-1])
+
+    def work(some):
+        if os.getpid() == HERE:
+            raise FitError("here", "")
+        return list(some)
+
+    with pytest.raises(FitError):
+        in_halves(work, range(5))
+    with pytest.raises(ProcessLookupError):
+        os.kill(begun[0], 0)
