@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import warnings
@@ -80,7 +81,9 @@ def main() -> None:
     """Entry point of the `flighttest` program."""
     # Trial steps of a solver may overflow before they are taken back; that is no news to an operator.
     warnings.simplefilter("ignore", RuntimeWarning)
-    sys.exit(call(sys.argv[1:]))
+    code = call(sys.argv[1:])
+    gc.freeze()  # what is left goes with the process: Python need not search it for cycles on the way out
+    sys.exit(code)
 
 
 if __name__ == "__main__":
