@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
+G_M_S2 = 9.81  # of the paper; down in every world frame here
+
 _FLIP_VECTOR = np.array([1.0, -1.0, -1.0])
 _FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
 

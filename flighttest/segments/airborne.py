@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.frames import G_M_S2
 from flighttest.recording import Recording
 
 FloatArray = NDArray[np.float64]
@@ -13,10 +14,22 @@ _ASIDE_S = 1.0  # the legs leave the ground some time after take-off is declared
 _IDLE = 0.02  # throttle of motors that do not lift
 _LOW_M = 0.15
 _STILL_M_S = 0.15
+_STANDS_S = 1.0  # motors off for so long in the air would be a fall at 10 m/s
+_RESTS_M_S2 = 0.5  # specific force of what stands differs from g by less
 
 
-def airborne(recording: Recording) -> tuple[float, float]:
-    """From take-off to landing, s."""
+def flights(recording: Recording) -> tuple[tuple[float, float], ...]:
+    """From take-off to landing, s, of every flight of a recording in order; at least one."""
+    start, end = _whole(recording)
+    bounds = [start]
+    for down, up in _landings(recording, start, end):
+        bounds += [down, up]
+    pieces = zip(bounds[::2], [*bounds[1::2], end], strict=True)
+    return tuple((a, b) for a, b in pieces if a < b) or ((start, end),)
+
+
+def _whole(recording: Recording) -> tuple[float, float]:
+    """From the first take-off to the last landing, s."""
     start, end = recording.t_span_s
     start, end = _armed(recording, start, end)
     up = [m.t_s for m in recording.markers if m.label == "take-off" and m.t_s >= start]
@@ -73,7 +86,48 @@ def _off_ground(recording: Recording, start: float, end: float) -> tuple[float, 
     return start, end
 
 
-def _still(recording: Recording, start: float, end: float) -> bool:
-    t, v = recording.channel("v_x_m_s")
+def _still(recording: Recording, start: float, end: float, name: str = "v_x_m_s") -> bool:
+    t, v = recording.channel(name)
     inside = (t >= start) & (t <= end) & np.isfinite(v)
     return bool(inside.any()) and float(np.median(np.abs(v[inside]))) < _STILL_M_S
+
+
+def _landings(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
+    """Stretches between two flights, s: motors idle, and the vehicle at rest for all that was recorded."""
+    if not recording.has("throttle"):
+        return []
+    t, throttle = recording.channel("throttle")
+    inside = (t >= start) & (t <= end) & np.isfinite(throttle)
+    t, idle = t[inside], throttle[inside] <= _IDLE
+    turns = np.flatnonzero(np.diff(np.concatenate([[False], idle, [False]]).astype(np.int8)))
+    found: list[tuple[float, float]] = []
+    for first, after in zip(turns[::2], turns[1::2], strict=True):
+        down, up = float(t[first]), float(t[after - 1])
+        if up - down >= _STANDS_S and _at_rest(recording, down, up):
+            found.append(_low(recording, down, up))
+    return found
+
+
+def _at_rest(recording: Recording, start: float, end: float) -> bool:
+    if recording.has("v_x_m_s", "v_y_m_s", "v_z_m_s"):
+        return all(_still(recording, start, end, name) for name in ("v_x_m_s", "v_y_m_s", "v_z_m_s"))
+    if recording.has("f_z_m_s2"):
+        t, force = recording.channel("f_z_m_s2")
+        inside = (t >= start) & (t <= end) & np.isfinite(force)
+        return bool(inside.any()) and abs(float(np.median(force[inside])) - G_M_S2) < _RESTS_M_S2
+    return False  # nothing says that it stood
+
+
+def _low(recording: Recording, down: float, up: float) -> tuple[float, float]:
+    """A rest with what belongs to touching down and lifting off: as long as the vehicle is lower than a hand above where it stood."""
+    if not recording.has("height_m"):
+        return down - _ASIDE_S, up + _ASIDE_S
+    t, height = recording.channel("height_m")
+    known = np.isfinite(height)
+    t, height = t[known], height[known]
+    resting = height[(t >= down) & (t <= up)]
+    if not resting.size:
+        return down - _ASIDE_S, up + _ASIDE_S
+    high = t[height > float(np.median(resting)) + _LOW_M]
+    before, behind = high[high < down], high[high > up]
+    return float(before[-1]) if before.size else down, float(behind[0]) if behind.size else up

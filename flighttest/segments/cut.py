@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flighttest.channels import INPUTS
 from flighttest.recording import Recording
 from flighttest.segments import edges as ed
-from flighttest.segments.airborne import airborne
+from flighttest.segments.airborne import flights
 from flighttest.segments.align import Aligned, prepare, sample
 from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, References, Response, Tolerance
 from flighttest.segments.marks import Marked, marked
@@ -139,23 +139,26 @@ def _missed(references: References | None, mark: Marked, t_s: float) -> Response
 def _by_references(
     recording: Recording, references: References | None, aligned: Aligned
 ) -> list[tuple[Response, Marked | None]]:
-    start, end = airborne(recording)
+    spans = flights(recording)
     if references is not None and references.streamed:
         # Where no targets came, nothing is known about what the vehicle was asked to do.
         known = references.t_s[np.isfinite(references.values).any(axis=1)]
-        if known.size and start < known[-1] and known[0] < end:
-            start, end = max(start, float(known[0])), min(end, float(known[-1]) + references.period_s)
-    steps = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
-    steps = [replace(r, end_s=min(r.end_s, end)) for r in steps if start <= r.start_s and r.t_step_s < end]
+        if known.size:
+            first, last = float(known[0]), float(known[-1]) + references.period_s
+            spans = tuple((max(a, first), min(b, last)) for a, b in spans if a < last and first < b) or spans
+    every = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
+    steps = [replace(r, end_s=min(r.end_s, b)) for r in every for a, b in spans if a <= r.start_s and r.t_step_s < b]
     steps.sort(key=lambda r: r.start_s)
     if len(steps) < _FEW_STEPS:
-        return [(window, None) for a, b in _recorded(aligned, start, end) for window in windows(a, b)]
+        return [(w, None) for span in spans for a, b in _recorded(aligned, *span) for w in windows(a, b)]
     # Between steps lies what brings the vehicle back; only a long stretch without any is a flight of its own.
     free: list[Response] = []
-    for a, b in pairwise([start, *(t for r in steps for t in (r.start_s, r.end_s)), end]):
-        if b - a >= _FREE_STRETCH_S and not any(r.start_s <= a < r.end_s for r in steps):
-            spans = _recorded(aligned, a + _FREE_MARGIN_S, b - _FREE_MARGIN_S)
-            free += [window for span in spans for window in windows(*span)]
+    for start, end in spans:
+        own = [r for r in steps if start <= r.start_s < end]
+        for a, b in pairwise([start, *(t for r in own for t in (r.start_s, r.end_s)), end]):
+            if b - a >= _FREE_STRETCH_S and not any(r.start_s <= a < r.end_s for r in own):
+                pieces = _recorded(aligned, a + _FREE_MARGIN_S, b - _FREE_MARGIN_S)
+                free += [window for piece in pieces for window in windows(*piece)]
     return [(r, None) for r in (*steps, *free)]
 
 
@@ -191,7 +194,7 @@ class _Cutter:
         self.aligned = aligned
         self.streamed = "roll_ref_rad" not in recording.provenance.derived
         up = [m.t_s for m in recording.markers if m.label == "take-off"]
-        self.takeoff_s = up[0] if up else airborne(recording)[0]
+        self.takeoffs_s = up[:1] or [start for start, _ in flights(recording)]
 
     def segment(self, response: Response, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
@@ -224,9 +227,10 @@ class _Cutter:
             notes=notes,
             maneuver=(mark.maneuver if mark is not None and mark.maneuver else response.kind),
             heading_rad=float((heading + np.pi) % (2 * np.pi) - np.pi),
-            time_since_takeoff_s=response.t_step_s - self.takeoff_s,
+            time_since_takeoff_s=response.t_step_s - self._takeoff_s(response.t_step_s),
             context={
                 "later_edges_s": response.later_edges_s,
+                "by_hand": response.by_hand or response.kind == "free",
                 "filters": dict(self.recording.provenance.filters),
                 "reference_clock": self.recording.provenance.reference_clock,
                 "derived": dict(self.recording.provenance.derived),
@@ -234,6 +238,10 @@ class _Cutter:
                 **self._voltage_samples(response),
             },
         )
+
+    def _takeoff_s(self, t_s: float) -> float:
+        """Of the flight that a time lies in."""
+        return max((up for up in self.takeoffs_s if up <= t_s), default=self.takeoffs_s[0])
 
     def _clock_error(self) -> dict[str, float]:
         error = self.recording.provenance.clock.get("error_s")
@@ -264,7 +272,8 @@ class _Cutter:
             if before.size and known[before[-1] :].any():
                 known[: before[-1]] = False
             if known.any():
-                out[name] = ed.compressed(references.t_s[a:b][known], values[known])
+                edges = ed.compressed(references.t_s[a:b][known], values[known])
+                out[name] = ed.centred(*edges) if name in self.recording.provenance.polled else edges
         return out
 
 

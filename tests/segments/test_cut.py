@@ -255,3 +255,33 @@ def test_the_real_campaign_is_cut_alike_from_both_of_its_logs(shared_data):
     link = np.array([a.t_step_s - b.t_step_s for a, b in zip(*steps, strict=True)])
     assert np.all((link > 0.008) & (link < 0.05))
     assert 0.012 < np.median(link) < 0.025
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_standing_between_two_flights_is_no_flight(fly, stands):
+    """Motors off for a while: on the ground the specific force is g; in a fall it is none, and that is flight like any other."""
+    recording = fly([(8.0, 0.0, 0.0, 0.0, 0.25), (3.0, 0.0, 0.0, 0.0, 0.0), (8.0, 0.0, 0.0, 0.0, 0.25)]).recording()
+    series = {g: s for g, s in recording.series.items() if g != "velocity"}
+    if stands:
+        t = series["specific_force"].t_s
+        series["specific_force"] = type(series["specific_force"])(t, {"f_z_m_s2": np.full(t.size, 9.8)})
+    segments = cut(type(recording)(recording.name, series, (), recording.provenance))
+    off_s = [(max(s.t_s[0], 108.0), min(s.t_s[-1], 111.0)) for s in segments]
+    assert any(b > a for a, b in off_s) is not stands
+    later = [s for s in segments if s.t_s[0] > 111.0]
+    assert later
+    assert all((s.time_since_takeoff_s < 8.0) is stands for s in later)
+
+
+def test_a_landing_ends_where_the_height_says(fly):
+    recording = fly([(8.0, 0.0, 0.0, 0.0, 0.25), (3.0, 0.0, 0.0, 0.0, 0.0), (8.0, 0.0, 0.0, 0.0, 0.25)]).recording()
+    t = np.arange(100.0, 119.0, 0.02)
+    height = np.interp(t, [100, 106, 107.5, 112.5, 114, 119], [1.0, 1.0, 0.1, 0.1, 1.0, 1.0])
+    still = {name: np.zeros(t.size) for name in ("v_x_m_s", "v_y_m_s", "v_z_m_s")}
+    series = {g: s for g, s in recording.series.items() if g != "velocity"}
+    kind = type(recording.series["velocity"])
+    series |= {"velocity": kind(t, still), "height": kind(t, {"height_m": height})}
+    segments = cut(type(recording)(recording.name, series, (), recording.provenance))
+    lowest = min(float(np.interp(s.t_s, t, height).min()) for s in segments)
+    assert lowest > 0.2
+    assert {s.t_s[0] < 108 for s in segments} == {True, False}
