@@ -161,7 +161,7 @@ class TimeSync:
 
     def answer(self, tc1: int, ts1: int, ground_s: float) -> float | None:
         """An answer: its round trip, s; None for one to somebody else's question."""
-        asked = self._asked.pop(ts1, None) if tc1 else None
+        asked = self._asked.pop(ts1, None)  # a vehicle whose time has not begun to run answers with a tc1 of 0
         if asked is None:
             return None
         self._trips.append((asked, tc1 * 1e-9, ground_s))

@@ -196,6 +196,6 @@ class Session:
             )
         for _ in range(10):
             self._next_timesync_s = 0.0
-            if self.await_message(lambda m: m.get_type() == "TIMESYNC" and m.tc1 != 0, 0.1) is not None:
+            if self.await_message(lambda m: m.get_type() == "TIMESYNC" and self.offset is not None, 0.1) is not None:
                 break
         return beat

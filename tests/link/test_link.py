@@ -128,6 +128,25 @@ def test_parameters_by_either_name_verified_and_lost_ones_asked_again() -> None:
         parameters.write(session, "NO_SUCH", 2.0, known)
 
 
+def test_a_vehicle_whose_time_stands_at_zero_has_answered() -> None:
+    class JustBooted(ScriptedVehicle):
+        def on_timesync(self, m: object) -> None:
+            self.say(book.MAVLink_timesync_message(0, m.ts1))  # type: ignore[attr-defined]
+
+    host = Host()
+    session = session_of(JustBooted(host))
+    assert session.offset is not None
+    assert host.now - 1000.0 < 0.2, "a second of asking again, in each of a proof's hundreds of flights"
+
+
+def test_a_vehicles_own_question_is_no_answer() -> None:
+    class Asking(ScriptedVehicle):
+        def on_timesync(self, m: object) -> None:
+            self.say(book.MAVLink_timesync_message(0, int(self.host.now * 1e9) + 1))
+
+    assert session_of(Asking(Host())).offset is None
+
+
 def test_a_lossy_link_is_asked_again() -> None:
     vehicle = ScriptedVehicle(Host(), lose=lambda n: n % 3 == 0)
     session = session_of(vehicle)
