@@ -87,6 +87,11 @@ class Provenance:
     derived: Mapping[str, str] = field(default_factory=dict)
     reference_clock: str = "vehicle"
 
+    @property
+    def polled(self) -> frozenset[str]:
+        """Channels that stand in for another and were read off the autopilot at the logger's own times, not stamped as they changed."""
+        return frozenset() if self.importer == "table" else frozenset(self.derived)
+
 
 @dataclass(frozen=True)
 class Recording:

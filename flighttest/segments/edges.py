@@ -24,6 +24,7 @@ _TILTED = 0.05  # rad
 _PAIR_HOLD_S = 1.6  # a throttle held no longer than this before the next throttle step is that step's T_0
 _RATE_MAX_HZ = 110.0
 _SILENCE_S = 2.0
+_SLOWEST_POLL_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,18 +66,22 @@ class Plateau:
 
 @dataclass(frozen=True)
 class Edge:
-    """One reference changed, the others did not: at t_s, from `before` to `after` (plateau indices)."""
+    """One reference changed, the others did not: at t_s, from `before` to `after` (plateau indices).
+
+    by_hand: it took its time, as what sticks or an outer loop ask for does.
+    """
 
     t_s: float
     channel: int
     before: int
     after: int
+    by_hand: bool = False
 
 
 @dataclass(frozen=True)
 class Response:
     """One step and how long its record may be: kind and cell as in `Segment`; from start_s to end_s, the step at t_step_s;
-    later_edges_s: further edges of the same input inside (counter-step, return)."""
+    later_edges_s: further edges of the same input inside (counter-step, return); by_hand: as of the edge."""
 
     kind: str
     cell: dict[str, float]
@@ -84,6 +89,7 @@ class Response:
     start_s: float
     end_s: float
     later_edges_s: tuple[float, ...] = ()
+    by_hand: bool = False
 
 
 def references_of(recording: Recording) -> References | None:
@@ -104,6 +110,18 @@ def compressed(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     keep = np.concatenate([[True], ~same])
     return t_s[keep], values[keep]
+
+
+def centred(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Edges (m,) of a signal that was read off at a logger's times, each moved half way to the reading before.
+
+    Held from reading to reading it would be late by half a period on the average, and the delay too small by as much.
+    """
+    if t_s.size < 2:
+        return t_s, values
+    gaps = np.diff(t_s)
+    period = min(float(np.median(gaps)), _SLOWEST_POLL_S)
+    return t_s - 0.5 * np.minimum(np.concatenate([[period], gaps]), period), values
 
 
 def plateaus(references: References, tolerance: Tolerance) -> list[Plateau]:
@@ -148,7 +166,7 @@ def chains(held: Sequence[Plateau], tolerance: Tolerance, period_s: float) -> li
             row, edges = [plateau], []
             continue
         if link >= 0:
-            edges.append(Edge(row[-1].end_s, link, len(row) - 1, len(row)))
+            edges.append(Edge(row[-1].end_s, link, len(row) - 1, len(row), tolerance.change_s > 0.0))
         row.append(plateau)
     if edges:
         found.append((row, edges))
@@ -216,7 +234,7 @@ def step_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int, last: i
     }[channel]  # fmt: skip
     end = _held_until(row, edges, last, edges[last].t_s + coast_s)
     later = tuple(e.t_s for e in edges[k + 1 : last + 1])
-    return Response(kind, {name: change}, edge.t_s, max(row[0].start_s, edge.t_s - 0.3), end, later)
+    return Response(kind, {name: change}, edge.t_s, max(row[0].start_s, edge.t_s - 0.3), end, later, edge.by_hand)
 
 
 def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> Response:
@@ -235,7 +253,8 @@ def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> 
         onset = edges[k - 1].t_s
         start = onset if edge.t_s - onset <= _PAIR_HOLD_S else edge.t_s - _PAIR_HOLD_S
     end = row[edge.after].end_s
-    return Response(kind, cell, edge.t_s, max(start, row[0].start_s), min(end, edge.t_s + 3.0))
+    start, end = max(start, row[0].start_s), min(end, edge.t_s + 3.0)
+    return Response(kind, cell, edge.t_s, start, end, by_hand=edge.by_hand)
 
 
 def _held_until(row: Sequence[Plateau], edges: Sequence[Edge], last: int, latest_s: float) -> float:
