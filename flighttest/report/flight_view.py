@@ -43,9 +43,9 @@ class FlightFacts(Protocol):
 
 def line(facts: FlightFacts) -> str:
     """One plain line: what moves now, margins, time left, what comes next."""
-    parts = [f"step {facts.leg}/{facts.legs} {facts.doing} ({facts.phase})"]
+    parts = [f"step {facts.leg}/{facts.legs} {facts.doing}" + (f" ({facts.phase})" if facts.phase else "")]
     if math.isfinite(facts.height_m):
-        parts.append(f"{facts.height_m:.1f} m up")
+        parts.append(f"{facts.height_m:z.1f} m up")
     if math.isfinite(facts.zone_margin_m):
         parts.append(f"zone {facts.zone_margin_m:.1f} m")
     if math.isfinite(facts.voltage_v):
@@ -124,7 +124,7 @@ def _link(facts: Any) -> Text:
 
 
 def _number(value: float, places: int = 1) -> str:
-    return f"{value:.{places}f}" if math.isfinite(value) else "-"
+    return f"{value:z.{places}f}" if math.isfinite(value) else "-"
 
 
 def _clock(seconds: float) -> str:
