@@ -7,8 +7,8 @@ true error for alpha when each response carries its own disturbance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +141,15 @@ def with_clock_error(covariance: Covariance, std_s: float) -> Covariance:
         return covariance
     extra = std_s**2 * np.outer(delays, delays)
     return Covariance(covariance.names, covariance.matrix + extra, covariance.model + extra, covariance.dof)
+
+
+def widened(covariance: Covariance, extra: Mapping[str, float]) -> Covariance:
+    """The covariance with further errors of some parameters, by name as standard deviations; correlations are kept."""
+    std = np.sqrt(np.diag(covariance.matrix))
+    more = np.array([extra.get(n, 0.0) for n in covariance.names])
+    ratio = np.hypot(std, more) / np.where(std > 0.0, std, 1.0)
+    ratio[std <= 0.0] = 1.0
+    return replace(covariance, matrix=covariance.matrix * np.outer(ratio, ratio))
 
 
 def std_of(covariance: Covariance, name: str) -> float:

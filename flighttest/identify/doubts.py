@@ -8,24 +8,32 @@ from typing import Any
 import numpy as np
 
 from flighttest.identify.constancy import SETS, spreads
-from flighttest.identify.covariance import Covariance
+from flighttest.identify.covariance import Covariance, cluster_covariance, std_of
 from flighttest.identify.identifiability import Doubts, allowance
+from flighttest.identify.optima import Rival
 from flighttest.identify.problem import Problem
 from flighttest.identify.quality import ChannelQuality
 from flighttest.identify.solve import Solution
 from flighttest.physics.model import Model
 
+MEETS = 0.1  # correlation of two parameters that are told by the same samples
 WORTH_A_NOTE = 0.3  # of how wide a parameter may be and still be called known
 
 
 def doubts_of(
-    problem: Problem, solution: Solution, covariance: Covariance, quality: Mapping[str, ChannelQuality]
+    problem: Problem,
+    solution: Solution,
+    covariance: Covariance,
+    quality: Mapping[str, ChannelQuality],
+    rivals: Mapping[str, Rival],
+    answered: Mapping[str, float],
 ) -> dict[str, Doubts]:
     """By name of a free parameter."""
     differing = spreads(problem, solution, covariance)
     wide = [n for n, s in differing.items() if s.width > allowance(problem.model.param[n], solution.values[n])]
     loops = _lags_with(wide)
-    bounds, partners = _leaning_on(solution.at_bound, solution), _leaning_on([n for n in wide if n in loops], solution)
+    bounds = {**_leaning_on(solution.at_bound, solution), **_pushed_by_bounds(solution, covariance)}
+    partners = _leaning_on([n for n in wide if n in loops], solution)
     told = _responses_telling(solution)
     explained = _described(problem, solution, {c: q.r2 for c, q in quality.items()})
     # How fast a loop answers is told by the course of each response: what the model misses of that, it puts into the lag.
@@ -39,6 +47,8 @@ def doubts_of(
             told.get(n, 0),
             explained.get(n, 1.0),
             1.0 - followed.get(n, 1.0) if n in lags else 0.0,
+            rivals.get(n),
+            answered.get(n, 0.0),
         )
         for n in solution.free
     }
@@ -103,6 +113,30 @@ def _leaning_on(others: Sequence[str], solution: Solution, correlation: float = 
         for name, share in zip(names, column, strict=True):
             if name not in others and share > correlation:
                 found.setdefault(name, other)
+    return found
+
+
+def _pushed_by_bounds(solution: Solution, covariance: Covariance) -> dict[str, str]:
+    """Parameters that would move, or be known far worse, if those at their bounds were let go, by name: the bound they lean on."""
+    stuck = tuple(n for n in solution.at_bound if n not in solution.blind)
+    if not stuck or not covariance.names:
+        return {}
+    every = (*covariance.names, *stuck)
+    pick = np.array([solution.normal.names.index(n) for n in every], dtype=np.intp)
+    hessian, score = (
+        solution.normal.hessian[:, pick[:, None], pick].sum(axis=0),
+        solution.normal.score[:, pick].sum(axis=0),
+    )
+    root = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    scaled = hessian / np.outer(root, root)
+    move = np.linalg.lstsq(scaled, score / root, rcond=1e-9)[0] / root
+    free = cluster_covariance(solution.normal, every)
+    found: dict[str, str] = {}
+    for k, name in enumerate(covariance.names):
+        held, let_go = std_of(covariance, name), std_of(free, name)
+        shared = np.abs(scaled[k, len(covariance.names) :])
+        if shared.max() > MEETS and (abs(float(move[k])) > 2.0 * held or let_go > 2.0 * held):
+            found[name] = stuck[int(np.argmax(shared))]
     return found
 
 

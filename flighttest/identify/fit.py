@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
-from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of
+from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
+from flighttest.identify.feedback import answered
 from flighttest.identify.feeding import Select
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
@@ -30,6 +31,7 @@ from flighttest.identify.identifiability import (
     voltage_varies,
 )
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
+from flighttest.identify.optima import rivals
 from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.responses import dead_channels, never_changing
@@ -161,8 +163,12 @@ def fit(
         if not hopeless or len(hopeless) == len(covariance.names):
             break
         held = (*held, *hopeless)
+    solution, others = rivals(problem, solution, robust)
+    moved = answered(problem, solution)
+    apart = {n: r.away(solution.values[n]) for n, r in others.items()}
+    covariance = widened(widened(covariance_of(problem, solution), apart), moved)
     quality = channel_quality(problem, solution)
-    doubts = doubts_of(problem, solution, covariance, quality)
+    doubts = doubts_of(problem, solution, covariance, quality, others, moved)
     estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, doubts)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.identify.constancy import Spread
+from flighttest.identify.optima import Rival
 from flighttest.identify.responses import held
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
@@ -54,7 +55,9 @@ class Doubts:
 
     spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it cannot be told from; partner: the
     same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: the lowest R2 of
-    the channels it is read from; missed: of a lag or delay, the largest share of their variance that is neither explained nor noise.
+    the channels it is read from; missed: of a lag or delay, the largest share of their variance that is neither explained nor noise;
+    rival: what it is at another optimum that this data cannot tell from the one taken; answered: how much of its standard error is for
+    controls that answered disturbances.
     """
 
     spread: Spread | None = None
@@ -63,6 +66,8 @@ class Doubts:
     responses: int = FEWEST_RESPONSES
     explained: float = 1.0
     missed: float = 0.0
+    rival: Rival | None = None
+    answered: float = 0.0
 
 
 def maneuver_for(param: Param, reveals: str) -> str:
@@ -100,6 +105,8 @@ def judge(
         return Known(False, f"only {few} of it: without repeats its error is not known", fly)
     if doubts.bound is not None:
         return Known(False, f"{doubts.bound} sits at its bound, and the two cannot be told apart here", fly)
+    if doubts.rival is not None:
+        return Known(False, doubts.rival.sentence(value, param.unit), fly)
     if doubts.spread is not None and doubts.spread.width > allowance(param, value):
         sentence = doubts.spread.sentence(param.unit)
         return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)
@@ -108,6 +115,9 @@ def judge(
             False, f"{doubts.partner} differs between sizes of steps, and the two cannot be told apart here", fly
         )
     share = std / abs(value) if value else float("inf")
+    # More than half of the variance.
+    steered = "; most of it because what flew the vehicle answered disturbances, as a position loop does"
+    steered = steered if doubts.answered > np.sqrt(0.5) * std else ""
     if param.name == "alpha":
         range_v = (
             "" if voltage_spread_v is None else f"; at equal throttle the voltage spread over {voltage_spread_v:.1f} V"
@@ -116,18 +126,18 @@ def judge(
         good = std < ALPHA_STD and (share < ALPHA_SHARE or std < 0.05)
         return Known(
             good,
-            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){range_v}",
+            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){range_v}{steered}",
             "" if good else fly,
         )
     if param.unit == "s" and param.name.startswith("T_d"):
         good, limit = std < allowance(param, value), f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
     else:
         good = std < allowance(param, value)
-        limit = f"{std:.2g} {param.unit} on a value of {value:.3g}"
+        limit = f"{std:.2g}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
     if good:
         return Known(True)
     with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
-    return Known(False, f"its standard error is {limit}{with_whom}", fly)
+    return Known(False, f"its standard error is {limit}{with_whom}{steered}", fly)
 
 
 def allowance(param: Param, value: float) -> float:

@@ -285,3 +285,13 @@ def test_a_landing_ends_where_the_height_says(fly):
     lowest = min(float(np.interp(s.t_s, t, height).min()) for s in segments)
     assert lowest > 0.2
     assert {s.t_s[0] < 108 for s in segments} == {True, False}
+
+
+def test_a_target_read_off_at_the_loggers_times_is_moved_half_way_back(fly):
+    """Held from one reading to the next, a target that changes all the time would come half a period late."""
+    swing = [(0.05, 0.1 * np.sin(0.3 * k), 0.0, 0.0, 0.25) for k in range(200)]
+    found = fly(swing).recording()
+    own = replace(found.provenance, importer="ardupilot_bin", derived={"roll_ref_rad": "stands in"})
+    sent, polled = (cut(recording)[1].u["roll_ref_rad"][0] for recording in (found, replace(found, provenance=own)))
+    assert np.median(np.diff(sent)) == pytest.approx(0.05, abs=0.011)
+    assert np.median(sent - polled) == pytest.approx(0.5 * np.median(np.diff(sent)), abs=0.006)

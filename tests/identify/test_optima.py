@@ -1,0 +1,100 @@
+"""Several optima that serve alike, and controls that answer disturbances, are said."""
+
+import numpy as np
+import pytest
+
+from flighttest.identify.covariance import covariance_of, std_of
+from flighttest.identify.feedback import answered, steered
+from flighttest.identify.fit import fit
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+from tests.identify.campaign import second_order
+
+OMEGA, ZETA, DELAY, PERIOD = 25.0, 0.2, 0.15, 0.02
+
+
+def rolled(frequencies: tuple[float, ...], seed: int = 0) -> list[Segment]:
+    """Windows of a roll reference that swings at these frequencies (rad/s), each with a phase of its own."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(8):
+        edges_s = np.arange(-2.0, 2.0, PERIOD)
+        phase = rng.uniform(0, 2 * np.pi, len(frequencies))
+        values = sum(0.1 * np.sin(w * edges_s + p) for w, p in zip(frequencies, phase, strict=True))
+        late = [(-9.0, 0.0), *((float(t) + DELAY, float(v)) for t, v in zip(edges_s, values, strict=True))]
+        t = np.arange(0.0, 2.0, PERIOD)
+        roll = second_order(t, late, OMEGA, ZETA) + 0.002 * rng.standard_normal(t.size)
+        still = {c: (np.array([-9.0]), np.array([0.0])) for c in ("pitch_ref_rad", "yaw_rate_ref_rad_s")}
+        u = {"roll_ref_rad": (edges_s + 10 * k, np.asarray(values)), **still}
+        found.append(Segment(f"free #{k}", "run", "free", {}, k, 10.0 * k, t + 10 * k, {"roll_rad": roll}, u))
+    return found
+
+
+def test_one_frequency_leaves_two_loops_that_serve_alike():
+    # Below its resonance and above it a loop answers one frequency as strongly, with another delay.
+    found = fit(rolled((17.5,)), Model(), frozen={"zeta_phi": ZETA}).estimates["omega_phi"]
+    assert not found.identifiable
+    assert "would serve as well" in found.why
+    assert found.fly == "roll_pitch"
+    low, high = found.interval_95
+    assert low <= 15.2
+    assert high >= 24.8
+
+
+def test_several_frequencies_tell_them_apart():
+    found = fit(rolled((5.0, 12.0, 17.5, 30.0)), Model(), frozen={"zeta_phi": ZETA})
+    assert found.estimates["omega_phi"].identifiable
+    assert found.values["omega_phi"] == pytest.approx(OMEGA, rel=0.01)
+    assert found.values["T_d_attitude"] == pytest.approx(DELAY, abs=0.002)
+
+
+def climbed(gust: float, seed: int = 1) -> list[Segment]:
+    """A level flight up and down under a height loop; gusts act along the vertical."""
+    rng = np.random.default_rng(seed)
+    dt, gain, sigma, drag = 0.005, 54.55, 20.36, 0.51
+    late, out = [9.81 / gain] * 20, []
+    v, w, a_t, throttle, target = 0.0, 0.0, 9.81, 9.81 / gain, 0.0
+    for k in range(12000):
+        if k % 400 == 0:
+            target = float(rng.uniform(-1.5, 1.5))
+        if k % 4 == 0:
+            throttle = (9.81 + float(np.clip(4.0 * (target - v), -3.0, 3.0))) / gain
+        late.append(throttle)
+        out.append((k * dt, v, a_t - drag * v + w, throttle))
+        a_t += (gain * late.pop(0) - a_t) * (1.0 - np.exp(-sigma * dt))
+        w += -w * dt + gust * np.sqrt(2 * dt) * float(rng.standard_normal())
+        v += dt * (a_t - drag * v + w - 9.81)
+    t, v_z, f_z, u = np.array(out)[::4].T
+    f_z, v_z = f_z + 0.1 * rng.standard_normal(t.size), v_z + 0.02 * rng.standard_normal(t.size)
+    zero, found = np.zeros(125), []
+    for k in range(1, t.size // 125):
+        at, reach = slice(125 * k, 125 * (k + 1)), slice(125 * k - 50, 125 * (k + 1))
+        y = {"roll_rad": zero, "pitch_rad": zero, "yaw_rad": zero, "v_x_m_s": zero, "v_y_m_s": zero, "v_z_m_s": v_z[at]}
+        y |= {"f_z_m_s2": f_z[at], "voltage_v": zero + 22.2}
+        asked = {"throttle": (t[reach], u[reach])}
+        found.append(Segment(f"free #{k}", "run", "free", {}, k, float(t[at][0]), t[at], y, asked))
+    return found
+
+
+def test_a_height_loop_that_answers_gusts_is_seen_in_the_errors():
+    gusty, calm = (fit(climbed(gust), Model(attitude_loops=False)) for gust in (0.5, 0.0))
+    moved, still = answered(gusty.problem, gusty.solution), answered(calm.problem, calm.solution)
+    for name in ("K", "d_z"):
+        assert moved[name] > 20.0 * still[name]
+        known = std_of(covariance_of(gusty.problem, gusty.solution), name)
+        assert gusty.estimates[name].std == pytest.approx(np.hypot(known, moved[name]))
+
+
+def test_under_a_height_loop_in_gusts_vertical_drag_is_not_called_known():
+    found = fit(climbed(0.5), Model(attitude_loops=False)).estimates
+    assert not found["d_z"].identifiable
+    assert "answered disturbances" in found["d_z"].why
+    low, high = found["K"].interval_95
+    assert low <= 54.55 <= high
+
+
+def test_steps_of_a_script_are_not_asked_about_answers():
+    step = Segment("s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {})
+    assert not steered(step)
+    by_hand = Segment("s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {}, context={"by_hand": True})
+    assert steered(by_hand)
