@@ -132,4 +132,8 @@ def _sparse(r: FloatArray, table: dict[str, FloatArray], fold: IntArray) -> tupl
         if value > best * (1 - LEAST_GAIN):
             break
         chosen, best = [*chosen, k], value
+    if (
+        best > 1.0 - LEAST_GAIN
+    ):  # better than the mean, which itself may hold for some groups only, but no better than nothing
+        return [], 1.0
     return [names[k - 1] for k in chosen[1:]], best

@@ -107,8 +107,8 @@ def _improvement(data: Data) -> Section | None:
     rows = _heldout_rows(data)
     if rows:
         align: tuple[Align, ...] = ("left", "right", "right", "right", "right")
-        caption = "RMSE on responses that were not used for the choice; gain: the share of it that went away, 95 %."
-        blocks.append(Table(("channel", "before", "after", "noise floor", "gain"), tuple(rows), align, caption))
+        caption = "RMSE on responses that were not used for the choice; drop: how much of it went away, 95 % interval."
+        blocks.append(Table(("channel", "before", "after", "noise floor", "drop"), tuple(rows), align, caption))
     figure = before_after(data)
     if figure is not None:
         blocks.append(figure)
@@ -130,10 +130,10 @@ def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
     rows: list[tuple[Cell | str, ...]] = []
     for channel, h in held.items():
         low, high = (h.get("gain_95") or (None, None))[:2]
-        gain = "-" if low is None or high is None else f"{percent(low)} to {percent(high)}"
+        drop = "-" if low is None or high is None else f"{number(low, 3)} to {number(high, 3)}"
         better = low is not None and low > 0
         after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
-        rows.append((channel, number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), gain))
+        rows.append((channel, number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), drop))
     return rows
 
 

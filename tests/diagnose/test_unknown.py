@@ -1,0 +1,28 @@
+"""What stays without a name is described only where the description tells something about data it has not seen."""
+
+import numpy as np
+
+from flighttest.diagnose.unknown import _sparse
+
+
+def _table(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
+    w = rng.uniform(-3.0, 3.0, n)
+    return {"w": w, "w^2": w**2, "|w| w": np.abs(w) * w}
+
+
+def test_a_law_is_found_and_says_what_it_leaves():
+    rng = np.random.default_rng(1)
+    table = _table(rng, 600)
+    chosen, left = _sparse(0.4 * table["w^2"] + 0.1 * rng.standard_normal(600), table, np.arange(600) % 4)
+    assert chosen == ["w^2"]
+    assert 0.0 < left < 0.05
+
+
+def test_what_is_no_better_than_nothing_is_no_description():
+    """Every group has its own mean: what holds for the others makes each of them worse, whatever else is learnt."""
+    rng = np.random.default_rng(2)
+    fold = np.arange(600) % 4
+    table = _table(rng, 600)
+    sign = np.array([1.0, -1.0, 1.0, -1.0])[fold]
+    r = 3.0 * sign + table["w"] + 0.1 * rng.standard_normal(600)
+    assert _sparse(r, table, fold) == ([], 1.0)
