@@ -130,10 +130,10 @@ def _pushed_by_bounds(solution: Solution, covariance: Covariance) -> dict[str, s
     root = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     scaled = hessian / np.outer(root, root)
     move = np.linalg.lstsq(scaled, score / root, rcond=1e-9)[0] / root
-    free = cluster_covariance(solution.normal, every)
+    known, free = cluster_covariance(solution.normal, covariance.names), cluster_covariance(solution.normal, every)
     found: dict[str, str] = {}
     for k, name in enumerate(covariance.names):
-        held, let_go = std_of(covariance, name), std_of(free, name)
+        held, let_go = std_of(known, name), std_of(free, name)
         shared = np.abs(scaled[k, len(covariance.names) :])
         if shared.max() > MEETS and (abs(float(move[k])) > 2.0 * held or let_go > 2.0 * held):
             found[name] = stuck[int(np.argmax(shared))]

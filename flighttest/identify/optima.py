@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 FOLLOWED = 0.98  # of how steps move: with more than this explained, other numbers explain less
 SCOUTED = 24  # responses of each kind of block that are enough to find another optimum
-SCOUT_STEPS = 12
+SCOUT_STEPS, MANY_STEPS = 12, 25
 SLOWER, QUICKER = 0.45, 2.2
 BETTER = 2.5  # standard errors, over the responses, by which an optimum serves better
 APART = 2.0  # standard errors by which parameters differ
@@ -68,7 +68,8 @@ def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution
         mine, theirs = covariance_of(problem, best), covariance_of(few, scout)
         if not any(_apart(n, best, mine, scout, theirs) for n in free):
             continue
-        other = solve(problem, {**best.values, **{n: scout.values[n] for n in free}}, robust=robust, noise=best.noise)
+        there = {**best.values, **{n: scout.values[n] for n in free}}
+        other = solve(problem, there, robust=robust, noise=best.noise, max_iterations=MANY_STEPS)
         if not other.status.good:
             continue
         best, found = _between(problem, groups, best, other, found, robust)

@@ -21,6 +21,7 @@ from flighttest.report.numbers import interval, join, number, to_error, unit
 from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
 
 MAX_CORRELATIONS = 6
+MANY_OUTLIERS = 6
 TONE = {"known": "good", "weak": "warn", "not identifiable": "bad", "held": "quiet"}
 KIND_WORDS = {
     "roll_step": "roll step",
@@ -216,9 +217,12 @@ def segments(views: Sequence[SegmentView]) -> Section:
         blocks.append(
             Bullets(tuple(f"{n} rejected: {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1])))
         )
-    outliers = [s for s in views if s.outlier]
+    outliers = [s.outlier for s in views if s.outlier]
+    if len(outliers) > MANY_OUTLIERS:
+        rest = len(outliers) - MANY_OUTLIERS
+        outliers = [*outliers[:MANY_OUTLIERS], f"and {rest} more like these (all of them in the table)"]
     if outliers:
-        blocks.append(Bullets(tuple(f"{s.name}: {s.outlier}" for s in outliers)))
+        blocks.append(Bullets(tuple(outliers)))
     blocks.append(Table(columns, rows, align, fold=len(rows) > 12))  # type: ignore[arg-type]
     return Section("segments", "Responses", tuple(blocks), lead)
 
