@@ -69,6 +69,9 @@ WORDS: dict[str, str] = {
     "v_x_m_s": "velocity north",
     "v_y_m_s": "velocity west",
     "v_z_m_s": "velocity up",
+    "a_x_m_s2": "acceleration north",
+    "a_y_m_s2": "acceleration west",
+    "a_z_m_s2": "acceleration up",
 }
 # What holds its value until the next sample; everything else may be interpolated.
 HELD_GROUPS: frozenset[str] = frozenset({"reference", "shaped", "state"})

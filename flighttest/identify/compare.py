@@ -48,7 +48,7 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
             continue
         difference = b.value - a.value
         if a.std is None or b.std is None or not (a.identifiable and b.identifiable):
-            why = "not identified in both, so that nothing can be said"
+            why = "not known in both"
             rows.append(Difference(name, a.unit, a.value, b.value, difference, None, None, None, False, why))
             continue
         std = math.hypot(a.std, b.std)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.channels import WORDS
 from flighttest.errors import FitError
 from flighttest.identify.model_file import ModelFile
 from flighttest.identify.problem import Problem
@@ -109,7 +110,7 @@ def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile
     )
     sentences += _verdicts(errors)
     residuals = _residuals(stored, usable)
-    sentences += [f"{t.channel}: {t.sentence}" for t in residuals if t.follows]
+    sentences += [f"{WORDS.get(t.channel, t.channel)}: {t.sentence}" for t in residuals if t.follows]
     return Validation(tuple(errors), figure, len(starts), tuple(s.name for s in chosen), tuple(sentences), residuals)
 
 

@@ -33,6 +33,9 @@ LAGS: dict[str, tuple[str, ...]] = {
     "T_d_yaw_rate": SUBSETS["yaw"],
     "T_d_thrust": ("sigma_t",),
 }
+_IMPORTED = {
+    "ardupilot_bin": "imported from .BIN", "tlog": "imported from .tlog", "ulg": "imported from .ulg", "table": "imported from a table",
+}  # fmt: skip
 TESTED = tuple(n for names in SUBSETS.values() for n in names)
 
 
@@ -218,7 +221,7 @@ def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> 
         when=str(manifest.get("started") or manifest.get("created") or when(run.name)),
         vehicle=str(vehicle.get("name", "") if isinstance(vehicle, Mapping) else vehicle),
         script=str(script.get("name", "") if isinstance(script, Mapping) else script),
-        outcome=str(manifest.get("outcome") or manifest.get("importer") or ""),
+        outcome=str(manifest.get("outcome") or _IMPORTED.get(str(manifest.get("importer")), "")),
         parameters=parameters,
         components=components,
         completed=manifest.get("outcome_name") == "COMPLETED",

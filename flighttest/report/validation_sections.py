@@ -29,7 +29,9 @@ PANELS = (
 def validation_sections(found: Validation) -> tuple[Section, ...]:
     """Sentences, Figure 5, and one table per group of channels."""
     figure = _figure5(found)
-    lead = f"{found.starts} starts in {len(found.segments)} stretches of flight; only recorded commands and voltage drive the models."
+    count = len(found.segments)
+    where = f"{found.starts} starts in {count} stretch{'es' if count != 1 else ''} of flight"
+    lead = f"{where}; only recorded commands and voltage drive the models."
     sections = [Section("validation", "Against a flight it has not seen", (Bullets(found.sentences), figure), lead)]
     sections.append(Section("horizons", "Errors by horizon", (_table(found),)))
     return tuple(sections)
