@@ -66,7 +66,7 @@ def picture(facts: FlightFacts) -> RenderableType:
     if facts.phase:
         now.append(f"  {facts.phase}", style="cyan")
     grid.add_row("now", now)
-    grid.add_row("next", Text(facts.next or "land"))
+    grid.add_row("next", Text(facts.next or "-"))
     bar = Table.grid(padding=(0, 1))
     bar.add_column(width=32)
     bar.add_column(no_wrap=True)
