@@ -29,6 +29,7 @@ FloatArray = NDArray[np.float64]
 WINDOW_S = 2.5
 _SHORTEST_WINDOW_S = 1.2
 _REACH_BACK_S = 1.0  # inputs are kept this long before the first sample, so that delays can reach back
+_DELAY_MAX_S = 0.5  # what was asked for this long before a window no longer shows in it
 _MARK_EARLY_S = 0.3  # a mark and the target that follows it leave in any order
 _MARK_LATE_S = 3.0
 _SAME_CELL = {"amplitude_rad": 0.012, "rate_rad_s": 0.03, "throttle_0": 0.004, "throttle_1": 0.004, "height_m": 0.2}
@@ -88,7 +89,7 @@ def _by_marks(
         if near and (mark.record_s is None or mark.numbered):
             found.append((near[0], mark))
         elif mark.record_s is not None:
-            spans = _recorded(aligned, *mark.record_s)
+            spans = _recorded(aligned, references, *mark.record_s)
             found += [(window, mark) for span in spans for window in windows(*span)]
         elif mark.kinds:
             found.append((_missed(references, mark, mark.start_s), mark))
@@ -150,20 +151,23 @@ def _by_references(
     steps = [replace(r, end_s=min(r.end_s, b)) for r in every for a, b in spans if a <= r.start_s and r.t_step_s < b]
     steps.sort(key=lambda r: r.start_s)
     if len(steps) < _FEW_STEPS:
-        return [(w, None) for span in spans for a, b in _recorded(aligned, *span) for w in windows(a, b)]
+        return [(w, None) for span in spans for a, b in _recorded(aligned, references, *span) for w in windows(a, b)]
     # Between steps lies what brings the vehicle back; only a long stretch without any is a flight of its own.
     free: list[Response] = []
     for start, end in spans:
         own = [r for r in steps if start <= r.start_s < end]
         for a, b in pairwise([start, *(t for r in own for t in (r.start_s, r.end_s)), end]):
             if b - a >= _FREE_STRETCH_S and not any(r.start_s <= a < r.end_s for r in own):
-                pieces = _recorded(aligned, a + _FREE_MARGIN_S, b - _FREE_MARGIN_S)
+                pieces = _recorded(aligned, references, a + _FREE_MARGIN_S, b - _FREE_MARGIN_S)
                 free += [window for piece in pieces for window in windows(*piece)]
     return [(r, None) for r in (*steps, *free)]
 
 
-def _recorded(aligned: Aligned, start_s: float, end_s: float) -> list[tuple[float, float]]:
-    """The parts of a stretch in which samples were recorded: a log that pauses between flights gives no windows there."""
+def _recorded(
+    aligned: Aligned, references: References | None, start_s: float, end_s: float
+) -> list[tuple[float, float]]:
+    """The parts of a stretch in which samples were recorded and what shows in them was asked for by known targets: a log that pauses
+    between flights gives no windows there, and after a take-over the vehicle still does for a while what somebody else wanted."""
     t = aligned.t_s[(aligned.t_s >= start_s) & (aligned.t_s <= end_s)]
     if t.size < 2:
         return []
@@ -171,7 +175,21 @@ def _recorded(aligned: Aligned, start_s: float, end_s: float) -> list[tuple[floa
     first = start_s if t[0] - start_s <= _PAUSE_S else float(t[0])
     last = end_s if end_s - t[-1] <= _PAUSE_S else float(t[-1])
     bounds = [first, *(x for i in pauses for x in (float(t[i]), float(t[i + 1]))), last]
-    return list(zip(bounds[::2], bounds[1::2], strict=True))
+    pieces = [(_known_from(references, a), b) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
+    return [(a, b) for a, b in pieces if a < b]
+
+
+def _known_from(references: References | None, start_s: float) -> float:
+    """The first moment from start_s on at which the targets of the last `_DELAY_MAX_S` are known; start_s where none are repeated."""
+    if references is None or not references.streamed:
+        return start_s
+    known = references.t_s[np.isfinite(references.values).any(axis=1)]
+    if not known.size:
+        return start_s
+    i = min(int(np.searchsorted(known, start_s)), known.size - 1)
+    silent = np.flatnonzero(np.diff(known[: i + 1]) > _PAUSE_S)
+    begun = float(known[silent[-1] + 1] if silent.size else known[0])
+    return max(start_s, begun + _DELAY_MAX_S)
 
 
 def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[Response]:

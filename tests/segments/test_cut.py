@@ -210,6 +210,21 @@ def test_a_pause_in_the_log_is_no_window(fly):
     assert not any(s.t_s[0] < 113 and s.t_s[-1] > 106.1 for s in segments)
 
 
+def test_no_window_shows_what_others_asked_for_before(fly):
+    """Until 104 s the autopilot flew by itself: what it wanted then still moves the vehicle for the length of the delay."""
+    recording = fly([(20.0, 0.0, 0.0, 0.0, 0.25)]).recording()
+    targets = recording.series["reference"]
+    later = targets.t_s >= 104.0
+    ours = Series(targets.t_s[later], {n: v[later] for n, v in targets.columns.items()})
+    segments = cut(replace(recording, series={**recording.series, "reference": ours}))
+    assert segments[0].t_s[0] == pytest.approx(104.5, abs=0.03)
+    marker = Marker(103.9, "leg", "a/r1", {"leg": "a/r1", "kind": "free"})
+    marks = (marker, phase(103.9, "a/r1", "free", record=True), phase(112.0, "a/r1", "end", outcome="FLOWN"))
+    marked = cut(replace(recording, series={**recording.series, "reference": ours}, markers=marks))
+    assert marked[0].t_s[0] == pytest.approx(104.5, abs=0.03)
+    assert {s.kind for s in marked} == {"free"}
+
+
 def test_steps_by_hand_take_time_and_are_found(fly):
     """A stick is moved over 0.2 s; the target the autopilot makes of it is what was recorded."""
     ramp = [(0.02, 0.3 * (k + 1) / 10, 0.0, 0.0, 0.25) for k in range(10)]
