@@ -350,10 +350,14 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
         notes.append(
             "no attitude references were recorded: the attitude loops are left out, and the measured attitude drives thrust and drag"
         )
-    wanted = {c for block in model.blocks for c in (*block.outputs, *block.exogenous)}
-    dead = tuple(c for c in dead_channels(problem.segments) if c in wanted)
+    every = dead_channels(problem.segments)
+    dead = tuple(c for c in every if any(c in block.outputs for block in model.blocks))
     if dead:
         notes.append(f"{never_changing(dead)}: taken as not recorded")
+    if "voltage_v" in every:
+        notes.append(
+            f"{never_changing(['voltage_v'])}: alpha cannot be told, and carries K from there to the nominal voltage unproven"
+        )
     outputs = {c for part in problem.parts for c in part.outputs}
     fed = {part.block.name for part in problem.parts}
     if "translation" in fed:

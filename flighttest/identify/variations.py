@@ -134,6 +134,9 @@ def runner(variation: Variation, stored: ModelFile, previous: ModelFile | None) 
     if variation is Variation.NO_DRAG:
         values |= {n: 0.0 for n in ("d_x", "d_y", "d_z") if n in values}
     if variation is Variation.NO_BATTERY:
+        alpha = stored.parameters.get("alpha")
+        if alpha is None or alpha.source == "assumed":
+            return None  # nothing was found that could be left out
         values["alpha"] = 0.0
     if variation is Variation.LINEARISED:
         return _ModelRun(model, values, linear=True)

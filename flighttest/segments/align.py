@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 RATE_MAX_HZ = 62.0
 _WINDOW_S = 0.0101  # average no longer than this: longer would smear the first milliseconds of a response
 _GAP_PERIODS = 3.0
+_ABOUT_S = 1.0
+_FEW_GAPS = 4
 _OWN_TIMES_BELOW = 0.6
 _FAST = ("attitude", "rates", "specific_force")
 _G = 9.81
@@ -124,15 +126,31 @@ def _averaged(series: Series) -> Series:
     steady = np.convolve(series.t_s - series.t_s[0], kernel, "valid") + series.t_s[0]
     # A window across a gap would mix what lies on both sides of it.
     inside = series.t_s[width - 1 :] - series.t_s[: len(series) - width + 1] < 2.0 * width / series.rate_hz
-    return Series(steady[inside], {n: np.convolve(v, kernel, "valid")[inside] for n, v in series.columns.items()})
+    # What no window holds came one by one, where the stream was slower, and stays as it is.
+    single = np.convolve(inside, np.ones(width)) < 0.5
+    t_s = np.concatenate([steady[inside], series.t_s[single]])
+    order = np.argsort(t_s, kind="stable")
+    averaged = {n: np.convolve(v, kernel, "valid")[inside] for n, v in series.columns.items()}
+    return Series(t_s[order], {n: np.concatenate([averaged[n], v[single]])[order] for n, v in series.columns.items()})
+
+
+def _period(series: Series, rate_hz: float, t: FloatArray) -> float:
+    """The usual time between samples, s: of the whole series, or about `t` where it is longer there.
+
+    A ground station may ask for a stream at full rate while the vehicle stands, and at a tenth of it in the air.
+    """
+    here = slice(*np.searchsorted(series.t_s, [t[0] - _ABOUT_S, t[-1] + _ABOUT_S])) if t.size else slice(0)
+    gaps = np.diff(series.t_s[here])
+    return max(1.0 / rate_hz, float(np.median(gaps)) if gaps.size >= _FEW_GAPS else 0.0)
 
 
 def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArray]:
     """Values read off linearly; NaN outside the series and inside gaps of more than three sample periods."""
     out: dict[str, FloatArray] = {}
-    reach = _GAP_PERIODS / rate_hz
     if t.size == 0:
         return dict.fromkeys(series.columns, t)
+    period = _period(series, rate_hz, t)
+    reach = _GAP_PERIODS * period
     near = slice(
         max(int(np.searchsorted(series.t_s, t[0] - reach)) - 1, 0), int(np.searchsorted(series.t_s, t[-1] + reach)) + 1
     )
@@ -148,7 +166,7 @@ def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArr
         found = np.interp(t, times, values)
         bad = (times[right] - times[right - 1] > reach) & (t != times[right]) & (t != times[right - 1])
         # A slow channel may begin or end up to half a period beside the window.
-        bad |= (t < times[0] - 0.5 / rate_hz) | (t > times[-1] + 0.5 / rate_hz)
+        bad |= (t < times[0] - 0.5 * period) | (t > times[-1] + 0.5 * period)
         found[bad] = np.nan
         out[name] = found
     return out
@@ -157,7 +175,7 @@ def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArr
 def _held(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArray]:
     """The last value at each time; NaN before the first and where it is older than `_linear` would read across."""
     at = np.searchsorted(series.t_s, t, side="right") - 1
-    fresh = (at >= 0) & (t - series.t_s[np.maximum(at, 0)] <= _GAP_PERIODS / rate_hz)
+    fresh = (at >= 0) & (t - series.t_s[np.maximum(at, 0)] <= _GAP_PERIODS * _period(series, rate_hz, t))
     return {name: np.where(fresh, column[np.maximum(at, 0)], np.nan) for name, column in series.columns.items()}
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,22 @@ def test_world_acceleration_follows_from_force_and_attitude():
 def test_nothing_recorded_gives_nothing():
     t = at(10.0)
     assert prepare(recording(battery=Series(t, {"voltage_v": 0 * t}))) is None
+
+
+def test_a_stream_that_was_quicker_on_the_ground_is_read_in_the_air():
+    """Battery at 200 Hz for a while before the flight, at 10 Hz in it: a tenth of a second is no gap there."""
+    quick, slow = np.arange(0.0, 10.0, 0.005), np.arange(10.0, 20.0, 0.1)
+    t_s = np.concatenate([quick, slow])
+    moving = np.arange(0.0, 20.0, 0.02)
+    still = Series(moving, dict.fromkeys(("v_x_m_s", "v_y_m_s", "v_z_m_s"), 0 * moving))
+    found = recording(velocity=still, battery=Series(t_s, {"voltage_v": 24.0 - 0.05 * t_s}))
+    t, y = sample(prepare(found), 12.0, 15.0)
+    assert y["voltage_v"] == pytest.approx(24.0 - 0.05 * t)
+    missing = replace(found, series={**found.series, "battery": without(found.series["battery"], 13.0, 14.0)})
+    t, y = sample(prepare(missing), 12.0, 15.0)
+    assert np.isnan(y["voltage_v"][(t > 13.01) & (t < 13.89)]).all()
+
+
+def without(series: Series, start_s: float, end_s: float) -> Series:
+    keep = (series.t_s < start_s) | (series.t_s >= end_s)
+    return Series(series.t_s[keep], {n: v[keep] for n, v in series.columns.items()})
