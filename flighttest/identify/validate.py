@@ -19,7 +19,16 @@ from flighttest.identify.model_file import ModelFile
 from flighttest.identify.problem import Problem
 from flighttest.identify.residuals import ResidualTest, residual_tests
 from flighttest.identify.solve import solve
-from flighttest.identify.variations import GROUPS, UNITS, Predicted, Start, Variation, measured_channels, runner
+from flighttest.identify.variations import (
+    GROUPS,
+    UNITS,
+    Predicted,
+    Start,
+    Variation,
+    measured_channels,
+    runner,
+    voltage_for,
+)
 from flighttest.segments.model import Segment
 
 __all__ = ["GROUPS", "HORIZONS_S", "UNITS", "Figure5", "HorizonError", "Validation", "Variation", "merged", "validate"]
@@ -116,7 +125,8 @@ def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile
 
 def _residuals(stored: ModelFile, segments: Sequence[Segment]) -> tuple[ResidualTest, ...]:
     """Residual tests with the model's parameters, each segment's initial state and disturbance estimated on it."""
-    windows = [s for s in segments if s.kind == "free"] or list(segments)
+    windows = [voltage_for(stored, s) for s in segments if s.kind == "free"]
+    windows = windows or [voltage_for(stored, s) for s in segments]
     try:
         problem = Problem.build(windows, stored.model, select="all", values=stored.values)
     except FitError:  # nothing moves any reference: there is nothing to be independent of

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.identify.model_file import ModelFile
 from flighttest.identify.responses import filled
+from flighttest.identify.sag import SAMPLES
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Grid, Stepper, grid, rk4, rk4_step
 from flighttest.segments.model import Segment
@@ -130,7 +131,7 @@ def runner(variation: Variation, stored: ModelFile, previous: ModelFile | None) 
     if variation is Variation.PREVIOUS:
         if previous is None:
             return None
-        return _ModelRun(previous.model, dict(previous.values))
+        return _at_voltage(previous, _ModelRun(previous.model, dict(previous.values)))
     if variation is Variation.NO_DRAG:
         values |= {n: 0.0 for n in ("d_x", "d_y", "d_z") if n in values}
     if variation is Variation.NO_BATTERY:
@@ -139,12 +140,35 @@ def runner(variation: Variation, stored: ModelFile, previous: ModelFile | None) 
             return None  # nothing was found that could be left out
         values["alpha"] = 0.0
     if variation is Variation.LINEARISED:
-        return _ModelRun(model, values, linear=True)
+        return _at_voltage(stored, _ModelRun(model, values, linear=True))
     if variation is Variation.ONLY_DELAY:
         if not model.attitude_loops:
             return None
-        return _OnlyDelay(model, values)
-    return _ModelRun(model, values)
+        return _at_voltage(stored, _OnlyDelay(model, values))
+    return _at_voltage(stored, _ModelRun(model, values))
+
+
+def voltage_for(stored: ModelFile, segment: Segment) -> Segment:
+    """A segment with the voltage its model is to see: where none was recorded, that of the model's own flights.
+
+    A model of flights without voltage has its K at whatever that was: an assumed alpha carries it nowhere.
+    """
+    volts, alpha = stored.valid.get("voltage_v"), stored.parameters.get("alpha")
+    known = segment.y.get("voltage_v")
+    if volts:
+        if known is not None and np.isfinite(known).any():
+            return segment
+        there = float(np.mean(volts))
+    elif alpha is not None and alpha.source == "assumed":
+        there = stored.model.nominal_voltage_v
+    else:
+        return segment
+    context = {k: v for k, v in segment.context.items() if k != SAMPLES}
+    return replace(segment, y={**segment.y, "voltage_v": np.full(segment.t_s.size, there)}, context=context)
+
+
+def _at_voltage(stored: ModelFile, run: Runner) -> Runner:
+    return lambda segments, starts, measured: run([voltage_for(stored, s) for s in segments], starts, measured)
 
 
 def _hold(

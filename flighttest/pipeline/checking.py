@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from flighttest.errors import InputError
 from flighttest.identify.expected import Expected, Told, expected_of_told, told_by_plans
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.predictor import ModelPredictor
@@ -23,6 +26,8 @@ from flighttest.script.shipped import resolve
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
+
+HOVERS = (0.03, 0.97)  # of full throttle: a model that hovers outside is not of this vehicle
 
 
 def predictor_for(model: Path | None, vehicle: Vehicle) -> ModelPredictor:
@@ -50,6 +55,13 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     """Plan, duration, battery and predicted envelope of every script, against the zone."""
     declared = load_vehicle(vehicle) if vehicle is not None else DEFAULT_VEHICLE
     prior = predictor_for(model, declared)
+    hover = float(prior.hover_throttle(np.array([declared.nominal_voltage_v]))[0])
+    if not HOVERS[0] < hover < HOVERS[1]:
+        raise InputError(
+            f"{model}: at this vehicle's {declared.nominal_voltage_v:g} V the model hovers at {100 * hover:.1f} % throttle: it is of "
+            "another vehicle, or does not know its thrust",
+            "name the vehicle with --vehicle, or another model",
+        )
 
     def rehearsed(some: Sequence[Script]) -> list[tuple[Plan, Told]]:
         made = compile_plans(some, declared, prior)

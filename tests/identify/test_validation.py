@@ -8,7 +8,7 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.identify.model_file import ModelFile, from_fit
 from flighttest.identify.validate import HORIZONS_S, merged, validate
-from flighttest.identify.variations import GROUPS, Variation
+from flighttest.identify.variations import GROUPS, Variation, voltage_for
 from flighttest.physics.simulate import simulate
 from flighttest.segments.model import Segment
 from tests.identify.campaign import TRUTH
@@ -105,3 +105,20 @@ def pieces(segment, count):
     n = segment.t_s.size // count
     cuts = [slice(k * n, (k + 1) * n) for k in range(count)]
     return [replace(segment, t_s=segment.t_s[c], y={n: v[c] for n, v in segment.y.items()}) for c in cuts]
+
+
+def test_a_flight_without_voltage_is_flown_at_the_models_own(found, flight):
+    stored = from_fit(found)
+    deaf = [replace(s, y={n: v for n, v in s.y.items() if n != "voltage_v"}) for s in flight]
+    low, high = stored.valid["voltage_v"]
+    seen = voltage_for(stored, deaf[0]).y["voltage_v"]
+    assert seen == pytest.approx(0.5 * (low + high))
+    assert voltage_for(stored, flight[0]) is flight[0]
+
+
+def test_a_model_of_flights_without_voltage_takes_none(found, flight):
+    stored = from_fit(found)
+    parameters = {**stored.parameters, "alpha": replace(stored.parameters["alpha"], source="assumed", std=None)}
+    blind = replace(stored, parameters=parameters, valid={})
+    assert voltage_for(blind, flight[0]).y["voltage_v"] == pytest.approx(stored.model.nominal_voltage_v)
+    assert validate(blind, flight).rmse(Variation.NO_BATTERY, "velocity", 1.0) is None

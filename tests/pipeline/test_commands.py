@@ -206,3 +206,13 @@ def test_what_to_fly_takes_time_also_where_the_model_finds_no_room(call, model, 
     (tmp_path / "odd.yaml").write_text(yaml.safe_dump(data))
     _, out, _ = call("status", "--model", tmp_path / "odd.yaml", "--json")
     assert json.loads(out)["minutes"]["spot_check"] > 1.3
+
+
+def test_a_model_of_another_vehicle_plans_nothing(call, model, tmp_path):
+    other = yaml.safe_load(model.read_text())
+    other["parameters"]["K"]["value"] = 395.0
+    path = tmp_path / "other.yaml"
+    path.write_text(yaml.safe_dump(other))
+    code, _, err = call("check", "spot_check", "--model", path)
+    assert code == 2
+    assert "another vehicle" in err
