@@ -18,6 +18,7 @@ from flighttest.identify.solve import State, normal_equations
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Run, simulate_many
+from flighttest.physics.stepping import RESOLVED
 from flighttest.plan.model import AttitudeTarget, Leg, Plan
 from flighttest.script.profiles import Timeline
 from flighttest.segments.model import Segment
@@ -237,7 +238,9 @@ def _planned(plans: Sequence[Plan], model: Model, values: Mapping[str, float]) -
     ]
     if not wanted:
         return [[] for _ in plans]
-    flown = simulate_many(model, values, [run for *_, run in wanted], PLANNED_STEP_S)
+    fastest = max(values.get(name, 0.0) for name in ("sigma_t", "sigma_r", "omega_phi", "omega_theta"))
+    step_s = min(PLANNED_STEP_S, RESOLVED / max(fastest, 1.0))
+    flown = simulate_many(model, values, [run for *_, run in wanted], step_s)
     groups: list[list[Segment]] = [[] for _ in plans]
     for (k, _, leg, run), one in zip(wanted, flown, strict=True):
         groups[k].append(_segment(leg, run, one))

@@ -6,6 +6,7 @@ with a constant matrix.
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +24,9 @@ SIDEWAYS = (
     *("roll_rad", "pitch_rad", "roll_rate_rad_s", "pitch_rate_rad_s", "r_rad_s", "v_x_m_s", "v_y_m_s"),
     *("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s"),
 )
+# RK4 follows a mode to a few percent of it up to here (mode times step), and runs away beyond 2.8.
+RESOLVED = 1.5
+_PARTS_MAX = 20
 
 
 class Forms:
@@ -56,6 +60,21 @@ class Forms:
             return None
         return np.asarray(ca.evalf(ca.densify(by_x)), dtype=float)
 
+    def parts(self, u: FloatArray, dt_s: float) -> int:
+        """Into how many a step of dt_s has to fall for the fastest mode about level flight with inputs u (m, 1): 1 for usual vehicles."""
+        begun = {"a_t_m_s2": 9.81, "p_z_m": 5.0, **self.system.initial}
+        x = np.array([[begun.get(n, 0.0)] for n in self.system.states])
+        slope = np.nan_to_num(np.asarray(self._slope(x, u)), posinf=0.0, neginf=0.0)
+        fastest = float(np.abs(np.linalg.eigvals(slope)).max())
+        return min(max(math.ceil(dt_s * fastest / RESOLVED), 1), _PARTS_MAX)
+
+    @cached_property
+    def _slope(self) -> ca.Function:
+        """d rate / d states (k, k)."""
+        function = self._function(straight=False)
+        x, u = ca.SX.sym("x", *function.size_in(0)), ca.SX.sym("u", *function.size_in(1))
+        return ca.Function("slope", [x, u], [ca.densify(ca.jacobian(function(x, u), x))])
+
     def _function(self, straight: bool) -> ca.Function:
         x, u = ca.SX.sym("x", len(self.system.states)), ca.SX.sym("u", len(self.system.inputs))
         at = [
@@ -70,7 +89,8 @@ class Stepping:
     """x_next = stepping(x, u) for states (k, n) and inputs (m, n). straight: nothing has moved sideways nor been asked to."""
 
     def __init__(self, forms: Forms, u: FloatArray, dt_s: float, straight: bool = False) -> None:
-        self.forms, self.dt_s = forms, dt_s
+        self.forms, self._parts = forms, forms.parts(u[:, :1], dt_s)
+        self.dt_s = dt_s / self._parts
         self.straight = straight and forms.level is not None
         self._moving = np.zeros(0, dtype=np.intp)
         self._linear: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -91,8 +111,10 @@ class Stepping:
             after = x.copy()
             after[self._moving] = power @ x[self._moving] + free + forced * u[self._throttle]
             return after
-        level = self.forms.level if self.straight else None
-        return (level or self.forms.full)(x, u, self.dt_s)
+        step = (self.forms.level if self.straight else None) or self.forms.full
+        for _ in range(self._parts):
+            x = step(x, u, self.dt_s)
+        return x
 
     def _affine(self, matrix: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """RK4's own step of x_dot = A x + a + b throttle: x_next = P x + Q a + Q b throttle, P and Q its polynomials in A."""
@@ -107,7 +129,10 @@ class Stepping:
             asked = u.copy()
             asked[row] = throttle
             pushed.append(self.forms.level.rate(at_rest, asked))
-        power, free, forced = one + z @ q, self.dt_s * q @ pushed[0], self.dt_s * q @ (pushed[1] - pushed[0])
+        part, free, forced = one + z @ q, self.dt_s * q @ pushed[0], self.dt_s * q @ (pushed[1] - pushed[0])
+        power = np.linalg.matrix_power(part, self._parts)
+        repeated = sum((np.linalg.matrix_power(part, k) for k in range(self._parts)), np.zeros_like(one))
+        free, forced = repeated @ free, repeated @ forced
         # What neither changes nor is changed need not be carried along.
         alive = z.any(axis=0) | z.any(axis=1) | free.any(axis=1) | forced.any(axis=1)
         self._moving = np.flatnonzero(alive)

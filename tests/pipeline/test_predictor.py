@@ -96,3 +96,15 @@ def test_a_corrected_prior_hovers_where_it_was_seen_to():
         assert found.hover_throttle(np.array([23.5]))[0] == pytest.approx(hover)
         assert found.thrust_age_s == pytest.approx(prior.thrust_age_s if age is None else max(age, 0.025))
     assert prior.corrected(0.2, 23.5).hover_throttle(np.array([21.5]))[0] > 0.2, "the battery's law stays"
+
+
+@pytest.mark.parametrize("roll_rad", [0.0, 0.2])
+def test_a_vehicle_quicker_than_the_steps_flies_all_the_same(roll_rad):
+    """A fit of a simulator without motor lag has sigma_t at its bound; with a step of 40 ms RK4 alone runs away."""
+    quick = ModelPredictor(Model(), {"sigma_t": 150.0, "sigma_r": 90.0, "omega_phi": 70.0, "zeta_phi": 0.5})
+    asked = lambda now: np.array([[roll_rad, 0.0, 0.0, 0.2]])  # noqa: E731
+    coarse, fine = (
+        quick.fly(np.array([[0.0, 0.0, 5.0]]), np.zeros(1), np.array([22.2]), asked, 1.0, dt_s)
+        for dt_s in (0.04, 0.002)
+    )
+    assert coarse.p_m[0, -1] == pytest.approx(fine.p_m[0, -1], abs=0.03)
