@@ -1,7 +1,8 @@
 """How late thrust follows throttle, seen while flying: what the plan's prior assumes, measured on this vehicle.
 
 Climb rate after a throttle step is the integral of the commanded thrust, shifted by the thrust's mean age (delay and lag together) and
-damped by the air; so one step whose height and climb rate were heard tells the age by a line fit, without any model of the vehicle.
+damped by the air; so one step whose height and climb rate were heard tells the age by a line fit, without any model of the vehicle. Of a
+tilted thrust its vertical part does the same, as long as the tilt is moderate.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ FloatArray = NDArray[np.float64]
 G_M_S2 = 9.81
 _AGES_S = np.arange(0.0, 0.405, 0.005)
 _LEVEL_RAD = 0.02
+_TILT_MAX_RAD = 0.45  # beyond it, what the air does to a fast vehicle is no small thing beside the thrust
 _SHORTEST_S = 0.5
 _EXCURSION = 0.2  # of the hover throttle: less than this does not tell
 _MISFIT_MAX_M_S = 0.25  # rms; a gust, or a throttle that is not followed, would be taken for an age
@@ -51,17 +53,20 @@ class Replanner(Protocol):
 
 @dataclass
 class ThrottleTrace:
-    """What was sent and seen during one leg of level flight. hover_throttle: what holds the height now."""
+    """What was sent and seen during one leg. hover_throttle: what holds the height now; angle_boost: the autopilot divides throttle by
+    the cosine of the tilt by itself, so that all of it acts upwards."""
 
     hover_throttle: float
+    angle_boost: bool = False
     _sent: list[tuple[float, float]] = field(default_factory=list)
     _seen: list[tuple[float, float, float]] = field(default_factory=list)
-    _level: bool = True
+    _upright: float = 1.0
 
     def sent(self, t_s: float, target: AttitudeTarget) -> None:
         """A target that left at t_s."""
-        self._level = self._level and max(abs(target.roll_rad), abs(target.pitch_rad)) < _LEVEL_RAD
-        self._sent.append((t_s, target.throttle))
+        upright = math.cos(target.roll_rad) * math.cos(target.pitch_rad)
+        self._upright = min(self._upright, upright)
+        self._sent.append((t_s, target.throttle * (1.0 if self.angle_boost else upright)))
 
     def seen(self, t_s: float, climb_m_s: float | None, height_m: float | None) -> None:
         """Climb rate and height heard at t_s; repeated or missing ones are passed over."""
@@ -70,8 +75,8 @@ class ThrottleTrace:
         self._seen.append((t_s, climb_m_s, height_m))
 
     def age_s(self) -> float | None:
-        """Mean age of the thrust, s; None where this leg does not tell (tilted, too short, too even, or not explained by it)."""
-        if not self._level or len(self._sent) < 10 or len(self._seen) < 10:
+        """Mean age of the thrust, s; None where this leg does not tell (tilted far, too short, too even, or not explained by it)."""
+        if self._upright < math.cos(_TILT_MAX_RAD) or len(self._sent) < 10 or len(self._seen) < 10:
             return None
         sent, seen = np.array(self._sent), np.array(self._seen)
         push = sent[:, 1] / self.hover_throttle - 1.0
@@ -79,10 +84,14 @@ class ThrottleTrace:
             return None
         speed = np.concatenate([[0.0], np.cumsum(G_M_S2 * push[:-1] * np.diff(sent[:, 0]))])
         climb, risen = seen[:, 1], seen[:, 2] - seen[0, 2]
+        rest = [risen, np.ones(len(seen))]
+        if self._upright < math.cos(_LEVEL_RAD):
+            # The speed that tilt brings grows with time, and its drag has a part that acts up or down.
+            rest.append((seen[:, 0] - seen[0, 0]) ** 2)
         misfits = []
         for age in _AGES_S:
             commanded = np.interp(seen[:, 0] - age, sent[:, 0], speed)
-            columns = np.column_stack([commanded, risen, np.ones(len(seen))])
+            columns = np.column_stack([commanded, *rest])
             found, *_ = np.linalg.lstsq(columns, climb, rcond=None)
             misfits.append(float(np.mean((climb - columns @ found) ** 2)))
         best = int(np.argmin(misfits))

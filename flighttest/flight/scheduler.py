@@ -224,7 +224,7 @@ class Scheduler:
         if not flying.enter_nogps(cockpit):
             return LegResult(leg.id, LegOutcome.NOT_SETTLED, ("the vehicle did not enter GUIDED_NOGPS",))
         self._show(leg, remaining, "flying")
-        trace = ThrottleTrace(cockpit.hover_throttle)
+        trace = ThrottleTrace(cockpit.hover_throttle, self.airframe.angle_boost)
         flown = leg.flown_with(cockpit.hover_throttle, self.airframe.angle_boost)
         result = flying.fly_leg(cockpit, flown, self.airframe, trace)
         age = trace.age_s()

@@ -33,7 +33,7 @@ repeat: {each: 2, order: sequential}
 
 def trace_of(age_s: float, lag_s: float, damping_1_s: float, tilt_rad: float = 0.0, step: float = 0.3) -> ThrottleTrace:
     """Throttle 0.1 for 0.4 s, then a step, on a vehicle that hovers at 0.18, heard at 50 Hz."""
-    trace, dt = ThrottleTrace(0.18), 0.001
+    trace, dt = ThrottleTrace(0.18, angle_boost=True), 0.001
     climb = height = thrust = 0.0
     throttles = {k: 0.1 if k * dt < 0.4 else step for k in range(1200)}
     for k in range(1200):
@@ -53,8 +53,17 @@ def test_the_age_of_thrust_is_seen_through_drag(age: float, lag: float) -> None:
         assert trace_of(age, lag, damping).age_s() == pytest.approx(age, abs=0.02)
 
 
+def test_a_tilted_leg_tells_the_age_by_what_acts_upwards() -> None:
+    assert trace_of(0.06, 0.05, 0.5, tilt_rad=0.35).age_s() == pytest.approx(0.06, abs=0.02)
+    bare, boosted = trace_of(0.06, 0.05, 0.5, tilt_rad=0.35), trace_of(0.06, 0.05, 0.5, tilt_rad=0.35)
+    bare.angle_boost = False
+    for t_s, _ in boosted._sent:
+        bare.sent(t_s, AttitudeTarget(t_s, 0.35, 0.0, 0.0, 0.3))
+    assert bare._sent[-1][1] == pytest.approx(0.3 * np.cos(0.35))
+
+
 def test_what_cannot_tell_an_age_gives_none() -> None:
-    assert trace_of(0.1, 0.05, 0.5, tilt_rad=0.2).age_s() is None
+    assert trace_of(0.1, 0.05, 0.5, tilt_rad=0.5).age_s() is None
     assert ThrottleTrace(0.18).age_s() is None
     even = ThrottleTrace(0.18)
     for k in range(60):
