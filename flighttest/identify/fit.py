@@ -27,6 +27,7 @@ from flighttest.identify.identifiability import (
     assumed_share,
     judge,
     throttle_varies,
+    voltage_notes,
     voltage_spread_at_equal_throttle,
     voltage_varies,
 )
@@ -354,10 +355,8 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
     dead = tuple(c for c in every if any(c in block.outputs for block in model.blocks))
     if dead:
         notes.append(f"{never_changing(dead)}: taken as not recorded")
-    if "voltage_v" in every:
-        notes.append(
-            f"{never_changing(['voltage_v'])}: alpha cannot be told, and carries K from there to the nominal voltage unproven"
-        )
+    if "alpha" not in solution.free:
+        notes += voltage_notes(problem.segments, model, "voltage_v" in every)
     outputs = {c for part in problem.parts for c in part.outputs}
     fed = {part.block.name for part in problem.parts}
     if "translation" in fed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from flighttest.identify.constancy import Spread
 from flighttest.identify.optima import Rival
-from flighttest.identify.responses import held
+from flighttest.identify.responses import held, never_changing
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -24,6 +25,7 @@ WEAK_SHARE = 0.25
 WEAK_DELAY_S = 0.01
 CORRELATED = 0.98
 FEWEST_RESPONSES = 3
+FAR_SHARE = 0.05  # of K, by an assumed alpha
 EXPLAINS_NOTHING = 0.05  # R2
 MISSED_SHARE = 0.2  # of variance, neither explained nor noise: what is left is half as large as what the vehicle did
 
@@ -133,7 +135,7 @@ def judge(
         good, limit = std < allowance(param, value), f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
     else:
         good = std < allowance(param, value)
-        limit = f"{std:.2g}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
+        limit = f"{std:{'.2g' if std < 100 else '.0f'}}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
     if good:
         return Known(True)
     with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
@@ -163,10 +165,25 @@ def assumed_share(segments: Sequence[Segment], model: Model) -> float:
     """Share of K by which it is unsure where alpha is assumed: K holds at the nominal voltage, which may not be the one flown."""
     if "alpha" not in model.param:
         return 0.0
+    return abs(math.log(flown_voltage(segments, model) / model.nominal_voltage_v)) * model.param["alpha"].scale
+
+
+def flown_voltage(segments: Sequence[Segment], model: Model) -> float:
+    """Middle of the battery voltage over the segments, V; the nominal one where none was recorded."""
     means = [float(np.nanmean(u)) for s in segments if np.isfinite(u := s.y.get("voltage_v", np.full(1, np.nan))).any()]
     means = [m for m in means if m > 0]
-    away = abs(float(np.mean(np.log(np.array(means) / model.nominal_voltage_v)))) if means else 0.0
-    return away * model.param["alpha"].scale
+    return math.exp(float(np.mean(np.log(means)))) if means else model.nominal_voltage_v
+
+
+def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> list[str]:
+    """What an assumed alpha leaves open. still: whether the voltage was recorded with one and the same value."""
+    notes = [f"{never_changing(['voltage_v'])}: alpha cannot be told from it"] if still else []
+    if assumed_share(segments, model) > FAR_SHARE:
+        notes.append(
+            f"K is stated at {model.nominal_voltage_v:g} V by an assumed alpha, while {flown_voltage(segments, model):.1f} V were flown: "
+            "a vehicle.yaml with the battery's nominal voltage (--vehicle) states it where it is known"
+        )
+    return notes
 
 
 def throttle_varies(segments: Sequence[Segment]) -> bool:

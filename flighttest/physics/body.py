@@ -20,7 +20,7 @@ ATTITUDE_PARAMS = (
 )
 THRUST_PARAMS = (
     Param("sigma_t", "σ_t", "1/s", 20.36, 0.5, 150.0, 5.0, "thrust decay constant", _TABLE_2, "base", None),
-    Param("K", "K", "m/s^2", 54.55, 1.0, 400.0, 10.0, "thrust gain at nominal voltage", _TABLE_2, "base", None),
+    Param("K", "K", "m/s^2", 54.55, 1.0, 2000.0, 10.0, "thrust gain at nominal voltage", _TABLE_2, "base", None),
     Param("alpha", "α", "1", 1.71, -10.0, 10.0, 0.5, "battery voltage exponent", _TABLE_2, "base", None),
 )
 DELAY = Param("T_d", "T_d", "s", 0.1, 0.0, 0.6, 0.01, "communication delay", _TABLE_2, "base", None)

@@ -8,6 +8,7 @@ from scipy.signal import lsim
 
 from flighttest.errors import FitError
 from flighttest.identify.fit import fit
+from flighttest.physics.model import Model
 from tests.identify.campaign import QUIET, TRUTH, campaign
 
 
@@ -200,3 +201,14 @@ def test_a_loop_whose_course_is_missed_is_not_known_but_one_behind_noise_is(flow
     sigma_r = found.estimates["sigma_r"]
     assert sigma_r.identifiable is white
     assert ("neither explained nor noise" in sigma_r.why) is not white
+
+
+def test_k_far_from_the_voltage_flown_asks_for_the_nominal_one():
+    """A battery of three cells at a steady 12.6 V: nothing carries K from there to the paper's 22.2 V."""
+    steps = [s for s in campaign(3, thrust_repeats=1) if s.kind == "throttle_step"]
+    steps = [replace(s, y={**s.y, "voltage_v": np.full(s.t_s.size, 12.6)}) for s in steps]
+    far, near = fit(steps, Model()), fit(steps, Model(nominal_voltage_v=11.1))
+    assert not far.estimates["K"].identifiable
+    assert any("--vehicle" in note for note in far.notes)
+    assert any("alpha cannot be told" in note for note in far.notes)
+    assert near.estimates["K"].identifiable
