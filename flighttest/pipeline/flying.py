@@ -195,6 +195,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             notes.append(
                 f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
             )
+        notes += _unflown(ended)
         if ended.outcome is not FlightOutcome.COMPLETED:
             break
     usable = len(ends) == len(compiled) and all(e.outcome.usable for e in ends)
@@ -211,6 +212,18 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             raise
         progress.stage(f"nothing to analyse: {error.message}")
         return _flown(folders, ends, notes, usable)
+
+
+def _unflown(ended: FlightResult) -> list[str]:
+    """Why steps that were tried are missing: one sentence for each reason."""
+    flown = {leg.leg for leg in ended.legs if leg.outcome is LegOutcome.FLOWN}
+    reasons: dict[str, list[str]] = {}
+    for leg in {leg.leg: leg for leg in ended.legs if leg.leg not in flown}.values():
+        reasons.setdefault(": ".join([leg.outcome.value, *leg.why[:1]]), []).append(leg.leg)
+    return [
+        f"{legs[0]}{f' and {len(legs) - 1} more' if len(legs) > 1 else ''} not flown: {reason}"
+        for reason, legs in reasons.items()
+    ]
 
 
 def _script_of(run_dir: Path | None) -> Path:

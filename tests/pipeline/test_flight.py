@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from flighttest.cli import main as cli_main
-from flighttest.flight import preflight
+from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult, preflight
 from flighttest.pipeline import flying
 
 SHORT = """
@@ -192,3 +192,19 @@ def test_a_waiver_names_a_check(call, script, tmp_path):
 def test_every_check_can_be_waived_by_a_name_that_is_known():
     source = Path(preflight.__file__).read_text()
     assert set(re.findall(r'Check\(\s*"([^"]+)"', source)) == set(preflight.NAMES)
+
+
+def test_steps_that_were_not_flown_are_named_with_the_reason():
+    high = "the vehicle is outside the height limits"
+    legs = (
+        LegResult("a/r1", LegOutcome.REFUSED, (high, "the vehicle went to BRAKE")),
+        LegResult("b/r1", LegOutcome.NOT_SETTLED, ("gusts",)),
+        LegResult("b/r1", LegOutcome.FLOWN),
+        LegResult("a/r2", LegOutcome.REFUSED, (high,)),
+        LegResult("a/r3", LegOutcome.LEFT_OUT),
+    )
+    ended = FlightResult(FlightOutcome.COMPLETED, Path("run"), legs, (), {})
+    assert flying._unflown(ended) == [
+        f"a/r1 and 1 more not flown: {LegOutcome.REFUSED.value}: {high}",
+        f"a/r3 not flown: {LegOutcome.LEFT_OUT.value}",
+    ]
