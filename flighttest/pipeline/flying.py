@@ -33,7 +33,7 @@ from flighttest.pipeline.simulator import options
 from flighttest.pipeline.sources import open_recording
 from flighttest.plan import Plan
 from flighttest.recording.store import MANIFEST_NAME, read_manifest, write_recording
-from flighttest.report.document import Block, Bullets, Cell, Document, Section, Table, Tone
+from flighttest.report.document import Block, Bullets, Document, Section
 from flighttest.report.numbers import join
 from flighttest.report.plain import plain
 from flighttest.sim import start_simulator
@@ -325,12 +325,12 @@ def _one(
 
 def _flown(folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequence[str], usable: bool) -> Result:
     """What `--only fly` shows: how the flights ended and where they are."""
-    rows = []
+    lines = []
     for ended in ends:
         flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-        tone: Tone = "good" if ended.outcome.usable else "bad"
-        rows.append((str(ended.run_dir), f"{flown} of {len(ended.legs)}", Cell(ended.outcome.value, tone)))
-    blocks: list[Block] = [Table(("run", "steps", "how it ended"), tuple(rows), ("left", "right", "left"))]
+        tried = len({leg.leg for leg in ended.legs})
+        lines.append(f"{ended.run_dir}: {flown} of {tried} steps flown; {ended.outcome.value}")
+    blocks: list[Block] = [Bullets(tuple(lines))]
     if notes:
         blocks.append(Bullets(tuple(notes)))
     verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
