@@ -124,13 +124,15 @@ def clock_std_s(problem: Problem) -> float:
     """Standard error that the clocks put on every delay alike, s: references stamped on the ground, responses on the vehicle.
 
     The clock's own error bound as a uniform distribution, where it is not known the millisecond to which MAVLink rounds the vehicle's time.
-    Zero where the vehicle stamped both, or where both step through time together.
+    Zero where the vehicle stamped both, or where both step through time together. In a table edges are known to a row: on the average they
+    may be as they stand there, or half a row earlier.
     """
     found = 0.0
     for segment in problem.segments:
         if segment.context.get("reference_clock") == "ground":
             error = float(segment.context.get("clock_error_s", STAMP_S))
             found = max(found, error / np.sqrt(3.0))
+        found = max(found, float(segment.context.get("edge_error_s", 0.0)) / np.sqrt(3.0))
     return float(found)
 
 

@@ -263,7 +263,12 @@ class _Cutter:
 
     def _clock_error(self) -> dict[str, float]:
         error = self.recording.provenance.clock.get("error_s")
-        return {} if error is None else {"clock_error_s": float(error)}
+        known = {} if error is None else {"clock_error_s": float(error)}
+        if self.recording.provenance.importer == "table":
+            # A row holds what was asked for last: since when, within the row before, nobody wrote down.
+            rates = [s.rate_hz for s in self.recording.series.values() if len(s) > 2]
+            known["edge_error_s"] = 0.5 / max(rates, default=np.inf)
+        return known
 
     def _voltage_samples(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
         """The battery's own samples about a response: at 10 Hz they are few, and the time base's values are chords between them."""

@@ -1,5 +1,7 @@
 """Cluster-robust covariance against textbook formulas, and against repeated draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -84,6 +86,9 @@ def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):
     assert added[at["T_d_thrust"], at["T_d_thrust"]] == pytest.approx(4e-6)
     assert np.all(added[at["K"]] == 0.0)
     assert clock_std_s(found.problem) == 0.0
+    first = found.problem.segments[0]
+    tabled = replace(found.problem, segments=(replace(first, context={"edge_error_s": 0.01}),))
+    assert clock_std_s(tabled) == pytest.approx(0.01 / np.sqrt(3.0))
 
 
 def test_resampling_responses_gives_the_same_errors(found):

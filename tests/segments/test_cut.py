@@ -310,3 +310,11 @@ def test_a_target_read_off_at_the_loggers_times_is_moved_half_way_back(fly):
     sent, polled = (cut(recording)[1].u["roll_ref_rad"][0] for recording in (found, replace(found, provenance=own)))
     assert np.median(np.diff(sent)) == pytest.approx(0.05, abs=0.011)
     assert np.median(sent - polled) == pytest.approx(0.5 * np.median(np.diff(sent)), abs=0.006)
+
+
+def test_a_table_knows_its_edges_to_a_row(campaign):
+    recording = campaign.recording()
+    row_s = 1.0 / max(s.rate_hz for s in recording.series.values())
+    assert cut(recording)[0].context["edge_error_s"] == pytest.approx(0.5 * row_s)
+    log = replace(recording, provenance=replace(recording.provenance, importer="ardupilot_bin"))
+    assert "edge_error_s" not in cut(log)[0].context
