@@ -108,7 +108,7 @@ def judge(
     if doubts.bound is not None:
         return Known(False, f"{doubts.bound} sits at its bound, and the two cannot be told apart here", fly)
     if doubts.rival is not None:
-        return Known(False, doubts.rival.sentence(value, param.unit), fly)
+        return Known(False, doubts.rival.sentence(param.unit), fly)
     if doubts.spread is not None and doubts.spread.width > allowance(param, value):
         sentence = doubts.spread.sentence(param.unit)
         return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)

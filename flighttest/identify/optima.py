@@ -44,10 +44,10 @@ class Rival:
         """The standard deviation that makes an interval about `value` reach the other optimum."""
         return 0.5 * abs(self.value - value)
 
-    def sentence(self, value: float, unit: str) -> str:
+    def sentence(self, unit: str) -> str:
         """In words."""
         name = f" {unit}" if unit != "1" else ""
-        return f"{self.value:.3g}{name} would serve as well as {value:.3g}, with other values of what it is found with"
+        return f"another optimum, at {self.value:.3g}{name}, serves as well"
 
 
 def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, Rival]]:
