@@ -16,6 +16,7 @@ COUNTS = 2.0  # noise floors an effect must have to count; below it is in the po
 ABSENT = 0.5  # below this it is not there
 BINS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
 HIGH_R2 = 0.95
+LEAST_COVERED, MOST_COVERED = 0.90, 0.99
 
 
 def interval(k: int, n: int) -> tuple[float, float]:
@@ -65,6 +66,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         if true > 0.02 and found > 0 and right(o, e)
     ]
     gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
+    covered = [o.coverage for o in flown if np.isfinite(o.coverage)]
     extra = sum(bool(set(o.named) - _hidden(o)) for o in single + pairs)
     return {
         "trials": len(outcomes),
@@ -79,6 +81,8 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "extra_names": (extra, len(single) + len(pairs)),
         "force_ratio_median_error": float(np.median(np.abs(np.array(ratios) - 1))) if ratios else None,
         "force_ratios": len(ratios),
+        "coverage_mean": float(np.mean(covered)) if covered else None,
+        "coverage_within": (sum(LEAST_COVERED <= c <= MOST_COVERED for c in covered), len(covered)),
         "gain_median": float(np.median(gains)) if gains else None,
         "power": power,
         "confusion": _confusion(single),
@@ -137,7 +141,9 @@ def markdown(outcomes: Sequence[Outcome], seed: int, commit: str, generator: Gen
         f"- physics outside the catalogue: wrongly named {share(*s['outside_misnamed'])}; located {share(*s['outside_located'])}",
         f"- a further name besides the right one: {share(*s['extra_names'])}",
         f"- magnitude (RMS force): median error {_percent(s['force_ratio_median_error'])} over {s['force_ratios']} effects",
-        f"- share of the excess error gone on held-out steps: median {_percent(s['gain_median'])}",
+        f"- of the error above the noise floor on held-out steps, gone: median {_percent(s['gain_median'])}",
+        f"- held-out repeats inside the 95 % intervals of the diagnosed model: mean {_percent(s['coverage_mean'])}; between "
+        f"{LEAST_COVERED:.0%} and {MOST_COVERED:.0%} in {share(*s['coverage_within'])}",
         "",
         "## Power",
         "",

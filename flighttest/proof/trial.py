@@ -18,8 +18,10 @@ from flighttest.diagnose.model import Verdict
 from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
-from flighttest.errors import FlighttestError
+from flighttest.errors import FitError, FlighttestError
+from flighttest.identify.fit import fit
 from flighttest.identify.onset import onset_delay, start_values
+from flighttest.identify.prediction import coverage
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -39,8 +41,9 @@ CONFUSABLE = 0.95
 class Outcome:
     """What came of one trial. named: effects the tool named, strongest first; sizes: hidden effect to noise floors after the refit (by
     ablation); classes: hidden effect to the ids the oracle cannot tell from it; forces: hidden effect to (true, found) RMS force, m/s^2;
-    base_r2: of the base fit alone; gain: share of the excess over the floor that is gone on held-out data; own: what was named of the
-    firmware's own doing (shaping, angle boost), which nobody hid and which is no false alarm."""
+    base_r2: of the base fit alone; gain: share of the mean square above the floor that is gone on held-out data; coverage: of the
+    diagnosed model's 95 % intervals on repeats it was not fitted to; own: what was named of the firmware's own doing (shaping, angle
+    boost), which nobody hid and which is no false alarm."""
 
     index: int
     kind: str
@@ -91,8 +94,8 @@ def run(case: Case) -> Outcome:
         classes=classes,
         forces=forces,
         base_r2=_r2(found),
-        gain=1.0 - float(found.unexplained["excess_share"]) if found.located else float("nan"),
-        coverage=float(found.cost.get("coverage", float("nan"))),
+        gain=_gain(found),
+        coverage=_coverage(segments, found),
         # A firmware that adds something of its own is always located: what counts is what stays after that.
         located=found.verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY) if own else bool(found.located),
         confusable={f.term: tuple(r.term for r in f.rivals if r.verdict == "CONFUSABLE") for f in found.findings},
@@ -107,6 +110,26 @@ def _flown(case: Case, hide: Mapping[str, Mapping[str, float]]) -> tuple[Segment
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         return tuple(s for s in fly_campaign(options, Path(folder), case.generator) if s.usable)
+
+
+def _gain(found: Diagnosis) -> float:
+    """Of the mean square above the noise floor on steps not used, the share that is gone: mean over the channels that were located."""
+    held = [found.heldout[channel]["all"] for channel in {p.channel for p in found.located} & set(found.heldout)]
+    above = [(h["rmse_before"] ** 2 - h["floor"] ** 2, h["rmse_after"] ** 2 - h["floor"] ** 2) for h in held]
+    shares = [1.0 - max(after, 0.0) / before for before, after in above if before > 0]
+    return float(np.mean(shares)) if shares else float("nan")
+
+
+def _coverage(segments: Sequence[Segment], found: Diagnosis) -> float:
+    """Share of samples of the second repeats inside the 95 % intervals of the diagnosed model, fitted to the first: mean over channels."""
+    first = [s for s in segments if s.repeat <= 1]
+    second = [s for s in segments if s.repeat > 1]
+    start = {n: v for n, v in found.values.items() if n in found.model.names}
+    try:
+        shares = [c.share for c in coverage(fit(first, found.model, start=start), second)]
+    except FitError:
+        return float("nan")
+    return float(np.mean(shares)) if shares else float("nan")
 
 
 def _r2(found: Diagnosis) -> float:

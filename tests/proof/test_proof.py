@@ -65,8 +65,8 @@ def test_counts_are_of_what_they_say():
         outcome(5, "single", ["quadratic_drag"], [], sizes={"quadratic_drag": 1.2}),
         outcome(6, "pair", ["ground_effect", "steady_wind"], ["steady_wind", "ground_effect"]),
         outcome(7, "pair", ["ground_effect", "steady_wind"], ["steady_wind"]),
-        outcome(8, "outside", ["updraft"], [], located=True),
-        outcome(9, "outside", ["swirl"], ["steady_wind"], located=True),
+        outcome(8, "outside", ["updraft"], [], located=True, coverage=0.95),
+        outcome(9, "outside", ["swirl"], ["steady_wind"], located=True, coverage=0.85),
         outcome(10, "single", error="could not fly"),
     ]
     s = score(outcomes)
@@ -76,6 +76,8 @@ def test_counts_are_of_what_they_say():
     assert s["pairs"] == (1, 2)
     assert s["outside_misnamed"] == (1, 2)
     assert s["outside_located"] == (2, 2)
+    assert s["coverage_within"] == (1, 2)
+    assert s["coverage_mean"] == pytest.approx(0.9)
     assert [m["index"] for m in s["misses"]] == [1, 3, 7, 9]
     assert {p["n"] for p in s["power"] if p["from"] == 1.0} == {1}
     text = markdown(outcomes, 1, "commit abc")
