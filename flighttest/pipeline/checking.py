@@ -22,6 +22,7 @@ from flighttest.report.numbers import number, percent, unit
 from flighttest.report.plain import plain
 from flighttest.script.load import load_script
 from flighttest.script.model import Script
+from flighttest.script.profiles import PROFILES
 from flighttest.script.shipped import resolve
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
@@ -67,7 +68,8 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
         made = compile_plans(some, declared, prior)
         return list(zip(made, told_by_plans(made, prior.model, prior.values), strict=True))
 
-    compiled, told = zip(*in_halves(rehearsed, [load_script(resolve(name)) for name in scripts]), strict=True)
+    loaded = [load_script(resolve(name)) for name in scripts]
+    compiled, told = zip(*in_halves(rehearsed, loaded, [_steps_asked(script) for script in loaded]), strict=True)
     forecast = [expected_of_told([one], prior.model, prior.values) for one in told]
     altogether = expected_of_told(told, prior.model, prior.values)
     results = tuple(
@@ -91,6 +93,12 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     if together is not None:
         document = replace(document, sections=(*document.sections, together))
     return Result(document, data, Status.BAD_INPUT if refused else Status.DONE, compiled)
+
+
+def _steps_asked(script: Script) -> int:
+    """How many steps a script asks for."""
+    cells = (PROFILES[maneuver.profile].cells(maneuver.settings, 1.0) for maneuver in script.steps)
+    return script.repeat.each * sum(len(some) for some in cells)
 
 
 def _useful(expected: Expected) -> bool:

@@ -15,24 +15,37 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 
-def in_halves(work: Callable[[Sequence[A]], list[B]], items: Sequence[A]) -> list[B]:
-    """work(items), one result for each, in order: every other item by a copy of this process where there is a core for it.
+def in_halves(work: Callable[[Sequence[A]], list[B]], items: Sequence[A], sizes: Sequence[float]) -> list[B]:
+    """work(items), one result for each, in order: half of it by a copy of this process where there is a core for it.
 
-    What fails there is done again here, and fails here with its own words.
+    sizes: what share of the work each item is, roughly. What fails there is done again here, and fails here with its own words.
     """
     if len(items) < 2 or not _second_core():
         return work(items)
-    others, mine = items[::2], items[1::2]
-    child, answer = _begin(work, others)
+    here, there = _dealt(sizes)
+    child, answer = _begin(work, [items[i] for i in there])
     try:
-        done = work(mine)
-        there = _read(answer)
+        mine = work([items[i] for i in here])
+        others = _read(answer)
     finally:
         os.close(answer)
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-    there = work(others) if there is None else there
-    return [(there, done)[i % 2][i // 2] for i in range(len(items))]
+    if others is None:
+        others = work([items[i] for i in there])
+    found = dict(zip((*here, *there), (*mine, *others), strict=True))
+    return [found[i] for i in range(len(items))]
+
+
+def _dealt(sizes: Sequence[float]) -> tuple[list[int], list[int]]:
+    """Positions in two halves of like size, each in rising order: the largest first, each to the lighter half."""
+    halves: tuple[list[int], list[int]] = ([], [])
+    loads = [0.0, 0.0]
+    for i in sorted(range(len(sizes)), key=lambda i: -sizes[i]):
+        lighter = 0 if loads[0] <= loads[1] else 1
+        halves[lighter].append(i)
+        loads[lighter] += sizes[i]
+    return sorted(halves[0]), sorted(halves[1])
 
 
 def _second_core() -> bool:

@@ -17,14 +17,20 @@ def two_cores(monkeypatch):
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_results_are_those_of_the_items_in_order(two_cores, count):
-    done = in_halves(lambda some: [(10 * i, os.getpid()) for i in some], range(count))
+    done = in_halves(lambda some: [(10 * i, os.getpid()) for i in some], range(count), [1] * count)
     assert [value for value, _ in done] == [10 * i for i in range(count)]
     assert len({pid for _, pid in done}) == min(count, 2), "one alone is not worth a second process"
 
 
+def test_the_halves_are_of_like_size(two_cores):
+    sizes = [5, 1, 1, 1, 1, 1]
+    done = in_halves(lambda some: [os.getpid() for _ in some], range(6), sizes)
+    assert [pid == done[0] for pid in done] == [True, False, False, False, False, False]
+
+
 def test_without_a_second_core_nothing_is_begun(monkeypatch):
     monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: False)
-    assert set(in_halves(lambda some: [os.getpid() for _ in some], range(4))) == {HERE}
+    assert set(in_halves(lambda some: [os.getpid() for _ in some], range(4), [1] * 4)) == {HERE}
 
 
 def test_what_dies_there_is_done_here(two_cores):
@@ -33,7 +39,7 @@ def test_what_dies_there_is_done_here(two_cores):
             os._exit(1)
         return [i * i for i in some]
 
-    assert in_halves(work, range(5)) == [0, 1, 4, 9, 16]
+    assert in_halves(work, range(5), [1] * 5) == [0, 1, 4, 9, 16]
 
 
 def test_what_fails_fails_with_its_own_words(two_cores, capfd):
@@ -43,7 +49,7 @@ def test_what_fails_fails_with_its_own_words(two_cores, capfd):
         return list(some)
 
     with pytest.raises(FitError, match="step 3 does not fit"):
-        in_halves(work, range(5))
+        in_halves(work, range(5), [1] * 5)
     assert capfd.readouterr() == ("", "")
 
 
@@ -57,6 +63,6 @@ def test_no_process_is_left_behind(two_cores, monkeypatch):
         return list(some)
 
     with pytest.raises(FitError):
-        in_halves(work, range(5))
+        in_halves(work, range(5), [1] * 5)
     with pytest.raises(ProcessLookupError):
         os.kill(begun[0], 0)
