@@ -22,6 +22,8 @@ from flighttest.plan.outer_loop import OuterLoop
 NEAR_M = 0.6
 SLOW_M_S = 0.35
 FACING_RAD = 0.12
+LEVEL_RAD = 0.15
+LEANING_RAD = 0.35  # into the wind, where position and velocity say that it holds still all the same
 _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
 _ASK_AGAIN_S = 0.1
@@ -74,11 +76,14 @@ class Settling:
         if state.attitude_rad is None or state.silence_s > 0.5:
             return False
         turn = abs(float(frames.wrap_angle(state.attitude_rad[2] - goal.yaw_rad)))
-        if turn > FACING_RAD or (state.tilt_rad or 0.0) > 0.15:
+        tilt = state.tilt_rad or 0.0
+        if turn > FACING_RAD:
             return False
         if state.position_ok and state.position_m is not None and state.velocity_m_s is not None:
-            off = math.dist(state.position_m, goal.position_m)
-            return off <= self._near_m and math.hypot(*state.velocity_m_s) <= SLOW_M_S
+            near = math.dist(state.position_m, goal.position_m) <= self._near_m
+            return near and tilt <= LEANING_RAD and math.hypot(*state.velocity_m_s) <= SLOW_M_S
+        if tilt > LEVEL_RAD:
+            return False
         height_off = abs(state.height_m - goal.position_m[2]) if state.height_m is not None else 0.0
         return height_off <= 2 * self._near_m and abs(state.climb_m_s or 0.0) <= SLOW_M_S
 
