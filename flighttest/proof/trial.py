@@ -151,7 +151,7 @@ def _measured(
     forces: dict[str, tuple[float, float]] = {}
     if not case.hide:
         return sizes, classes, forces
-    oracle = [_Oracle(segments, block, nominal_voltage_v) for block in BLOCKS]
+    oracle = [_Oracle(segments, block, nominal_voltage_v) for block in BLOCKS if _moves(segments, block)]
     for name in case.hide:
         twin = _flown(case, {k: v for k, v in case.hide.items() if k != name})
         best = 0.0
@@ -173,6 +173,10 @@ def _measured(
         sizes[name] = best
         classes.setdefault(name, (name,))
     return sizes, classes, forces
+
+
+def _moves(segments: Sequence[Segment], block: str) -> bool:
+    return bool(Bench(tuple(segments), block).problem(Model()).parts)
 
 
 class _Oracle:
