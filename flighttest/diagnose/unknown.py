@@ -1,7 +1,7 @@
 """Physics without a name: where it acts and what shape it has, by a small sparse regression on physical state functions.
 
 What stays of the specific force (or of the attitude loops' angles) is regressed on functions of the vehicle's state, forward, one
-function at a time, as long as the prediction of groups not used improves by 5 %, and never more than four. The formula describes; it
+function at a time, as many as improve the prediction of groups not used by 5 % each, and never more than four. The formula describes; it
 is not a name, and holds only inside the range of the data it came from.
 """
 
@@ -24,6 +24,7 @@ IntArray = NDArray[np.intp]
 
 MOST_FUNCTIONS = 4
 LEAST_GAIN = 0.05
+KNOTS = (0.2, 0.4, 0.6, 0.8)  # quantiles of a variable at which a slope may change
 
 SYMBOLS = {
     "speed_forward_m_s": "u", "speed_left_m_s": "v", "speed_up_m_s": "w", "tilt_rad": "tilt", "heading_rad": "psi", "height_m": "h",
@@ -32,7 +33,7 @@ SYMBOLS = {
 
 
 def _functions(variables: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Formula to values: powers, products with speed, periodic in heading."""
+    """Formula to values: powers, changes of slope, products with speed, periodic in heading."""
     found: dict[str, FloatArray] = {}
     for name, x in variables.items():
         s = SYMBOLS[name]
@@ -41,6 +42,8 @@ def _functions(variables: dict[str, FloatArray]) -> dict[str, FloatArray]:
             continue
         found[s] = x
         found[f"{s}^2"] = x**2
+        for knot in sorted({float(f"{k:.2g}") for k in np.quantile(x, KNOTS)}):
+            found[f"max({s} - {knot:g}, 0)"] = np.maximum(x - knot, 0.0)
         if name.startswith("speed"):
             found[f"|{s}| {s}"] = np.abs(x) * x
         if name == "height_m":
@@ -125,15 +128,20 @@ def _sparse(r: FloatArray, table: dict[str, FloatArray], fold: IntArray) -> tupl
             error += own_power - 2 * w @ own_moment[columns] + w @ own_gram[np.ix_(columns, columns)] @ w
         return float(error) / total
 
-    chosen, best = [0], held([0])
-    while len(chosen) <= MOST_FUNCTIONS:
-        trials = [(held([*chosen, k]), k) for k in range(1, len(names) + 1) if k not in chosen]
-        value, k = min(trials)
-        if value > best * (1 - LEAST_GAIN):
+    chosen, left = [0], [held([0])]
+    while len(chosen) <= min(MOST_FUNCTIONS, len(names)):
+        value, k = min((held([*chosen, k]), k) for k in range(1, len(names) + 1) if k not in chosen)
+        chosen.append(k)
+        left.append(value)
+    # As many as pay for themselves, together: a bend needs two before either shows. What they made needless goes again.
+    best = min(range(len(left)), key=lambda n: left[n] / (1.0 - LEAST_GAIN) ** n)
+    chosen, share = chosen[: best + 1], left[best]
+    while len(chosen) > 1:
+        value, k = min((held([c for c in chosen if c != k]), k) for k in chosen[1:])
+        if value * (1.0 - LEAST_GAIN) > share:
             break
-        chosen, best = [*chosen, k], value
-    if (
-        best > 1.0 - LEAST_GAIN
-    ):  # better than the mean, which itself may hold for some groups only, but no better than nothing
+        chosen, share = [c for c in chosen if c != k], value
+    # Better than the mean is not enough: a mean that holds for some groups only is worse than nothing for the others.
+    if len(chosen) == 1 or share > 1.0 - LEAST_GAIN:
         return [], 1.0
-    return [names[k - 1] for k in chosen[1:]], best
+    return [names[k - 1] for k in chosen[1:]], share
