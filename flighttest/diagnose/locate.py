@@ -165,10 +165,11 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             if at.size < 40:
                 continue
             r = rows.open_residual[at]
-            excess = float(np.sum(r**2)) / floor.of(name) ** 2 - at.size
+            least = floor.at(name, str(kind))
+            excess = float(np.sum(r**2)) / least**2 - at.size
             excess_all += max(excess, 0.0)
             if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or _ordered(
-                r, {v: x[at] for v, x in variables.items()}, rows.segment[at], floor.of(name), seed
+                r, {v: x[at] for v, x in variables.items()}, rows.segment[at], least, seed
             ):
                 places.append((excess, c, name, str(kind), at))
     found = []
@@ -187,7 +188,8 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
                 best,
                 share,
                 p_value,
-                floor.of(name),
+                floor.at(name, kind),
+                (name, kind) in floor.lack_by_kind,
             )
         )
         del c
@@ -220,12 +222,14 @@ def _located(
     share: float,
     p_value: float,
     floor: float,
+    repeated: bool,
 ) -> Located:
     unit = CHANNELS[name].unit
     rmse = float(np.sqrt(np.mean(r**2)))
     words = WORDS.get(name, short(name))
     flown = "free flight" if kind == "free" else f"{kind.replace('_', ' ')}s"
-    head = f"{words.capitalize()} in {flown}: {rmse:.3g} {unit} where repeats differ by {floor:.3g}"
+    known = f"where repeats differ by {floor:.3g}" if repeated else f"where {floor:.2g} may be noise (no repeats)"
+    head = f"{words.capitalize()} in {flown}: {rmse:.3g} {unit} {known}"
     regime: dict[str, Any] = {}
     excess_share, sample_share, peak = 1.0, 1.0, float(r[np.argmax(np.abs(r))])
     if x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05:

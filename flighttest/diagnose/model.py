@@ -18,7 +18,7 @@ class Verdict(Enum):
         "what the model missed is named, and with it the model predicts what it has not seen down to the noise floor"
     )
     PARTLY = "part of what the model missed is named; the rest is located but has no name yet"
-    NOTHING_MISSING = "nothing is missing: what the model leaves is no more than repeats differ among themselves"
+    NOTHING_MISSING = "nothing is seen to be missing: what the model leaves is no more than the noise floor"
     UNKNOWN_PHYSICS = (
         "something is missing that no entry of the catalogue fits; it is located and its shape is given, without a name"
     )

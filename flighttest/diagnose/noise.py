@@ -18,14 +18,23 @@ BIN_S = 0.1  # responses of one cell are compared in bins of this width after th
 EQUATIONS_PER_COVARIATE = 4
 SMALL_CORRELATION = 0.05
 LEAST_RATIO = 1.25
+GUESSED_RATIO = 4.0  # where no repeats say what the floor is, and it is known to a factor of two
 OUTRIGHT = 3.5  # floors: above it, times of one response that differ on their own count as several looks
 CHANCE = 0.001
+# What an estimate drifts by within seconds and no high-frequency residual shows: attitude of an EKF in flight about 0.1 deg, velocity of
+# GPS and barometer some cm/s, accelerometers warming up or shaken 0.05 m/s^2. Repeats, where they were flown, say better.
+WANDER = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
+    f"{k}_{axis}_{unit}": std
+    for k, unit, std in (("f", "m_s2", 0.05), ("a", "m_s2", 0.1), ("v", "m_s", 0.03))
+    for axis in "xyz"
+}
 
 
 @dataclass(frozen=True)
 class Floor:
     """std: channel to the spread (in its unit) no model of the recorded inputs explains; from_repeats: channels for which repeats say so,
-    the others' floor is their high-frequency residual, which is weaker since it misses slow disturbances.
+    the others' floor is their high-frequency residual, or what estimators wander (`WANDER`) where that is more: weaker, since slow
+    disturbances are not in it.
 
     lack_of_fit: channel to (lack of fit, its degrees of freedom, pure error, its degrees) of 0.1 s means, where repeats exist;
     lack_by_kind: (channel, kind of step) to (mean square of what repeats share over the pure error's at the same times since the step,
@@ -41,6 +50,12 @@ class Floor:
         """The floor of one channel."""
         return self.std[channel]
 
+    def at(self, channel: str, kind: str) -> float:
+        """The floor of one channel in one kind of maneuver: where none of its steps was repeated, no less than what estimators wander."""
+        if (channel, kind) in self.lack_by_kind:
+            return self.std[channel]
+        return max(self.std[channel], WANDER.get(channel, 0.0))
+
     def whole(self, channel: str) -> float:
         """The floor with everything in it that differs between repeats, the bins around jittering edges included."""
         if channel not in self.lack_of_fit:
@@ -49,10 +64,11 @@ class Floor:
 
     def exceeded(self, channel: str, kind: str, mean_square: float, count: float) -> bool:
         """Whether `count` independent samples of this mean square lie above the floor: by a quarter in power at least (half the floor in
-        amplitude), and more than chance would have it (0.1 %, for there are many places to look at). Where steps were repeated it is
-        what the repeats share that counts (lack of fit), since a gusty response is no fault of the model."""
-        ratio = mean_square / self.std[channel] ** 2
-        if ratio <= LEAST_RATIO:
+        amplitude), by four times where no step was repeated, and more than chance would have it (0.1 %, for there are many places to
+        look at). Where steps were repeated it is what the repeats share that counts (lack of fit), since a gusty response is no fault of
+        the model."""
+        ratio = mean_square / self.at(channel, kind) ** 2
+        if ratio <= (LEAST_RATIO if (channel, kind) in self.lack_by_kind else GUESSED_RATIO):
             return False
         if (channel, kind) in self.lack_by_kind:
             lack, cells, repeats, times = self.lack_by_kind[channel, kind]
@@ -136,7 +152,7 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
     for c, name in enumerate(rows.channels):
         pure = _pure_error(rows, segments, cells, c) if cells else None
         if pure is None:
-            std[name] = max(fast[name], resolution.get(name, 0.0))
+            std[name] = max(fast[name], resolution.get(name, 0.0), WANDER.get(name, 0.0))
             continue
         pure_ms, pure_dof, lack_ms, lack_dof, kinds, usual_ms = pure
         by_kind |= {(name, kind): value for kind, value in kinds.items()}

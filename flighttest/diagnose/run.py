@@ -182,7 +182,7 @@ def _assembled(
                 "value": floor.of(name),
                 "from": "repeats"
                 if name in floor.from_repeats
-                else "high-frequency residual (weaker: no repeats were flown)",
+                else "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)",
             }
         first, last = excess_share(base.rows, floor), excess_share(now.rows, floor)
         places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), seed)

@@ -10,7 +10,7 @@ from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.noise import _independent_times, _shared, high_frequency, inflation
+from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
 from flighttest.diagnose.plausible import does_not_stand_out, impossible
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
@@ -273,3 +273,14 @@ def test_few_responses_are_believed_when_they_agree_and_much_speaks_for_them(car
     assert plain(parts, bic) is believed
     parts[0] = -1.0
     assert not plain(parts, bic)
+
+
+def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
+    floor = Floor({"pitch_rad": 3e-4}, frozenset(), {})
+    assert not floor.exceeded("pitch_rad", "free", 1.7e-3**2, 1000.0)
+    assert floor.exceeded("pitch_rad", "free", 8e-3**2, 1000.0)
+    repeated = Floor(
+        {"pitch_rad": 3e-4}, frozenset({"pitch_rad"}), {}, {("pitch_rad", "pitch_step"): (50.0, 6, 6.0, 5.0)}
+    )
+    assert repeated.exceeded("pitch_rad", "pitch_step", 1.7e-3**2, 1000.0)
+    assert not repeated.exceeded("pitch_rad", "free", 1.7e-3**2, 1000.0)
