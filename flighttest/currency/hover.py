@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.currency.model import FloatArray, SubsetTest
+from flighttest.frames import G_M_S2
 from flighttest.identify.student import beyond, quantile
 from flighttest.segments import Segment
 
-G_M_S2 = 9.81
 MIN_WINDOW_S = 1.0
 DISCREPANCY = 0.015  # relative, one sigma: what one flight after another differs by (packs, air density)
 UNKNOWN_VOLTAGE = 0.015  # on top of it where no voltage was recorded

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flighttest.currency.hover import G_M_S2, NAME
+from flighttest.currency.hover import NAME
 from flighttest.currency.model import SUBSETS, Change, SubsetTest
+from flighttest.frames import G_M_S2
 
 
 def matters(changes: Sequence[Change], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:

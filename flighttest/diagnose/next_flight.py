@@ -34,6 +34,7 @@ RATE_HZ = 50.0
 MOST_CELLS = 12
 MOST_REPEATS = 4
 MOST_TRIED = 3  # maneuvers rehearsed per question: those that the terms name, then the general ones
+SURE = 1000.0  # odds above it are said as such: what a rehearsal does not know weighs more
 STOP_S = 0.4
 CORRELATED = 10.0  # real residuals are correlated over several samples; rehearsed ones are not
 TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop", "thrust_hover", "roll_pitch")
@@ -73,12 +74,13 @@ def _proposal(question: Question, name: str, odds: float) -> dict[str, Any]:
     rival = question.rival.id if question.rival else None
     aim = f"to tell {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
     to_one = math.exp(min(odds, 23.0))
-    script |= {"name": "next", "doc": f"{name}, {aim}; expected odds {to_one:.2g} to 1"}
+    worth = f"{to_one:.2g} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
+    script |= {"name": "next", "doc": f"{name}, {aim}; expected odds {worth}"}
     return {
         "maneuver": name,
         "separates": [question.term.id, *([rival] if rival else [])],
         "expected_odds": to_one,
-        "sentence": f"Fly {name} {aim}: expected odds {to_one:.2g} to 1.",
+        "sentence": f"Fly {name} {aim}: expected odds {worth}.",
         "script": script,
     }
 

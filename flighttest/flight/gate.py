@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 from flighttest.flight.state import VehicleState
+from flighttest.frames import G_M_S2
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
 from flighttest.script.model import Limits
 from flighttest.vehicle.model import Zone
 
-G_M_S2 = 9.81
 EPSILON = 1e-6  # a target exactly on a limit passes, also after the rounding of degrees
 
 

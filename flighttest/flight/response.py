@@ -14,11 +14,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.frames import G_M_S2
 from flighttest.plan import AttitudeTarget, Plan
 
 FloatArray = NDArray[np.float64]
 
-G_M_S2 = 9.81
 _AGES_S = np.arange(0.0, 0.405, 0.005)
 _LEVEL_RAD = 0.02
 _TILT_MAX_RAD = 0.45  # beyond it, what the air does to a fast vehicle is no small thing beside the thrust

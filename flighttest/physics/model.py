@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any
 
 from flighttest.errors import ModelError
+from flighttest.frames import G_M_S2
 from flighttest.physics import body
 from flighttest.physics.blocks import Block, attitude_blocks, translation_block
 from flighttest.physics.catalogue import catalogue
@@ -25,7 +26,6 @@ from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
 from flighttest.physics.system import System, build_system
 
-G_M_S2 = 9.81
 NOMINAL_VOLTAGE_V = 22.2
 PAPER_TERMS = ("body", "linear_drag")
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from flighttest.frames import G_M_S2
 
-G_M_S2 = 9.81
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from flighttest.sim.plant import G_M_S2, Command
+from flighttest.frames import G_M_S2
+from flighttest.sim.plant import Command
 
 _POS_P, _VEL_P, _VEL_I = 1.0, 1.6, 0.5
 _HEIGHT_P, _CLIMB_P, _CLIMB_I = 1.0, 3.5, 1.5

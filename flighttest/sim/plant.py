@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from flighttest.frames import G_M_S2
 from flighttest.sim.battery import Battery
-
-G_M_S2 = 9.81
 
 Hidden = Mapping[str, Mapping[str, float]]
 """Concealed physics: catalogue id to its values, by key; keys left out take the plant's default magnitude."""

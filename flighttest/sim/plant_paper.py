@@ -11,8 +11,9 @@ from dataclasses import dataclass, fields, replace
 from math import cos, sin, sqrt
 
 from flighttest.errors import InputError
+from flighttest.frames import G_M_S2
 from flighttest.sim.battery import Battery
-from flighttest.sim.plant import G_M_S2, Command, Delays, Motion
+from flighttest.sim.plant import Command, Delays, Motion
 from flighttest.sim.weather import Air
 
 TICK_S = 0.005

@@ -14,8 +14,9 @@ from __future__ import annotations
 from collections import deque
 from math import cos, exp, sin, sqrt
 
+from flighttest.frames import G_M_S2
 from flighttest.sim.battery import Battery
-from flighttest.sim.plant import G_M_S2, Command, Delays, Hidden, Motion
+from flighttest.sim.plant import Command, Delays, Hidden, Motion
 from flighttest.sim.rotor_effects import resolve
 from flighttest.sim.rotor_loops import Loops, Mixer
 from flighttest.sim.rotor_propulsion import Propulsion

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import InputError
+from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.sim.battery import Battery
-from flighttest.sim.plant import G_M_S2, Command, Delays, Hidden, Motion
+from flighttest.sim.plant import Command, Delays, Hidden, Motion
 from flighttest.sim.plant_paper import HARD_LANDING_M_S, HOVER_CURRENT_A, TICK_S, PaperParameters, hover_throttle
 from flighttest.sim.weather import Air
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from flighttest.errors import InputError
+from flighttest.frames import G_M_S2
 
-G_M_S2 = 9.81
 RHO_KG_M3 = 1.225
 
 

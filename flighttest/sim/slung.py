@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from math import sqrt
 
-G_M_S2 = 9.81
+from flighttest.frames import G_M_S2
+
 Vector = tuple[float, float, float]
 
 

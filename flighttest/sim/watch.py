@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
+from flighttest.frames import G_M_S2
 from flighttest.sim import modes, telemetry
-from flighttest.sim.plant import G_M_S2
 from flighttest.sim.safety import CrashCheck, fence_breaches, fence_mode
 
 if TYPE_CHECKING:

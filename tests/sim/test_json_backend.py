@@ -8,8 +8,9 @@ import threading
 import pytest
 
 from flighttest.errors import InputError, LinkError
+from flighttest.frames import G_M_S2
 from flighttest.sim.json_backend import JsonBackend, bind_physics, motor_commands, state_text
-from flighttest.sim.plant import G_M_S2, Motion
+from flighttest.sim.plant import Motion
 from flighttest.sim.plant_motors import MotorPlant
 from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
 
