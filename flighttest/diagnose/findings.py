@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.judge import compare, held_out
-from flighttest.diagnose.model import Finding, Rival, short
+from flighttest.diagnose.model import Finding, Rival, brief, flown, short
 from flighttest.diagnose.search import Search
 
 IntArray = NDArray[np.intp]
@@ -56,11 +56,11 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
     confusable = [r.term for r in rivals if r.verdict == "CONFUSABLE"]
     force = _rms_force(search, judged.effect)
     numbers = ", ".join(
-        f"{n} {v['value']:.3g} ± {1.96 * v['std']:.1g}{'' if v['unit'] == '1' else ' ' + v['unit']}"
+        f"{n} {v['value']:.3g} ± {brief(1.96 * v['std'])}{'' if v['unit'] == '1' else ' ' + v['unit']}"
         + (" (held: the recording does not ask for more)" if v.get("held") else "")
         for n, v in parameters.items()
     )
-    sentence = f"{term.plain} ({numbers}); {judged.floors:.2g} noise floors in {short(judged.place[0])} of {_kind(judged.place[1])}"
+    sentence = f"{term.plain} ({numbers}); {brief(judged.floors)} noise floors in {short(judged.place[0])} of {flown(judged.place[1])}"
     if term.family in ("autopilot", "sensor", "link"):
         sentence = f"This is your {term.family}'s {term.title.lower()}: {sentence}"
     if confusable:
@@ -90,10 +90,6 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
         source=term.source,
         doubt=term.doubt,
     )
-
-
-def _kind(kind: str) -> str:
-    return kind.replace("_", " ") + "s"
 
 
 def _rms_force(search: Search, effect: Any) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
-from flighttest.diagnose.model import Located, short
+from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.noise import Floor, inflation
 from flighttest.diagnose.rows import Rows
 from flighttest.frames import compass_from_yaw, rotation_from_euler
@@ -227,9 +227,8 @@ def _located(
     unit = CHANNELS[name].unit
     rmse = float(np.sqrt(np.mean(r**2)))
     words = WORDS.get(name, short(name))
-    flown = "free flight" if kind == "free" else f"{kind.replace('_', ' ')}s"
-    known = f"where repeats differ by {floor:.3g}" if repeated else f"where {floor:.2g} may be noise (no repeats)"
-    head = f"{words.capitalize()} in {flown}: {rmse:.3g} {unit} {known}"
+    known = f"where repeats differ by {floor:.3g}" if repeated else f"where {brief(floor)} may be noise (no repeats)"
+    head = f"{words.capitalize()} in {flown(kind)}: {rmse:.3g} {unit} {known}"
     regime: dict[str, Any] = {}
     excess_share, sample_share, peak = 1.0, 1.0, float(r[np.argmax(np.abs(r))])
     if x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05:

@@ -168,3 +168,13 @@ def short(channel: str) -> str:
         if channel.endswith(unit):
             return channel.removesuffix(unit)
     return channel
+
+
+def flown(kind: str) -> str:
+    """A kind of segment in words, plural: 'roll steps', 'free flight'."""
+    return "free flight" if kind == "free" else kind.replace("_", " ") + "s"
+
+
+def brief(value: float) -> str:
+    """Two digits, without an exponent where it is of the size that people count in."""
+    return f"{value:.0f}" if 10.0 <= abs(value) < 1e5 else f"{value:.2g}"

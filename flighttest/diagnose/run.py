@@ -13,7 +13,7 @@ from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, short
+from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, brief, flown, short
 from flighttest.diagnose.next_flight import Question, propose
 from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
@@ -326,7 +326,7 @@ def _candidates(search: Search) -> list[dict[str, Any]]:
     found = [
         {
             "term": j.term, "verdict": "SUPPORTED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
-            "why": f"{j.floors:.2g} noise floors in {short(j.place[0])} of {j.place[1].replace('_', ' ')}s",
+            "why": f"{brief(j.floors)} noise floors in {short(j.place[0])} of {flown(j.place[1])}",
         }
         for j in search.judged.values()
     ]  # fmt: skip

@@ -60,7 +60,8 @@ def regimes(data: Data) -> Figure | None:
             for sign in (1.0, -1.0):
                 level = np.full(x.size, sign * float(floor))
                 traces.append(Trace(x, level, "noise floor", "limit"))
-        title = f"{curve.get('channel')} in {str(curve.get('maneuver', '')).replace('_', ' ')}"
+        flown = str(curve.get("maneuver", ""))
+        title = f"{curve.get('channel')} in {KIND_WORDS.get(flown, flown.replace('_', ' '))}"
         panels.append(Panel(title, label, f"mean error, {unit(str(curve.get('unit', '')))}", tuple(traces)))
     if not panels:
         return None
