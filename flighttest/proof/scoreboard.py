@@ -67,7 +67,10 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     ]
     gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
     covered = [o.coverage for o in flown if np.isfinite(o.coverage)]
-    extra = sum(bool(set(o.named) - _hidden(o)) for o in single + pairs)
+    hiding = [
+        o for o in flown if o.kind in ("single", "pair")
+    ]  # of whatever size: a wrong name is wrong beside a small effect, too
+    extra = sum(bool(set(o.named) - _hidden(o)) for o in hiding)
     return {
         "trials": len(outcomes),
         "flown": len(flown),
@@ -78,7 +81,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "pairs": (sum(all(right(o, e) for e in o.hide) for o in pairs), len(pairs)),
         "outside_misnamed": (sum(bool(o.named) for o in outside), len(outside)),
         "outside_located": (sum(o.located for o in outside), len(outside)),
-        "extra_names": (extra, len(single) + len(pairs)),
+        "extra_names": (extra, len(hiding)),
         "force_ratio_median_error": float(np.median(np.abs(np.array(ratios) - 1))) if ratios else None,
         "force_ratios": len(ratios),
         "coverage_mean": float(np.mean(covered)) if covered else None,
@@ -139,7 +142,7 @@ def markdown(outcomes: Sequence[Outcome], seed: int, commit: str, generator: Gen
         f"- false alarms on clean trials: {share(*s['false_alarms'])}",
         f"- two effects, both named: {share(*s['pairs'])}",
         f"- physics outside the catalogue: wrongly named {share(*s['outside_misnamed'])}; located {share(*s['outside_located'])}",
-        f"- a further name besides the right one: {share(*s['extra_names'])}",
+        f"- something named that was not hidden, where something was: {share(*s['extra_names'])}",
         f"- magnitude (RMS force): median error {_percent(s['force_ratio_median_error'])} over {s['force_ratios']} effects",
         f"- of the error above the noise floor on held-out steps, gone: median {_percent(s['gain_median'])}",
         f"- held-out repeats inside the 95 % intervals of the diagnosed model: mean {_percent(s['coverage_mean'])}; between "
