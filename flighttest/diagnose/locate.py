@@ -189,7 +189,7 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
                 share,
                 p_value,
                 floor.at(name, kind),
-                (name, kind) in floor.lack_by_kind,
+                floor.repeated(name, kind),
             )
         )
         del c

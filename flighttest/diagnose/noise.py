@@ -50,9 +50,13 @@ class Floor:
         """The floor of one channel."""
         return self.std[channel]
 
+    def repeated(self, channel: str, kind: str) -> bool:
+        """Whether repeats say what the floor of this channel is in this kind of maneuver."""
+        return (channel, kind) in self.lack_by_kind
+
     def at(self, channel: str, kind: str) -> float:
         """The floor of one channel in one kind of maneuver: where none of its steps was repeated, no less than what estimators wander."""
-        if (channel, kind) in self.lack_by_kind:
+        if self.repeated(channel, kind):
             return self.std[channel]
         return max(self.std[channel], WANDER.get(channel, 0.0))
 
@@ -68,9 +72,9 @@ class Floor:
         look at). Where steps were repeated it is what the repeats share that counts (lack of fit), since a gusty response is no fault of
         the model."""
         ratio = mean_square / self.at(channel, kind) ** 2
-        if ratio <= (LEAST_RATIO if (channel, kind) in self.lack_by_kind else GUESSED_RATIO):
+        if ratio <= (LEAST_RATIO if self.repeated(channel, kind) else GUESSED_RATIO):
             return False
-        if (channel, kind) in self.lack_by_kind:
+        if self.repeated(channel, kind):
             lack, cells, repeats, times = self.lack_by_kind[channel, kind]
             # A response whose samples all went astray together is one observation. What stands out by far needs no such caution.
             looks = times if ratio > OUTRIGHT**2 else 1.0

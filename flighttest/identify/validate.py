@@ -125,8 +125,7 @@ def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile
 
 def _residuals(stored: ModelFile, segments: Sequence[Segment]) -> tuple[ResidualTest, ...]:
     """Residual tests with the model's parameters, each segment's initial state and disturbance estimated on it."""
-    windows = [voltage_for(stored, s) for s in segments if s.kind == "free"]
-    windows = windows or [voltage_for(stored, s) for s in segments]
+    windows = [voltage_for(stored, s) for s in [s for s in segments if s.kind == "free"] or segments]
     try:
         problem = Problem.build(windows, stored.model, select="all", values=stored.values)
     except FitError:  # nothing moves any reference: there is nothing to be independent of

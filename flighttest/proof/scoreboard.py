@@ -67,9 +67,8 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     ]
     gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
     covered = [o.coverage for o in flown if np.isfinite(o.coverage)]
-    hiding = [
-        o for o in flown if o.kind in ("single", "pair")
-    ]  # of whatever size: a wrong name is wrong beside a small effect, too
+    # Of whatever size: a wrong name is wrong beside a small effect, too.
+    hiding = [o for o in flown if o.kind in ("single", "pair")]
     extra = sum(bool(set(o.named) - _hidden(o)) for o in hiding)
     return {
         "trials": len(outcomes),

@@ -376,4 +376,4 @@ MAKERS: dict[int, Maker] = {
     book.MAVLINK_MSG_ID_DISTANCE_SENSOR: _silent,
     book.MAVLINK_MSG_ID_WIND: _silent,
 }
-"""Every message that can be asked for, by id; None means: accepted, but silent for now."""
+"""Every message that can be asked for, by id; None means: accepted, and nothing is there to send."""

@@ -14,7 +14,6 @@ from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_f
 from flighttest.diagnose.plausible import does_not_stand_out, impossible
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
-from flighttest.diagnose.unknown import _sparse
 
 
 def rows_of(residual, columns, segments=20, channel=None):
@@ -129,16 +128,6 @@ def test_explained_variance_sees_a_regime_and_nothing_in_noise(rng):
     share, p = explained_by(rng.normal(size=1500), height, response, 0)
     assert share < 0.05
     assert p > 0.01
-
-
-def test_sparse_regression_keeps_the_one_function_that_is_there(rng):
-    x = rng.normal(size=(600, 6))
-    r = 2.0 * x[:, 3] ** 2 + rng.normal(0, 0.3, 600)
-    table = {f"x{k}": x[:, k] for k in range(6)} | {f"x{k}^2": x[:, k] ** 2 for k in range(6)}
-    chosen, left = _sparse(r, table, np.arange(600) % 5)
-    assert chosen == ["x3^2"]
-    assert left < 0.1
-    assert _sparse(rng.normal(size=600), table, np.arange(600) % 5)[0] == []
 
 
 @pytest.mark.parametrize(

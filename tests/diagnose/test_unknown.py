@@ -26,3 +26,14 @@ def test_what_is_no_better_than_nothing_is_no_description():
     sign = np.array([1.0, -1.0, 1.0, -1.0])[fold]
     r = 3.0 * sign + table["w"] + 0.1 * rng.standard_normal(600)
     assert _sparse(r, table, fold) == ([], 1.0)
+
+
+def test_sparse_regression_keeps_the_one_function_that_is_there():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(600, 6))
+    r = 2.0 * x[:, 3] ** 2 + rng.normal(0, 0.3, 600)
+    table = {f"x{k}": x[:, k] for k in range(6)} | {f"x{k}^2": x[:, k] ** 2 for k in range(6)}
+    chosen, left = _sparse(r, table, np.arange(600) % 5)
+    assert chosen == ["x3^2"]
+    assert left < 0.1
+    assert _sparse(rng.normal(size=600), table, np.arange(600) % 5)[0] == []
