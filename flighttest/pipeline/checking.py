@@ -58,8 +58,9 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     prior = predictor_for(model, declared)
     hover = float(prior.hover_throttle(np.array([declared.nominal_voltage_v]))[0])
     if not HOVERS[0] < hover < HOVERS[1]:
+        whose = model or "the vehicle as declared"
         raise InputError(
-            f"{model or 'the vehicle as declared'}: at this vehicle's {declared.nominal_voltage_v:g} V the model hovers at {100 * hover:.1f} % throttle: it is of "
+            f"{whose}: at this vehicle's {declared.nominal_voltage_v:g} V the model hovers at {100 * hover:.1f} % throttle: it is of "
             "another vehicle, or does not know its thrust",
             "name the vehicle with --vehicle, or another model",
         )
