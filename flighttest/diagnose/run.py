@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.diagnose.another_way import another_way
 from flighttest.diagnose.baselines import baselines
 from flighttest.diagnose.bench import BLOCKS, Bench
 from flighttest.diagnose.findings import finding, parameter_table
@@ -18,6 +19,7 @@ from flighttest.diagnose.next_flight import Question, propose
 from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.pairs import look_ahead
+from flighttest.diagnose.remainders import drop_remainders
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
 from flighttest.diagnose.rows import RESOLUTION
 from flighttest.diagnose.search import Search
@@ -103,6 +105,9 @@ def diagnose(
         )  # fmt: skip
         try:
             search.run(own, min((bench.start(own, values) for values in starts), key=lambda state: state.objective))
+            drop_remainders(search)
+            search, as_well = another_way(search)
+            notes += [as_well] * bool(as_well)
         except KeyboardInterrupt:
             complete = False
             notes.append("interrupted: candidates not tried are not in this answer")

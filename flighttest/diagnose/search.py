@@ -84,6 +84,11 @@ class Search:
         self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Search from the present model until nothing more joins it."""
+        assert self.now is not None
         joined, passes = True, 0
         while joined and passes < PASSES and len(self.judged) < MOST_TERMS:
             passes += 1

@@ -281,6 +281,26 @@ def test_what_the_rate_loop_is_told_beforehand_makes_the_second_order_follow_the
     assert ahead[1.0] - ahead[0.0] == pytest.approx(2 * zeta / omega * 0.7)
 
 
+def autopilots_own(reference, acceleration, tc, duration_s, dt=0.0025):
+    """The target as ArduPilot moves it, one loop of 400 Hz after the other."""
+    angle, rate, out = 0.0, 0.0, []
+    for _ in range(int(duration_s / dt)):
+        error, linear = reference - angle, acceleration * tc**2
+        far = np.copysign(np.sqrt(2 * acceleration * max(abs(error) - linear / 2, 0.0)), error)
+        wanted = error / tc if abs(error) <= linear else far
+        rate += np.clip(wanted - rate, -acceleration * dt, acceleration * dt)
+        angle += rate * dt
+        out.append(angle)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("acceleration", [6.4, 19.2])
+def test_the_shaped_target_is_the_autopilots_own(acceleration):
+    values = {"shaping_accel": acceleration, "shaping_tc": 0.15, "shaping_ff": 0.0}
+    ours = simulate("reference_shaping", values, 0.5, 0.8, dt=0.0005)[4::5]
+    assert np.abs(ours - autopilots_own(0.5, acceleration, 0.15, 0.8)).max() < 0.008
+
+
 def test_a_small_step_is_shaped_linearly():
     small = simulate("reference_shaping", {"shaping_accel": 20.0, "shaping_tc": 0.15, "shaping_ff": 0.0}, 0.05, 0.6)
     large = simulate("reference_shaping", {"shaping_accel": 20.0, "shaping_tc": 0.15, "shaping_ff": 0.0}, 0.10, 0.6)

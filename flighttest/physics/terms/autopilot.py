@@ -10,8 +10,9 @@ from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, St
 
 Values = Mapping[str, Expr]
 
-# Corner of the acceleration limit: the rate error over which it is reached is the limit times this, s.
-_CORNER_S = 0.02
+# How fast a shaped target's rate catches up with the wanted one where its acceleration allows, s: the autopilot does it in one cycle,
+# the integration steps of a fit are longer.
+_CATCH_UP_S = 0.015
 
 
 def _boost(s: Signals, p: Values, _x: Values) -> Contribution:
@@ -80,12 +81,17 @@ rate_limit = Term(
 )  # fmt: skip
 
 
-def _square_root(error: Expr, p: Expr, acceleration: Expr) -> Expr:
-    """ArduPilot's sqrt_controller: proportional near zero, constant deceleration beyond `acceleration / p^2`."""
+def _within(x: Expr, limit: Expr) -> Expr:
+    """x limited to +-limit."""
+    return ca.fmin(ca.fmax(x, -limit), limit)
+
+
+def _square_root(error: Expr, p: Expr, acceleration: Expr) -> tuple[Expr, Expr]:
+    """ArduPilot's sqrt_controller: proportional near zero, constant deceleration beyond `acceleration / p^2`; and its slope."""
     linear = acceleration / p**2
     size = ca.fabs(error)
     far = ca.sqrt(2 * acceleration * ca.fmax(size - linear / 2, linear / 2))
-    return ca.if_else(size > linear, ca.sign(error) * far, p * error)
+    return ca.if_else(size > linear, ca.sign(error) * far, p * error), ca.if_else(size > linear, acceleration / far, p)
 
 
 def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
@@ -98,9 +104,11 @@ def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
     ):
         target = angle + x[f"{axis}_target_ahead_rad"]
         target_rate = x[f"{axis}_target_rate_rad_s"]
-        wanted = _square_root(reference - target, 1 / tc, acceleration)
+        wanted, slope = _square_root(reference - target, 1 / tc, acceleration)
         rates[f"{axis}_target_ahead_rad"] = target_rate - rate
-        rates[f"{axis}_target_rate_rad_s"] = acceleration * ca.tanh((wanted - target_rate) / (acceleration * _CORNER_S))
+        # The wanted rate falls on the way to the target; without its slope the target would brake late and run past.
+        asked = (wanted - target_rate) / _CATCH_UP_S - slope * target_rate
+        rates[f"{axis}_target_rate_rad_s"] = _within(asked, acceleration)
         # What the rate loop is told beforehand: the second order then follows the target's angle and rate.
         ahead = 2 * s.base[f"zeta_{greek}"] / s.base[f"omega_{greek}"] * target_rate
         targets[f"{axis}_ref"] = target + p["shaping_ff"] * ahead
@@ -132,7 +140,7 @@ reference_shaping = Term(
     plain="the autopilot rounds off the reference before it follows it: large steps answer in another shape than small ones; this is "
     "no physics of the vehicle",
     source="ArduPilot AC_AttitudeControl::input_shaping_angle, sqrt_controller",
-    doubt="the corner of the acceleration limit is rounded over 20 ms; the target starts where the vehicle is",
+    doubt="the rate catches up over 15 ms instead of one cycle; the target starts where the vehicle is",
     hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "T_d"),
     told_apart_by="two amplitudes",
     reveals="roll_pitch",
@@ -149,7 +157,7 @@ reference_shaping = Term(
 def _yaw_shaping(s: Signals, p: Values, x: Values) -> Contribution:
     ahead, acceleration = x["yaw_rate_target_ahead_rad_s"], p["shaping_yaw_accel"]
     target = s.yaw_rate + ahead
-    target_dot = acceleration * ca.tanh((s.yaw_rate_ref - target) / (acceleration * _CORNER_S))
+    target_dot = _within((s.yaw_rate_ref - target) / _CATCH_UP_S, acceleration)
     # The rate loop then answers the shaped target: yaw_rate_dot = sigma_r ahead.
     return Contribution(
         {"yaw_rate_ref": target}, {"yaw_rate_target_ahead_rad_s": target_dot - s.base["sigma_r"] * ahead}

@@ -225,7 +225,9 @@ thrust_fade = Term(
 
 def _sag(s: Signals, p: Values, x: Values) -> Contribution:
     fresh = x["load_fresh"]
-    load_rate = s.base["sigma_t"] * (body.thrust_command(s) - s.a_t) / s.base["K"]
+    # Current follows the power of the rotors, and that thrust to 3/2 (momentum theory); the rate is the derivative of this load.
+    gain = s.base["K"]
+    load_rate = 1.5 * ca.sqrt(ca.fmax(s.a_t / gain, 1e-4)) * s.base["sigma_t"] * (body.thrust_command(s) - s.a_t) / gain
     return Contribution(-p["sag_v"] * fresh, {"load_fresh": load_rate - fresh / p["sag_tau"]})
 
 
@@ -244,7 +246,7 @@ voltage_sag = Term(
         ),
     ),
     build=_sag,
-    equation="U <- U_logged - dU x, x_dot = (a_t / K)_dot - x / tau_U",
+    equation="U <- U_logged - dU x, x_dot = d/dt (a_t / K)^(3/2) - x / tau_U",
     plain="the voltage at the motors drops with the load before the logged voltage shows it",
     source="equivalent circuit of a battery behind a filtered monitor",
     doubt="its static part is the same as a curved throttle (cosine 0.999); only its dynamics is in this term",

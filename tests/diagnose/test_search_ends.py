@@ -1,0 +1,99 @@
+"""What is done when nothing more joins: remainders of an equation go, and a model with fewer names is looked for."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flighttest.diagnose import another_way as other
+from flighttest.diagnose import remainders
+from flighttest.diagnose.fitted import Judged
+from flighttest.diagnose.search import Search
+
+PLACE = ("roll_rad", "roll_step")
+
+
+def judged(term, size, place=PLACE):
+    effect = np.zeros(20)
+    effect[:10] = size
+    return Judged(term, -100.0, 2.0, place, 0.5, 0.001, effect, effect)
+
+
+def ended(*terms):
+    search = SimpleNamespace(
+        judged={j.term: j for j in terms},
+        refused={},
+        now=SimpleNamespace(rows=None),
+        bench=SimpleNamespace(segments=()),
+        progress=lambda _text: None,
+        without=lambda term: SimpleNamespace(rows=None, without=term),
+    )
+    search.judge = lambda term, _before, _after, _p: search.judged[term]
+    return search
+
+
+@pytest.fixture(autouse=True)
+def two_places(monkeypatch):
+    table = {PLACE: np.arange(10), ("vz_m_s", "thrust_step"): np.arange(10, 20)}
+    monkeypatch.setattr(remainders, "places", lambda _rows, _segments: table)
+
+
+def test_what_mends_another_equation_is_not_named():
+    search = ended(judged("reference_shaping", 1.0), judged("rate_limit", 0.02), judged("attitude_extra_pole", 0.01))
+    remainders.drop_remainders(search)
+    assert list(search.judged) == ["reference_shaping"]
+    assert search.now.without == "rate_limit"
+    assert "2.0 % of what reference_shaping does" in search.refused["rate_limit"].reason
+
+
+def test_a_small_effect_where_nothing_else_acts_stays():
+    small = judged("rotor_speed_lag", 0.0, ("vz_m_s", "thrust_step"))
+    small = replace(small, effect=np.r_[np.zeros(10), np.full(10, 0.02)])
+    search = ended(judged("reference_shaping", 1.0), small, judged("rate_limit", 0.3))
+    remainders.drop_remainders(search)
+    assert set(search.judged) == {"reference_shaping", "rotor_speed_lag", "rate_limit"}
+
+
+@dataclass
+class Scripted(Search):
+    """A search whose course is known: what is found depends on what the pool lacks."""
+
+    course: dict = field(default_factory=dict)
+
+    def go_on(self):
+        ids = {t.id for t in self.pool}
+        found = self.judged or self.course["without a" if "a" not in ids else "all"]
+        self.judged = {t: judged(t, 1.0) for t in found}
+
+
+def searched(monkeypatch, worth, alternative):
+    found = {"all": ["a", "b", "c"], "without a": alternative}
+    pool = tuple(SimpleNamespace(id=t) for t in "abcde")
+    monkeypatch.setattr(other, "explained", lambda s: worth[tuple(s.judged)])
+    search = Scripted(SimpleNamespace(segments=()), pool, np.zeros(3, dtype=np.intp), course=found)
+    search.base = search.now = SimpleNamespace(rows=None)
+    search.go_on()
+    return other.another_way(search)
+
+
+def test_fewer_names_that_explain_nearly_as_much_are_believed(monkeypatch):
+    search, said = searched(monkeypatch, {("a", "b", "c"): 1000.0, ("d", "e"): 970.0}, ["d", "e"])
+    assert list(search.judged) == ["d", "e"]
+    assert said.startswith("a, b and c together would explain these flights as well as d and e")
+
+
+def test_fewer_names_that_explain_less_are_not(monkeypatch):
+    search, said = searched(monkeypatch, {("a", "b", "c"): 1000.0, ("d", "e"): 900.0}, ["d", "e"])
+    assert (list(search.judged), said) == (["a", "b", "c"], "")
+
+
+def test_another_course_that_explains_more_is_taken(monkeypatch):
+    search, said = searched(monkeypatch, {("a", "b", "c"): 1000.0, ("b", "c", "d", "e"): 1200.0}, ["b", "c", "d", "e"])
+    assert (list(search.judged), said) == (["b", "c", "d", "e"], "")
+
+
+def test_a_second_course_is_not_tried_for_two_terms(monkeypatch):
+    monkeypatch.setattr(other, "explained", lambda _s: pytest.fail("no second search was due"))
+    search = Scripted(SimpleNamespace(segments=()), (), np.zeros(3, dtype=np.intp), judged={"a": 1, "b": 2})
+    assert other.another_way(search) == (search, "")
