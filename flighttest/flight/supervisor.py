@@ -54,7 +54,6 @@ def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
         "silence_s": state.silence_s,
     }
     cockpit.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
-    cockpit.expect(*modes, CopterMode.GUIDED_NOGPS)
     return _until_mode(cockpit, modes, cockpit.release)
 
 
@@ -63,15 +62,20 @@ def _until_mode(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Call
     next_ask = began
     heard_again = began
     index = 0
+    # Only what was asked for: a pilot who chooses another mode meanwhile, be it one of ours, has taken over.
+    asked = modes[:1]
+    cockpit.expect(*asked, CopterMode.GUIDED_NOGPS)
     while True:
         now = cockpit.session.now_s()
         if now >= next_ask:
             if cockpit.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
                 index = min(index + 1, len(modes) - 1)
+                asked = modes[: index + 1]
+                cockpit.expect(*asked, CopterMode.GUIDED_NOGPS)
             cockpit.vehicle.ask_mode(modes[index])
             next_ask = now + ASK_EVERY_S
         state = cockpit.cycle()
-        if state.mode in modes and state.mode_age_s < 1.5 and state.silence_s < 1.0:
+        if state.mode in asked and state.mode_age_s < 1.5 and state.silence_s < 1.0:
             reached = CopterMode(state.mode)
             cockpit.expect(reached)
             cockpit.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})

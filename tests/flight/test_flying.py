@@ -8,6 +8,8 @@ import pytest
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, fly, legs_flown
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
 from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
@@ -125,6 +127,26 @@ def test_a_refused_target_is_dropped_and_level_targets_follow_in_the_same_cycle(
     abort = next(m for m in open_run(run_dir).markers if m.kind == "abort")
     assert abort.data["modes"][0] == "BRAKE"
     assert min(abs(t - abort.t_s) for t, _ in tilts) < 1e-3
+
+
+def test_a_pilot_who_lands_during_an_abort_has_taken_over(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LAND is the last of the abort's modes, but nobody asked for it yet; the asking for BRAKE is lost on the way."""
+    link = FaultyLink(options())
+    asked: list[float] = []
+
+    def lost(vehicle: ArduPilot, mode: CopterMode) -> None:
+        if mode is CopterMode.BRAKE:
+            asked.append(vehicle.session.now_s())
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LAND))
+        else:
+            ask(vehicle, mode)
+
+    ask = ArduPilot.ask_mode
+    monkeypatch.setattr(ArduPilot, "ask_mode", lost)
+    bad = make_leg("bad", lambda t: AttitudeTarget(t, 0.7 if t > 0.5 else 0.0, 0.0, 0.0, 0.17))
+    result = fly(make_plan(bad, make_leg("good")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert max(t for t, _ in link.sent) <= asked[0] + 0.15
 
 
 def test_a_step_refused_twice_is_left_out(run_dir: Path) -> None:
