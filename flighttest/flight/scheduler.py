@@ -59,6 +59,8 @@ class Scheduler:
                 return FlightOutcome.OPERATOR_STOP
         if not in_air:
             return FlightOutcome.COMPLETED
+        if self.cockpit.stop_asked:
+            return FlightOutcome.OPERATOR_STOP
         self.take_off()
         outcome = self._legs(in_air)
         if outcome is not FlightOutcome.OPERATOR_ABORT:
@@ -68,7 +70,7 @@ class Scheduler:
     # -- up and down ---------------------------------------------------------------------------------------------------------
 
     def take_off(self) -> None:
-        """Arm and climb to the reset height."""
+        """Arm and climb to the reset height, or as far as the operator lets it."""
         cockpit, vehicle = self.cockpit, self.cockpit.vehicle
         height = self.plan.reset.to_m[2]
         by_position = self.plan.reset.by != "attitude"
@@ -94,7 +96,7 @@ class Scheduler:
         deadline = self.cockpit.session.now_s() + _TAKE_OFF_S
         while self.cockpit.session.now_s() < deadline:
             state = self.cockpit.cycle()
-            if state.height_m is not None and state.height_m >= height - 0.5:
+            if self.cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
                 return
         raise LinkError(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s", "look at its messages")
 
@@ -106,7 +108,7 @@ class Scheduler:
         while cockpit.session.now_s() < deadline:
             state = cockpit.state
             climb = state.climb_m_s or 0.0
-            if state.height_m is not None and state.height_m >= height - 0.5:
+            if cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
                 return
             ramp = min((cockpit.session.now_s() - began) / 4.0, 1.0)
             throttle = cockpit.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))

@@ -167,6 +167,47 @@ def test_ctrl_c_once_lands(run_dir: Path) -> None:
     assert not result.parameters_left
 
 
+@pytest.mark.parametrize(
+    ("presses", "by", "outcome"),
+    [
+        (1, "guided", FlightOutcome.OPERATOR_STOP),
+        (1, "attitude", FlightOutcome.OPERATOR_STOP),
+        (2, "guided", FlightOutcome.OPERATOR_ABORT),
+    ],
+)
+def test_ctrl_c_in_the_climb_does_not_wait_for_its_end(
+    presses: int, by: str, outcome: FlightOutcome, run_dir: Path
+) -> None:
+    link = FaultyLink(options())
+    heights: list[float] = []
+
+    def pressed() -> int:
+        height = float(link.sim.vehicle.motion.pz)
+        heights.append(height)
+        return presses if max(heights) > 1.0 else 0
+
+    plan = make_plan()
+    result = fly(
+        replace(plan, reset=replace(plan.reset, by=by)), "sim", run_dir, transport=link, stop_requested=pressed
+    )
+    assert result.outcome is outcome
+    assert max(heights) < 3.0
+    assert link.sim.vehicle.armed is (outcome is FlightOutcome.OPERATOR_ABORT)
+
+
+def test_ctrl_c_before_the_take_off_arms_nothing(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    armed: list[bool] = []
+
+    def pressed() -> int:
+        armed.append(bool(link.sim.vehicle.armed))
+        return 1
+
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=pressed)
+    assert result.outcome is FlightOutcome.OPERATOR_STOP
+    assert not any(armed)
+
+
 def test_ctrl_c_twice_leaves_the_vehicle_in_its_abort_mode(run_dir: Path) -> None:
     link = FaultyLink(options())
     began = step_time(link)
