@@ -85,6 +85,11 @@ class Cockpit:
         """Mode changes and disarming are fine again (landing, or the pilot flies by agreement)."""
         self._owned = False
 
+    @property
+    def owned(self) -> bool:
+        """Whether the vehicle is ours to fly: neither before take-off, nor while the pilot has it."""
+        return self._owned
+
     def expect(self, *modes: CopterMode) -> None:
         """Modes that are about to be asked for: seeing one of them is no take-over, the present one stays allowed until then."""
         self._before = self.vehicle.mode

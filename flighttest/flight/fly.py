@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -12,7 +13,7 @@ import numpy as np
 
 import flighttest
 from flighttest.errors import FlighttestError, LinkError, PreflightError
-from flighttest.flight import preflight
+from flighttest.flight import preflight, supervisor
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
@@ -26,6 +27,7 @@ from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
+from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
 from flighttest.recording.store import read_events
@@ -166,6 +168,10 @@ class _Flight:
                 # The vehicle is in the air, or may be: land it with what is left of the link, then say what happened.
                 why = str(error)
                 outcome = self._land_after(scheduler, error)
+            except Exception:
+                # A defect of ours must not leave the vehicle with a step's throttle. It is reported as what it is, after that.
+                self._let_go(cockpit)
+                raise
         except FlighttestError as error:
             self.recorder.manifest["outcome"] = str(error)
             raise
@@ -351,14 +357,24 @@ class _Flight:
     # -- after ---------------------------------------------------------------------------------------------------------------
 
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
-        if self.session.silence_s > 5.0 or not self.vehicle.armed:
-            return FlightOutcome.LINK_LOST if self.session.silence_s > 5.0 else FlightOutcome.VEHICLE_REFUSED
+        if self.session.silence_s > 5.0:
+            return FlightOutcome.LINK_LOST
+        if not self.vehicle.armed:
+            return FlightOutcome.VEHICLE_REFUSED
+        if not scheduler.cockpit.owned:
+            return FlightOutcome.LEFT_TO_PILOT
         self._note(f"landing after: {error.message}")
         try:
             scheduler.land()
         except FlightEnded as ended:
             return ended.outcome
         return FlightOutcome.VEHICLE_REFUSED
+
+    def _let_go(self, cockpit: Cockpit) -> None:
+        if cockpit.owned and cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+            # Whatever fails again here is the lesser news.
+            with contextlib.suppress(Exception):
+                supervisor.abort(cockpit, ("the program failed",))
 
     def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""

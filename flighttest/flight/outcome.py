@@ -19,13 +19,19 @@ class FlightOutcome(Enum):
     LINK_LOST = "the link to the vehicle was lost and did not come back"
     OPERATOR_STOP = "the operator stopped the flight; the vehicle landed"
     OPERATOR_ABORT = "the operator stopped the flight at once; the vehicle was left in its abort mode"
+    LEFT_TO_PILOT = "the flight ended while the pilot had the vehicle, by agreement: it is the pilot's to land; nothing more was sent"
     VEHICLE_REFUSED = "the vehicle refused a command; the flight ended"
     DISARMED = "the vehicle disarmed by itself during the flight"
 
     @property
     def usable(self) -> bool:
-        """Whether the flight ended as planned or as the operator or the battery wished: its legs are complete."""
-        return self in (FlightOutcome.COMPLETED, FlightOutcome.OPERATOR_STOP, FlightOutcome.BATTERY)
+        """Whether the flight ended as planned or as the operator, the pilot or the battery wished: its legs are complete."""
+        return self in (
+            FlightOutcome.COMPLETED,
+            FlightOutcome.OPERATOR_STOP,
+            FlightOutcome.LEFT_TO_PILOT,
+            FlightOutcome.BATTERY,
+        )
 
 
 class LegOutcome(Enum):

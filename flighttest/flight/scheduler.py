@@ -63,6 +63,8 @@ class Scheduler:
             return FlightOutcome.OPERATOR_STOP
         self.take_off()
         outcome = self._legs(in_air)
+        if not self.cockpit.owned:
+            return FlightOutcome.LEFT_TO_PILOT
         if outcome is not FlightOutcome.OPERATOR_ABORT:
             self.land()
         return outcome

@@ -195,6 +195,38 @@ def test_ctrl_c_in_the_climb_does_not_wait_for_its_end(
     assert link.sim.vehicle.armed is (outcome is FlightOutcome.OPERATOR_ABORT)
 
 
+def test_a_vehicle_that_the_pilot_has_is_the_pilots_to_land(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    waiting: list[float] = []
+
+    def pilot(progress: FlightProgress) -> None:
+        if "waiting for the pilot" in progress.doing:
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+            waiting.append(progress.t_s)
+
+    result = fly(
+        make_plan(by="pilot"),
+        "sim",
+        run_dir,
+        transport=link,
+        on_progress=pilot,
+        stop_requested=lambda: int(len(waiting) > 3),
+    )
+    assert result.outcome is FlightOutcome.LEFT_TO_PILOT
+    assert link.sim.vehicle.mode == CopterMode.LOITER
+    assert link.sim.vehicle.armed
+
+
+def test_a_defect_of_ours_in_a_step_lets_the_vehicle_go(run_dir: Path) -> None:
+    def broken(t_s: float) -> AttitudeTarget:
+        return AttitudeTarget(t_s, 0.3 / (t_s < 0.7), 0.0, 0.0, 0.17)
+
+    link = FaultyLink(options())
+    with pytest.raises(ZeroDivisionError):
+        fly(make_plan(make_leg("a", broken)), "sim", run_dir, transport=link)
+    assert link.sim.vehicle.mode == CopterMode.BRAKE
+
+
 def test_ctrl_c_before_the_take_off_arms_nothing(run_dir: Path) -> None:
     link = FaultyLink(options())
     armed: list[bool] = []
