@@ -18,6 +18,7 @@ from flighttest.mavlink.telemetry import Rule, rules_of
 FloatArray = NDArray[np.float64]
 
 VOLTAGE_MEAN_S = 2.0
+VOLTAGE_LOST_S = 10.0  # without a new one: then the battery is not known any more
 _PRESSURE_SCALE_M, _PRESSURE_EXPONENT = 44330.8, 0.190263  # international standard atmosphere
 _FRESH_S = 1.0  # a preferred message older than this gives way to the next one of its group
 
@@ -140,7 +141,8 @@ class StateReader:
             velocity = tuple(v[n] for n in names("velocity"))
             position_age = now - local.t_s
         height, climb = self._vertical(now, position, velocity, position_age)
-        voltages = [v for _, v in self._voltages]
+        heard = bool(self._voltages) and now - self._voltages[-1][0] <= VOLTAGE_LOST_S
+        voltages = [v for _, v in self._voltages] if heard else []
         ekf = session.latest.get("EKF_STATUS_REPORT")
         flags = int(ekf.message.flags) if ekf else 0
         return VehicleState(
