@@ -30,7 +30,8 @@ _STOP_PATIENCE_S = 3.0
 # Full roll of ArduCopter's stock simulated quadrotor makes 404 rad/s^2. About half the default gain: these rotors have a lag, the
 # stock ones have none.
 _STOCK_ROLL_RAD_S2, _ROLL_P, _ROLL_D = 404.0, 0.07, 0.0015
-_YAW_BANDWIDTH_1_S = 10.0
+# A yaw rate loop of this bandwidth rings behind the stock error filter of 2.5 Hz and heading gain of 4.5: a pilot would tune both.
+_YAW_BANDWIDTH_1_S, _YAW_FILTER_HZ, _HEADING_P = 10.0, 20.0, 2.0
 _GAIN_LIMITS = (0.01, 0.5)
 
 
@@ -79,6 +80,8 @@ def firmware_parameters(options: SimOptions) -> dict[str, float]:
         "ATC_RAT_PIT_D": pitch * d,
         "ATC_RAT_YAW_P": yaw,
         "ATC_RAT_YAW_I": 0.1 * yaw,
+        "ATC_RAT_YAW_FLTE": _YAW_FILTER_HZ,
+        "ATC_ANG_YAW_P": _HEADING_P,
         **options.parameters,
     }
 
