@@ -37,7 +37,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Judged:
-    """What a term adds: change of the information criterion, size in floors and where, share of the held-out excess it takes.
+    """What a term adds: change of the information criterion, size in floors and where, share it takes of the held-out excess (`_gain`).
 
     effect, own: (measured rows,) what it changes in predictions, and with every response's locals projected out, in the channels' units.
     """
@@ -84,12 +84,7 @@ def judge(
     bic = information(before.rows, before.state, after.rows, after.state, len(after.names) - len(before.names))
     effect = _change(after.rows, before.rows.open_residual, after.rows.open_residual)
     floors, place = size_in_floors(after.rows, effect, segments, floor)
-    gain = 0.0
-    if place in (table := places(after.rows, segments)):
-        at = table[place]
-        ss_b, ss_a = float(np.mean(before_held[at] ** 2)), float(np.mean(after_held[at] ** 2))
-        excess = max(ss_b - floor.of(place[0]) ** 2, LEAST_GAIN * ss_b)
-        gain = (ss_b - ss_a) / excess
+    gain = _gain(before_held, after_held, effect, after, segments, floor, place)
     values = after.state.values
     reason = impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
     if not reason:
@@ -97,6 +92,30 @@ def judge(
         reason = does_not_stand_out(tried, after.model, after.names, values, after.rows, bic)
     own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
     return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
+
+
+def _gain(
+    before_held: FloatArray,
+    after_held: FloatArray,
+    effect: FloatArray,
+    after: Fitted,
+    segments: Sequence[Segment],
+    floor: Floor,
+    largest: tuple[str, str],
+) -> float:
+    """Share of the held-out excess over the floor that is gone, over all places where the effect would be seen (the largest, if nowhere).
+
+    Not at the largest place alone: a base that leaned on that place to copy the effect may do worse there by chance.
+    """
+    taken = excess = 0.0
+    for place, at in places(after.rows, segments).items():
+        std = floor.of(place[0])
+        if place != largest and float(np.sqrt(np.mean(effect[at] ** 2))) < LEAST_FLOORS * std:
+            continue
+        ss_b, ss_a = float(np.mean(before_held[at] ** 2)), float(np.mean(after_held[at] ** 2))
+        taken += at.size * (ss_b - ss_a) / std**2
+        excess += at.size * max(ss_b - std**2, LEAST_GAIN * ss_b) / std**2
+    return taken / excess if excess > 0 else 0.0
 
 
 def _change(rows: Rows, first: FloatArray, second: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ A step forward takes the candidate with the best information criterion among tho
 (sign flips, 1 %), refits it jointly with everything, and keeps it when all of these hold:
 - the information criterion with the effective sample size falls by 10 or more (odds of 150 to 1);
 - somewhere (a channel in a kind of maneuver) the effect has at least half the power of the noise floor (0.7 of its amplitude);
-- there, it takes away at least 5 % of the held-out excess over the floor;
+- over all places where it shows so, it takes away at least 5 % of the held-out excess over the floor;
 - its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise), and where
   the criterion falls but little, or start states are free, its size stands out from its error: freedom is no evidence.
 After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place.

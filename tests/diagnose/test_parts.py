@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.diagnose import fitted
 from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
@@ -273,3 +274,22 @@ def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
     )
     assert repeated.exceeded("pitch_rad", "pitch_step", 1.7e-3**2, 1000.0)
     assert not repeated.exceeded("pitch_rad", "free", 1.7e-3**2, 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("effects", "gain"),
+    [
+        ((2.0, 1.5, 1.0), (-100 + 500 + 400) / (300 + 700 + 400)),  # worse at the largest place, better all told
+        ((2.0, 0.1, 0.1), -100 / 300),  # seen at one place only
+        ((0.2, 0.3, 0.1), 500 / 700),  # seen nowhere: the largest
+    ],
+)
+def test_the_gain_is_over_all_places_where_an_effect_would_be_seen(monkeypatch, effects, gain):
+    table = {("v", name): np.arange(100) + 100 * k for k, name in enumerate("abc")}
+    monkeypatch.setattr(fitted, "places", lambda _rows, _segments: table)
+    before, after = (np.sqrt(np.repeat(ss, 100)) for ss in ((4.0, 8.0, 5.0), (5.0, 3.0, 1.0)))
+    effect = np.repeat(effects, 100)
+    largest = ("v", "abc"[int(np.argmax(effects))])
+    model = SimpleNamespace(rows=None)
+    floor = SimpleNamespace(of=lambda _channel: 1.0)
+    assert fitted._gain(before, after, effect, model, (), floor, largest) == pytest.approx(gain)
