@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.judge import held_out, information, places, size_in_floors
 from flighttest.diagnose.noise import Floor
-from flighttest.diagnose.plausible import does_not_stand_out, impossible
+from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
 from flighttest.diagnose.rows import Rows, State
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
@@ -86,10 +86,12 @@ def judge(
     floors, place = size_in_floors(after.rows, effect, segments, floor)
     gain = _gain(before_held, after_held, effect, after, segments, floor, place)
     values = after.state.values
-    reason = impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
-    if not reason:
-        tried = next(t for t in after.model.built_terms if t.id == term)
-        reason = does_not_stand_out(tried, after.model, after.names, values, after.rows, bic)
+    tried = next(t for t in after.model.built_terms if t.id == term)
+    reason = (
+        impossible(term, after.model, after.names, values, standard_errors(after.rows, after.names))
+        or never_reached(tried, values, segments)
+        or does_not_stand_out(tried, after.model, after.names, values, after.rows, bic)
+    )
     own = _change(after.rows, before.rows.residual * before.rows.scale, after.rows.residual * after.rows.scale)
     return Judged(term, bic, floors, place, gain, p_value, effect, own, reason)
 

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.rows import Rows
+from flighttest.identify.responses import held
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
+from flighttest.segments import Segment
 
 LEAST_SIZE = 4.0  # standard errors
 LEAST_SHARE = 0.2  # of the usual size
@@ -50,6 +52,33 @@ def impossible(
         if abs(value - p.off) > allowed:
             return f"{name} comes out as {value:.3g} {p.unit}, which physics does not allow: it stands in for something else"
     return ""
+
+
+def never_reached(term: Term, values: Mapping[str, float], segments: Sequence[Segment]) -> str:
+    """Why a limit cannot be one, since nothing in the flights went beyond it; '' when something did.
+
+    Limits are soft in the model, and below one the soft corner copies any other bend.
+    """
+    for p in term.params:
+        if not p.limits:
+            continue
+        most = max((_most(p.limits, values, segment) for segment in segments), default=0.0)
+        if most < values[p.name]:
+            return f"{p.name} is {values[p.name]:.3g} {p.unit}, and no more than {most:.3g} was flown: it stands in for something else"
+    return ""
+
+
+def _most(what: str, values: Mapping[str, float], segment: Segment) -> float:
+    """Most of a limited signal in one response: of throttle, or of the rate (rad/s) that angle loops ask for with these parameters."""
+    if what == "throttle":
+        return float(np.max(held(segment.u.get("throttle"), segment.t_s)))
+    asked = [0.0]
+    for axis, greek in (("roll", "phi"), ("pitch", "theta")):
+        angle = segment.y.get(f"{axis}_rad")
+        if angle is not None and f"omega_{greek}" in values:
+            error = np.nanmax(np.abs(held(segment.u.get(f"{axis}_ref_rad"), segment.t_s) - angle), initial=0.0)
+            asked.append(values[f"omega_{greek}"] / (2.0 * values[f"zeta_{greek}"]) * float(error))
+    return max(asked)
 
 
 def does_not_stand_out(

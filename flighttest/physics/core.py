@@ -54,7 +54,8 @@ class Param:
     limit, pole, width, length: without meaning at off; screened on `screen`, three to five declared values). scale: a
     typical size, used to normalise. one_sided: physics allows only the side of `off` on which `nominal` lies (a drag cannot push): an
     estimate well on the other side is another effect in disguise. alone: whether it can be all there is of its term (a wind that only
-    rises cannot: what does that is thrust).
+    rises cannot: what does that is thrust). limits: what it is a limit of, 'throttle' or 'tilt_rate' (what the angle loops ask for): a
+    limit that was not reached cannot be known.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Param:
     screen: tuple[float, ...] = ()
     one_sided: bool = False
     alone: bool = True
+    limits: Literal["", "throttle", "tilt_rate"] = ""
 
 
 @dataclass(frozen=True)

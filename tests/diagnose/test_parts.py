@@ -12,9 +12,10 @@ from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
-from flighttest.diagnose.plausible import does_not_stand_out, impossible
+from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
+from flighttest.physics.catalogue import catalogue
 
 
 def rows_of(residual, columns, segments=20, channel=None):
@@ -293,3 +294,23 @@ def test_the_gain_is_over_all_places_where_an_effect_would_be_seen(monkeypatch, 
     model = SimpleNamespace(rows=None)
     floor = SimpleNamespace(of=lambda _channel: 1.0)
     assert fitted._gain(before, after, effect, model, (), floor, largest) == pytest.approx(gain)
+
+
+@pytest.mark.parametrize(
+    ("term", "limit", "reached"),
+    [
+        ("motor_saturation", {"T_max": 0.45}, True),
+        ("motor_saturation", {"T_max": 0.55}, False),
+        # A step of 0.4 rad asks for 20 / (2 0.5) 0.4 = 8 rad/s.
+        ("rate_limit", {"rate_max": 7.0}, True),
+        ("rate_limit", {"rate_max": 9.0}, False),
+        ("reference_shaping", {}, True),
+    ],
+)
+def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
+    t = np.linspace(0.0, 1.0, 21)
+    roll = np.where(t < 0.5, 0.0, 0.4 * (1 - np.exp(-(t - 0.5) / 0.1)))
+    references = {"roll_ref_rad": (np.array([0.0, 0.5]), np.array([0.0, 0.4])), "throttle": (t[:1], np.array([0.5]))}
+    step = SimpleNamespace(t_s=t, y={"roll_rad": roll}, u=references)
+    values = {"omega_phi": 20.0, "zeta_phi": 0.5, **limit}
+    assert (never_reached(catalogue()[term], values, [step]) == "") is reached

@@ -94,7 +94,7 @@ motor_saturation = Term(
     params=(
         Param(
             "T_max", "T_max", "1", 0.8, 0.02, 1.2, 0.05, "throttle above which there is no more thrust",
-            "MOT_SPIN_MAX, current limits", "shape", None, (0.25, 0.35, 0.5, 0.7, 0.9),
+            "MOT_SPIN_MAX, current limits", "shape", None, (0.25, 0.35, 0.5, 0.7, 0.9), limits="throttle",
         ),
     ),
     build=_saturation,
