@@ -16,7 +16,8 @@ NEARLY = 0.95  # of what one model explains: another that explains as much is as
 def another_way(search: Search) -> tuple[Search, str]:
     """The search itself, or one that began without its first term; and what is to be said where both explain the flights.
 
-    Kept is the model that explains more (information criterion), of two that explain nearly as much the one with fewer terms.
+    Kept is the model that explains more (information criterion), of two that explain nearly as much the one with fewer terms. A model
+    that only lacks some of the terms is no other way: each of them earned its place beside the others.
     """
     if len(search.judged) < MANY:
         return search, ""
@@ -29,7 +30,7 @@ def another_way(search: Search) -> tuple[Search, str]:
     other.pool = search.pool
     other.go_on()
     drop_remainders(other)
-    if set(other.judged) == set(search.judged):
+    if set(other.judged) <= set(search.judged):
         return search, ""
     by_worth = sorted((search, other), key=explained)
     lesser, best = by_worth

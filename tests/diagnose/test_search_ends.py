@@ -93,6 +93,11 @@ def test_another_course_that_explains_more_is_taken(monkeypatch):
     assert (list(search.judged), said) == (["b", "c", "d", "e"], "")
 
 
+def test_what_only_lacks_a_term_is_no_other_course(monkeypatch):
+    search, said = searched(monkeypatch, {("a", "b", "c"): 1000.0, ("b", "c"): 990.0}, ["b", "c"])
+    assert (list(search.judged), said) == (["a", "b", "c"], "")
+
+
 def test_a_second_course_is_not_tried_for_two_terms(monkeypatch):
     monkeypatch.setattr(other, "explained", lambda _s: pytest.fail("no second search was due"))
     search = Scripted(SimpleNamespace(segments=()), (), np.zeros(3, dtype=np.intp), judged={"a": 1, "b": 2})
