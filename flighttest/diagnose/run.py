@@ -107,7 +107,8 @@ def diagnose(
             search.run(own, min((bench.start(own, values) for values in starts), key=lambda state: state.objective))
             drop_remainders(search)
             search, as_well = another_way(search)
-            notes += [as_well] * bool(as_well)
+            if as_well:
+                notes.append(as_well)
         except KeyboardInterrupt:
             complete = False
             notes.append("interrupted: candidates not tried are not in this answer")
