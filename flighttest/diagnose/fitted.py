@@ -84,7 +84,7 @@ def judge(
     bic = information(before.rows, before.state, after.rows, after.state, len(after.names) - len(before.names))
     effect = _change(after.rows, before.rows.open_residual, after.rows.open_residual)
     floors, place = size_in_floors(after.rows, effect, segments, floor)
-    gain = _gain(before_held, after_held, effect, after, segments, floor, place)
+    gain = _gain(before_held, after_held, effect, after.rows, segments, floor, place)
     values = after.state.values
     tried = next(t for t in after.model.built_terms if t.id == term)
     reason = (
@@ -100,7 +100,7 @@ def _gain(
     before_held: FloatArray,
     after_held: FloatArray,
     effect: FloatArray,
-    after: Fitted,
+    rows: Rows,
     segments: Sequence[Segment],
     floor: Floor,
     largest: tuple[str, str],
@@ -110,7 +110,7 @@ def _gain(
     Not at the largest place alone: a base that leaned on that place to copy the effect may do worse there by chance.
     """
     taken = excess = 0.0
-    for place, at in places(after.rows, segments).items():
+    for place, at in places(rows, segments).items():
         std = floor.of(place[0])
         if place != largest and float(np.sqrt(np.mean(effect[at] ** 2))) < LEAST_FLOORS * std:
             continue

@@ -10,7 +10,7 @@ from flighttest.diagnose.fitted import Judged
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.search import Search
 
-LEAST_SHARE = 0.05  # of what another term does at the same place: an equation's own error may be as large
+REMAINDER = 0.05  # of what another term does at the same place: an equation's own error may be as large
 
 
 def drop_remainders(search: Search) -> None:
@@ -19,7 +19,7 @@ def drop_remainders(search: Search) -> None:
         shares = {term: _share_of_another(search, judged) for term, judged in search.judged.items()}
         term = min(shares, key=lambda t: shares[t][0])
         share, another = shares[term]
-        if share >= LEAST_SHARE:
+        if share >= REMAINDER:
             break
         reason = f"it does {100 * share:.1f} % of what {another} does there, and no equation is known that well"
         now = search.without(term)

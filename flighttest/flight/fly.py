@@ -168,8 +168,7 @@ class _Flight:
                 # The vehicle is in the air, or may be: land it with what is left of the link, then say what happened.
                 why = str(error)
                 outcome = self._land_after(scheduler, error)
-            except Exception:
-                # A defect of ours must not leave the vehicle with a step's throttle. It is reported as what it is, after that.
+            except Exception:  # whatever it is, a defect of ours must not leave the vehicle with a step's throttle; it is raised after that
                 self._let_go(cockpit)
                 raise
         except FlighttestError as error:

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.frames import G_M_S2
+from flighttest.physics.terms.propulsion import LOAD_POWER
 
 FloatArray = NDArray[np.float64]
 
 SAMPLES = "voltage_samples"  # in Segment.context: (t_s (n,), voltage_v (n,)) as recorded, in and about the segment
 SLOW = 2.0  # a monitor at less than this share of the segment's rate is slow
 FEWEST = 5
-LOAD_POWER = 1.5  # current over thrust: momentum theory
 # What is known beforehand, as standard deviations: noise of a sample V, sag at hover V, drain V/s. Over a second of samples drain and
 # sag could stand in for one another otherwise.
 NOISE_V = 0.02

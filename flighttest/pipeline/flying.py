@@ -191,11 +191,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             notes.append(f"{plan.script.name}: {ended.outcome.value}")
         earlier = legs_flown(request.resume) if request.resume is not None else frozenset()
         missing = len({leg.id for leg in plan.legs} - legs_flown(ended.run_dir) - earlier)
-        if missing and ended.outcome in (
-            FlightOutcome.BATTERY,
-            FlightOutcome.OPERATOR_STOP,
-            FlightOutcome.LEFT_TO_PILOT,
-        ):
+        if missing and ended.outcome.usable and ended.outcome is not FlightOutcome.COMPLETED:
             notes.append(
                 f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
             )

@@ -30,7 +30,7 @@ class Marked:
     """One marked stretch: from start_s to end_s.
 
     kinds: what the mark says it is (empty: anything). t_step_s: where the mark puts the step, None where it does not say. record_s: where
-    a stretch without a step is worth cutting into windows, None for nowhere. repeat 0: to be counted. numbered: a step number of a table
+    a stretch without a step is worth cutting into windows, None for nowhere. repeat 0: not said. numbered: a step number of a table
     made the mark, which says neither what the step is nor where exactly. outcome: how the leg ended, where that was recorded.
     """
 

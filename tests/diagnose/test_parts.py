@@ -291,9 +291,8 @@ def test_the_gain_is_over_all_places_where_an_effect_would_be_seen(monkeypatch, 
     before, after = (np.sqrt(np.repeat(ss, 100)) for ss in ((4.0, 8.0, 5.0), (5.0, 3.0, 1.0)))
     effect = np.repeat(effects, 100)
     largest = ("v", "abc"[int(np.argmax(effects))])
-    model = SimpleNamespace(rows=None)
     floor = SimpleNamespace(of=lambda _channel: 1.0)
-    assert fitted._gain(before, after, effect, model, (), floor, largest) == pytest.approx(gain)
+    assert fitted._gain(before, after, effect, None, (), floor, largest) == pytest.approx(gain)
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def ended(*terms):
 
 @pytest.fixture(autouse=True)
 def two_places(monkeypatch):
-    table = {PLACE: np.arange(10), ("vz_m_s", "thrust_step"): np.arange(10, 20)}
+    table = {PLACE: np.arange(10), ("v_z_m_s", "throttle_step"): np.arange(10, 20)}
     monkeypatch.setattr(remainders, "places", lambda _rows, _segments: table)
 
 
@@ -48,7 +48,7 @@ def test_what_mends_another_equation_is_not_named():
 
 
 def test_a_small_effect_where_nothing_else_acts_stays():
-    small = judged("rotor_speed_lag", 0.0, ("vz_m_s", "thrust_step"))
+    small = judged("rotor_speed_lag", 0.0, ("v_z_m_s", "throttle_step"))
     small = replace(small, effect=np.r_[np.zeros(10), np.full(10, 0.02)])
     search = ended(judged("reference_shaping", 1.0), small, judged("rate_limit", 0.3))
     remainders.drop_remainders(search)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from pymavlink import DFReader
 
 from flighttest.logs.dataflash import read_dataflash
 from flighttest.logs.opening import LogFile
@@ -89,11 +90,10 @@ def test_messages_without_a_format_are_told_and_cost_no_others(dataflash):
 
 @pytest.mark.parametrize("name", ["copter_3.2_2014.BIN", "copter_3.4_mechanical_failure.bin", "sitl_4.7dev_steps.BIN"])
 def test_values_are_identical_to_pymavlinks(shared_data, name):
-    dfreader = pytest.importorskip("pymavlink.DFReader")
     path = shared_data / "arducopter_logs" / name
     log = read_dataflash(LogFile(path).pieces())
     assert log.gaps == ()
-    theirs = dfreader.DFReader_binary(str(path))
+    theirs = DFReader.DFReader_binary(str(path))
     seen: dict[str, int] = {}
     checked = 0
     while (message := theirs.recv_match()) is not None:

@@ -26,6 +26,9 @@ def _root(a: Expr) -> Expr:
     return ca.sqrt(0.5 * (a + ca.sqrt(a**2 + _SMALL_THRUST**2)) + _SMALL_THRUST)
 
 
+LOAD_POWER = 1.5  # current over thrust: it follows the power of the rotors (momentum theory)
+
+
 def _curve(s: Signals, p: Values, _x: Values) -> Contribution:
     return Contribution(1 + p["curvature"] * (s.throttle * s.base["K"] / s.g - 1))
 
@@ -225,9 +228,10 @@ thrust_fade = Term(
 
 def _sag(s: Signals, p: Values, x: Values) -> Contribution:
     fresh = x["load_fresh"]
-    # Current follows the power of the rotors, and that thrust to 3/2 (momentum theory); the rate is the derivative of this load.
     gain = s.base["K"]
-    load_rate = 1.5 * ca.sqrt(ca.fmax(s.a_t / gain, 1e-4)) * s.base["sigma_t"] * (body.thrust_command(s) - s.a_t) / gain
+    # The derivative of the load, (a_t / K)^LOAD_POWER.
+    slope = LOAD_POWER * ca.fmax(s.a_t / gain, 1e-4) ** (LOAD_POWER - 1)
+    load_rate = slope * s.base["sigma_t"] * (body.thrust_command(s) - s.a_t) / gain
     return Contribution(-p["sag_v"] * fresh, {"load_fresh": load_rate - fresh / p["sag_tau"]})
 
 
