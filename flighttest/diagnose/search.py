@@ -7,7 +7,8 @@ A step forward takes the candidate with the best information criterion among tho
 - over all places where it shows so, it takes away at least 5 % of the held-out excess over the floor;
 - its parameters stay inside what is physically possible (a negative mass of a payload is another effect's disguise), and where
   the criterion falls but little, or start states are free, its size stands out from its error: freedom is no evidence.
-After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place.
+After each step, terms that no longer meet this are taken out again, and each is tried against every rival in its place. What is asked
+of them once nothing more joins is in `remainders`.
 """
 
 from __future__ import annotations

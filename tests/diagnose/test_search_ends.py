@@ -14,10 +14,10 @@ from flighttest.diagnose.search import Search
 PLACE = ("roll_rad", "roll_step")
 
 
-def judged(term, size, place=PLACE):
+def judged(term, size, place=PLACE, gain=0.5):
     effect = np.zeros(20)
     effect[:10] = size
-    return Judged(term, -100.0, 2.0, place, 0.5, 0.001, effect, effect)
+    return Judged(term, -100.0, 2.0, place, gain, 0.001, effect, effect)
 
 
 def ended(*terms):
@@ -53,6 +53,21 @@ def test_a_small_effect_where_nothing_else_acts_stays():
     search = ended(judged("reference_shaping", 1.0), small, judged("rate_limit", 0.3))
     remainders.drop_remainders(search)
     assert set(search.judged) == {"reference_shaping", "rotor_speed_lag", "rate_limit"}
+
+
+def test_what_takes_little_of_what_stays_is_no_name_for_it():
+    search = ended(judged("throttle_curve", 1.0, gain=0.07))
+    remainders.drop_remainders(search)
+    assert search.judged == {}
+    assert "takes 7 % of the error where it shows" in search.refused["throttle_curve"].reason
+
+
+def test_beside_a_copy_an_effect_is_judged_again_without_it():
+    search = ended(judged("steady_wind", 1.0, gain=0.2), judged("throttle_curve", 1.0, gain=0.1))
+    again = {"steady_wind": judged("steady_wind", 1.0, gain=0.6)}
+    search.judge = lambda term, _before, _after, _p: again[term]
+    remainders.drop_remainders(search)
+    assert list(search.judged) == ["steady_wind"]
 
 
 @dataclass
