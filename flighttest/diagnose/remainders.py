@@ -47,7 +47,10 @@ def _stands_in(search: Search) -> tuple[str, str]:
     gain = search.judged[term].gain
     if gain >= STANDS_IN:
         return term, ""
-    return term, f"it takes {100 * max(gain, 0.0):.0f} % of the error where it shows: it may stand in for what stays unexplained"
+    return (
+        term,
+        f"it takes {100 * max(gain, 0.0):.0f} % of the error where it shows: it may stand in for what stays unexplained",
+    )
 
 
 def _share_of_another(search: Search, term: str) -> tuple[float, str]:
