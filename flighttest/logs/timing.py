@@ -17,6 +17,8 @@ _STAMPS = (("TimeUS", 1e-6, 2.0**32 * 1e-6), ("TimeMS", 1e-3, 2.0**32 * 1e-3), (
 _BACK_S = 0.5  # messages of one log are written nearly in order: a longer step back is a wrap or a restart
 _OUTLIER_S = 2.0  # one or two stamps this far from their neighbours on both sides are damaged
 _WRAP_GAP_S = 120.0
+_STEP_S = 2.0  # a ground computer's clock that is set right moves by more, usually by much more
+_ABOUT_STEP = 500  # messages on each side: more than a stalled link holds back
 
 
 def ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], what: str, losses: list[str]) -> Series:
@@ -48,6 +50,23 @@ def held_union(parts: list[tuple[FloatArray, dict[str, FloatArray]]], merge_s: f
         for name, column in values.items():
             columns[name] = np.where(index >= 0, column[np.maximum(index, 0)], np.nan)
     return Series(base, columns)
+
+
+def clock_steps(ground_s: FloatArray, vehicle_s: FloatArray) -> FloatArray:
+    """By how much the ground's clock was set forward (or back) right before each message, s, mostly zero: (n,).
+
+    ground_s, vehicle_s: (n,) when messages came and what they are stamped, in the order received. A link that stalls delivers late, but
+    catches up; a vehicle that reboots sets its own clock back. Neither is a step of the ground's clock.
+    """
+    steps = np.zeros(ground_s.size)
+    late = ground_s - vehicle_s
+    jumps = np.diff(late)
+    for i in np.flatnonzero((np.abs(jumps) > _STEP_S) & (np.diff(vehicle_s) > -_BACK_S)):
+        before, after = late[max(i + 1 - _ABOUT_STEP, 0) : i + 1], late[i + 1 : i + 1 + _ABOUT_STEP]
+        step = float(np.min(after) - np.min(before))  # by the least delayed message of each side
+        if abs(step - jumps[i]) < 0.5 * abs(jumps[i]):
+            steps[i + 1] = step
+    return steps
 
 
 class Times:

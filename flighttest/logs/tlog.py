@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot_bin import DEFAULT_ACCEL_FILTER_HZ, known_filters
 from flighttest.logs.opening import LogFile
-from flighttest.logs.timing import held_union, outliers
+from flighttest.logs.timing import clock_steps, held_union, outliers
 from flighttest.logs.tlog_frames import Frames, fields_of, good_checksums, split
 from flighttest.mavlink import WANTED
 from flighttest.mavlink.decode import StreamDecoder
@@ -35,7 +35,7 @@ def import_tlog(path: Path) -> Recording:
             f"{path}: no MAVLink frame was found in {len(data)} bytes", "is this a telemetry log (.tlog)?"
         )
     losses = [*file.losses, *_lost_sentences(frames)]
-    frames = _checked(frames, losses)
+    frames = _on_one_clock(_checked(frames, losses), losses)
     decoder = StreamDecoder()
     mav = parser(0, 0)
     late: list[tuple[int, Any]] = []
@@ -47,25 +47,26 @@ def import_tlog(path: Path) -> Recording:
         if message.msgname in _ONE_BY_ONE:
             late += [(int(i), mav.decode(bytearray(frames.bytes_of(int(i))))) for i in chosen]
             continue
-        for system in np.unique(frames.system[chosen]):
-            order = chosen[frames.system[chosen] == system]
+        senders = frames.sender[chosen]
+        for sender in np.unique(senders):
+            order = chosen[senders == sender]
             mine = frames.where(order)
-            decoder.add_columns(int(system), message.msgname, mine.time_s, order, fields_of(mine, int(kind)))
+            source = (int(sender) // 256, int(sender) % 256)
+            decoder.add_columns(source, message.msgname, mine.time_s, order, fields_of(mine, int(kind)))
     for i, message in sorted(late, key=lambda pair: pair[0]):
         decoder.add(float(frames.stamp_us[i]) * 1e-6, message, i)
     try:
         decoded = decoder.result()
     except RecordingError as error:
         raise RecordingError(f"{path}: {error.message}", error.hint) from error
-    others = sorted(set(decoder.autopilots) - {decoded.vehicle_system})
+    others = sorted({system for system, _ in decoder.autopilots} - {decoded.vehicle_system})
     if others:
         losses.append(
             f"the log holds several vehicles; system {decoded.vehicle_system} was read, not {', '.join(map(str, others))}"
         )
     series, derived = _with_targets(dict(decoded.series), dict(decoded.derived))
     filters = known_filters(dict(decoded.parameters))
-    beats = decoder.rows[decoded.vehicle_system, "HEARTBEAT"].raw()["autopilot"]
-    if "specific_force" not in filters and float(beats[0]) == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+    if "specific_force" not in filters and decoded.autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
         filters["specific_force"] = DEFAULT_ACCEL_FILTER_HZ
         losses.append(
             f"INS_ACCEL_FILTER was not recorded: the autopilot's default of {DEFAULT_ACCEL_FILTER_HZ:g} Hz is assumed"
@@ -132,12 +133,39 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
     return kept
 
 
+def _on_one_clock(frames: Frames, losses: list[str]) -> Frames:
+    """Frames as if the ground's clock had not been set while it recorded, told by the stamps of the vehicle that said most."""
+    best = np.zeros(0, dtype=np.int64)
+    for kind in np.unique(frames.kind):
+        message = book.mavlink_map.get(int(kind))
+        if message is None or message.msgname not in WANTED or "time_boot_ms" not in message.fieldnames:
+            continue
+        chosen = np.flatnonzero((frames.kind == kind) & (frames.kind != book.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET))
+        senders, counts = np.unique(frames.sender[chosen], return_counts=True)
+        if counts.size and int(np.max(counts)) > best.size:
+            best = chosen[frames.sender[chosen] == senders[np.argmax(counts)]]
+    if best.size < 2:
+        return frames
+    mine = frames.where(best)
+    made_s = fields_of(mine, int(mine.kind[0]))["time_boot_ms"].astype(np.float64) * 1e-3
+    steps = clock_steps(mine.time_s, made_s)
+    found = np.flatnonzero(steps)
+    if not found.size:
+        return frames
+    told = ", ".join(f"{steps[i]:+.1f} s" for i in found[:5])
+    losses.append(f"the clock of the computer that recorded was set {found.size} times ({told}); put right")
+    taken_us = np.zeros(frames.at.size, dtype=np.int64)
+    for i in found:
+        between = np.diff(frames.stamp_us[best[i - 1] : best[i] + 1]) * np.sign(steps[i])
+        taken_us[best[i - 1] + 1 + int(np.argmax(between)) :] += round(steps[i] * 1e6)
+    return replace(frames, stamp_us=frames.stamp_us - taken_us)
+
+
 def _missing(frames: Frames) -> list[str]:
     """Sentences on messages that never arrived, by gaps in each sender's sequence numbers."""
     sentences: list[str] = []
-    sender: NDArray[np.int64] = frames.system.astype(np.int64) * 256 + frames.component
-    for one in np.unique(sender):
-        sequence = frames.sequence[sender == one].astype(np.int64)
+    for one in np.unique(frames.sender):
+        sequence = frames.sequence[frames.sender == one].astype(np.int64)
         missing = int(np.sum((np.diff(sequence) - 1) % 256)) if sequence.size > 1 else 0
         # A sender that restarts its count, or counts per link, looks like a loss of everything: say nothing then.
         if _SEQUENCE_LOSS * sequence.size < missing < sequence.size:

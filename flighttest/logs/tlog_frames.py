@@ -53,6 +53,11 @@ class Frames:
         )
 
     @property
+    def sender(self) -> NDArray[np.int64]:
+        """Who sent it (n,): 256 times the system id plus the component id."""
+        return np.asarray(self.system.astype(np.int64) * 256 + self.component)
+
+    @property
     def time_s(self) -> NDArray[np.float64]:
         """Ground time (n,), s since 1970."""
         return np.asarray(self.stamp_us, dtype=np.float64) * 1e-6

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from flighttest.errors import RecordingError
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
-from flighttest.mavlink.dialect import book, firmware_version, is_vehicle
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, book, firmware_version, is_armed, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
-from flighttest.mavlink.modes import mode_name
+from flighttest.mavlink.modes import TAKES_ATTITUDE_TARGETS, mode_name
 from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.stamps import HALF_MS, in_lock_step, rounded_off, stamped_rules, stamps, times_of
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
@@ -22,6 +22,8 @@ from flighttest.mavlink.telemetry import RULES, Rule
 from flighttest.recording import Marker, Series
 
 FloatArray = NDArray[np.float64]
+Source = tuple[int, int]
+"""System and component id of a sender: cameras, companion computers and autopilots share a vehicle's system id."""
 
 _GROUPS = tuple(dict.fromkeys(rule.group for rule in RULES))
 _REBOOT_S = 1.0  # the vehicle's time going back by more than this is a reboot, by less a reordered datagram
@@ -38,7 +40,7 @@ class Decoded:
     """What a message stream holds. See `Recording` and `Provenance` for the meaning of the fields.
 
     series: group to Series on the vehicle's clock. origin: (latitude, longitude) deg of the local frame, or None. counts: message
-    name to number received. vehicle_system: the system id that was taken as the vehicle.
+    name to number received. vehicle_system: the system id that was taken as the vehicle; autopilot: what its HEARTBEAT calls itself.
     """
 
     series: Mapping[str, Series]
@@ -50,6 +52,7 @@ class Decoded:
     derived: Mapping[str, str]
     reference_clock: str
     vehicle_system: int
+    autopilot: int = book.MAV_AUTOPILOT_INVALID
     origin: tuple[float, float] | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
 
@@ -86,7 +89,7 @@ def _fields_of(message: str) -> tuple[str, ...]:
 
 
 _FIELDS: dict[str, tuple[str, ...]] = {rule.message: _fields_of(rule.message) for rule in RULES}
-_FIELDS["SET_ATTITUDE_TARGET"] = ("time_boot_ms", *REFERENCE_FIELDS)
+_FIELDS["SET_ATTITUDE_TARGET"] = ("time_boot_ms", "target_system", *REFERENCE_FIELDS)
 _FIELDS["HEARTBEAT"] = ("type", "autopilot", "base_mode", "custom_mode")
 _FIELDS["ATTITUDE_TARGET"] = (*_FIELDS["ATTITUDE_TARGET"], "thrust")
 
@@ -100,14 +103,14 @@ class StreamDecoder:
     """One pass over a stream: `add` every message in the order received or sent, then `result`."""
 
     def __init__(self) -> None:
-        self.rows: dict[tuple[int, str], _Rows] = {}
-        self.autopilots: dict[int, int] = {}
+        self.rows: dict[tuple[Source, str], _Rows] = {}
+        self.autopilots: dict[Source, tuple[int, int]] = {}  # HEARTBEATs that said armed, and all
         self.texts: list[Text] = []
-        self.parameters: dict[int, list[tuple[float, str, float]]] = {}
-        self.firmware: dict[int, str] = {}
-        self.origins: dict[int, tuple[float, float]] = {}
+        self.parameters: dict[Source, list[tuple[float, str, float]]] = {}
+        self.firmware: dict[Source, str] = {}
+        self.origins: dict[Source, tuple[float, float]] = {}
         self.asked: dict[int, float] = {}
-        self.round_trips: dict[int, list[tuple[float, float, float]]] = {}
+        self.round_trips: dict[Source, list[tuple[float, float, float]]] = {}
         self._count = 0
 
     def add(self, t_s: float, message: Any, order: int | None = None) -> None:
@@ -116,68 +119,70 @@ class StreamDecoder:
         self._count += 1
         if kind not in WANTED:
             return
-        system = message.get_srcSystem()
+        source = (message.get_srcSystem(), message.get_srcComponent())
         fields = _FIELDS.get(kind)
         if fields is not None:
             if kind == "HEARTBEAT":
                 if not is_vehicle(message):
                     return
-                self.autopilots[system] = self.autopilots.get(system, 0) + 1
-            rows = self.rows.get((system, kind))
+                armed, beats = self.autopilots.get(source, (0, 0))
+                self.autopilots[source] = armed + is_armed(message), beats + 1
+            rows = self.rows.get((source, kind))
             if rows is None:
-                rows = self.rows[system, kind] = _Rows(fields)
+                rows = self.rows[source, kind] = _Rows(fields)
             rows.add(t_s, self._count if order is None else order, message)
         elif kind == "STATUSTEXT":
             self.texts.append(
-                Text(t_s, system, int(message.severity), message.text, int(message.id), int(message.chunk_seq))
+                Text(t_s, source[0], int(message.severity), message.text, int(message.id), int(message.chunk_seq))
             )
         elif kind == "TIMESYNC":
-            self._timesync(t_s, system, message)
+            self._timesync(t_s, source, message)
         elif kind == "PARAM_VALUE":
-            self.parameters.setdefault(system, []).append((t_s, message.param_id, float(message.param_value)))
+            self.parameters.setdefault(source, []).append((t_s, message.param_id, float(message.param_value)))
         elif kind == "AUTOPILOT_VERSION":
-            self.firmware[system] = firmware_version(message)
+            self.firmware[source] = firmware_version(message)
         elif message.latitude or message.longitude:
-            self.origins.setdefault(system, (message.latitude * 1e-7, message.longitude * 1e-7))
+            self.origins.setdefault(source, (message.latitude * 1e-7, message.longitude * 1e-7))
 
     def add_columns(
         self,
-        system: int,
+        source: Source,
         kind: str,
         ground_s: FloatArray,
         order: NDArray[np.int64],
         columns: Mapping[str, NDArray[Any]],
     ) -> None:
-        """Take in all messages of one numeric type of one system at once: ground times (n,), s, positions in the stream (n,), and
+        """Take in all messages of one numeric type of one sender at once: ground times (n,), s, positions in the stream (n,), and
         fields (n,) or (n, k)."""
-        rows = self.rows[system, kind] = _Rows(_FIELDS[kind])
+        rows = self.rows[source, kind] = _Rows(_FIELDS[kind])
         rows.ground_s = ground_s
         rows.order = order
         rows.columns = {name: np.asarray(columns[name], dtype=float) for name in rows.fields}
 
-    def _timesync(self, t_s: float, system: int, message: Any) -> None:
+    def _timesync(self, t_s: float, source: Source, message: Any) -> None:
         if message.tc1 == 0:
             self.asked[message.ts1] = t_s
         elif message.ts1 in self.asked:
-            trip = (self.asked.pop(message.ts1), message.tc1 * 1e-9, t_s)
-            self.round_trips.setdefault(system, []).append(trip)
+            trip = (self.asked[message.ts1], message.tc1 * 1e-9, t_s)  # a companion computer may answer as well
+            self.round_trips.setdefault(source, []).append(trip)
 
     def result(self, vehicle_system: int | None = None) -> Decoded:
         """What was taken in so far; see `decode_stream`."""
-        if vehicle_system is None:
-            if not self.autopilots:
-                raise RecordingError(
-                    "no autopilot HEARTBEAT in the MAVLink stream", "is this the log of a vehicle's link?"
-                )
-            vehicle_system = max(self.autopilots, key=lambda s: self.autopilots[s])
-        return _assemble(self, vehicle_system)
+        if vehicle_system is None and not self.autopilots:
+            raise RecordingError("no autopilot HEARTBEAT in the MAVLink stream", "is this the log of a vehicle's link?")
+        candidates = [s for s in self.autopilots if vehicle_system in (None, s[0])]
+        return _assemble(
+            self,
+            max(candidates, key=lambda s: self.autopilots[s], default=(vehicle_system or 0, COMPONENT_AUTOPILOT)),
+        )
 
 
 def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | None = None) -> Decoded:
     """Decode messages in the order received or sent.
 
-    stream: (ground time s, pymavlink message), both directions. vehicle_system: the vehicle's system id; None takes the one with most
-    autopilot heartbeats. RecordingError when no vehicle, or no message with the vehicle's time, is in the stream.
+    stream: (ground time s, pymavlink message), both directions. vehicle_system: the vehicle's system id; None takes the one that was
+    armed the longest, else the one with most autopilot heartbeats. RecordingError when no vehicle, or no message with the vehicle's time,
+    is in the stream.
     """
     collected = StreamDecoder()
     for t_s, message in stream:
@@ -185,10 +190,11 @@ def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | 
     return collected.result(vehicle_system)
 
 
-def _assemble(collected: StreamDecoder, system: int) -> Decoded:
-    raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == system}
-    ground = {kind: np.asarray(collected.rows[system, kind].ground_s) for kind in raw}
-    order = {kind: np.asarray(collected.rows[system, kind].order) for kind in raw}
+def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
+    system = source[0]
+    raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == source}
+    ground = {kind: np.asarray(collected.rows[source, kind].ground_s) for kind in raw}
+    order = {kind: np.asarray(collected.rows[source, kind].order) for kind in raw}
     losses: list[str] = []
     span = _last_boot(raw, ground, losses)
     for kind in raw:
@@ -198,18 +204,22 @@ def _assemble(collected: StreamDecoder, system: int) -> Decoded:
             ground[kind], order[kind] = ground[kind][inside], order[kind][inside]
     lost_s = rounded_off(raw)
     stamped = [(ground[r.message], stamps(r, raw[r.message], lost_s)) for r in stamped_rules(raw)]
-    if not stamped and system not in collected.round_trips:
+    if not stamped and source not in collected.round_trips:
         raise RecordingError(
             "no message carries the vehicle's time",
             "record ATTITUDE, HIGHRES_IMU or LOCAL_POSITION_NED with the flight",
         )
-    trips = [t for t in collected.round_trips.get(system, []) if span[0] <= t[0] <= span[1]]
+    trips = [t for t in collected.round_trips.get(source, []) if span[0] <= t[0] <= span[1]]
     came_s = np.concatenate([np.empty(0), *(g for g, _ in stamped)])
     made_s = np.concatenate([np.empty(0), *(v for _, v in stamped)])
     clock = estimate_clock(came_s, made_s, trips)
-    reference, reference_clock, clock = _reference(collected, system, span, clock, (came_s, made_s), losses)
+    reference, reference_clock, clock = _reference(collected, source, span, clock, (came_s, made_s), losses)
     times = times_of(raw, ground, order, clock, lost_s)
+    if reference is not None and "HEARTBEAT" in raw:
+        reference = _taken(reference, times["HEARTBEAT"], raw["HEARTBEAT"], losses)
     series, derived = _series(raw, times, losses)
+    if "battery" not in series and not raw.keys().isdisjoint(("SYS_STATUS", "BATTERY_STATUS")):
+        losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
     if reference is not None:
         series["reference"] = reference
     elif "ATTITUDE_TARGET" in raw:
@@ -231,13 +241,14 @@ def _assemble(collected: StreamDecoder, system: int) -> Decoded:
         series=series,
         markers=tuple(sorted(markers, key=lambda m: m.t_s)),
         clock=clock,
-        parameters=in_force(collected.parameters.get(system, []), last_armed_s),
-        firmware=collected.firmware.get(system, ""),
+        parameters=in_force(collected.parameters.get(source, []), last_armed_s),
+        firmware=collected.firmware.get(source, ""),
         losses=tuple(losses),
         derived=derived,
         reference_clock=reference_clock,
         vehicle_system=system,
-        origin=collected.origins.get(system),
+        autopilot=next((int(a) for a in beats.get("autopilot", ())), book.MAV_AUTOPILOT_INVALID),
+        origin=collected.origins.get(source),
         counts={kind: int(times.size) for kind, times in ground.items()},
     )
 
@@ -300,22 +311,39 @@ def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, l
     return Series(t[last], {name: np.asarray(values)[order][last] for name, values in columns.items()})
 
 
+def _taken(targets: Series, beats_s: FloatArray, beats: Mapping[str, FloatArray], losses: list[str]) -> Series | None:
+    """The targets that the vehicle took: ArduPilot drops those sent in another mode, so they are no reference (NaN there, None where it
+    took none). The mode is what the next HEARTBEAT says."""
+    if not beats_s.size or beats["autopilot"][0] != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        return targets
+    following = np.minimum(np.searchsorted(beats_s, targets.t_s), beats_s.size - 1)
+    dropped = ~np.isin(beats["custom_mode"][following], TAKES_ATTITUDE_TARGETS)
+    if not dropped.any():
+        return targets
+    losses.append(
+        f"{int(np.count_nonzero(dropped))} of {dropped.size} SET_ATTITUDE_TARGET were sent in a mode that drops them; they are no reference"
+    )
+    if dropped.all():
+        return None
+    return Series(targets.t_s, {name: np.where(dropped, np.nan, v) for name, v in targets.columns.items()})
+
+
 def _reference(
     collected: StreamDecoder,
-    system: int,
+    vehicle: Source,
     span: tuple[float, float],
     clock: ClockEstimate,
     came: tuple[FloatArray, FloatArray],
     losses: list[str],
 ) -> tuple[Series | None, str, ClockEstimate]:
     """Targets sent to the vehicle, at their sending time on the vehicle's clock; and the clock, if their stamps pin it better."""
-    senders = [rows for (s, kind), rows in collected.rows.items() if kind == "SET_ATTITUDE_TARGET" and s != system]
+    senders = [rows for (s, kind), rows in collected.rows.items() if kind == "SET_ATTITUDE_TARGET" and s != vehicle]
     if not senders:
         return None, "vehicle", clock
     raws = [rows.raw() for rows in senders]
     raw = {name: np.concatenate([r[name] for r in raws]) for name in raws[0]}
     g = np.concatenate([np.asarray(rows.ground_s) for rows in senders])
-    inside = (g >= span[0]) & (g <= span[1])
+    inside = (g >= span[0]) & (g <= span[1]) & np.isin(raw["target_system"], (0, vehicle[0]))  # 0: to everybody
     if not inside.any():
         return None, "vehicle", clock
     raw = {name: values[inside] for name, values in raw.items()}

@@ -12,6 +12,11 @@ Message = Any
 """One decoded MAVLink message, as pymavlink makes them: fields are attributes, `get_type()` names it."""
 
 COMPONENT_AUTOPILOT = 1
+# What sends HEARTBEATs and does not fly; some of them name an autopilot all the same.
+_NO_VEHICLE = frozenset({
+    book.MAV_TYPE_GCS, book.MAV_TYPE_ANTENNA_TRACKER, book.MAV_TYPE_ONBOARD_CONTROLLER, book.MAV_TYPE_GIMBAL, book.MAV_TYPE_ADSB,
+    book.MAV_TYPE_CAMERA, book.MAV_TYPE_CHARGING_STATION, book.MAV_TYPE_FLARM,
+})  # fmt: skip
 
 
 def parser(system: int, component: int) -> Any:
@@ -22,8 +27,8 @@ def parser(system: int, component: int) -> Any:
 
 
 def is_vehicle(heartbeat: Message) -> bool:
-    """Whether a HEARTBEAT comes from an autopilot, not from a ground station, a gimbal or a companion computer."""
-    return bool(heartbeat.autopilot != book.MAV_AUTOPILOT_INVALID and heartbeat.type != book.MAV_TYPE_GCS)
+    """Whether a HEARTBEAT comes from an autopilot, not from a ground station, an antenna tracker, a gimbal or a companion computer."""
+    return bool(heartbeat.autopilot != book.MAV_AUTOPILOT_INVALID and heartbeat.type not in _NO_VEHICLE)
 
 
 def is_armed(heartbeat: Message) -> bool:

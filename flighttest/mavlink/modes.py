@@ -36,6 +36,10 @@ class CopterMode(IntEnum):
     TURTLE = 28
 
 
+TAKES_ATTITUDE_TARGETS: tuple[int, ...] = (CopterMode.GUIDED, CopterMode.GUIDED_NOGPS)
+"""In any other mode ArduCopter drops SET_ATTITUDE_TARGET without a word."""
+
+
 def mode_name(number: int) -> str:
     """The name of a mode number, or `mode <number>` for one that is not in the table."""
     try:

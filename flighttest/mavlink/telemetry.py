@@ -25,6 +25,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2 in one g, as ArduPilot's milli-g are made
 EARTH_RADIUS_M = 6378137.0  # WGS84 equatorial, as in ArduPilot (LOCATION_SCALING_FACTOR)
 _FACING_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _UNKNOWN_CELL_MV = 65535
+_LEAST_V = 1.0  # an autopilot without a battery monitor reports zero
 
 
 @dataclass(frozen=True)
@@ -110,22 +111,18 @@ def _shaped(raw: Raw) -> Columns:
 
 
 def _battery(raw: Raw) -> Columns:
-    cells = np.asarray(raw["voltages"], dtype=float)
-    known = cells != _UNKNOWN_CELL_MV
-    total = np.where(known, cells, 0.0).sum(axis=-1) * 1e-3
+    """A pack of more than ten cells goes on in voltages_ext, where what is not there is zero."""
+    cells = np.concatenate([raw["voltages"], raw["voltages_ext"]], axis=-1).astype(float)
     current = raw["current_battery"]
     return {
-        "voltage_v": np.where(known.any(axis=-1), total, np.nan),
+        "voltage_v": np.where(cells != _UNKNOWN_CELL_MV, cells, 0.0).sum(axis=-1) * 1e-3,
         "current_a": np.where(current < 0, np.nan, current * 1e-2),
     }
 
 
 def _system_status(raw: Raw) -> Columns:
     voltage, current = raw["voltage_battery"], raw["current_battery"]
-    return {
-        "voltage_v": np.where(voltage == _UNKNOWN_CELL_MV, np.nan, voltage * 1e-3),
-        "current_a": np.where(current < 0, np.nan, current * 1e-2),
-    }
+    return {"voltage_v": voltage * 1e-3, "current_a": np.where(current < 0, np.nan, current * 1e-2)}
 
 
 def _has_fix(raw: Raw) -> NDArray[np.bool_]:
@@ -134,7 +131,12 @@ def _has_fix(raw: Raw) -> NDArray[np.bool_]:
 
 
 def _first_battery(raw: Raw) -> NDArray[np.bool_]:
-    return np.asarray(raw["id"] == 0)
+    return np.asarray((raw["id"] == 0) & (_battery(raw)["voltage_v"] > _LEAST_V))
+
+
+def _monitored(raw: Raw) -> NDArray[np.bool_]:
+    voltage = raw["voltage_battery"]
+    return np.asarray((voltage != _UNKNOWN_CELL_MV) & (voltage * 1e-3 > _LEAST_V))
 
 
 def _looking_down(raw: Raw) -> NDArray[np.bool_]:
@@ -176,7 +178,14 @@ RULES: tuple[Rule, ...] = (
         keep=_has_fix,
         note="position relative to the first fix, from GLOBAL_POSITION_INT",
     ),
-    Rule("height", "RANGEFINDER", None, ("distance",), lambda raw: {"height_m": raw["distance"]}),
+    Rule(
+        "height",
+        "RANGEFINDER",
+        None,
+        ("distance",),
+        lambda raw: {"height_m": raw["distance"]},
+        keep=lambda raw: np.asarray(raw["distance"] > 0),  # old firmware reports zero where there is none
+    ),
     Rule(
         "height",
         "DISTANCE_SENSOR",
@@ -202,8 +211,15 @@ RULES: tuple[Rule, ...] = (
         keep=_has_fix,
         note="height above home (GLOBAL_POSITION_INT), taken as level ground",
     ),
-    Rule("battery", "BATTERY_STATUS", None, ("id", "voltages", "current_battery"), _battery, keep=_first_battery),
-    Rule("battery", "SYS_STATUS", None, ("voltage_battery", "current_battery"), _system_status),
+    Rule(
+        "battery",
+        "BATTERY_STATUS",
+        None,
+        ("id", "voltages", "voltages_ext", "current_battery"),
+        _battery,
+        keep=_first_battery,
+    ),
+    Rule("battery", "SYS_STATUS", None, ("voltage_battery", "current_battery"), _system_status, keep=_monitored),
     Rule("shaped", "ATTITUDE_TARGET", "time_boot_ms", ("q", "body_yaw_rate"), _shaped),
 )
 

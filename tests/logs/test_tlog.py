@@ -157,3 +157,114 @@ def test_what_is_restored_after_landing_does_not_describe_the_flight(tmp_path):
     parameters = import_log(tmp_path / "a.tlog").provenance.parameters
     assert parameters["GUID_OPTIONS"] == 8.0
     assert parameters["MOT_SPIN_MIN"] == pytest.approx(0.15), "first heard of after landing, and true all the same"
+
+
+def read(w, path):
+    path.write_bytes(w.data)
+    return import_log(path)
+
+
+def test_targets_for_another_vehicle_are_not_this_ones(tmp_path):
+    w = link()
+    for k in range(200):
+        t = k / 50.0
+        target = v2.MAVLink_set_attitude_target_message(0, 7, 1, 0, [0.9, np.sqrt(0.19), 0.0, 0.0], 0, 0, 0, 0.9)
+        w.add(t + 0.003, target, system=255, component=190)
+    r = read(w, tmp_path / "a.tlog")
+    assert set(np.round(r.channel("roll_ref_rad")[1], 3)) == {0.0, 0.25}
+    assert r.channel("throttle")[1].max() == pytest.approx(0.3)
+
+
+def test_targets_of_a_companion_computer_under_the_vehicles_own_id_count(tmp_path):
+    w = TlogWriter()
+    w.data = bytearray()
+    for k in range(200):
+        t = k / 50.0
+        if k % 50 == 0:
+            w.add(t, v2.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
+        w.add(t + 0.01, v2.MAVLink_attitude_message(round((20 + t) * 1e3), 0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
+        w.add(t, v2.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1.0, 0, 0, 0], 0, 0, 0, 0.4), component=240)
+    assert read(w, tmp_path / "a.tlog").channel("throttle")[1][0] == pytest.approx(0.4)
+
+
+def test_what_a_gimbal_and_a_camera_say_under_the_vehicles_id_is_not_the_vehicles(tmp_path):
+    w = link()
+    for k in range(40):
+        t = k / 10.0
+        w.add(t + 0.02, v2.MAVLink_heartbeat_message(26, 3, 0, 0, 4, 3), component=154)
+        w.add(t + 0.02, v2.MAVLink_attitude_message(round(t * 1e3), 0.7, 0.0, 0.0, 0.0, 0.0, 0.0), component=100)
+    r = read(w, tmp_path / "a.tlog")
+    assert set(r.channel("mode")[1]) == {20.0}
+    assert set(r.channel("armed")[1]) == {1.0}
+    assert r.channel("roll_rad")[1].max() == pytest.approx(0.1)
+    assert not any("restarted" in loss for loss in r.provenance.losses)
+
+
+@pytest.mark.parametrize(("kind", "beats"), [(5, 400), (2, 400)])
+def test_of_several_systems_the_one_that_flew_is_read(tmp_path, kind, beats):
+    w = TlogWriter()
+    for k in range(beats):  # an antenna tracker, or a vehicle that stays on the ground
+        w.add(k / 100.0, v2.MAVLink_heartbeat_message(kind, 3, 0, 0, 4, 3), system=2)
+    w.data += link().data
+    assert read(w, tmp_path / "a.tlog").provenance.clock["system"] == 1
+
+
+def test_targets_in_a_mode_that_drops_them_are_no_reference(tmp_path):
+    w = TlogWriter()
+    for k in range(400):
+        t = k / 50.0
+        if k % 50 == 0:
+            w.add(t + 0.01, v2.MAVLink_heartbeat_message(2, 3, 129, 20 if t < 5.0 else 5, 4, 3))
+        w.add(t + 0.01, v2.MAVLink_attitude_message(round((20 + t) * 1e3), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        target = v2.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1.0, 0, 0, 0], 0, 0, 0, 0.4)
+        w.add(t, target, system=255, component=190)
+    r = read(w, tmp_path / "a.tlog")
+    t_s, throttle = r.channel("throttle")
+    assert t_s[np.isfinite(throttle)][-1] == pytest.approx(24.0, abs=0.05)
+    assert any("in a mode that drops them" in loss for loss in r.provenance.losses)
+
+
+def test_a_battery_that_nobody_measures_is_no_battery_at_zero_volts(tmp_path):
+    w = link()
+    for k in range(40):
+        w.add(k / 10.0 + 0.02, v2.MAVLink_sys_status_message(0, 0, 0, 0, 0, -1, -1, 0, 0, 0, 0, 0, 0))
+        w.add(k / 10.0 + 0.02, v2.MAVLink_rangefinder_message(0.0, 0.0))
+    r = read(w, tmp_path / "a.tlog")
+    assert not r.has("voltage_v")
+    assert not r.has("height_m")
+    assert any("no battery monitor" in loss for loss in r.provenance.losses)
+
+
+def test_cells_beyond_the_tenth_are_counted(tmp_path):
+    w = link()
+    for k in range(40):
+        battery = v2.MAVLink_battery_status_message(0, 0, 0, 0, [4000] * 10, 100, 0, 0, 50, 0, 0, [4000, 4000, 0, 0])
+        w.add(k / 10.0 + 0.02, battery)
+    assert read(w, tmp_path / "a.tlog").channel("voltage_v")[1][0] == pytest.approx(48.0)
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0, -5.0, 2e7])
+def test_a_ground_clock_that_was_set_while_it_recorded_moves_nothing(tmp_path, step_s):
+    data = bytes(link(seconds=40.0, down_s=0.03).data)
+    frames = split(data)
+    out = bytearray()
+    for a, b, stamp in zip(frames.at, np.append(frames.at[1:], len(data)), frames.stamp_us, strict=True):
+        later = step_s if stamp > (EPOCH_S + 1.0) * 1e6 else 0.0
+        out += struct.pack(">Q", int(stamp + later * 1e6)) + data[a + 8 : b]
+    (tmp_path / "a.tlog").write_bytes(out)
+    r = import_log(tmp_path / "a.tlog")
+    t_s, roll = r.channel("roll_ref_rad")
+    assert t_s[np.flatnonzero(np.diff(roll) > 0.1)[0] + 1] == pytest.approx(22.0, abs=0.005)
+    assert r.series["state"].t_s[-1] == pytest.approx(59.0, abs=0.05)
+    assert any("was set 1 times" in loss for loss in r.provenance.losses)
+
+
+def test_a_link_that_stalls_is_no_step_of_the_clock(tmp_path):
+    data = bytes(link(seconds=40.0).data)
+    frames = split(data)
+    begin, end = (EPOCH_S + 10.0) * 1e6, (EPOCH_S + 14.0) * 1e6
+    out = bytearray()
+    for a, b, stamp in zip(frames.at, np.append(frames.at[1:], len(data)), frames.stamp_us, strict=True):
+        out += struct.pack(">Q", int(end if begin < stamp < end else stamp)) + data[a + 8 : b]
+    (tmp_path / "a.tlog").write_bytes(out)
+    assert not any("clock" in loss for loss in import_log(tmp_path / "a.tlog").provenance.losses)
