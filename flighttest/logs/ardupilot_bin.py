@@ -34,15 +34,15 @@ WANTED: dict[str, tuple[str, ...] | None] = {
     "ATT": _ANGLES,
     "RATE": (*_TIME, "R", "P", "Y", "YDes", "AOut"),
     "IMU": (*_TIME, "I", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
-    "GUIA": (*_TIME, "Type", "Roll", "Pitch", "YawRt", "Thrust", "ClimbRt"),
+    "GUIA": (*_TIME, "Type", "Roll", "Pitch", "Yaw", "RollRt", "PitchRt", "YawRt", "Thrust", "ClimbRt"),
     "CTUN": (*_TIME, "ThI", "ThO", "ThrIn", "ThrOut"),
     "BAT": _BATTERY,
     "CURR": _BATTERY,
     "XKF1": _EKF,
     "NKF1": _EKF,
     "EKF1": _EKF,
-    "XKF4": (*_TIME, "C", "PI"),
-    "NKF4": (*_TIME, "C", "PI"),
+    "XKF4": (*_TIME, "C", "PI", "SS"),
+    "NKF4": (*_TIME, "C", "PI", "SS"),
     "GPS": (*_TIME, "T", "I", "Status", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ"),
     "RFND": None,
     "PARM": None,
@@ -64,6 +64,9 @@ _NEEDED: dict[str, tuple[str, ...]] = {
 _TEXTS = frozenset({"Name", "Message", "FWS"})
 DEFAULT_ACCEL_FILTER_HZ = 20.0
 """INS_ACCEL_FILTER as ArduPilot ships it (AP_InertialSensor.cpp)."""
+_STATUS = {"XKF1": "XKF4", "NKF1": "NKF4"}
+_CONSTANT_POSITION = 1 << 7  # of the EKF's solution status (AP_Nav_Common.h)
+_LEAST_V = 1.0
 _FACING_DOWN = 25
 _RANGE_GOOD = 4
 _GPS_3D = 3
@@ -177,7 +180,7 @@ class _Importer:
         for ekf, mask in (("XKF4", "EK3_IMU_MASK"), ("NKF4", "EK2_IMU_MASK")):
             if ekf in self.tables and "PI" in self.tables[ekf][0]:
                 lane = Counter(int(i) for i in self.tables[ekf][0].raw["PI"]).most_common(1)[0][0]
-                if name in ("XKF1", "NKF1"):
+                if name in ("XKF1", "NKF1", "XKF4", "NKF4"):
                     return lane
                 if name == "IMU":
                     used = [i for i in range(8) if int(self.parameters.get(mask, 1)) >> i & 1]
@@ -220,10 +223,28 @@ class _Importer:
             velocity, position = stack(table, "VN", "VE", "VD"), stack(table, "PN", "PE", "PD")
             if not np.any(velocity):
                 continue
-            self._put(series, "velocity", ordered(t_s, named(frames.flip_vector(velocity), *_V), name, self.losses))
-            self._put(series, "position", ordered(t_s, named(frames.flip_vector(position), *_P), name, []))
+            made_up = self._made_up(name, t_s)
+            for group, values, names in (("velocity", velocity, _V), ("position", position, _P)):
+                values[made_up, :2] = np.nan
+                columns = named(frames.flip_vector(values), *names)
+                columns = {n: v for n, v in columns.items() if np.isfinite(v).any()}
+                self._put(series, group, ordered(t_s, columns, name, self.losses if group == "velocity" else []))
             return
         self._gps(series)
+
+    def _made_up(self, name: str, t_s: FloatArray) -> NDArray[np.bool_]:
+        """Where the EKF had nothing that tells of horizontal motion (n,): it takes its position as constant then, its velocity drifts."""
+        status = self._instance(_STATUS.get(name, ""), "C")
+        if status is None or "SS" not in status[0]:
+            return np.zeros(t_s.size, dtype=bool)
+        held = status[0].raw["SS"].astype(np.int64) & _CONSTANT_POSITION != 0
+        found = held[np.maximum(np.searchsorted(status[1], t_s, side="right") - 1, 0)]
+        if found.any():
+            self.losses.append(
+                f"{name}: for {np.mean(found):.0%} of the time the EKF had neither GPS nor optical flow; its horizontal velocity and "
+                "position were not used there"
+            )
+        return np.asarray(found)
 
     def _gps(self, series: dict[str, Series]) -> None:
         gps = self._instance("GPS", "I")
@@ -267,20 +288,32 @@ class _Importer:
         return Series(position.t_s, {"height_m": up - ground})
 
     def _battery(self) -> Series | None:
+        for name in ("BAT", "CURR"):
+            self._drop_unmonitored(name)
         found = self._instance("BAT", "Inst", "Instance") or self._instance("CURR", "Instance", "Inst")
         if found is None or "Volt" not in found[0]:
             return None
         table, t_s = found
         scale = 1e-2 if table.format.codes[table.format.fields.index("Volt")] == "h" else 1.0  # before Copter 3.3
         voltage = table.get("Volt") * scale
-        if not np.any(voltage > 1.0):
+        if not np.any(voltage > _LEAST_V):
             self.losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
             return None
-        columns = {"voltage_v": np.where(voltage > 1.0, voltage, np.nan)}
+        columns = {"voltage_v": np.where(voltage > _LEAST_V, voltage, np.nan)}
         if "Curr" in table:
             current = table.get("Curr") * scale
             columns["current_a"] = np.where(current >= 0, current, np.nan)
         return ordered(t_s, columns, table.format.name, self.losses)
+
+    def _drop_unmonitored(self, name: str) -> None:
+        """Leave out batteries that were set up for their current alone, where another one tells its voltage."""
+        table, t_s = self.tables.get(name, (None, None))
+        field = next((f for f in ("Inst", "Instance") if table is not None and f in table), None)
+        if table is None or t_s is None or field is None or "Volt" not in table:
+            return
+        keep = np.isin(table.raw[field], table.raw[field][table.get("Volt") > _LEAST_V])
+        if keep.any():
+            self.tables[name] = table.where(keep), t_s[keep]
 
 
 _V = ("v_x_m_s", "v_y_m_s", "v_z_m_s")

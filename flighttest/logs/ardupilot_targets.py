@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from flighttest.logs.dataflash import Table, stack
 from flighttest.logs.timing import held_union, ordered
+from flighttest.mavlink.accepted import CLIMB_RATES
+from flighttest.mavlink.modes import TAKES_ATTITUDE_TARGETS
 from flighttest.recording import Series
 
 FloatArray = NDArray[np.float64]
@@ -62,9 +64,10 @@ class Targets:
         guia = self.tables.get("GUIA")
         if guia is not None:
             table, t_s = guia
+            known = np.where(_rates_alone(table), np.nan, 1.0)
             columns = {
-                "roll_ref_rad": np.radians(table.get("Roll")),
-                "pitch_ref_rad": -np.radians(table.get("Pitch")),
+                "roll_ref_rad": np.radians(table.get("Roll")) * known,
+                "pitch_ref_rad": -np.radians(table.get("Pitch")) * known,
                 "yaw_rate_ref_rad_s": -np.radians(table.get("YawRt")),
             }
             thrust = table.get("Thrust")
@@ -74,9 +77,7 @@ class Targets:
             one = ordered(t_s, columns, "GUIA", self.losses)
             parts = [_ended_by_mode(one, state)]
             if not direct and throttle is not None:
-                self.derived["throttle"] = (
-                    "CTUN: the targets were climb rates (GUID_OPTIONS bit 3 not set), so the throttle is the altitude controller's"
-                )
+                self.derived["throttle"] = f"CTUN: {CLIMB_RATES}"
                 parts.append(throttle)
             return held_union(parts, 0.0) if len(parts) > 1 else Series(*parts[0])
         parts = self._own("ref")
@@ -111,14 +112,22 @@ class Targets:
         return Series(*found) if found is not None else None
 
 
+def _rates_alone(guia: Table) -> NDArray[np.bool_]:
+    """Which targets (n,) asked for body rates and no attitude: the autopilot logs the empty quaternion as a level head due north."""
+    if not {"Yaw", "RollRt", "PitchRt"} <= set(guia.raw):
+        return np.zeros(len(guia), dtype=bool)
+    level = np.all(stack(guia, "Roll", "Pitch", "Yaw") == 0.0, axis=1)
+    turning = np.any(stack(guia, "RollRt", "PitchRt") != 0.0, axis=1)
+    return np.asarray(level & np.any(level & turning))
+
+
 def _ended_by_mode(series: Series, state_series: Series | None) -> Part:
     """Targets count only in the mode they were sent in: where it changes, the reference becomes unknown (NaN) until the next target."""
-    guided = (4.0, 20.0)
     t, columns = series.t_s, dict(series.columns)
     if state_series is None or "mode" not in state_series.columns:
         return t, columns
     mode = state_series.columns["mode"]
-    left = np.flatnonzero(np.isin(mode[:-1], guided) & (mode[1:] != mode[:-1])) + 1
+    left = np.flatnonzero(np.isin(mode[:-1], TAKES_ATTITUDE_TARGETS) & (mode[1:] != mode[:-1])) + 1
     ends = np.setdiff1d(state_series.t_s[left], t)
     order = np.argsort(np.concatenate([t, ends]), kind="stable")
     blank = np.full(ends.size, np.nan)

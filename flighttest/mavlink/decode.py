@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import RecordingError
+from flighttest.mavlink.accepted import taken, throttle_of
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, book, firmware_version, is_armed, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
-from flighttest.mavlink.modes import TAKES_ATTITUDE_TARGETS, mode_name
+from flighttest.mavlink.modes import mode_name
 from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.stamps import HALF_MS, in_lock_step, rounded_off, stamped_rules, stamps, times_of
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
@@ -215,11 +216,21 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
     clock = estimate_clock(came_s, made_s, trips)
     reference, reference_clock, clock = _reference(collected, source, span, clock, (came_s, made_s), losses)
     times = times_of(raw, ground, order, clock, lost_s)
-    if reference is not None and "HEARTBEAT" in raw:
-        reference = _taken(reference, times["HEARTBEAT"], raw["HEARTBEAT"], losses)
     series, derived = _series(raw, times, losses)
     if "battery" not in series and not raw.keys().isdisjoint(("SYS_STATUS", "BATTERY_STATUS")):
         losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
+    beats, last_armed_s = raw.get("HEARTBEAT", {}), np.inf
+    armed = (
+        (beats["base_mode"].astype(int) & book.MAV_MODE_FLAG_SAFETY_ARMED) != 0 if beats else np.zeros(0, dtype=bool)
+    )
+    if armed.any():
+        last_armed_s = float(np.max(ground["HEARTBEAT"][armed]))
+    parameters = in_force(collected.parameters.get(source, []), last_armed_s)
+    autopilot = next((int(a) for a in beats.get("autopilot", ())), book.MAV_AUTOPILOT_INVALID)
+    if reference is not None and autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        own = (times["ATTITUDE_TARGET"], raw["ATTITUDE_TARGET"]["thrust"]) if "ATTITUDE_TARGET" in raw else None
+        reference = taken(reference, times["HEARTBEAT"], beats["custom_mode"], losses)
+        reference = throttle_of(reference, own, parameters, derived) if reference is not None else None
     if reference is not None:
         series["reference"] = reference
     elif "ATTITUDE_TARGET" in raw:
@@ -227,27 +238,23 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
         series["reference"] = _ordered(times["ATTITUDE_TARGET"], columns, "ATTITUDE_TARGET", losses)
         derived["throttle"] = "the vehicle's ATTITUDE_TARGET.thrust: no SET_ATTITUDE_TARGET was recorded"
         reference_clock = "vehicle"
-    beats, last_armed_s = raw.get("HEARTBEAT", {}), np.inf
     markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
     if beats:
-        t_s = times["HEARTBEAT"]
-        armed = (beats["base_mode"].astype(int) & book.MAV_MODE_FLAG_SAFETY_ARMED) != 0
         series["state"] = _ordered(
-            t_s, {"mode": beats["custom_mode"], "armed": armed.astype(float)}, "HEARTBEAT", losses
+            times["HEARTBEAT"], {"mode": beats["custom_mode"], "armed": armed.astype(float)}, "HEARTBEAT", losses
         )
         markers += _mode_markers(series["state"])
-        last_armed_s = float(np.max(ground["HEARTBEAT"][armed])) if armed.any() else np.inf
     return Decoded(
         series=series,
         markers=tuple(sorted(markers, key=lambda m: m.t_s)),
         clock=clock,
-        parameters=in_force(collected.parameters.get(source, []), last_armed_s),
+        parameters=parameters,
         firmware=collected.firmware.get(source, ""),
         losses=tuple(losses),
         derived=derived,
         reference_clock=reference_clock,
         vehicle_system=system,
-        autopilot=next((int(a) for a in beats.get("autopilot", ())), book.MAV_AUTOPILOT_INVALID),
+        autopilot=autopilot,
         origin=collected.origins.get(source),
         counts={kind: int(times.size) for kind, times in ground.items()},
     )
@@ -309,23 +316,6 @@ def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, l
         if sentence not in losses:
             losses.append(sentence)
     return Series(t[last], {name: np.asarray(values)[order][last] for name, values in columns.items()})
-
-
-def _taken(targets: Series, beats_s: FloatArray, beats: Mapping[str, FloatArray], losses: list[str]) -> Series | None:
-    """The targets that the vehicle took: ArduPilot drops those sent in another mode, so they are no reference (NaN there, None where it
-    took none). The mode is what the next HEARTBEAT says."""
-    if not beats_s.size or beats["autopilot"][0] != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
-        return targets
-    following = np.minimum(np.searchsorted(beats_s, targets.t_s), beats_s.size - 1)
-    dropped = ~np.isin(beats["custom_mode"][following], TAKES_ATTITUDE_TARGETS)
-    if not dropped.any():
-        return targets
-    losses.append(
-        f"{int(np.count_nonzero(dropped))} of {dropped.size} SET_ATTITUDE_TARGET were sent in a mode that drops them; they are no reference"
-    )
-    if dropped.all():
-        return None
-    return Series(targets.t_s, {name: np.where(dropped, np.nan, v) for name, v in targets.columns.items()})
 
 
 def _reference(

@@ -186,3 +186,59 @@ def test_what_is_restored_after_landing_does_not_describe_the_flight(flight, tmp
     w.write("EV", 54_100_000, 11)
     w.write("PARM", 54_200_000, "GUID_OPTIONS", 0.0, 0.0)
     assert import_log(w.save(tmp_path / "a.bin")).provenance.parameters["GUID_OPTIONS"] == 8.0
+
+
+def estimated(log, statuses):
+    """1 s per solution status, at 50 Hz, always flying north at 1 m/s as far as the EKF knows."""
+    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log.format("XKF1", "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD")
+    log.format("XKF4", "QBHB", "TimeUS,C,SS,PI")
+    for k in range(50 * len(statuses)):
+        us = 10_000_000 + 20_000 * k
+        log.write("ATT", us, 0, 0, 0, 0, 0, 0)
+        log.write("XKF4", us, 0, statuses[k // 50], 0)
+        log.write("XKF1", us, 0, 1.0, 0.5, -2.0, 1.0, 0.5, -3.0)
+    return log
+
+
+CONSTANT_POSITION, WITH_GPS = 0xA5, 0x33F
+
+
+def test_where_the_ekf_had_no_aiding_its_horizontal_motion_is_not_used(dataflash, tmp_path):
+    r = import_log(estimated(dataflash(), [CONSTANT_POSITION, WITH_GPS]).save(tmp_path / "a.bin"))
+    t_s, north = r.channel("v_x_m_s")
+    assert np.isnan(north[t_s < 11.0]).all()
+    assert np.isfinite(north[t_s >= 11.0]).all()
+    assert np.isfinite(r.channel("v_z_m_s")[1]).all()
+    assert any("for 50% of the time the EKF had neither GPS" in loss for loss in r.provenance.losses)
+
+
+def test_without_any_aiding_there_is_no_horizontal_motion(dataflash, tmp_path):
+    r = import_log(estimated(dataflash(), [CONSTANT_POSITION]).save(tmp_path / "a.bin"))
+    assert set(r.series["velocity"].columns) == {"v_z_m_s"}
+    assert set(r.series["position"].columns) == {"p_z_m"}
+    assert r.has("height_m")
+
+
+def test_of_two_batteries_the_one_that_tells_its_voltage_is_read(dataflash, tmp_path):
+    log = dataflash()
+    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log.format("BAT", "QBff", "TimeUS,Inst,Volt,Curr")
+    for k in range(100):
+        log.write("ATT", 10_000_000 + 20_000 * k, 0, 0, 0, 0, 0, 0)
+        log.write("BAT", 10_000_000 + 20_000 * k, 0, 0.0, 12.0)
+        log.write("BAT", 10_000_000 + 20_000 * k, 1, 23.0, 0.0)
+    assert import_log(log.save(tmp_path / "a.bin")).channel("voltage_v")[1].min() == pytest.approx(23.0)
+
+
+def test_rates_without_an_attitude_are_no_level_attitude(dataflash, tmp_path):
+    log = dataflash()
+    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log.format("GUIA", "QBffffffff", "TimeUS,Type,Roll,Pitch,Yaw,RollRt,PitchRt,YawRt,Thrust,ClimbRt")
+    for k in range(100):
+        log.write("ATT", 10_000_000 + 20_000 * k, 0, 5, 0, 0, 0, 0)
+        log.write("GUIA", 10_000_000 + 20_000 * k, 6, 0, 0, 0, 30.0 if 40 < k < 50 else 0.0, 0, 10.0, 0.3, 0)
+    r = import_log(log.save(tmp_path / "a.bin"))
+    assert not r.has("roll_ref_rad")
+    assert r.channel("yaw_rate_ref_rad_s")[1][0] == pytest.approx(-np.radians(10.0))
+    assert r.channel("throttle")[1][0] == pytest.approx(0.3)

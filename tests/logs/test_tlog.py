@@ -221,7 +221,7 @@ def test_targets_in_a_mode_that_drops_them_are_no_reference(tmp_path):
     r = read(w, tmp_path / "a.tlog")
     t_s, throttle = r.channel("throttle")
     assert t_s[np.isfinite(throttle)][-1] == pytest.approx(24.0, abs=0.05)
-    assert any("in a mode that drops them" in loss for loss in r.provenance.losses)
+    assert any("the autopilot drops what is sent in another mode" in loss for loss in r.provenance.losses)
 
 
 def test_a_battery_that_nobody_measures_is_no_battery_at_zero_volts(tmp_path):
@@ -268,3 +268,18 @@ def test_a_link_that_stalls_is_no_step_of_the_clock(tmp_path):
         out += struct.pack(">Q", int(end if begin < stamp < end else stamp)) + data[a + 8 : b]
     (tmp_path / "a.tlog").write_bytes(out)
     assert not any("clock" in loss for loss in import_log(tmp_path / "a.tlog").provenance.losses)
+
+
+def test_thrust_that_was_a_climb_rate_is_no_throttle(tmp_path):
+    w = link()
+    w.add(4.0, v2.MAVLink_param_value_message(b"GUID_OPTIONS", 0.0, 9, 1, 0))
+    bare = read(w, tmp_path / "a.tlog")
+    assert not bare.has("throttle")
+    for k in range(200):
+        t = k / 50.0
+        own = v2.MAVLink_attitude_target_message(round((20 + t) * 1e3), 0, [1.0, 0, 0, 0], 0, 0, 0, 0.42)
+        w.add(t + 0.01, own)
+    r = read(w, tmp_path / "a.tlog")
+    assert r.channel("throttle")[1][-1] == pytest.approx(0.42)
+    assert r.channel("roll_ref_rad")[1][-1] == pytest.approx(0.25)
+    assert "climb rates" in r.provenance.derived["throttle"]

@@ -1,0 +1,58 @@
+"""What ArduCopter made of the targets it was sent: which it dropped without a word, and what their thrust meant to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.mavlink.modes import TAKES_ATTITUDE_TARGETS
+from flighttest.recording import Series
+
+FloatArray = NDArray[np.float64]
+
+_THRUST_IS_THROTTLE = 8  # of GUID_OPTIONS
+CLIMB_RATES = "the targets were climb rates (GUID_OPTIONS bit 3 not set), so the throttle is the altitude controller's"
+
+
+def taken(targets: Series, beats_s: FloatArray, modes: FloatArray, losses: list[str]) -> Series | None:
+    """The targets that the vehicle took, NaN where it dropped them; None where it took none.
+
+    It drops those sent in another mode, and those without a throttle. beats_s, modes: (n,) HEARTBEATs; the mode is what the next one says.
+    """
+    if not beats_s.size:
+        return targets
+    following = np.minimum(np.searchsorted(beats_s, targets.t_s), beats_s.size - 1)
+    dropped = ~np.isin(modes[following], TAKES_ATTITUDE_TARGETS) | np.isnan(targets.columns["throttle"])
+    if not dropped.any():
+        return targets
+    losses.append(
+        f"{int(np.count_nonzero(dropped))} of {dropped.size} SET_ATTITUDE_TARGET are no reference: "
+        "the autopilot drops what is sent in another mode than GUIDED or without a throttle"
+    )
+    if dropped.all():
+        return None
+    return Series(targets.t_s, {name: np.where(dropped, np.nan, v) for name, v in targets.columns.items()})
+
+
+def throttle_of(
+    targets: Series, own: tuple[FloatArray, FloatArray] | None, parameters: Mapping[str, float], derived: dict[str, str]
+) -> Series:
+    """The targets with the throttle they led to, where GUID_OPTIONS says that their thrust was a climb rate.
+
+    own: times (n,) and thrust (n,) of the vehicle's ATTITUDE_TARGET; without it the throttle is unknown then.
+    """
+    if int(parameters.get("GUID_OPTIONS", _THRUST_IS_THROTTLE)) & _THRUST_IS_THROTTLE:
+        return targets
+    columns = {name: values for name, values in targets.columns.items() if name != "throttle"}
+    if own is None or not own[0].size:
+        return Series(targets.t_s, columns)
+    derived["throttle"] = f"ATTITUDE_TARGET: {CLIMB_RATES}"
+    t_s = np.union1d(targets.t_s, own[0])
+    columns["throttle"] = own[1]
+    held = {}
+    for name, values in columns.items():
+        since = np.searchsorted(own[0] if name == "throttle" else targets.t_s, t_s, side="right") - 1
+        held[name] = np.where(since >= 0, values[np.maximum(since, 0)], np.nan)
+    return Series(t_s, held)
