@@ -25,6 +25,8 @@ from flighttest.logs.opening import LogFile
 FloatArray = NDArray[np.float64]
 
 CRAZYFLIE_MAGIC = 0xBC
+_DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass
@@ -63,6 +65,9 @@ class Sheet:
         series = self.raw[name]
         if isinstance(series, np.ndarray):
             return np.asarray(series, dtype=float)
+        moments = _moments(series)
+        if moments is not None:
+            return moments
         numbers = pd.to_numeric(series, errors="coerce")
         bad = int((numbers.isna() & series.notna()).sum())
         if bad == len(series) and bad and str(series.iloc[0]).strip().startswith("["):
@@ -102,6 +107,18 @@ class Sheet:
             self.losses.append(sentence)
 
 
+def _moments(series: Any) -> FloatArray | None:
+    """Dates, and times as text in ISO 8601, as seconds since the first (n,); None for anything else."""
+    if series.dtype.kind == "m":
+        return np.asarray(series.dt.total_seconds(), dtype=float)
+    if series.dtype.kind != "M":
+        known = series.dropna()
+        if not len(known) or not _DATE.match(str(known.iloc[0])):
+            return None
+        series = pd.to_datetime(series, format="ISO8601", errors="coerce", utc=True)
+    return np.asarray((series - series.min()).dt.total_seconds(), dtype=float)
+
+
 def _vector(value: Any) -> Any:
     if isinstance(value, str):
         try:
@@ -127,7 +144,7 @@ def read_sheet(file: LogFile) -> Sheet:
 
 def _parquet(file: LogFile, data: bytes) -> Sheet:
     try:
-        frame = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pandas()
+        frame = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pandas(ignore_metadata=True)
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise RecordingError(f"{file.path}: this Parquet file is damaged: {error}", "copy the file anew") from error
     return _sheet(file, frame)
@@ -135,24 +152,26 @@ def _parquet(file: LogFile, data: bytes) -> Sheet:
 
 def _text(file: LogFile, data: bytes) -> Sheet:
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    if "\0" in text:
-        raise RecordingError(f"{file.path}: this is no text table", "give a .BIN, .tlog, .ulg, .csv or .parquet file")
+    text, zeroed = _without_zeros(file, text)
     lines = [line for line in text[:20000].splitlines() if line.strip() and not line.startswith("#")]
     if len(lines) < 2:
         raise RecordingError(
             f"{file.path}: the table has no rows", "it needs a line of column names and lines of values"
         )
     separator = max(",;\t", key=lambda mark: lines[0].count(mark))
+    # Where commas separate nothing, and no number has a point, they are what others write as a point.
+    values = "\n".join(lines[1:])
+    comma = separator != "," and re.search(r"\d,\d", values) and not re.search(r"\d\.\d", values)
     skipped: list[int] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", pd.errors.ParserWarning)
             frame = pd.read_csv(
                 io.StringIO(text), sep=separator, comment="#", skipinitialspace=True, on_bad_lines="warn", low_memory=False,
-                index_col=False, skip_blank_lines=True,
+                index_col=False, skip_blank_lines=True, decimal="," if comma else ".",
             )  # fmt: skip
         skipped = [int(n) for one in caught for n in re.findall(r"Skipping line (\d+)", str(one.message))]
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
@@ -160,11 +179,24 @@ def _text(file: LogFile, data: bytes) -> Sheet:
             f"{file.path}: this is no table: {error}", "see docs/formats.md for plain tables"
         ) from error
     sheet = _sheet(file, frame)
+    if zeroed:
+        sheet.losses.append(f"{zeroed} lines hold zero bytes (a card that lost power?) and were left out")
     if skipped:
         sheet.losses.append(
             f"{len(skipped)} lines have too many values and were left out (the first is line {skipped[0]})"
         )
     return sheet
+
+
+def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:
+    """The text without lines that hold zero bytes, and how many; RecordingError where those are most of it."""
+    if "\0" not in text:
+        return text, 0
+    lines = text.splitlines()
+    good = [line for line in lines if "\0" not in line]
+    if len(good) < 0.5 * len(lines) or "\0" in lines[0]:
+        raise RecordingError(f"{file.path}: this is no text table", "give a .BIN, .tlog, .ulg, .csv or .parquet file")
+    return "\n".join(good), len(lines) - len(good)
 
 
 def _sheet(file: LogFile, frame: pd.DataFrame) -> Sheet:

@@ -32,6 +32,10 @@ _WILD_MAX = 0.05
 _PIECE_ROWS = 10
 _PIECE_GAP_S = 10.0
 _OWN_START_S = 1.0  # pieces that were each timed from their own start begin alike
+_STEP_MAX_S = 20.0  # a longer piece is no step, but a flight
+_SLOWEST_S = 2.0  # between rows of a table in which a flight can show
+_TURN_RAD = 2.0 * np.pi
+_BEYOND = 0.01  # of the samples: single ones may be damaged
 _UPSIDE_DOWN_RAD = np.pi / 2
 _WORLD_GROUPS = ("velocity", "position", "acceleration")
 _BODY_GROUPS = ("rates", "specific_force")
@@ -72,6 +76,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
         )
     if "throttle" in found:
         _check_throttle(path, found["throttle"])
+    _check_angles(path, found)
     step = sheet.column(plan.columns[STEP].columns[0]) if STEP in plan.columns else pieces
     markers = _steps(t_s, step) if step is not None else []
     return Recording(
@@ -108,6 +113,12 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
         raise RecordingError(
             f"{path}: time does not pass: column t_s has {finite.size} usable values", "check the column map"
         )
+    usual = float(np.median(np.diff(np.unique(finite))))
+    if usual > _SLOWEST_S:
+        raise RecordingError(
+            f"{path}: the rows lie {usual:g} s apart: no step shows in that",
+            "t_s is in seconds; name the unit of another one in the column map, as in t_s: {from: time, unit: us}",
+        )
     return t_s
 
 
@@ -129,7 +140,7 @@ def _tame(t_s: FloatArray, losses: list[str]) -> FloatArray:
 def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, FloatArray | None]:
     """A table whose time starts anew, as one whose steps were each timed from their own start: the pieces in a row, with their number
     (n,), else None. A table that is merely out of order stays as it is; a clock that stepped back in flight makes no steps of its
-    pieces, which begin at other times than the first."""
+    pieces, which begin at other times than the first; nor are whole flights steps."""
     starts = np.flatnonzero(np.diff(t_s) < 0) + 1
     bounds = np.concatenate([[0], starts, [t_s.size]])
     if not starts.size or int(np.min(np.diff(bounds))) < _PIECE_ROWS:
@@ -142,7 +153,8 @@ def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, 
     losses.append(
         f"time starts anew {starts.size} times: the {starts.size + 1} pieces were put {_PIECE_GAP_S:g} s apart"
     )
-    anew = bool(np.all(np.abs(t_s[starts] - t_s[0]) < _OWN_START_S))
+    lengths_s = [float(np.nanmax(out[a:b]) - np.nanmin(out[a:b])) for a, b in pairwise(bounds)]
+    anew = bool(np.all(np.abs(t_s[starts] - t_s[0]) < _OWN_START_S)) and max(lengths_s) < _STEP_MAX_S
     return out, number if anew else None
 
 
@@ -293,10 +305,24 @@ def _check_throttle(path: Path, throttle: FloatArray) -> None:
         )
 
 
+def _check_angles(path: Path, found: Columns) -> None:
+    for name, values in found.items():
+        if CHANNELS[name].unit != "rad" or not name.startswith(("roll", "pitch")):
+            continue
+        known = np.abs(values[np.isfinite(values)])
+        if np.count_nonzero(known > _TURN_RAD) > _BEYOND * known.size:
+            raise RecordingError(
+                f"{path}: {name} goes up to {float(np.max(known)):g}; in radians that is more than a turn",
+                "for degrees give `unit: deg` in the column map",
+            )
+
+
 def _steps(t_s: FloatArray, step: FloatArray) -> list[Marker]:
     """One leg per step number; rows without a number or with a negative one lie between steps, and so do those with 0 where the
     table returns to it."""
     number = np.where(np.isfinite(step), step, -1.0)
+    if np.unique(number).size < 2:  # numbers nothing
+        return []
     zeros = np.flatnonzero(number == 0)
     if zeros.size and zeros[-1] - zeros[0] + 1 > zeros.size:
         number[zeros] = -1.0

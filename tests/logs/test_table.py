@@ -280,3 +280,51 @@ def test_bytes_of_any_kind_never_crash(attempt, tmp_path):
             (tmp_path / name).write_bytes(hurt)
             r = attempt(tmp_path / name)
             assert not isinstance(r, RecordingError) or name in str(r)
+
+
+def test_whole_flights_one_after_another_are_no_steps(tmp_path):
+    t = np.arange(1500) * 0.02
+    r = import_log(save(tmp_path / "a.csv", t_s=np.concatenate([t, t]), roll_rad=0.1))
+    assert r.markers == ()
+    assert np.max(np.diff(r.series["attitude"].t_s)) == pytest.approx(10.0)
+
+
+def test_a_step_number_that_never_changes_numbers_nothing(tmp_path, t):
+    assert import_log(save(tmp_path / "a.csv", t_s=t, roll_rad=t, step=0)).markers == ()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_commas_for_points_between_semicolons(tmp_path, t, encoding):
+    frame = pd.DataFrame({"t_s": t, "roll_rad": 0.125, "v_x_m_s": -t})
+    frame.to_csv(tmp_path / "Flug 1 – Wiese.csv", index=False, sep=";", decimal=",", encoding=encoding)
+    r = import_log(tmp_path / "Flug 1 – Wiese.csv")
+    assert r.channel("roll_rad")[1][0] == 0.125
+    np.testing.assert_allclose(r.channel("v_x_m_s")[1], -t)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+def test_dates_for_times(tmp_path, t, name):
+    frame = pd.DataFrame({"t_s": pd.Timestamp("2026-01-01") + pd.to_timedelta(t, unit="s"), "roll_rad": t})
+    frame.to_csv(tmp_path / name, index=False) if name.endswith("csv") else frame.to_parquet(tmp_path / name)
+    np.testing.assert_allclose(import_log(tmp_path / name).series["attitude"].t_s, t, atol=1e-6)
+
+
+def test_an_index_is_a_column_too(tmp_path, t):
+    pd.DataFrame({"t_s": t, "roll_rad": t}).set_index("t_s").to_parquet(tmp_path / "a.parquet")
+    np.testing.assert_allclose(import_log(tmp_path / "a.parquet").series["attitude"].t_s, t)
+
+
+def test_lines_of_zero_bytes_are_left_out_and_told(tmp_path, t):
+    text = save(tmp_path / "a.csv", t_s=t, roll_rad=t).read_text()
+    (tmp_path / "a.csv").write_text(text[:1000] + "\0" * 300 + text[1300:])
+    r = import_log(tmp_path / "a.csv")
+    assert N - 60 < len(r.series["attitude"]) < N
+    assert "zero bytes" in r.provenance.losses[0]
+
+
+@pytest.mark.parametrize(
+    ("factor_t", "factor_roll", "words"), [(1e3, 1.0, "name the unit"), (1.0, 57.3, "for degrees give `unit: deg`")]
+)
+def test_units_that_cannot_be_meant_are_refused(tmp_path, t, factor_t, factor_roll, words):
+    with pytest.raises(RecordingError, match=words):
+        import_log(save(tmp_path / "a.csv", t_s=t * factor_t, roll_rad=0.3 * np.sin(t) * factor_roll))
