@@ -16,8 +16,8 @@ from flighttest.documents import Document, Node, kind_of
 from flighttest.errors import ModelError
 from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
+from flighttest.identify.model_blocks import check_valid, children_of, constants_of, noise_of, plain_block, terms_of
 from flighttest.physics.body import DELAY_PARAM
-from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
 FloatArray = NDArray[np.float64]
@@ -174,10 +174,17 @@ def read(path: Path) -> ModelFile:
     document = Document(str(path), text)
     document.check_format("model")
     root = document.mapping(document.root, _TOP) if document.root is not None else {}
-    terms = _terms(document, root.get("terms"))
+    terms = terms_of(document, root.get("terms"))
     parameters = _parameters(document, root.get("parameters"))
-    constants = _plain_mapping(document, root.get("constants"))
-    covariance = _plain_mapping(document, root.get("covariance"))
+    constants = constants_of(document, root.get("constants"))
+    noise = noise_of(document, root.get("noise"))
+    check_valid(document, root.get("valid"))
+    for key in ("fingerprint", "fit_quality"):
+        plain_block(document, root.get(key))
+    for key in ("runs", "notes"):
+        if key in root and root[key].value is not None and not isinstance(root[key].value, list):
+            document.wrong(root[key], f"expected a list, found {kind_of(root[key].value)}")
+    covariance = plain_block(document, root.get("covariance"))
     for key in ("parameters", "terms"):
         if document.root is not None and key not in root:
             document.problem(1, key, "is missing", "a model file names its terms and parameters")
@@ -189,11 +196,21 @@ def read(path: Path) -> ModelFile:
     channel_delays = plain.get("channel_delays", any(n in parameters for n in DELAY_PARAM.values()))
     model = Model(
         tuple(terms),
-        float(constants.get("nominal_voltage_v", 22.2)),
-        float(constants.get("g", 9.81)),
+        constants.get("nominal_voltage_v", 22.2),
+        constants.get("g", 9.81),
         channel_delays=bool(channel_delays),
         attitude_loops=bool(loops),
     )
+    for name, node in children_of(document, root["parameters"]).items():
+        bounds, stored = model.param.get(name), parameters[name]
+        if bounds is None or stored.source != "fit":
+            continue
+        slack = 1e-6 * bounds.scale  # of rounding
+        if not bounds.lower - slack <= stored.value <= bounds.upper + slack:
+            document.wrong(
+                node, f"{stored.value:g} is outside {bounds.lower:g} to {bounds.upper:g} {bounds.unit}, where fits look"
+            )
+    document.raise_problems(ModelError)
     values = model.start({n: p.value for n, p in parameters.items()})
     missing = [
         n for n in model.names if n not in parameters and n not in DELAY_PARAM.values() and model.term_of(n) != "body"
@@ -212,7 +229,7 @@ def read(path: Path) -> ModelFile:
         valid=plain.get("valid") or {},
         fingerprint=plain.get("fingerprint") or {},
         runs=tuple(plain.get("runs") or ()),
-        noise=plain.get("noise") or {},
+        noise=noise,
         fit_quality=plain.get("fit_quality") or {},
         notes=tuple(plain.get("notes") or ()),
         path=str(path),
@@ -258,30 +275,6 @@ def _number(value: float | None) -> float | None:
     if value is None or not math.isfinite(value):
         return None
     return float(f"{value:.7g}")
-
-
-def _plain_mapping(document: Document, node: Node | None) -> dict[str, Any]:
-    if node is None:
-        return {}
-    if not isinstance(node.value, dict):
-        document.wrong(node, f"expected a block of keys, found {kind_of(node.value)}")
-        return {}
-    return dict(node.plain())
-
-
-def _terms(document: Document, node: Node | None) -> list[str]:
-    if node is None:
-        return ["body"]
-    if not isinstance(node.value, list):
-        document.wrong(
-            node, f"expected a list of terms, found {kind_of(node.value)}", "for example [body, linear_drag]"
-        )
-        return ["body"]
-    known = {"body", *catalogue()}
-    for child in node.value:
-        if child.value not in known:
-            document.wrong(child, f"no term is called {child.plain()!r}", "see `flighttest terms`")
-    return [str(child.plain()) for child in node.value]
 
 
 def _parameters(document: Document, node: Node | None) -> dict[str, StoredParameter]:
@@ -332,4 +325,6 @@ def _covariance(
         return (), np.zeros((0, 0))
     if not np.isfinite(matrix).all():
         document.wrong(node, "the matrix holds something that is not a finite number")
+    elif np.any(np.diag(matrix) < 0.0):
+        document.wrong(node, "the matrix has a negative variance on its diagonal")
     return names, matrix

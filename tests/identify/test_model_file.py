@@ -83,3 +83,35 @@ def test_a_model_does_not_differ_from_itself_and_does_from_another(found, writte
     assert other[0].differs
     assert "differs" in other[0].sentence
     assert sum(d.differs for d in other) == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("valid: {voltage_v: [22.1, null]}", "valid.voltage_v"),
+        ("valid: {voltage_v: [0, 0]}", "outside 0.1 to 2000"),
+        ("constants: {g: heavy}", "constants.g"),
+        ("constants: {nominal_voltage_v: 1e300}", "outside 0.1 to 2000"),
+        ("noise: {channels: {roll_rad: loud}}", "noise.channels.roll_rad"),
+        ("noise: [1, 2]", "expected a block of keys"),
+        ("runs: 5", "expected a list"),
+        ("fit_quality: good", "expected a block of keys"),
+        ("covariance: {order: [alpha], matrix: [[-1.0]]}", "negative variance"),
+    ],
+)
+def test_nonsense_in_any_block_is_told_with_its_line(tmp_path, line, words):
+    path = tmp_path / "bad.yaml"
+    path.write_text(f"format: model/1\nterms: [body]\nparameters: {{alpha: {{value: 1.7}}}}\n{line}\n")
+    with pytest.raises(ModelError, match=words) as error:
+        model_file.read(path)
+    assert {p.line for p in error.value.problems} == {4}
+
+
+def test_a_fit_that_no_fit_can_have_found_is_refused(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text("format: model/1\nterms: [body]\nparameters:\n  K: {value: -50}\n  alpha: {value: 1.7}\n")
+    with pytest.raises(ModelError, match=r"4: parameters.K: -50 is outside 1 to 2000"):
+        model_file.read(path)
+    path.write_text("format: model/1\nterms: [body, 3, [1]]\nparameters: {K: {value: 50}}\n")
+    with pytest.raises(ModelError, match="no term is called"):
+        model_file.read(path)

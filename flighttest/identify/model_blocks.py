@@ -1,0 +1,75 @@
+"""The blocks of model.yaml that are no parameters: read or checked one by one, so that a bad file tells everything wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from flighttest.documents import Document, Node, kind_of
+from flighttest.physics.catalogue import catalogue
+
+_CONSTANTS = {"g": (0.1, 100.0, "m/s^2"), "nominal_voltage_v": (0.1, 2000.0, "V")}
+_VALID = {"voltage_v": (0.1, 2000.0)}
+
+
+def constants_of(document: Document, node: Node | None) -> dict[str, float]:
+    """Gravity and nominal voltage, as far as they are stated."""
+    if node is None:
+        return {}
+    children = document.mapping(node, _CONSTANTS)
+    read = {name: document.number(child, *_CONSTANTS[name]) for name, child in children.items()}
+    return {name: value for name, value in read.items() if value is not None}
+
+
+def noise_of(document: Document, node: Node | None) -> dict[str, dict[str, float]]:
+    """Standard deviations of channels and disturbances; one that is not known (null) is left out."""
+    found: dict[str, dict[str, float]] = {}
+    for part, block in children_of(document, node).items():
+        read = {n: document.number(c, 0.0, 1e9) for n, c in children_of(document, block).items() if c.value is not None}
+        found[part] = {n: value for n, value in read.items() if value is not None}
+    return found
+
+
+def check_valid(document: Document, node: Node | None) -> None:
+    """Each range of validity is a number or [low, high]."""
+    for name, child in children_of(document, node).items():
+        if isinstance(child.value, list):
+            document.vector(child, 2, *_VALID.get(name, (-1e9, 1e9)))
+        elif child.value is not None:
+            document.number(child, -1e9, 1e9)
+
+
+def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
+    """What a block of any keys holds; nothing where there is none."""
+    if node is None or node.value is None:
+        return {}
+    if not isinstance(node.value, dict):
+        document.wrong(node, f"expected a block of keys, found {kind_of(node.value)}")
+        return {}
+    return node.value
+
+
+def plain_block(document: Document, node: Node | None) -> dict[str, Any]:
+    """A block of any keys and values as plain data."""
+    if node is None or node.value is None:
+        return {}
+    if not isinstance(node.value, dict):
+        document.wrong(node, f"expected a block of keys, found {kind_of(node.value)}")
+        return {}
+    return dict(node.plain())
+
+
+def terms_of(document: Document, node: Node | None) -> list[str]:
+    """Names of terms; body alone where none are listed."""
+    if node is None:
+        return ["body"]
+    if not isinstance(node.value, list):
+        document.wrong(
+            node, f"expected a list of terms, found {kind_of(node.value)}", "for example [body, linear_drag]"
+        )
+        return ["body"]
+    known = {"body", *catalogue()}
+    for child in node.value:
+        if not isinstance(child.value, str) or child.value not in known:
+            document.wrong(child, f"no term is called {child.plain()!r}", "see `flighttest terms`")
+    return [str(child.plain()) for child in node.value]
