@@ -9,12 +9,14 @@ from flighttest.errors import LinkError
 from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedClock, TimeSync
 from flighttest.link.lockstep import Grants
 from flighttest.link.port import Port
-from flighttest.mavlink.dialect import Message, book, is_vehicle
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_vehicle
 
 CONNECT_S = 10.0  # host seconds
 HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 1.0
+_DRAIN_MAX = 100  # receives in a row: seconds of a real link, and an end where a simulator sends faster than it is read
 _POLL_S = 0.02  # host seconds one receive may block
+_OVERTAKING_S = 0.2  # a link does not reorder over longer; sequence numbers begin anew after some 0.3 s
 _SILENCE_MAX_S = 10.0  # host seconds a simulator in lock-step may think about a grant
 
 
@@ -128,15 +130,23 @@ class Session:
             self.send(book.MAVLink_timesync_message(tc1=0, ts1=self._timesync.ask(self.clock.ground_s())))
 
     def _take(self, timeout_s: float) -> None:
-        for message in self.port.receive(timeout_s):
-            self._dispatch(message)
+        """Take in what has arrived, all of it: after a pause of the host, a pilot's change of mode may be the last in the queue."""
+        messages = self.port.receive(timeout_s)
+        for _ in range(_DRAIN_MAX):
+            for message in messages:
+                self._dispatch(message)
+            if not messages or self._grants is not None:
+                return
+            messages = self.port.receive(0.0)
 
     def _dispatch(self, message: Message) -> None:
         kind = message.get_type()
         system = message.get_srcSystem()
+        if message.get_srcComponent() != COMPONENT_AUTOPILOT:
+            return  # a gimbal or companion computer aboard has the vehicle's system id, but its own mode, clock and answers
         if not self.vehicle_system and kind == "HEARTBEAT" and is_vehicle(message):
             self.vehicle_system = system
-        if system != self.vehicle_system or system == 0:
+        if system != self.vehicle_system or system == 0 or (kind == "HEARTBEAT" and self._overtaken(message)):
             return
         if kind == "TIMESYNC":
             trip = self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
@@ -149,11 +159,20 @@ class Session:
         if stamp:
             self.clock.heard(stamp * 1e-3)
         t_s = self.clock.now_s()
+        if t_s < self.last_heard_s:
+            self.latest.clear()  # booted anew: what it said before is not fresh, however late its clock was
         self.last_heard_s = t_s
         self.latest[kind] = Heard(message, t_s)
         self.counts[kind] = self.counts.get(kind, 0) + 1
         for listener in tuple(self._listeners):
             listener(message, t_s)
+
+    def _overtaken(self, heartbeat: Message) -> bool:
+        """Whether a HEARTBEAT comes after one that was sent later: the mode it shows is over."""
+        last = self.latest.get("HEARTBEAT")
+        if last is None or not 0.0 <= self.clock.now_s() - last.t_s < _OVERTAKING_S:
+            return False
+        return bool((heartbeat.get_seq() - last.message.get_seq()) % 256 >= 128)
 
     @property
     def silence_s(self) -> float:
