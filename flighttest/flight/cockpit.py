@@ -69,6 +69,7 @@ class Cockpit:
         self._expected: set[int] = set()
         self._owned = False
         self._was_armed = False
+        self._landing = False
         self._before = -1
         self.taken_over = False
         self.session.listen(self._watch)
@@ -82,8 +83,12 @@ class Cockpit:
         self.expect()
 
     def disown(self) -> None:
-        """Mode changes and disarming are fine again (landing, or the pilot flies by agreement)."""
+        """Mode changes and disarming are fine again (on the ground, or the pilot flies by agreement)."""
         self._owned = False
+
+    def expect_ground(self) -> None:
+        """The vehicle lands: a disarming is what is wanted, a change of mode still the pilot's."""
+        self._landing = True
 
     @property
     def owned(self) -> bool:
@@ -99,12 +104,15 @@ class Cockpit:
         if message.get_type() != "HEARTBEAT" or not self._owned:
             return
         mode = int(message.custom_mode)
+        if self._landing and not is_armed(message):
+            self._owned = False
+            return
         if mode not in self._expected:
             self.session.port.mute()
             self.taken_over = True
             self._owned = False
             self.recorder.event("take_over", mode_name(mode), t_s, {"mode": mode})
-            raise FlightEnded(FlightOutcome.TAKE_OVER)
+            raise FlightEnded(FlightOutcome.LEFT_TO_PILOT if self._landing else FlightOutcome.TAKE_OVER)
         if self._was_armed and not is_armed(message):
             self._owned = False
             self.recorder.event("note", "disarmed in flight", t_s)
@@ -145,9 +153,12 @@ class Cockpit:
 
     # -- targets -------------------------------------------------------------------------------------------------------------
 
-    def steer(self, target: AttitudeTarget, yaw_rad: float, with_rate: bool = False) -> tuple[Refusal, ...]:
-        """Send a target if the gate lets it pass; else send nothing and say why. yaw_rad: the heading for the quaternion."""
-        found = refusals(target, self.state, self.gate)
+    def steer(
+        self, target: AttitudeTarget, yaw_rad: float, with_rate: bool = False, *, step: bool = False
+    ) -> tuple[Refusal, ...]:
+        """Send a target if the gate lets it pass; else send nothing and say why. yaw_rad: the heading for the quaternion; step: see
+        `gate.refusals`."""
+        found = refusals(target, self.state, self.gate, step=step)
         if not found and not self.taken_over:
             rate = target.yaw_rate_rad_s if with_rate else None
             self.vehicle.steer(target.roll_rad, target.pitch_rad, yaw_rad, rate, target.throttle)
@@ -157,7 +168,7 @@ class Cockpit:
         """Level, with the throttle that stops the present climb or descent, else hover. Always passes the gate."""
         climb = self.state.climb_m_s if self.state.silence_s < 0.5 else None
         throttle = self.hover_throttle
-        if climb is not None:
+        if climb is not None and math.isfinite(climb):
             # Proportional inside half a metre per second, so that a stop does not swing.
             low, high = self.gate.stop_throttle
             wanted = self.hover_throttle * (1.0 - 0.8 * climb / 0.5)
@@ -167,6 +178,7 @@ class Cockpit:
     def release(self) -> None:
         """Send level attitude with a stopping or hover throttle."""
         yaw = self.state.attitude_rad[2] if self.state.attitude_rad else 0.0
+        yaw = yaw if math.isfinite(yaw) else 0.0
         refused = self.steer(self.release_target(), yaw)
         assert not refused, "letting go must always pass"
 

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import datetime as dt
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-import flighttest
 from flighttest.errors import FlighttestError, LinkError, PreflightError
 from flighttest.flight import preflight, supervisor
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightResult, OnProgress
-from flighttest.flight.recorder import Recorder
+from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.response import Replanner
 from flighttest.flight.scheduler import Scheduler
 from flighttest.link import lockstep
@@ -33,6 +31,7 @@ from flighttest.plan import Plan
 from flighttest.recording.store import read_events
 
 POSITION_WAIT_S = 90.0
+_POSITION_PATIENCE_S = 5.0  # where none is needed
 BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _LISTEN_AFTER_TAKE_OVER_S = 2.0
 _SLOW_STREAMS = ("ATTITUDE", "HIGHRES_IMU", "RAW_IMU", "LOCAL_POSITION_NED", "BATTERY_STATUS", "ATTITUDE_TARGET")
@@ -83,7 +82,7 @@ def fly(
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
     """
     session = Session(Port(transport if transport is not None else open_transport(link_url)))
-    recorder = Recorder(run_dir, session.clock.ground_s, _manifest(plan, link_url, weather, resume), plan)
+    recorder = Recorder(run_dir, session.clock.ground_s, first_manifest(plan, link_url, weather, resume), plan)
     session.port.tap(recorder.tap)
     flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested), on_vehicle)
     left_out = frozenset(skip) | (legs_flown(resume) if resume is not None else frozenset())
@@ -91,32 +90,6 @@ def fly(
         return flight.run(set_params, frozenset(waive), left_out, confirm, replanner)
     finally:
         session.port.close()
-
-
-def _manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> dict[str, Any]:
-    vehicle = plan.vehicle
-    return {
-        "name": plan.script.name,
-        "started": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
-        "versions": {"flighttest": flighttest.__version__},
-        "script": {"name": plan.script.name, "sha256": plan.script.sha256, "path": plan.script.path},
-        "connect": url,
-        "vehicle": {
-            "name": vehicle.name,
-            "firmware": vehicle.firmware,
-            "nominal_voltage_v": vehicle.nominal_voltage_v,
-            "hover_throttle": vehicle.hover_throttle,
-            "mass_kg": vehicle.mass_kg,
-            "rotor_height_m": vehicle.rotor_height_m,
-        },
-        "components": {name: dict(fields) for name, fields in vehicle.components.items()},
-        "parameters": {},
-        "firmware": "",
-        "clock": {},
-        "weather": weather,
-        "outcome": "the program ended before the flight did",
-        **({"resumes": str(resume)} if resume is not None else {}),
-    }
 
 
 class _Flight:
@@ -186,7 +159,6 @@ class _Flight:
                 for r in (scheduler.results if scheduler else [])
             ],
             notes=[*self.notes, *(scheduler.notes if scheduler else [])],
-            parameters_left=left,
         )
         self._say("writing the channels")
         self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
@@ -308,8 +280,9 @@ class _Flight:
 
     @property
     def _pace(self) -> float:
-        """How much faster than real time the vehicle runs, at least 1: what the host takes a moment for is longer for it."""
-        return max(self.session.clock.pace, 1.0)
+        """How much faster than real time the vehicle runs, at least 1: what the host takes a moment for is longer for it. A real vehicle
+        keeps real time, whatever a stalling link makes of it."""
+        return max(self.session.clock.pace, 1.0) if preflight.is_simulator(self._parameters) else 1.0
 
     def _airframe(self) -> Airframe:
         accel_deg = params.by_either_name(self._parameters, "ATC_ACC_Y_MAX")
@@ -322,9 +295,13 @@ class _Flight:
     def _wait_for_position(self, cockpit: Cockpit) -> None:
         """After boot the estimate needs half a minute and more; without a position only its absence is noted."""
         wanted = self.plan.reset.by == "guided"
-        deadline = self.session.now_s() + (POSITION_WAIT_S if wanted else 5.0)
+        began = self.session.now_s()
         self._say("waiting for the vehicle's position estimate")
-        while self.session.now_s() < deadline and not (cockpit.state.position_ok and cockpit.state.attitude_rad):
+        while not cockpit.stop_asked:
+            state, waited_s = cockpit.state, self.session.now_s() - began
+            enough = state.position_ok or (not wanted and waited_s >= _POSITION_PATIENCE_S)
+            if (enough and state.ekf_ok and state.attitude_rad) or not 0.0 <= waited_s < POSITION_WAIT_S:
+                break
             cockpit.until(self.session.now_s() + 0.5)
         if not wanted and not cockpit.state.position_ok:
             source = cockpit.reader.height_source or "nothing: height is not judged"
@@ -350,15 +327,15 @@ class _Flight:
                 raise PreflightError([("the flight zone is more than 500 m from home", "correct the zone's origin")])
             home = place
         cockpit.reader.origin_m = home
+        cockpit.gate = replace(cockpit.gate, zone_placed=True)
         cockpit.after()
         self.recorder.manifest["zone_origin_local_m"] = [round(float(v), 3) for v in home]
 
     # -- after ---------------------------------------------------------------------------------------------------------------
 
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
-        if self.session.silence_s > 5.0:
-            return FlightOutcome.LINK_LOST
         if not self.vehicle.armed:
+            scheduler.cockpit.disown()
             return FlightOutcome.VEHICLE_REFUSED
         if not scheduler.cockpit.owned:
             return FlightOutcome.LEFT_TO_PILOT
@@ -378,15 +355,18 @@ class _Flight:
     def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         left: dict[str, float] = {}
-        if self._changes is not None:
+        if self._changes is not None and self._changes.pending:
+            self._say("restoring parameters")
             try:
                 left = self._changes.restore()
-            except FlighttestError as error:
+            except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
                 left = self._changes.pending
                 self.notes.append(str(error))
         if left:
-            text = ", ".join(f"{name} {value:g}" for name, value in left.items())
-            self.notes.append(f"not restored, set by hand: {text}")
+            text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())
+            self._note(f"not restored, set by hand: {text}")
+            self._say(f"not restored, set by hand: {text}")
+        self.recorder.manifest["parameters_left"] = left
         if self.session.port.muted and not self.session.lock_step:
             self.session.advance(self.session.now_s() + _LISTEN_AFTER_TAKE_OVER_S)
         self.recorder.flush(force=True)

@@ -9,6 +9,8 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from flighttest.flight.state import VehicleState
 from flighttest.frames import G_M_S2
 from flighttest.mavlink import CopterMode
@@ -47,7 +49,8 @@ class GateLimits:
     zone: without its margin: the plan keeps the margin, the gate keeps the wall. reaction_s: from the last good target until a
     stop acts (delay, lag, telemetry age). brake_m_s2: horizontal deceleration of the abort mode. stop_throttle: what the
     supervisor sends to stop (a climb, a descent). needs_position: without it (no satellite fix) zone and speed cannot be
-    judged and are left to the height limits and the fence.
+    judged and are left to the height limits and the fence. zone_placed: whether it is known where the zone is, so that a step is judged
+    by it wherever the vehicle has a position.
     """
 
     limits: Limits
@@ -56,6 +59,7 @@ class GateLimits:
     stop_throttle: tuple[float, float]
     mode: int = int(CopterMode.GUIDED_NOGPS)
     needs_position: bool = True
+    zone_placed: bool = False
     reaction_s: float = 0.25
     brake_m_s2: float = 4.0
     attitude_age_max_s: float = 0.3
@@ -77,16 +81,20 @@ def releases(target: AttitudeTarget, gate: GateLimits) -> bool:
     return level and low - EPSILON <= target.throttle <= high + EPSILON
 
 
-def refusals(target: AttitudeTarget, state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
-    """Every reason why this target may not leave now; empty when it may."""
-    if releases(target, gate):
+def refusals(
+    target: AttitudeTarget, state: VehicleState, gate: GateLimits, *, step: bool = False
+) -> tuple[Refusal, ...]:
+    """Every reason why this target may not leave now; empty when it may.
+
+    step: the target is a maneuver's: it is judged in full, also where its throttle over level attitude is one that lets go. Most steps of
+    throttle are such targets, and hold for longer than a stop would.
+    """
+    if not step and releases(target, gate):
         return ()
     found = _target(target, gate.limits)
     if Refusal.NOT_A_NUMBER in found:
         return tuple(found)
-    found += _readiness(state, gate)
-    found += _motion(target, state, gate)
-    return tuple(found)
+    return (*found, *readiness(state, gate), *_motion(target, state, gate, step))
 
 
 def _target(target: AttitudeTarget, limits: Limits) -> list[Refusal]:
@@ -104,7 +112,8 @@ def _target(target: AttitudeTarget, limits: Limits) -> list[Refusal]:
     return found
 
 
-def _readiness(state: VehicleState, gate: GateLimits) -> list[Refusal]:
+def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
+    """Every reason why nothing but letting go may be sent to a vehicle in this state, wherever it is."""
     found = []
     if state.mode != gate.mode:
         found.append(Refusal.MODE)
@@ -114,7 +123,8 @@ def _readiness(state: VehicleState, gate: GateLimits) -> list[Refusal]:
         found.append(Refusal.LINK)
     if state.attitude_rad is None or not state.attitude_age_s <= gate.attitude_age_max_s:
         found.append(Refusal.TELEMETRY_OLD)
-    if gate.needs_position and (state.position_m is None or not state.position_age_s <= gate.position_age_max_s):
+    lost = state.position_m is None or not state.position_age_s <= gate.position_age_max_s
+    if state.height_m is None or (gate.needs_position and lost):
         found.append(Refusal.POSITION_OLD)
     if not state.ekf_ok or (gate.needs_position and not state.position_ok):
         found.append(Refusal.EKF)
@@ -123,17 +133,19 @@ def _readiness(state: VehicleState, gate: GateLimits) -> list[Refusal]:
             found.append(Refusal.VOLTAGE_UNKNOWN)
         elif not state.voltage_v >= gate.limits.voltage_min_v:
             found.append(Refusal.BATTERY)
-    return found
-
-
-def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits) -> list[Refusal]:
-    found = []
     tilt = state.tilt_rad
     if tilt is not None and not tilt <= gate.limits.tilt_abort_rad + EPSILON:
         found.append(Refusal.MEASURED_TILT)
+    return tuple(found)
+
+
+def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits, step: bool) -> list[Refusal]:
+    found = []
+    fresh = state.position_ok and state.position_age_s <= gate.position_age_max_s
     if state.height_m is not None and not height_inside(target, state, gate):
         found.append(Refusal.HEIGHT)
-    if gate.needs_position and state.position_m is not None and state.velocity_m_s is not None:
+    judged = gate.needs_position or (step and gate.zone_placed and fresh)
+    if judged and state.position_m is not None and state.velocity_m_s is not None:
         if not zone_inside(state, gate):
             found.append(Refusal.ZONE)
         if not math.hypot(*state.velocity_m_s) <= gate.limits.speed_max_m_s + EPSILON:
@@ -173,8 +185,6 @@ def zone_room_m(state: VehicleState, gate: GateLimits) -> float:
     speed = math.hypot(state.velocity_m_s[0], state.velocity_m_s[1])
     reach = gate.reaction_s + speed / (2.0 * gate.brake_m_s2)
     way = gate.zone.from_world([state.velocity_m_s[0] * reach, state.velocity_m_s[1] * reach, 0.0])
-    room = math.inf
-    for axis, (low, high) in enumerate((gate.zone.x_m, gate.zone.y_m)):
-        for place in (float(here[axis]), float(here[axis] + way[axis])):
-            room = min(room, place - low, high - place)
-    return room
+    places = np.array([here, here + way])[:, :2]
+    low, high = np.array([gate.zone.x_m, gate.zone.y_m]).T
+    return float(np.min([places - low, high - places]))  # NaN where a place is not a number: no room

@@ -13,12 +13,10 @@ from flighttest.flight.recorder import mark_id
 from flighttest.flight.reset import HoldLoop, Start
 from flighttest.flight.response import ThrottleTrace
 from flighttest.link.ardupilot import LaggedYaw
-from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
-_LINK = {Refusal.LINK, Refusal.TELEMETRY_OLD}
-_ENTRY_S = 3.0
+LINK = frozenset({Refusal.LINK, Refusal.TELEMETRY_OLD})
 
 
 @dataclass(frozen=True)
@@ -77,25 +75,6 @@ def _mark(cockpit: Cockpit, leg: Leg, phase: str) -> None:
     cockpit.recorder.event("phase", phase, cockpit.session.now_s(), {"leg": leg.id, "record": record})
 
 
-def enter_nogps(cockpit: Cockpit) -> bool:
-    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle says that it is there: the mode keeps the last flight's
-    throttle until the first target.
-
-    Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
-    """
-    asked_s = cockpit.session.now_s()
-
-    def hover() -> None:
-        ack = cockpit.session.latest.get("COMMAND_ACK")
-        if ack is not None and ack.t_s >= asked_s and ack.message.command == 176 and ack.message.result == 0:
-            cockpit.release()
-
-    if not supervisor.enter(cockpit, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
-        return False
-    cockpit.release()
-    return True
-
-
 def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace | None = None) -> LegResult:
     """Fly one leg from a settled hover in GUIDED_NOGPS. Never falls silent: ends in a release, or in the abort mode.
 
@@ -111,7 +90,7 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
         if t_s >= leg.duration_s - 1e-6:
             break
         target, yaw, with_rate = steering.at(t_s)
-        refused = cockpit.steer(target, yaw, with_rate)
+        refused = cockpit.steer(target, yaw, with_rate, step=True)
         if trace is not None:
             state = cockpit.state
             trace.seen(state.t_s - min(state.position_age_s, 1.0), state.climb_m_s, state.height_m)
@@ -137,7 +116,7 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
 def _refused(cockpit: Cockpit, leg: Leg, refused: tuple[Refusal, ...]) -> LegResult:
     why = sentences(refused)
     reached = supervisor.abort(cockpit, why)
-    lost = bool(_LINK & set(refused))
+    lost = bool(LINK & set(refused))
     if lost:
         cockpit.recorder.event("link_lost", leg.id, cockpit.session.now_s(), {"leg": leg.id})
     outcome = LegOutcome.LINK_LOST if lost else LegOutcome.REFUSED

@@ -5,6 +5,7 @@ A simulator is excused from what only a field has (a live RC link, a fence), and
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ _FENCE_BRAKE = 4
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
 _FS_CONTINUE_GUIDED = 4
 RATE_SHARE = 0.8
+_GONE_S = 5.0  # of silence
 
 RATES_HZ: dict[str, float] = {
     "HEARTBEAT": 10.0,
@@ -76,6 +78,11 @@ class Situation:
     def value(self, name: str) -> float | None:
         """A parameter by either name."""
         return params.by_either_name(self.parameters, name)
+
+
+def figure(value: float) -> str:
+    """A parameter's value as a person may type it back: no digit of an integer is lost."""
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:.6g}"
 
 
 def is_simulator(parameters: Mapping[str, float]) -> bool:
@@ -313,7 +320,7 @@ class ParameterChanges:
                 raise LinkError(f"the vehicle has no parameter {name}", "set it up by hand, or waive its check")
             self._before.setdefault(own, before)
             params.write(self._session, name, value, self._known)
-            note(f"{own} set from {before:g} to {self._known[own]:g}; it is restored after the flight")
+            note(f"{own} set from {figure(before)} to {figure(self._known[own])}; it is restored after the flight")
 
     @property
     def pending(self) -> dict[str, float]:
@@ -321,18 +328,19 @@ class ParameterChanges:
         return dict(self._before)
 
     def restore(self) -> dict[str, float]:
-        """Put everything back, verified; what could not be, with the value it should have."""
-        left: dict[str, float] = {}
+        """Put everything back, verified; what could not be, with the value it should have, stays pending.
+
+        A link that is still silent after one of them has been tried is not waited for again.
+        """
+        tried = False
         for name, value in reversed(list(self._before.items())):
-            if self._session.port.muted:
-                left[name] = value
-                continue
-            try:
+            if self._session.port.muted or (tried and self._session.silence_s > _GONE_S):
+                break
+            tried = True
+            with contextlib.suppress(LinkError):  # it is told as left
                 params.write(self._session, name, value, self._known)
-            except LinkError:
-                left[name] = value
-        self._before = {}
-        return left
+                del self._before[name]
+        return self.pending
 
 
 def refuse(found: list[Check], waived: Collection[str]) -> None:

@@ -5,6 +5,7 @@ What the program has seen is handed to the operating system at least every 0.2 s
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 import struct
 import time
@@ -12,6 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import flighttest
 from flighttest.errors import RecordingError
 from flighttest.link.session import Session
 from flighttest.mavlink import StreamDecoder
@@ -133,6 +135,33 @@ class Recorder:
         )
         write_recording(self.run_dir, recording)
         return recording
+
+
+def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> dict[str, Any]:
+    """The manifest of a flight before it begins; its outcome is what stays where the program dies."""
+    vehicle = plan.vehicle
+    return {
+        "name": plan.script.name,
+        "started": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+        "versions": {"flighttest": flighttest.__version__},
+        "script": {"name": plan.script.name, "sha256": plan.script.sha256, "path": plan.script.path},
+        "connect": url,
+        "vehicle": {
+            "name": vehicle.name,
+            "firmware": vehicle.firmware,
+            "nominal_voltage_v": vehicle.nominal_voltage_v,
+            "hover_throttle": vehicle.hover_throttle,
+            "mass_kg": vehicle.mass_kg,
+            "rotor_height_m": vehicle.rotor_height_m,
+        },
+        "components": {name: dict(fields) for name, fields in vehicle.components.items()},
+        "parameters": {},
+        "firmware": "",
+        "clock": {},
+        "weather": weather,
+        "outcome": "the program ended before the flight did",
+        **({"resumes": str(resume)} if resume is not None else {}),
+    }
 
 
 def known_filters(parameters: Mapping[str, float]) -> dict[str, float]:

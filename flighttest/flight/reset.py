@@ -12,9 +12,9 @@ import numpy as np
 
 from flighttest import frames
 from flighttest.flight.cockpit import Cockpit, sentences
-from flighttest.flight.gate import Refusal
+from flighttest.flight.gate import Refusal, readiness
 from flighttest.flight.state import VehicleState
-from flighttest.flight.supervisor import enter
+from flighttest.flight.supervisor import enter, enter_nogps
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.outer_loop import OuterLoop
@@ -27,6 +27,7 @@ LEANING_RAD = 0.35  # into the wind, where position and velocity say that it hol
 _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
 _ASK_AGAIN_S = 0.1
+_SHORTEST_S = 0.3  # over which a change of the climb rate tells an acceleration
 _YAW_SLEW_RAD_S = 0.8
 
 
@@ -57,17 +58,21 @@ class Settling:
         self._near_m = near_m
         self._since_s: float | None = None
         self._throttles: list[float] = []
+        self._climbs: list[tuple[float, float]] = []
 
     def done(self, state: VehicleState, throttle: float | None) -> bool:
         """Take in the state now; True when it has been still for long enough."""
         if not self.here(state):
             self._since_s = None
             self._throttles.clear()
+            self._climbs.clear()
             return False
         if self._since_s is None:
             self._since_s = state.t_s
         if throttle is not None and throttle > 0.0:
             self._throttles.append(throttle)
+            if state.climb_m_s is not None:
+                self._climbs.append((state.t_s, state.climb_m_s))
         return state.t_s - self._since_s >= self._start.settle_s
 
     def here(self, state: VehicleState) -> bool:
@@ -89,8 +94,16 @@ class Settling:
 
     @property
     def hover_throttle(self) -> float | None:
-        """Mean throttle while settled, None when it is not known."""
-        return float(np.mean(self._throttles)) if self._throttles else None
+        """Mean throttle while settled, None when it is not known; without what still braked or raised the vehicle meanwhile: a climb that
+        changes by 0.3 m/s in a second takes 3 % of gravity.
+        """
+        if not self._throttles:
+            return None
+        pushed = 0.0
+        if len(self._climbs) > 1:
+            (began_s, before), (ended_s, after) = self._climbs[0], self._climbs[-1]
+            pushed = (after - before) / (frames.G_M_S2 * max(ended_s - began_s, _SHORTEST_S))
+        return float(np.mean(self._throttles)) / (1.0 + pushed)
 
 
 def _commanded_throttle(cockpit: Cockpit) -> float | None:
@@ -130,7 +143,7 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
 
 def attitude(cockpit: Cockpit, start: Start, angle_boost: bool) -> Arrived:
     """By an outer loop of ours over attitude targets; without horizontal position only height and heading are brought back."""
-    if cockpit.state.mode != CopterMode.GUIDED_NOGPS and not enter(cockpit, CopterMode.GUIDED_NOGPS):
+    if cockpit.state.mode != CopterMode.GUIDED_NOGPS and not enter_nogps(cockpit):
         return Arrived(False, why="the vehicle did not enter GUIDED_NOGPS")
     loop = HoldLoop(cockpit, angle_boost)
     settling = Settling(start, near_m=1.0)
@@ -139,7 +152,8 @@ def attitude(cockpit: Cockpit, start: Start, angle_boost: bool) -> Arrived:
         if cockpit.stop_asked:
             return Arrived(False, why="stopped")
         target, yaw = loop.target(start)
-        refused = cockpit.steer(target, yaw)
+        # Without a position the targets are level: they would let go, and pass, also over a link or a battery that is gone.
+        refused = readiness(cockpit.state, cockpit.gate) or cockpit.steer(target, yaw)
         if refused:
             return Arrived(False, refused=refused, why="; ".join(sentences(refused)))
         state = cockpit.cycle()

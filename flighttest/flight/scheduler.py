@@ -12,7 +12,7 @@ from flighttest.errors import LinkError
 from flighttest.flight import legs as flying
 from flighttest.flight import reset, supervisor
 from flighttest.flight.cockpit import Cockpit, sentences
-from flighttest.flight.gate import Refusal
+from flighttest.flight.gate import Refusal, readiness
 from flighttest.flight.legs import Airframe
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.flight.response import Learnt, Replanner, ThrottleTrace
@@ -25,6 +25,7 @@ RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
 _TAKE_OFF_S = 40.0
 _LAND_S = 120.0
+_CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
 PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
 HOVER_WARNING = 0.10
 # What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
@@ -61,27 +62,39 @@ class Scheduler:
             return FlightOutcome.COMPLETED
         if self.cockpit.stop_asked:
             return FlightOutcome.OPERATOR_STOP
-        self.take_off()
+        if not self.take_off():
+            return FlightOutcome.OPERATOR_STOP
         outcome = self._legs(in_air)
         if not self.cockpit.owned:
             return FlightOutcome.LEFT_TO_PILOT
         if outcome is not FlightOutcome.OPERATOR_ABORT:
-            self.land()
+            try:
+                self.land()
+            except FlightEnded:
+                if outcome.usable:
+                    raise
+                # What ended the flight before the landing did is the greater news.
         return outcome
 
     # -- up and down ---------------------------------------------------------------------------------------------------------
 
-    def take_off(self) -> None:
-        """Arm and climb to the reset height, or as far as the operator lets it."""
+    def take_off(self) -> bool:
+        """Arm and climb to the reset height, or as far as the operator lets it; False where that is nowhere."""
         cockpit, vehicle = self.cockpit, self.cockpit.vehicle
         height = self.plan.reset.to_m[2]
         by_position = self.plan.reset.by != "attitude"
         cockpit.tell(
             legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
         )
-        vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
-        vehicle.arm()
+        mode = CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS
+        # Before arming: that may take a minute, and whoever changes the mode meanwhile does not want it to fly.
         cockpit.own()
+        cockpit.expect(mode)
+        vehicle.set_mode(mode)
+        if not vehicle.arm(stopped=lambda: cockpit.stop_asked) or cockpit.stop_asked:
+            cockpit.disown()
+            vehicle.disarm()
+            return False
         cockpit.recorder.event("note", "armed", cockpit.session.now_s())
         cockpit.tell(doing="taking off", next=self.plan.legs[0].id)
         if by_position:
@@ -93,6 +106,7 @@ class Scheduler:
             self._climb(height)
         else:
             self._climb_by_throttle(height)
+        return True
 
     def _climb(self, height: float) -> None:
         deadline = self.cockpit.session.now_s() + _TAKE_OFF_S
@@ -105,6 +119,7 @@ class Scheduler:
     def _climb_by_throttle(self, height: float) -> None:
         """Without a position: throttle up gently over level attitude, hold at the height."""
         cockpit = self.cockpit
+        cockpit.after()
         deadline = cockpit.session.now_s() + _TAKE_OFF_S
         began = cockpit.session.now_s()
         while cockpit.session.now_s() < deadline:
@@ -112,6 +127,10 @@ class Scheduler:
             climb = state.climb_m_s or 0.0
             if cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
                 return
+            found = readiness(state, cockpit.gate)
+            if found:
+                supervisor.abort(cockpit, sentences(found))
+                raise LinkError(f"the climb was ended: {'; '.join(sentences(found))}", "mend it, then fly again")
             ramp = min((cockpit.session.now_s() - began) / 4.0, 1.0)
             throttle = cockpit.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
             yaw = state.attitude_rad[2] if state.attitude_rad else 0.0
@@ -124,12 +143,12 @@ class Scheduler:
         """LAND where it is; it disarms by itself."""
         cockpit = self.cockpit
         cockpit.tell(doing="landing", next="", phase="")
-        if not supervisor.enter(cockpit, CopterMode.LAND, 10.0, self._meanwhile):
-            raise FlightEnded(FlightOutcome.LINK_LOST, "LAND was never confirmed")
-        cockpit.disown()
+        supervisor.insist(cockpit, (CopterMode.LAND,), self._meanwhile)
+        cockpit.expect_ground()
         deadline = cockpit.session.now_s() + _LAND_S
         while cockpit.session.now_s() < deadline:
             if not cockpit.cycle().armed:
+                cockpit.disown()
                 cockpit.recorder.event("note", "landed", cockpit.session.now_s())
                 return
         self.notes.append(f"the vehicle was still armed {_LAND_S:.0f} s after LAND")
@@ -216,7 +235,8 @@ class Scheduler:
         if not arrived.settled:
             if arrived.refused:
                 supervisor.abort(cockpit, sentences(arrived.refused))
-                return LegResult(leg.id, LegOutcome.REFUSED, sentences(arrived.refused))
+                outcome = LegOutcome.LINK_LOST if flying.LINK & set(arrived.refused) else LegOutcome.REFUSED
+                return LegResult(leg.id, outcome, sentences(arrived.refused))
             cockpit.recorder.event("note", f"{leg.id}: {arrived.why}", cockpit.session.now_s())
             outcome = LegOutcome.STOPPED if arrived.why == "stopped" else LegOutcome.NOT_SETTLED
             return LegResult(leg.id, outcome, (arrived.why,))
@@ -225,7 +245,7 @@ class Scheduler:
         if self._plan_is_due():
             self._plan_again()
             return None
-        if not flying.enter_nogps(cockpit):
+        if not supervisor.enter_nogps(cockpit):
             return LegResult(leg.id, LegOutcome.NOT_SETTLED, ("the vehicle did not enter GUIDED_NOGPS",))
         self._show(leg, remaining, "flying")
         trace = ThrottleTrace(cockpit.hover_throttle, self.airframe.angle_boost)
@@ -258,6 +278,8 @@ class Scheduler:
         self._plans += 1
         cockpit.tell(doing="planning again for the thrust that was seen")
         self.plan = self.replanner.plan(learnt)
+        # What came in meanwhile is read before anything is asked for: the pilot may have taken the vehicle.
+        cockpit.until(cockpit.session.now_s() + _CATCH_UP_S)
         cockpit.gate = replace(cockpit.gate, reaction_s=self.plan.reaction_s)
         cockpit.recorder.save_plan(self.plan)
         seen = "" if learnt.thrust_age_s is None else f", thrust {1e3 * learnt.thrust_age_s:.0f} ms after its command"

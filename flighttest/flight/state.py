@@ -53,7 +53,7 @@ class VehicleState:
         """Angle between the thrust axis and the vertical."""
         if self.attitude_rad is None:
             return None
-        return math.acos(min(1.0, math.cos(self.attitude_rad[0]) * math.cos(self.attitude_rad[1])))
+        return math.acos(min(math.cos(self.attitude_rad[0]) * math.cos(self.attitude_rad[1]), 1.0))
 
     @property
     def speed_m_s(self) -> float | None:
@@ -63,11 +63,12 @@ class VehicleState:
 
 class StateReader:
     """Reads a `VehicleState` from a session. origin_m: the zone's origin in the vehicle's local frame (NWU),
-    its height that of home; set when it is known."""
+    its height that of home; set when it is known. throttle_channel: RCMAP_THROTTLE."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
         self.origin_m = np.zeros(3)
+        self.throttle_channel = 3
         self._voltages: deque[tuple[float, float]] = deque()
         self.height_source = ""
         self._climbed_m = 0.0
@@ -200,7 +201,8 @@ class StateReader:
         return heard.message if heard is not None and now - heard.t_s < _FRESH_S else None
 
     def _throttle_stick(self) -> float | None:
-        rc = self._session.latest.get("RC_CHANNELS")
-        if rc is None or rc.message.chancount < 3 or not 800 <= rc.message.chan3_raw <= 2200:
+        rc = self._fresh("RC_CHANNELS", self._session.now_s())
+        pulse_us = getattr(rc, f"chan{self.throttle_channel}_raw", 0)
+        if rc is None or rc.chancount < self.throttle_channel or not 800 <= pulse_us <= 2200:
             return None
-        return float(min(max((rc.message.chan3_raw - 1000) / 1000.0, 0.0), 1.0))
+        return float(min(max((pulse_us - 1000) / 1000.0, 0.0), 1.0))

@@ -11,6 +11,7 @@ from flighttest.mavlink import CopterMode, mode_name
 
 ASK_EVERY_S = 0.2
 NEXT_MODE_AFTER_S = 1.5
+_ENTRY_S = 3.0
 GIVE_UP_AFTER_S = 30.0  # of silence: the vehicle's own failsafes have long acted
 REST_PATIENCE_S = 6.0
 AT_REST_M_S = 0.4
@@ -54,10 +55,14 @@ def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
         "silence_s": state.silence_s,
     }
     cockpit.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
-    return _until_mode(cockpit, modes, cockpit.release)
+    return insist(cockpit, modes, cockpit.release)
 
 
-def _until_mode(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
+def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
+    """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
+
+    FlightEnded when the pilot takes over, or nothing is heard for `GIVE_UP_AFTER_S`.
+    """
     began = cockpit.session.now_s()
     next_ask = began
     heard_again = began
@@ -119,3 +124,22 @@ def enter(
             return False
         if meanwhile is not None:
             meanwhile()
+
+
+def enter_nogps(cockpit: Cockpit) -> bool:
+    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle says that it is there: the mode keeps the last flight's
+    throttle until the first target.
+
+    Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
+    """
+    asked_s = cockpit.session.now_s()
+
+    def hover() -> None:
+        ack = cockpit.session.latest.get("COMMAND_ACK")
+        if ack is not None and ack.t_s >= asked_s and ack.message.command == 176 and ack.message.result == 0:
+            cockpit.release()
+
+    if not enter(cockpit, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
+        return False
+    cockpit.release()
+    return True

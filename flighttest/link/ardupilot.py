@@ -7,17 +7,20 @@ says why it was refused; nothing is assumed to have worked.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from flighttest import frames
 from flighttest.errors import LinkError
+from flighttest.link.port import OWN_SYSTEM
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode, mark_message, mode_name, offset_m, target_message
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, firmware_version, is_armed
 
 _ACK_S = 2.0
+_OURS = (0, OWN_SYSTEM)  # whom an answer is for; 0: the vehicle does not say
 _RESULTS = {
     book.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
     book.MAV_RESULT_DENIED: "denied",
@@ -99,7 +102,7 @@ class ArduPilot:
             for confirmation in range(tries):
                 self.session.send(self._command_long(command, params, confirmation))
                 answer = self.session.await_message(
-                    lambda m: m.get_type() == "COMMAND_ACK" and m.command == command,
+                    lambda m: m.get_type() == "COMMAND_ACK" and m.command == command and m.target_system in _OURS,
                     timeout_s * max(self.session.clock.pace, 1.0),
                 )
                 if answer is not None:
@@ -193,18 +196,22 @@ class ArduPilot:
             "check FLTMODE_GCSBLOCK and what the vehicle's messages say",
         )
 
-    def arm(self, timeout_s: float = 60.0) -> None:
-        """Arm, once a second until accepted: after boot it is refused for 20 to 25 s. LinkError with the reasons."""
+    def arm(self, timeout_s: float = 60.0, stopped: Callable[[], bool] = lambda: False) -> bool:
+        """Arm, once a second until accepted: after boot it is refused for 20 to 25 s. LinkError with the reasons.
+
+        stopped: asked before each try; False where it put an end to them.
+        """
         deadline = self.session.now_s() + timeout_s
         why = ""
-        while True:
+        while not stopped():
             ack = self.command(book.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
             if ack.accepted and self.session.await_message(_armed_beat, 3.0) is not None:
-                return
+                return True
             why = ack.sentence if not ack.accepted else why
             if self.session.now_s() >= deadline:
                 raise LinkError(f"the vehicle does not arm ({why})", "mend what it says, then fly again")
             self.session.advance(self.session.now_s() + 1.0)
+        return False
 
     def take_off(self, height_m: float) -> Ack:
         """Ask for take-off to a height above home, in GUIDED."""

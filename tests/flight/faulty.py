@@ -28,17 +28,21 @@ LIMITS = Limits(
 class FaultyLink:
     """The built-in vehicle behind a link. down: frames of neither direction pass, except the clock's (lock-step needs them).
 
-    sent: message names in order, with the vehicle's time; hook: called with each message before it is handed over.
+    sent: message names in order, with the vehicle's time; hook: called with each message before it is handed over. deaf: the
+    vehicle hears nothing, but is heard; mute: the other way round.
     """
 
     options: SimOptions
     down: Callable[[float], bool] = lambda _t: False
     hook: Callable[[object, float], None] | None = None
+    deaf: Callable[[float], bool] = lambda _t: False
+    mute: Callable[[float], bool] = lambda _t: False
     sent: list[tuple[float, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.sim = InProcess(self.options)
         self._ours, self._theirs, self._pilot = parser(1, 1), parser(1, 1), parser(255, 190)
+        self._aside = b""
 
     def send(self, data: bytes) -> None:
         now = self.sim.time_s
@@ -48,19 +52,25 @@ class FaultyLink:
                 self.sent.append((now, kind))
                 if self.hook is not None:
                     self.hook(message, now)
-                if self.down(now):
+                if self.down(now) or self.deaf(now):
                     continue
             self.sim.send(bytes(message.get_msgbuf()))
 
     def receive(self, _timeout_s: float) -> bytes:
-        data = self.sim.receive()
-        if not data or not self.down(self.sim.time_s):
+        data, self._aside = self._aside + self.sim.receive(), b""
+        now = self.sim.time_s
+        if not data or not (self.down(now) or self.mute(now)):
             return data
         messages = self._theirs.parse_buffer(data) or []
         return b"".join(bytes(m.get_msgbuf()) for m in messages if m.get_type() == "SYSTEM_TIME")
 
     def close(self) -> None:
         pass
+
+    def say(self, component: int, *messages: object) -> None:
+        """As a gimbal, a companion computer or an ADS-B receiver aboard would: from the vehicle's system id."""
+        sender = parser(1, component)
+        self._aside += b"".join(bytes(m.pack(sender)) for m in messages)  # type: ignore[attr-defined]
 
     def set_parameter(self, name: str, value: float) -> None:
         """As the pilot's transmitter, or another ground station, would."""

@@ -189,6 +189,35 @@ def test_what_passes_a_resting_vehicle_is_inside_the_limits(
         assert abs(rate) <= 3.5 + 1e-5
 
 
+def test_a_step_that_looks_like_letting_go_is_judged_in_full() -> None:
+    level = AttitudeTarget(0.0, 0.0, 0.0, 0.0, 0.3)
+    assert releases(level, GATE)
+    assert refusals(level, GOOD, GATE, step=True) == ()
+    assert refusals(level, replace(GOOD, silence_s=1.0), GATE, step=True) == (Refusal.LINK,)
+    assert refusals(level, replace(GOOD, height_m=10.5), GATE, step=True) == (Refusal.HEIGHT,)
+
+
+def test_a_step_is_judged_by_the_zone_wherever_the_vehicle_has_a_position() -> None:
+    blind = replace(GATE, needs_position=False)
+    outside = replace(GOOD, position_m=(20.0, 0.0, 5.0))
+    assert refusals(TILTED, outside, blind, step=True) == (), "the zone's place is not known"
+    assert refusals(TILTED, outside, replace(blind, zone_placed=True), step=True) == (Refusal.ZONE,)
+
+
+@pytest.mark.parametrize(
+    ("change", "refusal"),
+    [
+        ({"position_m": (math.nan, 0.0, 5.0)}, Refusal.ZONE),
+        ({"velocity_m_s": (math.nan, 0.0, 0.0)}, Refusal.SPEED),
+        ({"height_m": math.nan}, Refusal.HEIGHT),
+        ({"attitude_rad": (math.nan, 0.0, 0.0)}, Refusal.MEASURED_TILT),
+        ({"height_m": None}, Refusal.POSITION_OLD),
+    ],
+)
+def test_what_the_estimate_has_lost_is_refused(change: dict[str, object], refusal: Refusal) -> None:
+    assert refusal in refusals(TILTED, replace(GOOD, **change), GATE)
+
+
 def test_stop_throttles_stay_inside_the_script_and_leave_attitude_authority() -> None:
     assert stop_throttles(LIMITS, 0.18) == pytest.approx((0.054, 0.324))
     narrow = replace(LIMITS, throttle=(0.15, 0.2))

@@ -6,6 +6,7 @@ import pytest
 
 from flighttest.flight.reset import Settling, Start
 from flighttest.flight.state import VehicleState
+from flighttest.frames import G_M_S2
 
 START = Start((0.0, 0.0, 5.0), 0.0, settle_s=1.0)
 STILL = VehicleState(
@@ -34,3 +35,11 @@ def test_settled_is_near_slow_and_facing_right(changed, settled):
     assert not settling.done(state, 0.3)
     assert settling.done(replace(state, t_s=state.t_s + 1.0), 0.3) is settled
     assert settling.hover_throttle == (0.3 if settled else None)
+
+
+def test_a_climb_that_is_still_being_braked_does_not_spoil_the_hover_throttle() -> None:
+    """At 2.5 % more than what hovers a vehicle gains a quarter of a metre per second in a second."""
+    settling = Settling(START)
+    for k in range(51):
+        settling.done(replace(STILL, t_s=10.0 + 0.02 * k, climb_m_s=-0.2 + 0.02 * k * 0.025 * G_M_S2), 0.205)
+    assert settling.hover_throttle == pytest.approx(0.2, rel=1e-3)

@@ -1,0 +1,203 @@
+"""Flights where two things go wrong at once, and what is sent after each."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight.response import Learnt
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import book
+from flighttest.plan import AttitudeTarget, Plan
+from flighttest.recording.store import open_run, read_manifest
+from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
+
+_IN_PAIRS = 3
+
+
+def on_mark(link: FaultyLink, word: str) -> list[float]:
+    """Times of the marks that end in a word, filled while flying."""
+    times: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(word):  # type: ignore[attr-defined]
+            times.append(t_s)
+
+    link.hook = hook
+    return times
+
+
+def test_what_else_is_aboard_is_not_the_autopilot(run_dir: Path) -> None:
+    """A gimbal's heartbeat says mode 0 and disarmed, its clock another time, its answers concern others."""
+    link = FaultyLink(options())
+
+    def aboard(message: object, t_s: float) -> None:
+        if message.get_type() in ("STATUSTEXT", "HEARTBEAT"):  # type: ignore[attr-defined]
+            link.say(
+                154,
+                book.MAVLink_heartbeat_message(book.MAV_TYPE_GIMBAL, book.MAV_AUTOPILOT_INVALID, 0, 0, 3, 3),
+                book.MAVLink_attitude_message(17, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0),
+                book.MAVLink_command_ack_message(book.MAV_CMD_DO_SET_MODE, book.MAV_RESULT_DENIED),
+            )
+
+    link.hook = aboard
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+
+
+def test_a_pilot_who_takes_what_was_let_go_at_once_ends_the_restoring(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began: list[float] = []
+    switched: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        kind = message.get_type()  # type: ignore[attr-defined]
+        if kind == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            began.append(t_s)
+        elif kind == "PARAM_SET" and began and not switched:
+            switched.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+
+    link.hook = hook
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: 2 if began else 0)
+    assert result.outcome is FlightOutcome.OPERATOR_ABORT
+    assert max(t for t, _ in link.sent) <= switched[0] + 0.15
+    assert result.parameters_left
+    assert read_manifest(run_dir)["parameters_left"]
+    assert open_run(run_dir).has("roll_rad")
+
+
+@pytest.mark.parametrize("by", ["guided", "attitude"])
+def test_a_pilot_who_changes_the_mode_while_it_will_not_arm_has_taken_over(by: str, run_dir: Path) -> None:
+    link = FaultyLink(replace(options(), ready_s=12.0))
+    refused: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if (
+            message.get_type() == "COMMAND_LONG"
+            and message.command == book.MAV_CMD_COMPONENT_ARM_DISARM
+            and message.param1
+        ):  # type: ignore[attr-defined]
+            refused.append(t_s)
+            if len(refused) == _IN_PAIRS:
+                link.set_parameter("SIM_PILOT_MODE", float(CopterMode.STABILIZE))
+
+    link.hook = hook
+    result = fly(make_plan(by=by), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert not link.sim.vehicle.armed
+    assert len(refused) == _IN_PAIRS
+
+
+def test_ctrl_c_while_it_will_not_arm_arms_nothing(run_dir: Path) -> None:
+    link = FaultyLink(replace(options(), ready_s=12.0))
+    tried: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if (
+            message.get_type() == "COMMAND_LONG"
+            and message.command == book.MAV_CMD_COMPONENT_ARM_DISARM
+            and message.param1
+        ):  # type: ignore[attr-defined]
+            tried.append(t_s)
+
+    link.hook = hook
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: int(len(tried) >= _IN_PAIRS))
+    assert result.outcome is FlightOutcome.OPERATOR_STOP
+    assert len(tried) == _IN_PAIRS
+    assert not link.sim.vehicle.armed
+    assert not result.parameters_left
+
+
+def test_a_climb_by_throttle_ends_where_the_vehicle_is_not_heard(run_dir: Path) -> None:
+    """The vehicle hears us, we do not hear it: the climb's throttle must not go on."""
+    link = FaultyLink(options(parameters={"SIM_GPS1_ENABLE": 0.0}))
+    off: list[float] = []
+    heights: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if message.get_type() == "SET_ATTITUDE_TARGET":  # type: ignore[attr-defined]
+            heights.append(float(link.sim.vehicle.motion.pz))
+            if heights[-1] > 1.0 and not off:
+                off.append(t_s)
+
+    link.hook = hook
+    link.mute = lambda t: bool(off) and t < off[0] + 12.0
+    result = fly(make_plan(by="attitude"), "sim", run_dir, transport=link)
+    assert max(heights) < 8.0
+    assert result.outcome is not FlightOutcome.COMPLETED
+    assert link.sim.vehicle.mode == CopterMode.LAND
+
+
+def test_landing_is_asked_for_until_the_vehicle_hears_it(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    ended = on_mark(link, " end")
+    link.deaf = lambda t: bool(ended) and ended[0] <= t < ended[0] + 20.0
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert not link.sim.vehicle.armed
+
+
+def test_a_pilot_who_takes_over_the_landing_is_left_alone(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    asked: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if message.get_type() == "COMMAND_LONG" and message.command == 176 and message.param2 == CopterMode.LAND:  # type: ignore[attr-defined]
+            asked.append(t_s)
+        if asked and not switched and t_s > asked[0] + 2.0:
+            switched.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+
+    switched: list[float] = []
+    link.hook = hook
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.FLOWN]
+    assert result.outcome is FlightOutcome.LEFT_TO_PILOT
+    assert max(t for t, _ in link.sent) <= switched[0] + 0.15
+    assert link.sim.vehicle.mode == CopterMode.LOITER
+
+
+def test_a_level_step_is_judged_like_any_other(run_dir: Path) -> None:
+    """Between the stopping throttles a step looks like letting go, but holds for seconds, here on the way through the ceiling."""
+
+    def climb(t_s: float) -> AttitudeTarget:
+        return AttitudeTarget(t_s, 0.0, 0.0, 0.0, 0.18 if t_s < 0.3 else 0.3)
+
+    heights: list[float] = []
+    link = FaultyLink(options())
+    link.hook = lambda _message, _t_s: heights.append(float(link.sim.vehicle.motion.pz))
+    leg = make_leg("climb", climb, 4.0, "throttle_pair")
+    result = fly(make_plan(leg), "sim", run_dir, transport=link)
+    assert result.legs[0].outcome is LegOutcome.REFUSED
+    assert max(heights) < LIMITS.height_m[1] + 0.3
+
+
+def test_a_link_lost_in_a_level_step_ends_it(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = on_mark(link, " step")
+    link.down = lambda t: bool(began) and began[0] + 0.1 < t < began[0] + 2.1
+    level = make_leg("up", lambda t: AttitudeTarget(t, 0.0, 0.0, 0.0, 0.17), 1.5, "throttle_pair")
+    result = fly(make_plan(level), "sim", run_dir, transport=link)
+    assert [r.outcome for r in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN]
+
+
+def test_a_pilot_who_takes_over_while_it_is_planned_again_keeps_the_vehicle(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    switched: list[float] = []
+
+    class Slow:
+        def due(self, _learnt: Learnt) -> bool:
+            return not switched
+
+        def plan(self, _learnt: Learnt) -> Plan:
+            """Nothing is read while it is planned; the pilot switches meanwhile."""
+            switched.append(link.sim.time_s)
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+            return make_plan()
+
+    result = fly(make_plan(), "sim", run_dir, transport=link, replanner=Slow())
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert link.sim.vehicle.mode == CopterMode.LOITER
+    assert not [t for t, kind in link.sent if kind == "COMMAND_LONG" and t >= switched[0]]
