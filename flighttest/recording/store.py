@@ -10,6 +10,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -29,6 +30,8 @@ CHANNELS_DIR = "channels"
 CHANNELS_FORMAT = "channels/1"  # in the metadata of each Parquet file
 FORMAT = "run/1"
 EVENTS_FORMAT = "events/1"
+_BLOCKS = ("parameters", "components", "vehicle", "clock", "filters", "derived")
+_REBUILD = "rebuild the run from its raw file with `flighttest import`"
 
 
 def write_manifest(run_dir: Path, manifest: Mapping[str, Any]) -> None:
@@ -56,7 +59,24 @@ def read_manifest(run_dir: Path) -> dict[str, Any]:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise RecordingError(f"{path} is not a {FORMAT} manifest", "was it written by a newer version?")
     manifest.pop("format")
+    for key in _BLOCKS:
+        if not isinstance(manifest.get(key) or {}, dict):
+            raise RecordingError(f"{path}: {key} is no block of keys and values", _REBUILD)
+    if not isinstance(manifest.get("losses") or [], list):
+        raise RecordingError(f"{path}: losses is no list", _REBUILD)
+    for key in ("parameters", "filters"):
+        for name, value in (manifest.get(key) or {}).items():
+            _number(value, f"{path}: {key}.{name}")
+    clock = manifest.get("clock") or {}
+    for name in ("offset_s", "error_s"):
+        if clock.get(name) is not None:
+            _number(clock[name], f"{path}: clock.{name}")
     return manifest
+
+
+def _number(value: Any, where: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise RecordingError(f"{where} is no number, but {str(value)[:30]!r}", _REBUILD)
 
 
 def write_events_header(stream: TextIO) -> None:
@@ -68,7 +88,7 @@ def write_events_header(stream: TextIO) -> None:
 def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
     """Markers of events.jsonl, and what could not be read of it (a killed program may leave half a line)."""
     path = run_dir / EVENTS_NAME
-    if not path.exists():
+    if not path.is_file():
         return (), ()
     markers: list[Marker] = []
     losses: list[str] = []
@@ -77,7 +97,10 @@ def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
             event = json.loads(line)
             if "format" in event:
                 continue
-            markers.append(Marker(float(event["t_s"]), event["kind"], event["label"], event.get("data", {})))
+            marker = Marker(float(event["t_s"]), event["kind"], event["label"], event.get("data") or {})
+            if not (math.isfinite(marker.t_s) and isinstance(marker.kind, str) and isinstance(marker.label, str)):
+                raise ValueError
+            markers.append(replace(marker, data=dict(marker.data)))
         except (ValueError, KeyError, TypeError):
             losses.append(f"{EVENTS_NAME}:{number}: not an event (cut off?)")
     return tuple(sorted(markers, key=lambda m: m.t_s)), tuple(losses)
@@ -165,7 +188,7 @@ def open_run(path: Path | str) -> Recording:
             clock=manifest.get("clock") or {},
             losses=(*losses, *(u for u in unread if u not in losses)),
             filters=manifest.get("filters") or {},
-            derived=manifest.get("derived") or {},
+            derived={str(k): str(v) for k, v in (manifest.get("derived") or {}).items()},
             reference_clock=str(manifest.get("reference_clock", "vehicle")),
         ),
     )
@@ -175,17 +198,17 @@ def _read_series(file: Path, group: str) -> Series:
     try:
         table = pq.read_table(file)
     except (pa.ArrowException, OSError) as error:
-        raise RecordingError(
-            f"{file} cannot be read: {_first_line(error)}", "rebuild the run from its raw file"
-        ) from error
+        raise RecordingError(f"{file} cannot be read: {_first_line(error)}", _REBUILD) from error
     if "t_s" not in table.column_names:
-        raise RecordingError(f"{file} has no column t_s", "rebuild the run from its raw file")
-    columns = {
-        name: table.column(name).to_numpy().astype(float)
-        for name in table.column_names
-        if name in CHANNELS and CHANNELS[name].group == group
-    }
-    return Series(table.column("t_s").to_numpy().astype(float), columns)
+        raise RecordingError(f"{file} has no column t_s", _REBUILD)
+    mine = ["t_s", *(n for n in table.column_names if n in CHANNELS and CHANNELS[n].group == group)]
+    try:
+        columns = {name: table.column(name).to_numpy().astype(float) for name in mine}
+        return Series(columns.pop("t_s"), {n: np.where(np.isinf(v), np.nan, v) for n, v in columns.items()})
+    except (ValueError, TypeError) as error:
+        raise RecordingError(f"{file} holds what is no number: {_first_line(error)}", _REBUILD) from error
+    except RecordingError as error:
+        raise RecordingError(f"{file}: {error.message}", _REBUILD) from error
 
 
 def file_sha256(path: Path) -> str:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -114,3 +115,59 @@ def test_every_parquet_file_names_its_format(tmp_path):
     assert pq.read_schema(tmp_path / "channels" / "height.parquet").metadata[b"format"] == b"channels/1"
     kept = keep_segments(tmp_path, [])
     assert pq.read_schema(kept).metadata[b"format"] == b"segments/1"
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("parameters: [1, 2]", "parameters is no block"),
+        ("parameters: {MOT_SPIN_MIN: low}", r"parameters.MOT_SPIN_MIN is no number, but 'low'"),
+        ("clock: 5", "clock is no block"),
+        ("clock: {error_s: much}", "clock.error_s is no number"),
+        ("filters: {specific_force: [20]}", "filters.specific_force is no number"),
+        ("derived: yes", "derived is no block"),
+        ("losses: 3", "losses is no list"),
+    ],
+)
+def test_a_manifest_of_the_wrong_shape_is_refused(tmp_path: Path, line: str, words: str) -> None:
+    (tmp_path / "manifest.yaml").write_text(f"format: run/1\n{line}\n")
+    with pytest.raises(RecordingError, match=words) as error:
+        read_manifest(tmp_path)
+    assert "flighttest import" in error.value.hint
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"t_s": 1, "kind": "leg", "label": "x", "data": 5}',
+        '{"t_s": 1, "kind": ["leg"], "label": "x"}',
+        '{"t_s": NaN, "kind": "leg", "label": "x"}',
+        '{"t_s": 1, "kind": "leg", "label": null}',
+        "5",
+    ],
+)
+def test_a_line_that_is_no_event_is_left_out_and_told(tmp_path: Path, line: str) -> None:
+    good = '{"t_s": 2, "kind": "note", "label": "y"}'
+    (tmp_path / "events.jsonl").write_text(f'{{"format": "events/1"}}\n{line}\n{good}\n')
+    markers, losses = read_events(tmp_path)
+    assert [m.label for m in markers] == ["y"]
+    assert losses == ("events.jsonl:2: not an event (cut off?)",)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"t_s": [0.0, 1.0], "roll_rad": ["a", "b"]}, "holds what is no number"),
+        ({"t_s": ["a", "b"], "roll_rad": [0.0, 1.0]}, "holds what is no number"),
+        ({"t_s": [1.0, 0.0], "roll_rad": [0.0, 1.0]}, "time does not increase"),
+    ],
+)
+def test_channels_that_are_no_series_are_refused_by_file(
+    tmp_path: Path, columns: dict[str, list[object]], words: str
+) -> None:
+    (tmp_path / "manifest.yaml").write_text("format: run/1\n")
+    (tmp_path / "channels").mkdir()
+    pq.write_table(pa.table(columns), tmp_path / "channels" / "attitude.parquet")
+    with pytest.raises(RecordingError, match=words) as error:
+        open_run(tmp_path)
+    assert "attitude.parquet" in error.value.message
