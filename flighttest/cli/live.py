@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
@@ -13,6 +14,8 @@ from flighttest.cli.show import Show
 from flighttest.report.flight_view import line, picture
 
 PLAIN_EVERY_S = 10.0
+# A terminal that is gone, or a reader (tee, less) that Ctrl-C ended with us, must not end a flight; rich leaves the program for it.
+_NOBODY_READS = (OSError, SystemExit)
 
 
 class LiveProgress:
@@ -38,11 +41,16 @@ class LiveProgress:
 
     def stage(self, text: str) -> None:
         """A new step of the pipeline begins: one line with the time since the start."""
-        self._stop()
-        self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
+        with suppress(*_NOBODY_READS):
+            self._stop()
+            self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
 
     def flight(self, progress: Any) -> None:
         """The flight went on: redraw the picture, or now and then a line."""
+        with suppress(*_NOBODY_READS):
+            self._picture(progress)
+
+    def _picture(self, progress: Any) -> None:
         if self._show.live and progress.legs:
             if self._live is None:
                 self._live = Live(console=self._show.side, refresh_per_second=8, transient=True)

@@ -143,8 +143,14 @@ class Cockpit:
 
     @property
     def stop_asked(self) -> bool:
-        """Whether the operator wants an orderly stop."""
-        return self._stops.orderly
+        """Whether the flight is to end in order: the operator wants it, or nothing can be recorded any more."""
+        return self._stops.orderly or bool(self.recorder.failure)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why, as a sentence."""
+        failure = self.recorder.failure
+        return f"the record cannot be written: {failure}" if failure else "the operator asked to stop"
 
     @property
     def stop_now(self) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flighttest.errors import FlighttestError, LinkError, PreflightError
+from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
 from flighttest.flight import preflight, supervisor
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
@@ -141,7 +141,7 @@ class _Flight:
                 # The vehicle is in the air, or may be: land it with what is left of the link, then say what happened.
                 why = str(error)
                 outcome = self._land_after(scheduler, error)
-            except Exception:  # whatever it is, a defect of ours must not leave the vehicle with a step's throttle; it is raised after that
+            except BaseException:  # a defect of ours, whatever it is, must not leave the vehicle with a step's throttle; it is raised after
                 self._let_go(cockpit)
                 raise
         except FlighttestError as error:
@@ -162,6 +162,8 @@ class _Flight:
         )
         self._say("writing the channels")
         self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
+        if self.recorder.failure:
+            self.recorder.manifest["notes"].append(f"the record is not complete: {self.recorder.failure}")
         results = tuple(scheduler.results) if scheduler else ()
         notes = tuple(self.recorder.manifest["notes"])
         return FlightResult(outcome, self.recorder.run_dir, results, notes, left)
@@ -215,6 +217,12 @@ class _Flight:
             self.plan, self._parameters, cockpit.state, rates, firmware, beat.type, simulator,
             rc_live=rc is not None and rc.message.chancount > 0, pace=self._pace,
         )  # fmt: skip
+        cockpit.reader.throttle_channel = int(self._parameters.get("RCMAP_THROTTLE", 3))
+        if self.recorder.failure:
+            raise RecordingError(
+                f"{self.recorder.run_dir} cannot be written: {self.recorder.failure}",
+                "free some space, or choose --out",
+            )
         self._say("checking the vehicle")
         found = preflight.checks(situation)
         if simulator:

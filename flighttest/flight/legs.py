@@ -104,7 +104,7 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
             _mark(cockpit, leg, phase)
             cockpit.tell(phase=phase)
         if cockpit.stop_asked:
-            reached = supervisor.abort(cockpit, ("the operator asked to stop",))
+            reached = supervisor.abort(cockpit, (cockpit.stop_reason,))
             return finish(cockpit, leg, LegOutcome.STOPPED, (f"in {reached.name}",))
         # On a grid from the leg's start; a host that was held up drops ticks instead of sending them late in a burst.
         tick = max(tick + 1, math.floor((cockpit.session.now_s() - start) / cockpit.period_s + 1e-6) + 1)

@@ -19,6 +19,7 @@ class FlightOutcome(Enum):
     LINK_LOST = "the link to the vehicle was lost and did not come back"
     OPERATOR_STOP = "the operator stopped the flight; the vehicle landed"
     OPERATOR_ABORT = "the operator stopped the flight at once; the vehicle was left in its abort mode"
+    RECORD_LOST = "the flight ended early: its record could not be written any more; the vehicle landed"
     LEFT_TO_PILOT = "the flight ended while the pilot had the vehicle, by agreement: it is the pilot's to land; nothing more was sent"
     VEHICLE_REFUSED = "the vehicle refused a command; the flight ended"
     DISARMED = "the vehicle disarmed by itself during the flight"

@@ -5,11 +5,12 @@ What the program has seen is handed to the operating system at least every 0.2 s
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import json
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,11 @@ _STAMP = struct.Struct(">Q")
 
 
 class Recorder:
-    """Writes one run folder. ground_s: the ground's clock for the stamps of raw.tlog, s since 1970. host_s: for flushing."""
+    """Writes one run folder. ground_s: the ground's clock for the stamps of raw.tlog, s since 1970. host_s: for flushing.
+
+    failure: why nothing more can be written (a full disk), empty while all is well. Nothing here raises for it: in flight the vehicle comes
+    first, and whoever flies looks at `failure`.
+    """
 
     def __init__(
         self,
@@ -44,6 +49,7 @@ class Recorder:
         host_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.run_dir = run_dir
+        self.failure = ""
         run_dir.mkdir(parents=True, exist_ok=True)
         self._ground_s = ground_s
         self._host_s = host_s
@@ -54,14 +60,23 @@ class Recorder:
         self._last_us = 0
         self.markers: list[Marker] = []
         self.manifest: dict[str, Any] = dict(manifest)
-        write_events_header(self._events)
-        (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8")
+        with self._guarded():
+            write_events_header(self._events)
+            (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8")
         self.save_plan(plan)
         self.save_manifest()
 
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.failure = self.failure or error.strerror or str(error)
+
     def save_plan(self, plan: Plan) -> None:
         """What is going to be flown; again when it was planned again in flight."""
-        (self.run_dir / "plan.json").write_text(json.dumps(plan_as_data(plan), indent=1), encoding="utf-8")
+        with self._guarded():
+            (self.run_dir / "plan.json").write_text(json.dumps(plan_as_data(plan), indent=1), encoding="utf-8")
 
     def use_clock(self, ground_s: Callable[[], float]) -> None:
         """Stamp by another ground clock from now on (lock-step has begun)."""
@@ -73,7 +88,9 @@ class Recorder:
             int(self._ground_s() * 1e6), self._last_us
         )  # a record whose time goes back cannot be read by other tools
         self._last_us = us
-        self._tlog.write(_STAMP.pack(us) + frame)
+        if not self.failure:
+            with self._guarded():
+                self._tlog.write(_STAMP.pack(us) + frame)
         self._decoder.add(us * 1e-6, message)
         if self._host_s() - self._flushed_s >= FLUSH_EVERY_S:
             self.flush(force=True)
@@ -83,24 +100,28 @@ class Recorder:
         marker = Marker(t_s, kind, label, dict(data or {}))
         self.markers.append(marker)
         line = {"t_s": round(t_s, 6), "kind": kind, "label": label, **({"data": marker.data} if marker.data else {})}
-        self._events.write(json.dumps(line, default=str) + "\n")
-        self._events.flush()
+        with self._guarded():
+            self._events.write(json.dumps(line, default=str) + "\n")
+            self._events.flush()
 
     def flush(self, *, force: bool = False) -> None:
         """Hand what is buffered to the operating system, if it is time."""
         now = self._host_s()
         if force or now - self._flushed_s >= FLUSH_EVERY_S:
-            self._tlog.flush()
             self._flushed_s = now
+            with self._guarded():
+                self._tlog.flush()
 
     def save_manifest(self) -> None:
         """Write the manifest as it stands."""
-        write_manifest(self.run_dir, self.manifest)
+        with self._guarded():
+            write_manifest(self.run_dir, self.manifest)
 
     def finish(self, session: Session, plan: Plan) -> Recording | None:
         """Close the files and write the channels; None when too little was recorded to decode."""
-        self._tlog.close()
-        self._events.close()
+        for file in (self._tlog, self._events):
+            with self._guarded():
+                file.close()
         try:
             decoded = self._decoder.result(session.vehicle_system or None)
         except RecordingError as error:
@@ -133,7 +154,8 @@ class Recorder:
                 reference_clock=decoded.reference_clock,
             ),
         )
-        write_recording(self.run_dir, recording)
+        with self._guarded():
+            write_recording(self.run_dir, recording)
         return recording
 
 

@@ -57,13 +57,11 @@ class Scheduler:
             self._show(leg, todo, "resting with motors off")
             self.results.append(flying.rest(self.cockpit, leg))
             if self.cockpit.stop_asked:
-                return FlightOutcome.OPERATOR_STOP
+                return self._stopped()
         if not in_air:
             return FlightOutcome.COMPLETED
-        if self.cockpit.stop_asked:
-            return FlightOutcome.OPERATOR_STOP
-        if not self.take_off():
-            return FlightOutcome.OPERATOR_STOP
+        if self.cockpit.stop_asked or not self.take_off():
+            return self._stopped()
         outcome = self._legs(in_air)
         if not self.cockpit.owned:
             return FlightOutcome.LEFT_TO_PILOT
@@ -221,7 +219,10 @@ class Scheduler:
             elif self.cockpit.state.mode == CopterMode.GUIDED:
                 supervisor.enter(self.cockpit, CopterMode.BRAKE, 2.0)
             return FlightOutcome.OPERATOR_ABORT
-        return FlightOutcome.OPERATOR_STOP if self.cockpit.stop_asked else None
+        return self._stopped() if self.cockpit.stop_asked else None
+
+    def _stopped(self) -> FlightOutcome:
+        return FlightOutcome.RECORD_LOST if self.cockpit.recorder.failure else FlightOutcome.OPERATOR_STOP
 
     def _why_unfit(self, leg_id: str) -> tuple[str, ...]:
         return tuple(what for leg, what, _ in self.plan.refusals if leg == leg_id)

@@ -137,21 +137,30 @@ def previous_model(request: FlightRequest, vehicle: Vehicle) -> ModelFile | None
 
 @contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """While this is open, Ctrl-C is counted instead of raised: once lands, twice lets go."""
+    """While this is open, Ctrl-C is counted instead of raised: once lands, twice lets go. A closed terminal or a shutdown lands."""
     presses = 0
 
     def count(_signal: int, _frame: object) -> None:
         nonlocal presses
         presses += 1
 
+    def end(_signal: int, _frame: object) -> None:
+        nonlocal presses
+        presses = max(presses, 1)  # often comes twice, with nobody left to say what the second means
+
     if threading.current_thread() is not threading.main_thread():
         yield lambda: 0
         return
-    before = signal.signal(signal.SIGINT, count)
+    before = {signal.SIGINT: signal.signal(signal.SIGINT, count)}
+    for name in ("SIGTERM", "SIGHUP"):  # the latter not on every system
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+            before[number] = signal.signal(number, end)
     try:
         yield lambda: presses
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def run(request: FlightRequest, progress: Progress = SILENT) -> Result:

@@ -1,13 +1,18 @@
 """Words to exit code: mistakes give one clear message and a number, in both languages; a fault of ours gives a traceback."""
 
 import json
+import os
+import signal
 
 import click
 import pytest
 
 from flighttest.cli import main as cli_main
+from flighttest.cli.live import LiveProgress
 from flighttest.errors import FitError, InputError, LinkError, PreflightError, Problem
+from flighttest.flight import FlightProgress
 from flighttest.pipeline import about
+from flighttest.pipeline.flying import counted_interrupts
 
 
 def call(capsys, *argv):
@@ -114,3 +119,28 @@ def test_doctor_says_what_is_here(capsys):
     _, out, _ = call(capsys, "doctor", "--json")
     checks = {c["what"]: c for c in json.loads(out)["checks"]}
     assert checks["casadi"]["ok"]
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), OSError(5, "Input/output error"), SystemExit(1)])
+def test_a_flight_goes_on_where_nobody_reads_its_progress(error):
+    """`flighttest run | tee log`: Ctrl-C ends tee as well, and the vehicle must still be landed."""
+
+    class Gone:
+        live = False
+
+        def say(self, *_words, **_style):
+            raise error
+
+    with LiveProgress(Gone()) as progress:
+        progress.stage("landing")
+        progress.flight(FlightProgress(1, 2, "landing", "", "", 1.0, 1.0))
+
+
+def test_a_closed_terminal_lands_and_ctrl_c_twice_lets_go():
+    with counted_interrupts() as presses:
+        os.kill(os.getpid(), signal.SIGHUP)
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert presses() == 1
+        os.kill(os.getpid(), signal.SIGINT)
+        assert presses() == 2
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL

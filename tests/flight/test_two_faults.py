@@ -1,11 +1,14 @@
 """Flights where two things go wrong at once, and what is sent after each."""
 
+import errno
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from flighttest.errors import RecordingError
 from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight.recorder import Recorder
 from flighttest.flight.response import Learnt
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
@@ -201,3 +204,47 @@ def test_a_pilot_who_takes_over_while_it_is_planned_again_keeps_the_vehicle(run_
     assert result.outcome is FlightOutcome.TAKE_OVER
     assert link.sim.vehicle.mode == CopterMode.LOITER
     assert not [t for t, kind in link.sent if kind == "COMMAND_LONG" and t >= switched[0]]
+
+
+def test_a_disk_that_fills_up_in_a_step_lands_the_vehicle(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = FaultyLink(options())
+    began = on_mark(link, " step")
+    opened: list[object] = []
+
+    class Filling:
+        """A file on a disk that is full from the step on."""
+
+        def __init__(self, file: object) -> None:
+            self.file = file
+            opened.append(file)
+
+        def write(self, data: object) -> None:
+            if began:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            self.file.write(data)  # type: ignore[attr-defined]
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self.file, name)
+
+    made = Recorder.__init__
+
+    def init(self: Recorder, *args: object, **kwargs: object) -> None:
+        made(self, *args, **kwargs)  # type: ignore[arg-type]
+        self._tlog, self._events = Filling(self._tlog), Filling(self._events)  # type: ignore[assignment]
+
+    monkeypatch.setattr(Recorder, "__init__", init)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert opened
+    assert result.outcome is FlightOutcome.RECORD_LOST
+    assert not link.sim.vehicle.armed
+    assert link.sim.vehicle.store["GUID_TIMEOUT"] == 3.0
+    assert any("No space left" in note for note in result.notes)
+
+
+def test_a_full_disk_is_told_before_the_flight(run_dir: Path) -> None:
+    run_dir.mkdir()
+    (run_dir / "raw.tlog").symlink_to("/dev/full")
+    link = FaultyLink(options())
+    with pytest.raises(RecordingError, match="No space left"):
+        fly(make_plan(), "sim", run_dir, transport=link)
+    assert not link.sim.vehicle.armed

@@ -330,3 +330,44 @@ def test_udp_answers_whoever_sent_and_loses_what_nobody_asked_for() -> None:
     assert other.receive(1.0) == b"back"
     listening.close()
     other.close()
+
+
+def beat_of(vehicle: ScriptedVehicle, mode: int, sequence: int) -> None:
+    vehicle._out.seq = sequence
+    vehicle.say(book.MAVLink_heartbeat_message(2, 3, 129, mode, 4, 3))
+
+
+def test_a_heartbeat_that_was_overtaken_shows_a_mode_that_is_over() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    vehicle._next_beat = float("inf")
+    copter = ArduPilot(session)
+    for mode, sequence, seen in ((4, 250, 4), (20, 2, 20), (4, 255, 20), (5, 40, 5)):
+        beat_of(vehicle, mode, sequence)
+        session.advance(session.now_s() + 0.05)
+        assert copter.mode == seen
+    vehicle.host.now += 1.0
+    beat_of(vehicle, 9, 20)  # after a pause of the link the numbers tell nothing
+    session.advance(session.now_s() + 0.05)
+    assert copter.mode == 9
+
+
+def test_a_reboot_makes_all_that_was_heard_old() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    vehicle.say(book.MAVLink_attitude_message(100_100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    session.advance(session.now_s() + 0.05)
+    assert "ATTITUDE" in session.latest
+    vehicle.say(book.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0))
+    vehicle.say(book.MAVLink_system_time_message(0, 1500))
+    session.advance(session.now_s() + 0.05)
+    assert "ATTITUDE" not in session.latest
+
+
+def test_an_answer_to_another_ground_station_is_not_ours() -> None:
+    class Busy(ScriptedVehicle):
+        def on_command_long(self, m: object) -> None:
+            self.say(book.MAVLink_command_ack_message(m.command, 2, 0, 0, 255, 190))  # type: ignore[attr-defined]
+            super().on_command_long(m)
+
+    assert ArduPilot(session_of(Busy(Host()))).command(176, 1.0, 20.0).accepted
