@@ -82,7 +82,11 @@ def parse_columns(text: str, file: str = "columns.yaml") -> ColumnMap:
     world, body = _frame(document, fields)
     rate = document.number(fields["rate_hz"], 0.1, 1e5, "Hz") if "rate_hz" in fields else None
     constants = _numbers(document, fields.get("constants"), tuple(CHANNELS))
-    filters = _numbers(document, fields.get("filters_hz"), GROUPS)
+    filters = _numbers(document, fields.get("filters_hz"), GROUPS, 0.1)
+    for name in sorted(constants.keys() & columns.keys()):
+        document.problem(
+            fields["constants"].line, f"constants.{name}", "the channel has a column already", "take one of the two out"
+        )
     document.raise_problems(RecordingError)
     return ColumnMap(columns, quaternions, cast(World, world), cast(Body, body), rate, constants, filters, file)
 
@@ -175,8 +179,8 @@ def _source(document: Document, name: str, entry: Node, keys: Mapping[str, Node]
     return Source(tuple(columns), scale * factor, offset)
 
 
-def _numbers(document: Document, node: Node | None, known: tuple[str, ...]) -> dict[str, float]:
+def _numbers(document: Document, node: Node | None, known: tuple[str, ...], low: float = -1e9) -> dict[str, float]:
     if node is None:
         return {}
-    found = {name: document.number(child, -1e9, 1e9) for name, child in document.mapping(node, known, "name").items()}
+    found = {name: document.number(child, low, 1e9) for name, child in document.mapping(node, known, "name").items()}
     return {name: value for name, value in found.items() if value is not None}

@@ -19,7 +19,7 @@ from flighttest.identify.fit import fit as identify
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
 from flighttest.pipeline.batteries import battery_data
-from flighttest.pipeline.fingerprints import conflicts, of_recordings
+from flighttest.pipeline.fingerprints import conflicts, of_recordings, repeated
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.pipeline.views import fit_view, segment_views
@@ -119,7 +119,7 @@ def fit_segments(
         attitude_loops=has_attitude_references(usable),
     )
     progress.stage(f"fitting {len(usable)} responses")
-    found = identify(usable, model, frozen=_pairs(options.freeze, "--freeze"), ties=_ties(options.tie))
+    found = identify(usable, model, frozen=_held(options.freeze, model), ties=_ties(options.tie))
     return cross_checked(found)
 
 
@@ -132,6 +132,19 @@ def _terms(ids: Sequence[str]) -> tuple[str, ...]:
                 f"there is no term {term_id!r}", f"did you mean {guess}?" if guess else "see `flighttest terms`"
             )
     return tuple(i for i in ids if i not in PAPER_TERMS)
+
+
+def _held(words: Sequence[str], model: Model) -> dict[str, float]:
+    """What --freeze holds, where a model can be simulated with it."""
+    found = _pairs(words, "--freeze")
+    for name, value in found.items():
+        known = model.param.get(name)
+        if known is not None and not known.lower <= value <= known.upper:
+            raise InputError(
+                f"--freeze {name}={value:g} is outside {known.lower:g} to {known.upper:g} {known.unit}",
+                "see `flighttest terms`",
+            )
+    return found
 
 
 def _pairs(words: Sequence[str], option: str) -> dict[str, float]:
@@ -151,7 +164,7 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
     found = {}
     for word in words:
         name, equals, source = (part.strip() for part in word.partition("="))
-        if not (name and equals and source):
+        if not (name and equals and source) or name == source:
             raise InputError(f"--tie {word!r} is not A=B", "as in --tie d_y=d_x")
         found[name] = source
     return found
@@ -194,9 +207,8 @@ def fit(
     recordings = open_recordings(runs, columns, options.workers, progress, options.scheduler)
     segments = cut_all(recordings, progress)
     found = fit_segments(segments, recordings, declared, options, progress)
-    mixed = conflicts(recordings)
-    if mixed:
-        found = replace(found, notes=(*found.notes, mixed))
+    notes = (repeated(recordings), conflicts(recordings))
+    found = replace(found, notes=(*found.notes, *(note for note in notes if note)))
     return finish_fit(found, segments, recordings, declared, output, [str(r) for r in runs])
 
 

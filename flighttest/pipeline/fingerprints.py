@@ -47,6 +47,16 @@ def conflicts(recordings: Sequence[Recording]) -> str:
     return ""
 
 
+def repeated(recordings: Sequence[Recording]) -> str:
+    """Which recording was given twice, in one sentence; empty where none was."""
+    seen: dict[str, str] = {}
+    for recording in recordings:
+        first = seen.setdefault(recording.provenance.sha256 or recording.name, recording.name)
+        if first != recording.name:
+            return f"{first} and {recording.name} are one recording: it counts twice, and all intervals are too narrow"
+    return ""
+
+
 def differences(stored: Mapping[str, Any], recordings: Sequence[Recording]) -> str:
     """What was declared or set otherwise in recordings than for a model: 'MOT_SPIN_MIN 0.15, here 0.1'; empty where nothing was."""
     changes, _ = declared_changes(stored, of_recordings(recordings, None))

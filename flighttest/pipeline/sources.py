@@ -129,6 +129,13 @@ def import_log(
     same = rebuilding and log.resolve() == (output / RAW_NAME).resolve()
     recording = _rebuilt(output, read_manifest(output), log) if same else open_recording(log, columns)
     provenance = recording.provenance
+    if rebuilding and log.resolve().parent != output.resolve():
+        kept = read_manifest(output)
+        if kept.get("sha256") not in ("", None, provenance.sha256) and kept.get("source") != provenance.source:
+            raise InputError(
+                f"{output} holds another recording already, of {kept.get('source')}",
+                "name a folder that does not exist yet",
+            )
     if declared is not None:
         provenance = replace(provenance, components=dict(declared.components), vehicle=_vehicle_data(declared))
     recording = Recording(output.name, recording.series, recording.markers, provenance)

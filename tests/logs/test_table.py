@@ -328,3 +328,10 @@ def test_lines_of_zero_bytes_are_left_out_and_told(tmp_path, t):
 def test_units_that_cannot_be_meant_are_refused(tmp_path, t, factor_t, factor_roll, words):
     with pytest.raises(RecordingError, match=words):
         import_log(save(tmp_path / "a.csv", t_s=t * factor_t, roll_rad=0.3 * np.sin(t) * factor_roll))
+
+
+def test_a_channel_has_one_source_and_a_filter_lets_something_through():
+    text = "format: columns/1\ncolumns: {t_s: t, throttle: u}\nconstants: {throttle: 0.3}\nfilters_hz: {rates: -3}\n"
+    with pytest.raises(RecordingError) as caught:
+        parse_columns(text, "map.yaml")
+    assert {p.path for p in caught.value.problems} == {"constants.throttle", "filters_hz.rates"}

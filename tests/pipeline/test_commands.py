@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from flighttest.cli import main as cli_main
-from flighttest.pipeline.fingerprints import conflicts, differences
+from flighttest.pipeline.fingerprints import conflicts, differences, repeated
 from flighttest.recording import Provenance, Recording
 
 TRUTH = {
@@ -60,6 +60,18 @@ def test_import_makes_a_run_that_says_the_same_as_the_table(call, flight_csv, tm
     code, _, err = call("import", flight_csv, "-o", flight_csv.parent)
     assert code == 2
     assert "no run folder" in " ".join(err.split())
+
+
+def test_a_run_folder_is_not_overwritten_by_another_recording(call, tmp_path):
+    run, rows = tmp_path / "läuf e", "\n".join(f"{0.02 * k},0.1" for k in range(50))
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(f"t_s,roll_rad\n{rows}\n{1.0 if name == 'a.csv' else 1.5},0.1\n")
+    assert call("import", tmp_path / "a.csv", "-o", run)[0] == 0
+    assert call("import", tmp_path / "a.csv", "-o", run)[0] == 0, "rebuilding it is no loss"
+    code, _, err = call("import", tmp_path / "b.csv", "-o", run)
+    assert code == 2
+    assert "holds another recording already" in " ".join(err.split())
+    assert yaml.safe_load((run / "manifest.yaml").read_text())["source"].endswith("a.csv")
 
 
 def test_report_of_a_run_and_the_history(call, flight_csv, tmp_path):
@@ -150,7 +162,10 @@ def test_missing_files_are_bad_input(call, argv, tmp_path, monkeypatch):
 
 
 def test_bad_fit_options_are_bad_input(call, flight_csv):
-    for options in (("--term", "nope"), ("--freeze", "alpha"), ("--tie", "d_y"), ("--freeze", "nope=1")):
+    for options in (
+        ("--term", "nope"), ("--freeze", "alpha"), ("--tie", "d_y"), ("--freeze", "nope=1"), ("--freeze", "K=nan"),
+        ("--freeze", "K=1e300"), ("--tie", "K=K"),
+    ):  # fmt: skip
         code, _, err = call("fit", flight_csv, *options)
         assert code in (2, 3), (options, err)
         assert "error:" in err
@@ -198,6 +213,13 @@ def test_recordings_of_two_vehicles_are_called_so():
     assert conflicts([a, recorded("c", "P1")]) == ""
     assert conflicts([a, Recording("table", {}, (), Provenance("", "table"))]) == "", "not declared is not changed"
     assert differences({"components": {"propellers": {"id": "P1"}}}, [b]) == "propellers P1, here P2"
+
+
+def test_a_recording_that_is_given_twice_is_told():
+    a, b = (Recording(name, {}, (), Provenance("", "table", sha256=sha)) for name, sha in (("a", "1"), ("b", "2")))
+    again = Recording("a-2", {}, (), a.provenance)
+    assert "a and a-2 are one recording" in repeated([a, b, again])
+    assert repeated([a, b]) == ""
 
 
 def test_what_to_fly_takes_time_also_where_the_model_finds_no_room(call, model, tmp_path):
