@@ -133,6 +133,7 @@ class _Flight:
             if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
             scheduler = Scheduler(cockpit, self.plan, self._airframe(), left_out, replanner)
+            scheduler.on_armed = lambda: self._place_home(cockpit)
             try:
                 outcome = scheduler.fly()
             except FlightEnded as ended:
@@ -212,10 +213,9 @@ class _Flight:
         self._wait_for_position(cockpit)
         rates = vehicle.measure_rates(list(_SLOW_STREAMS))
         cockpit.after()
-        rc = session.latest.get("RC_CHANNELS")
         situation = preflight.Situation(
             self.plan, self._parameters, cockpit.state, rates, firmware, beat.type, simulator,
-            rc_live=rc is not None and rc.message.chancount > 0, pace=self._pace,
+            rc_live=simulator or preflight.rc_live(vehicle), pace=self._pace, others=frozenset(session.others),
         )  # fmt: skip
         cockpit.reader.throttle_channel = int(self._parameters.get("RCMAP_THROTTLE", 3))
         if self.recorder.failure:
@@ -338,6 +338,14 @@ class _Flight:
         cockpit.gate = replace(cockpit.gate, zone_placed=True)
         cockpit.after()
         self.recorder.manifest["zone_origin_local_m"] = [round(float(v), 3) for v in home]
+
+    def _place_home(self, cockpit: Cockpit) -> None:
+        """ArduPilot takes home anew when it arms: until then the estimate of height may have drifted by metres since boot."""
+        if cockpit.gate.zone_placed and self.plan.vehicle.zone.origin is None:
+            home = self.vehicle.home_m()
+            if home is not None:
+                cockpit.reader.origin_m = home
+                self.recorder.manifest["zone_origin_local_m"] = [round(float(v), 3) for v in home]
 
     # -- after ---------------------------------------------------------------------------------------------------------------
 

@@ -31,6 +31,7 @@ class Refusal(Enum):
     MODE = "the autopilot is not in the maneuver's mode"
     DISARMED = "the vehicle is not armed"
     LINK = "nothing was heard from the vehicle for too long"
+    HELD_UP = "the ground was held up for longer than the vehicle follows a target"
     TELEMETRY_OLD = "attitude telemetry is missing or too old"
     POSITION_OLD = "position telemetry is missing or too old"
     EKF = "the autopilot's state estimate is not healthy"

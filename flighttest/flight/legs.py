@@ -16,7 +16,7 @@ from flighttest.link.ardupilot import LaggedYaw
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
-LINK = frozenset({Refusal.LINK, Refusal.TELEMETRY_OLD})
+LINK = frozenset({Refusal.LINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD})
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,18 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
     """
     begin(cockpit, leg)
     steering = _Profile(cockpit, leg, airframe) if leg.profile is not None else _Path(cockpit, leg, airframe)
-    start = cockpit.session.now_s()
+    start = sent_s = cockpit.session.now_s()
     phase_now = ""
     tick = 0
     while True:
         t_s = cockpit.session.now_s() - start
+        if cockpit.session.now_s() - sent_s > cockpit.gate.silence_max_s:
+            return _refused(cockpit, leg, (Refusal.HELD_UP,))
         if t_s >= leg.duration_s - 1e-6:
             break
         target, yaw, with_rate = steering.at(t_s)
         refused = cockpit.steer(target, yaw, with_rate, step=True)
+        sent_s = cockpit.session.now_s()
         if trace is not None:
             state = cockpit.state
             trace.seen(state.t_s - min(state.position_age_s, 1.0), state.climb_m_s, state.height_m)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight.state import VehicleState
 from flighttest.link import parameters as params
+from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
@@ -28,6 +29,7 @@ _LOG_NEEDED = {
 }
 _FENCE_BRAKE = 4
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
+_FENCE_ROOM_M = 20.0  # between the zone and a fence that is still one for it
 _FS_CONTINUE_GUIDED = 4
 RATE_SHARE = 0.8
 _GONE_S = 5.0  # of silence
@@ -63,7 +65,8 @@ class Check:
 
 @dataclass(frozen=True)
 class Situation:
-    """All that the checks look at. parameters by the vehicle's names; rates_hz as measured; pace: vehicle seconds per second."""
+    """All that the checks look at. parameters by the vehicle's names; rates_hz as measured; pace: vehicle seconds per second;
+    others: system ids of further autopilots on the link."""
 
     plan: Plan
     parameters: dict[str, float]
@@ -74,10 +77,22 @@ class Situation:
     simulator: bool
     rc_live: bool
     pace: float = 1.0
+    others: frozenset[int] = frozenset()
 
     def value(self, name: str) -> float | None:
         """A parameter by either name."""
         return params.by_either_name(self.parameters, name)
+
+
+def rc_live(vehicle: ArduPilot) -> bool:
+    """Whether the autopilot receives the pilot's transmitter now: RC_CHANNELS goes on with the last channels when it is off."""
+    heard = vehicle.session.latest.get("RC_CHANNELS")
+    if heard is None or heard.message.chancount == 0:
+        return False
+    status = vehicle.request("SYS_STATUS", book.MAVLINK_MSG_ID_SYS_STATUS)
+    if status is None or not status.onboard_control_sensors_present & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER:
+        return True  # it does not say
+    return bool(status.onboard_control_sensors_health & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
 
 
 def figure(value: float) -> str:
@@ -92,8 +107,8 @@ def is_simulator(parameters: Mapping[str, float]) -> bool:
 
 # What a check may be called after --waive.
 NAMES = (
-    "plan", "frame", "firmware", "GUID_OPTIONS", "GUID_TIMEOUT", "FLTMODE_GCSBLOCK", "SYSID_ENFORCE", "FS_OPTIONS", "rc", "fence",
-    "LOG_BITMASK", "rates", "battery", "position", "armed", "attitude",
+    "plan", "vehicles", "frame", "firmware", "GUID_OPTIONS", "GUID_TIMEOUT", "FLTMODE_GCSBLOCK", "SYSID_ENFORCE", "FS_OPTIONS", "rc",
+    "fence", "LOG_BITMASK", "rates", "battery", "position", "armed", "attitude",
 )  # fmt: skip
 
 
@@ -111,6 +126,10 @@ def _plan(s: Situation) -> list[Check]:
 
 def _firmware(s: Situation) -> list[Check]:
     found = []
+    if s.others:
+        named = ", ".join(map(str, sorted(s.others)))
+        what = f"there are other vehicles on this link (system {named}): which of them is to fly is not said"
+        found.append(Check("vehicles", what, "give this vehicle a link or a port of its own"))
     if s.vehicle_type not in _MULTICOPTERS:
         found.append(Check("frame", "the vehicle is not a multirotor", "connect to a multirotor"))
     version = re.match(r"(\d+)\.(\d+)", s.firmware)
@@ -209,12 +228,17 @@ def _safety(s: Situation) -> list[Check]:
     zone = s.plan.vehicle.zone
     reach = max(abs(v) for v in (*zone.x_m, *zone.y_m)) * 1.5 + 5.0
     kinds = int(s.value("FENCE_TYPE") or 0)
+    # A circle is about home; one about a zone elsewhere is the pilot's to draw.
+    near = (
+        kinds & _FENCE_POLYGON or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _FENCE_ROOM_M
+    )
     good = (
         int(s.value("FENCE_ENABLE") or 0) == 1
         and kinds & _FENCE_ALTITUDE
         and kinds & (_FENCE_CIRCLE | _FENCE_POLYGON)
+        and near
         and int(s.value("FENCE_ACTION") or 0) == _FENCE_BRAKE
-        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + 20.0
+        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _FENCE_ROOM_M
     )
     if not good:
         wanted_fence = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -34,13 +34,15 @@ _PASSING = {r.value for r in (Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refus
 
 @dataclass
 class Scheduler:
-    """Flies a plan. results: one per leg tried, in order. skip: ids of legs that are already there."""
+    """Flies a plan. results: one per leg tried, in order. skip: ids of legs that are already there. on_armed: called before the
+    take-off."""
 
     cockpit: Cockpit
     plan: Plan
     airframe: Airframe
     skip: Collection[str] = ()
     replanner: Replanner | None = None
+    on_armed: Callable[[], None] = lambda: None
     results: list[LegResult] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _reset_s: float = _RESET_GUESS_S
@@ -94,6 +96,7 @@ class Scheduler:
             vehicle.disarm()
             return False
         cockpit.recorder.event("note", "armed", cockpit.session.now_s())
+        self.on_armed()
         cockpit.tell(doing="taking off", next=self.plan.legs[0].id)
         if by_position:
             answer = vehicle.take_off(height)

@@ -52,7 +52,7 @@ class FollowedClock:
 
     def __init__(self, host_s: Callable[[], float] = time.monotonic, wall_s: Callable[[], float] = time.time) -> None:
         self._host_s = host_s
-        self._wall_s = wall_s
+        self._wall_ahead_s = wall_s() - host_s()
         self._pace = 1.0
         self._heard: deque[tuple[float, float]] = deque()
         # The least delayed stamp, as (host, vehicle), of the present and of the last short period.
@@ -108,8 +108,8 @@ class FollowedClock:
         return self._latest_s
 
     def ground_s(self) -> float:
-        """Wall clock time."""
-        return self._wall_s()
+        """Wall clock time as it was at the start, and run on: in the field it is set in mid-flight, by as much as years."""
+        return self._wall_ahead_s + self._host_s()
 
 
 class GrantedClock:

@@ -31,13 +31,15 @@ class Heard:
 class Session:
     """The conversation with one vehicle. `advance` is the only place where time passes and messages come in.
 
-    vehicle_system is 0 until the first HEARTBEAT of an autopilot. latest: message name to the last one heard from the vehicle.
+    vehicle_system is 0 until the first HEARTBEAT of an autopilot. latest: message name to the last one heard from the vehicle. others:
+    system ids of further autopilots that were heard.
     """
 
     def __init__(self, port: Port, clock: Clock | None = None) -> None:
         self.port = port
         self.clock: Clock = clock or FollowedClock()
         self.vehicle_system = 0
+        self.others: set[int] = set()
         self.latest: dict[str, Heard] = {}
         self.counts: dict[str, int] = {}
         self._listeners: list[Callable[[Message, float], None]] = []
@@ -146,6 +148,8 @@ class Session:
             return  # a gimbal or companion computer aboard has the vehicle's system id, but its own mode, clock and answers
         if not self.vehicle_system and kind == "HEARTBEAT" and is_vehicle(message):
             self.vehicle_system = system
+        if kind == "HEARTBEAT" and system != self.vehicle_system and is_vehicle(message):
+            self.others.add(system)
         if system != self.vehicle_system or system == 0 or (kind == "HEARTBEAT" and self._overtaken(message)):
             return
         if kind == "TIMESYNC":

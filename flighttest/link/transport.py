@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import math
 import os
 import select
 import socket
@@ -15,6 +16,7 @@ from flighttest.errors import InputError, LinkError
 URL_FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim"
 _CHUNK = 65536
 _CONNECT_TIMEOUT_S = 5.0
+_PEER_S = 5.0
 _RECONNECT_EVERY_S = 1.0
 
 
@@ -67,7 +69,11 @@ def _hint(kind: str) -> str:
 
 
 class UdpTransport:
-    """UDP. listen: bind and answer whoever sends (udpin); otherwise send to the address (udpout)."""
+    """UDP. listen: bind and answer whoever sends (udpin); otherwise send to the address (udpout).
+
+    Whoever was heard in the last seconds is answered, not the last one only: a ground station that sends to the same port must not turn
+    targets away from the vehicle.
+    """
 
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -76,7 +82,7 @@ class UdpTransport:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         try:
             address = (socket.gethostbyname(host), port)
-            self._peer: tuple[str, int] | None = None if listen else address
+            self._peers: dict[tuple[str, int], float] = {} if listen else {address: math.inf}
             if listen:
                 self._socket.bind(address)
         except OSError:
@@ -85,9 +91,9 @@ class UdpTransport:
 
     def send(self, data: bytes) -> None:
         """Send one datagram; nobody heard yet, or a full buffer, loses it."""
-        if self._peer is not None:
+        for peer in self._peers:
             with contextlib.suppress(OSError):  # unreachable now may be reachable later; loss shows as missing answers
-                self._socket.sendto(data, self._peer)
+                self._socket.sendto(data, peer)
 
     def receive(self, timeout_s: float) -> bytes:
         """All datagrams that are waiting."""
@@ -96,10 +102,15 @@ class UdpTransport:
             return b""
         while True:
             try:
-                data, self._peer = self._socket.recvfrom(_CHUNK)
-            except (BlockingIOError, ConnectionRefusedError):
+                data, peer = self._socket.recvfrom(_CHUNK)
+            except OSError:  # nothing more waits, nobody there, or the network is down: silence
                 break
             chunks.append(data)
+            self._peers[peer] = max(time.monotonic(), self._peers.get(peer, 0.0))
+        newest = max(self._peers.values(), default=0.0)
+        self._peers = {
+            p: t for p, t in self._peers.items() if t == math.inf or t > time.monotonic() - _PEER_S or t == newest
+        }
         return b"".join(chunks)
 
     def close(self) -> None:

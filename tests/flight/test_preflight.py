@@ -1,6 +1,7 @@
 """Each preflight check on its own: what it refuses, its remedy, what it would set; and that a good vehicle passes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from flighttest.errors import PreflightError
 from flighttest.flight import preflight
 from flighttest.flight.preflight import Check, Situation, checks, is_simulator, refuse
+from flighttest.link.session import Heard
+from flighttest.mavlink.dialect import book
 from tests.flight.faulty import GOOD, LIMITS, make_leg, make_plan
 
 PARAMETERS = {
@@ -145,3 +148,50 @@ def test_waivers_are_by_name_and_noted() -> None:
     assert len(refused.value.refusals) == 1
     refuse(faults, {"rc", "GUID_OPTIONS"})
     assert preflight.waiver_notes(faults, {"rc"}) == [f"waived rc: {faults[0].what}"]
+
+
+@pytest.mark.parametrize(
+    ("fence", "good"),
+    [
+        ({"FENCE_TYPE": 3.0, "FENCE_RADIUS": 300.0}, False),  # the firmware's default
+        ({"FENCE_TYPE": 3.0, "FENCE_RADIUS": 40.0}, True),
+        ({"FENCE_TYPE": 7.0, "FENCE_RADIUS": 300.0}, True),  # a polygon, which is not read
+    ],
+)
+def test_a_circle_far_beyond_the_zone_is_no_fence_for_it(fence: dict[str, float], good: bool) -> None:
+    refused = found(parameters=fence)
+    assert [check.name for check in refused] == ([] if good else ["fence"])
+    assert all(check.set["FENCE_RADIUS"] == 30.0 for check in refused)
+
+
+def test_a_second_vehicle_on_the_link_is_refused() -> None:
+    (check,) = found(others=frozenset({2, 7}))
+    assert check.name == "vehicles"
+    assert "2, 7" in check.what
+
+
+RECEIVER = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+
+
+@pytest.mark.parametrize(
+    ("channels", "present", "health", "live"),
+    [
+        (None, 0, 0, False),
+        (0, RECEIVER, RECEIVER, False),
+        (16, RECEIVER, RECEIVER, True),
+        (16, RECEIVER, 0, False),  # the transmitter was switched off: the channels stay as they were
+        (16, 0, 0, True),
+    ],
+)
+def test_rc_is_live_where_the_autopilot_receives_it_now(
+    channels: int | None, present: int, health: int, live: bool
+) -> None:
+    latest = {} if channels is None else {"RC_CHANNELS": Heard(SimpleNamespace(chancount=channels), 1.0)}
+    status = SimpleNamespace(onboard_control_sensors_present=present, onboard_control_sensors_health=health)
+    vehicle = SimpleNamespace(session=SimpleNamespace(latest=latest), request=lambda *_: status)
+    assert preflight.rc_live(vehicle) is live  # type: ignore[arg-type]
+
+
+def test_a_value_to_be_typed_back_keeps_every_digit() -> None:
+    assert preflight.figure(2293759.0) == "2293759"
+    assert preflight.figure(0.20000000298023224) == "0.2"

@@ -4,14 +4,16 @@ import errno
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flighttest.errors import RecordingError
 from flighttest.flight import FlightOutcome, LegOutcome, fly
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.response import Learnt
+from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget, Plan
 from flighttest.recording.store import open_run, read_manifest
 from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
@@ -248,3 +250,34 @@ def test_a_full_disk_is_told_before_the_flight(run_dir: Path) -> None:
     with pytest.raises(RecordingError, match="No space left"):
         fly(make_plan(), "sim", run_dir, transport=link)
     assert not link.sim.vehicle.armed
+
+
+def test_heights_are_above_the_place_where_it_armed(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ArduPilot takes home anew when it arms: the estimate may have drifted by metres since the first fix."""
+    link = FaultyLink(options())
+    stated = ArduPilot.home_m
+
+    def drifted(vehicle: ArduPilot) -> np.ndarray | None:
+        home = stated(vehicle)
+        assert home is not None
+        return home if link.sim.vehicle.armed else home + np.array([0.0, 0.0, 1.2])
+
+    monkeypatch.setattr(ArduPilot, "home_m", drifted)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert read_manifest(run_dir)["zone_origin_local_m"][2] == pytest.approx(0.0, abs=0.2)
+
+
+def test_a_host_that_was_held_up_in_a_step_flies_it_again(run_dir: Path) -> None:
+    """A suspended laptop: the vehicle has long let go of the step by itself, and must not be put into the middle of it."""
+    held: list[float] = []
+    link = FaultyLink(options())
+
+    def pause(t_s: float) -> AttitudeTarget:
+        if t_s > 0.5 and not held:
+            held.append(link.sim.time_s)
+            link.sim.send(bytes(book.MAVLink_system_time_message(0, int(1e3 * (held[0] + 2.0))).pack(parser(245, 191))))
+        return AttitudeTarget(t_s, 0.2 if 0.3 < t_s < 0.8 else 0.0, 0.0, 0.0, 0.17)
+
+    result = fly(make_plan(make_leg("a", pause)), "sim", run_dir, transport=link)
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN]

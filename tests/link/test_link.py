@@ -371,3 +371,37 @@ def test_an_answer_to_another_ground_station_is_not_ours() -> None:
             super().on_command_long(m)
 
     assert ArduPilot(session_of(Busy(Host()))).command(176, 1.0, 20.0).accepted
+
+
+def test_udp_goes_on_sending_to_the_vehicle_when_another_sends_too() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    listening = open_transport(f"udpin:127.0.0.1:{port}")
+    vehicle, ground = (open_transport(f"udpout:127.0.0.1:{port}") for _ in range(2))
+    for sender in (vehicle, ground):
+        sender.send(b"x")
+        assert listening.receive(1.0) == b"x"
+    listening.send(b"target")
+    assert vehicle.receive(1.0) == b"target"
+    for transport in (listening, vehicle, ground):
+        transport.close()
+
+
+def test_the_grounds_clock_may_be_set_in_mid_flight() -> None:
+    host, wall = Host(), Host()
+    clock = FollowedClock(host, wall)
+    began = clock.ground_s()
+    host.now += 2.0
+    wall.now += 3.0e7
+    assert clock.ground_s() - began == 2.0
+
+
+def test_a_second_autopilot_on_the_link_is_noticed_and_not_listened_to() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    other = parser(2, 1)
+    vehicle._pending.append(bytes(book.MAVLink_heartbeat_message(2, 3, 129, 5, 4, 3).pack(other)))
+    session.advance(session.now_s() + 0.05)
+    assert session.others == {2}
+    assert ArduPilot(session).mode == 0
