@@ -39,6 +39,19 @@ def check_valid(document: Document, node: Node | None) -> None:
             document.number(child, -1e9, 1e9)
 
 
+def check_fingerprint(document: Document, node: Node | None) -> None:
+    """Components are blocks of what was declared of each, parameters and sizes are numbers; what else is there is text."""
+    parts = children_of(document, node)
+    for child in children_of(document, parts.get("components")).values():
+        children_of(document, child)
+    numbers = dict(children_of(document, parts.get("shaping_parameters")))
+    numbers |= {
+        key: parts[key] for key in ("nominal_voltage_v", "mass_kg") if key in parts and parts[key].value is not None
+    }
+    for child in numbers.values():
+        document.number(child, -1e12, 1e12)
+
+
 def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
     """What a block of any keys holds; nothing where there is none."""
     if node is None or node.value is None:

@@ -16,7 +16,15 @@ from flighttest.documents import Document, Node, kind_of
 from flighttest.errors import ModelError
 from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
-from flighttest.identify.model_blocks import check_valid, children_of, constants_of, noise_of, plain_block, terms_of
+from flighttest.identify.model_blocks import (
+    check_fingerprint,
+    check_valid,
+    children_of,
+    constants_of,
+    noise_of,
+    plain_block,
+    terms_of,
+)
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import Model
 
@@ -179,8 +187,8 @@ def read(path: Path) -> ModelFile:
     constants = constants_of(document, root.get("constants"))
     noise = noise_of(document, root.get("noise"))
     check_valid(document, root.get("valid"))
-    for key in ("fingerprint", "fit_quality"):
-        plain_block(document, root.get(key))
+    check_fingerprint(document, root.get("fingerprint"))
+    plain_block(document, root.get("fit_quality"))
     for key in ("runs", "notes"):
         if key in root and root[key].value is not None and not isinstance(root[key].value, list):
             document.wrong(root[key], f"expected a list, found {kind_of(root[key].value)}")

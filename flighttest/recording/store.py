@@ -62,6 +62,9 @@ def read_manifest(run_dir: Path) -> dict[str, Any]:
     for key in _BLOCKS:
         if not isinstance(manifest.get(key) or {}, dict):
             raise RecordingError(f"{path}: {key} is no block of keys and values", _REBUILD)
+    for name, declared in (manifest.get("components") or {}).items():
+        if not isinstance(declared or {}, dict):
+            raise RecordingError(f"{path}: components.{name} is no block of keys and values", _REBUILD)
     if not isinstance(manifest.get("losses") or [], list):
         raise RecordingError(f"{path}: losses is no list", _REBUILD)
     for key in ("parameters", "filters"):

@@ -123,6 +123,7 @@ def test_every_parquet_file_names_its_format(tmp_path):
         ("parameters: [1, 2]", "parameters is no block"),
         ("parameters: {MOT_SPIN_MIN: low}", r"parameters.MOT_SPIN_MIN is no number, but 'low'"),
         ("clock: 5", "clock is no block"),
+        ("components: {battery: 5}", "components.battery is no block"),
         ("clock: {error_s: much}", "clock.error_s is no number"),
         ("filters: {specific_force: [20]}", "filters.specific_force is no number"),
         ("derived: yes", "derived is no block"),
