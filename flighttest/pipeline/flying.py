@@ -14,7 +14,7 @@ from flighttest.currency.declared import declared_changes, scripts_for
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, legs_flown, preflight
+from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, preflight
 from flighttest.flight.fly import OnVehicle
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
@@ -29,10 +29,11 @@ from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
 from flighttest.pipeline.replanning import ScriptReplanner
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.resuming import chain, flown_in, script_of, worth_resuming
 from flighttest.pipeline.simulator import options
 from flighttest.pipeline.sources import open_recording
 from flighttest.plan import Plan
-from flighttest.recording.store import MANIFEST_NAME, read_manifest, write_recording
+from flighttest.recording.store import MANIFEST_NAME, write_recording
 from flighttest.report.document import Block, Bullets, Document, Section
 from flighttest.report.numbers import join
 from flighttest.report.plain import plain
@@ -167,14 +168,16 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     """Fly the scripts, then analyse what was recorded."""
     vehicle = declared_vehicle(request)
     _known_waivers(request.waive)
-    names = request.scripts or (str(_script_of(request.resume)),)
+    names = request.scripts or (str(script_of(request.resume)),)
     previous = previous_model(request, vehicle)
     prior = predictor_for(request.model, vehicle)
     compiled = plans(names, vehicle, prior)
     for plan in compiled:
         _all_flyable(plan)
-    if request.resume is not None:
-        _worth_resuming(request.resume, compiled)
+    notes = worth_resuming(request.resume, compiled) if request.resume is not None else []
+    for note in notes:
+        progress.stage(note)
+    earlier = chain(request.resume)
     said: set[str] = set()
 
     def compare(firmware: str, parameters: Mapping[str, float]) -> None:
@@ -182,9 +185,8 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             _say_changes(previous, of_vehicle(vehicle, firmware, dict(parameters)), said, progress)
 
     compare("", {})
-    folders: list[Path] = [] if request.resume is None else [request.resume]
+    folders = list(earlier)
     ends: list[FlightResult] = []
-    notes: list[str] = []
     for index, plan in enumerate(compiled):
         try:
             ended = _one(request, plan, prior, index, len(compiled), compare, progress)
@@ -198,8 +200,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         notes += [n for n in ended.notes if n not in notes]
         if not ended.outcome.usable:
             notes.append(f"{plan.script.name}: {ended.outcome.value}")
-        earlier = legs_flown(request.resume) if request.resume is not None else frozenset()
-        missing = len({leg.id for leg in plan.legs} - legs_flown(ended.run_dir) - earlier)
+        missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
         if missing and ended.outcome.usable and ended.outcome is not FlightOutcome.COMPLETED:
             notes.append(
                 f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
@@ -233,32 +234,6 @@ def _unflown(ended: FlightResult) -> list[str]:
         f"{legs[0]}{f' and {len(legs) - 1} more' if len(legs) > 1 else ''} not flown: {reason}"
         for reason, legs in reasons.items()
     ]
-
-
-def _script_of(run_dir: Path | None) -> Path:
-    if run_dir is None:
-        raise InputError("nothing to fly", "name a SCRIPT, or a run with --resume")
-    read_manifest(run_dir)
-    path = run_dir / "script.yaml"
-    if not path.is_file():
-        raise InputError(f"{run_dir} keeps no script.yaml", "only a run that was flown can be resumed")
-    return path
-
-
-def _worth_resuming(run_dir: Path, compiled: Sequence[Plan]) -> None:
-    """InputError when the run to resume flew another script, or lacks nothing."""
-    before = str((read_manifest(run_dir).get("script") or {}).get("name", ""))
-    names = [plan.script.name for plan in compiled]
-    if before not in names:
-        raise InputError(
-            f"{run_dir} is a flight of {before or 'no script'}, not of {', '.join(names)}",
-            f"leave the script out: flighttest run --resume {run_dir}",
-        )
-    flown = legs_flown(run_dir)
-    if all(leg.id in flown for plan in compiled for leg in plan.legs):
-        raise InputError(
-            f"{run_dir}: nothing is missing, all its steps were flown", "see them with `flighttest report`"
-        )
 
 
 def _known_waivers(names: Sequence[str]) -> None:
@@ -320,6 +295,7 @@ def _one(
             set_params=request.set_params,
             waive=request.waive,
             resume=request.resume,
+            skip=flown_in(chain(request.resume)),
             replanner=ScriptReplanner(plan, prior),
             on_progress=progress.flight,
             on_stage=progress.stage,

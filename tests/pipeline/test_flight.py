@@ -5,13 +5,19 @@ import json
 import re
 import signal
 import threading
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from flighttest.cli import main as cli_main
+from flighttest.errors import InputError
 from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult, preflight
-from flighttest.pipeline import flying
+from flighttest.flight.recorder import Recorder, first_manifest
+from flighttest.pipeline import flying, resuming
+from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SHORT = """
 format: maneuver/1
@@ -103,6 +109,11 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     data = json.loads(out)
     assert data["runs"][0] == str(run)
     assert data["segments"]["used"] == 4
+    # Who goes on from the second run goes on from both.
+    second = Path(data["runs"][1])
+    assert resuming.chain(second) == [run, second]
+    _, _, err = call("run", "--resume", second, "--out", out_dir)
+    assert "nothing is missing" in err
     # A report of either run is one of the campaign they were fitted in.
     code, out, err = call("report", data["runs"][0], "--json")
     assert code == 0, err
@@ -208,3 +219,16 @@ def test_steps_that_were_not_flown_are_named_with_the_reason():
         f"a/r1 and 1 more not flown: {LegOutcome.REFUSED.value}: {high}",
         f"a/r3 not flown: {LegOutcome.LEFT_OUT.value}",
     ]
+
+
+def test_what_another_vehicle_flew_is_not_gone_on_with(call, script, tmp_path):
+    plan = plans((str(script),), DEFAULT_VEHICLE, predictor_for(None, DEFAULT_VEHICLE))[0]
+    run = tmp_path / "run"
+    Recorder(run, lambda: 0.0, first_manifest(plan, "sim", "", None), plan).finish(
+        SimpleNamespace(vehicle_system=1), plan
+    )
+    assert resuming.worth_resuming(run, [plan]) == []
+    (note,) = resuming.worth_resuming(run, [replace(plan, script=replace(plan.script, sha256="other"))])
+    assert "was changed since" in note
+    with pytest.raises(InputError, match="a flight of the vehicle paper, not of mine"):
+        resuming.worth_resuming(run, [replace(plan, vehicle=replace(plan.vehicle, name="mine"))])
