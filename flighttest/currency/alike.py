@@ -86,7 +86,7 @@ def from_data(data: object) -> tuple[Step, ...]:
     try:
         order, rows = list(data["order"]), list(data["flown"])  # type: ignore[index]
         return tuple(_step(order, dict(row)) for row in rows)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return ()
 
 

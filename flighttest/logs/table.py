@@ -141,20 +141,21 @@ def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, 
     """A table whose time starts anew, as one whose steps were each timed from their own start: the pieces in a row, with their number
     (n,), else None. A table that is merely out of order stays as it is; a clock that stepped back in flight makes no steps of its
     pieces, which begin at other times than the first; nor are whole flights steps."""
-    starts = np.flatnonzero(np.diff(t_s) < 0) + 1
+    known = np.flatnonzero(np.isfinite(t_s))  # between tables that were joined stands a line of names again
+    starts = known[1:][np.diff(t_s[known]) < 0]
     bounds = np.concatenate([[0], starts, [t_s.size]])
     if not starts.size or int(np.min(np.diff(bounds))) < _PIECE_ROWS:
         return t_s, None
     out, number, end = t_s.copy(), np.zeros(t_s.size), -_PIECE_GAP_S
     for k, (a, b) in enumerate(pairwise(bounds)):
-        out[a:b] += end + _PIECE_GAP_S - t_s[a]
+        out[a:b] += end + _PIECE_GAP_S - float(t_s[known[np.searchsorted(known, a)]])
         number[a:b] = k + 1.0
         end = float(np.nanmax(out[a:b]))
     losses.append(
         f"time starts anew {starts.size} times: the {starts.size + 1} pieces were put {_PIECE_GAP_S:g} s apart"
     )
     lengths_s = [float(np.nanmax(out[a:b]) - np.nanmin(out[a:b])) for a, b in pairwise(bounds)]
-    anew = bool(np.all(np.abs(t_s[starts] - t_s[0]) < _OWN_START_S)) and max(lengths_s) < _STEP_MAX_S
+    anew = bool(np.all(np.abs(t_s[starts] - t_s[known[0]]) < _OWN_START_S)) and max(lengths_s) < _STEP_MAX_S
     return out, number if anew else None
 
 

@@ -335,3 +335,14 @@ def test_a_channel_has_one_source_and_a_filter_lets_something_through():
     with pytest.raises(RecordingError) as caught:
         parse_columns(text, "map.yaml")
     assert {p.path for p in caught.value.problems} == {"constants.throttle", "filters_hz.rates"}
+
+
+def test_tables_that_were_joined_with_their_lines_of_names_and_units(tmp_path):
+    t = np.arange(1500) * 0.02
+    text = save(tmp_path / "a.csv", t_s=t, roll_rad=np.sin(t)).read_text()
+    names, rest = text.split("\n", 1)
+    one = f"{names}\ns,rad\n{rest}"
+    (tmp_path / "a.csv").write_text(one + one)
+    attitude = import_log(tmp_path / "a.csv").series["attitude"]
+    np.testing.assert_allclose(attitude.t_s, np.concatenate([t, t + t[-1] + 10.0]))
+    np.testing.assert_allclose(attitude.columns["roll_rad"], np.sin(np.concatenate([t, t])))
