@@ -14,13 +14,11 @@ import numpy as np
 
 from flighttest import frames
 from flighttest.errors import LinkError
-from flighttest.link.port import OWN_SYSTEM
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode, mark_message, mode_name, offset_m, target_message
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, firmware_version, is_armed
 
 _ACK_S = 2.0
-_OURS = (0, OWN_SYSTEM)  # whom an answer is for; 0: the vehicle does not say
 _RESULTS = {
     book.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
     book.MAV_RESULT_DENIED: "denied",
@@ -97,12 +95,13 @@ class ArduPilot:
             if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
                 texts.append(message.text.strip())
 
+        ours = (0, self.session.port.system)  # whom an answer is for; 0: the vehicle does not say
         self.session.listen(note)
         try:
             for confirmation in range(tries):
                 self.session.send(self._command_long(command, params, confirmation))
                 answer = self.session.await_message(
-                    lambda m: m.get_type() == "COMMAND_ACK" and m.command == command and m.target_system in _OURS,
+                    lambda m: m.get_type() == "COMMAND_ACK" and m.command == command and m.target_system in ours,
                     timeout_s * max(self.session.clock.pace, 1.0),
                 )
                 if answer is not None:

@@ -16,9 +16,10 @@ Tap = Callable[[bytes, Message], None]
 
 
 class Port:
-    """Sends and receives messages. `mute()` is final: after it, nothing leaves."""
+    """Sends and receives messages. `mute()` is final: after it, nothing leaves. system: our own system id."""
 
     def __init__(self, transport: Transport, *, system: int = OWN_SYSTEM, component: int = OWN_COMPONENT) -> None:
+        self.system = system
         self._transport = transport
         self._mav: Any = parser(system, component)
         self._taps: list[Tap] = []
