@@ -37,16 +37,21 @@ def taken(targets: Series, beats_s: FloatArray, modes: FloatArray, losses: list[
 
 
 def throttle_of(
-    targets: Series, own: tuple[FloatArray, FloatArray] | None, parameters: Mapping[str, float], derived: dict[str, str]
+    targets: Series,
+    own: tuple[FloatArray, FloatArray] | None,
+    parameters: Mapping[str, float],
+    derived: dict[str, str],
+    losses: list[str],
 ) -> Series:
     """The targets with the throttle they led to, where GUID_OPTIONS says that their thrust was a climb rate.
 
-    own: times (n,) and thrust (n,) of the vehicle's ATTITUDE_TARGET; without it the throttle is unknown then.
+    own: times (n,) and thrust (n,) of the vehicle's ATTITUDE_TARGET; without it the throttle is unknown then, and it is said.
     """
     if int(parameters.get("GUID_OPTIONS", _THRUST_IS_THROTTLE)) & _THRUST_IS_THROTTLE:
         return targets
     columns = {name: values for name, values in targets.columns.items() if name != "throttle"}
     if own is None or not own[0].size:
+        losses.append(f"{CLIMB_RATES}; no ATTITUDE_TARGET tells it, so there is no throttle here")
         return Series(targets.t_s, columns)
     derived["throttle"] = f"ATTITUDE_TARGET: {CLIMB_RATES}"
     t_s = np.union1d(targets.t_s, own[0])

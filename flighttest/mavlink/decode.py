@@ -230,7 +230,7 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
     if reference is not None and autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
         own = (times["ATTITUDE_TARGET"], raw["ATTITUDE_TARGET"]["thrust"]) if "ATTITUDE_TARGET" in raw else None
         reference = taken(reference, times["HEARTBEAT"], beats["custom_mode"], losses)
-        reference = throttle_of(reference, own, parameters, derived) if reference is not None else None
+        reference = throttle_of(reference, own, parameters, derived, losses) if reference is not None else None
     if reference is not None:
         series["reference"] = reference
     elif "ATTITUDE_TARGET" in raw:

@@ -275,6 +275,7 @@ def test_thrust_that_was_a_climb_rate_is_no_throttle(tmp_path):
     w.add(4.0, v2.MAVLink_param_value_message(b"GUID_OPTIONS", 0.0, 9, 1, 0))
     bare = read(w, tmp_path / "a.tlog")
     assert not bare.has("throttle")
+    assert any("climb rates" in loss for loss in bare.provenance.losses)
     for k in range(200):
         t = k / 50.0
         own = v2.MAVLink_attitude_target_message(round((20 + t) * 1e3), 0, [1.0, 0, 0, 0], 0, 0, 0, 0.42)
