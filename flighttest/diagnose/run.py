@@ -23,6 +23,7 @@ from flighttest.diagnose.remainders import drop_remainders
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
 from flighttest.diagnose.rows import RESOLUTION
 from flighttest.diagnose.search import Search
+from flighttest.diagnose.strays import set_aside
 from flighttest.diagnose.unknown import describe
 from flighttest.errors import FitError
 from flighttest.identify.fit import default_model, has_attitude_references
@@ -83,10 +84,11 @@ def diagnose(
         for t in known.values()
         if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
     )
-    groups, group_name = held_out_groups(usable)
     starts = _starts(usable, model, previous)
+    usable, notes = set_aside(usable, model, starts, filters)
+    groups, group_name = held_out_groups(usable)
     searches: list[Search] = []
-    complete, notes = True, []
+    complete = True
     for block in BLOCKS:
         if block != "translation" and not model.attitude_loops:
             continue
