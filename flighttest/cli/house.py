@@ -11,12 +11,13 @@ from flighttest.cli.base import FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 
 if TYPE_CHECKING:
-    from flighttest.proof.cases import Generator
+    from flighttest.proof.cases import Generator, Kind
 
 
 @command("prove")
 @click.option("--trials", type=click.IntRange(min=1), default=20, show_default=True)
 @click.option("--generator", type=click.Choice(["rotor", "sitl"]), default="rotor", show_default=True)
+@click.option("--kind", type=click.Choice(["clean", "single", "pair", "outside"]), help="Only such trials.")
 @click.option("--seed", type=int, help="First seed; otherwise new ones are drawn and printed.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
@@ -25,6 +26,7 @@ def prove(
     context: Context,
     trials: int,
     generator: Generator,
+    kind: Kind | None,
     seed: int | None,
     workers: int,
     scheduler: str | None,
@@ -34,7 +36,7 @@ def prove(
     from flighttest.proof import proving
 
     with LiveProgress(context.show) as progress:
-        result = proving.prove(trials, generator, seed, workers, scheduler, output, progress)
+        result = proving.prove(trials, generator, seed, workers, scheduler, output, kind, progress)
     return context.finish(result)
 
 

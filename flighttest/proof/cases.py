@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import count, islice
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from flighttest.sim.rotor_effects import EFFECTS, resolve
 from flighttest.sim.rotor_vehicle import random_rotor
 
 Generator = Literal["rotor", "sitl"]
+Kind = Literal["clean", "single", "pair", "outside"]
 # Shares of trials: clean, one effect, two effects, physics outside the catalogue.
 SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
 FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm
@@ -46,6 +48,12 @@ class Case:
     def sha256(self) -> str:
         """Of the truth: printed before the diagnosis starts."""
         return hashlib.sha256(self.truth().encode()).hexdigest()
+
+
+def cases_of(seed: int, trials: int, generator: Generator = "rotor", kind: Kind | None = None) -> list[Case]:
+    """The first trials of a seed, of every kind or of one."""
+    drawn = (draw(seed, k, generator) for k in count())
+    return list(islice((case for case in drawn if kind in (None, case.kind)), trials))
 
 
 def draw(seed: int, index: int, generator: Generator = "rotor") -> Case:

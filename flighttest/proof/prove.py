@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from flighttest.errors import InputError
-from flighttest.proof.cases import Case, Generator, draw
+from flighttest.proof.cases import Case, Generator, Kind, cases_of
 from flighttest.proof.trial import Outcome, run
 
 Tell = Callable[[str], None]
@@ -24,17 +24,18 @@ def prove(
     workers: int = 1,
     scheduler: str | None = None,
     generator: Generator = "rotor",
+    kind: Kind | None = None,
     tell: Tell = lambda _text: None,
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
 
-    Every seal is told before its trial starts. scheduler: address of a Dask scheduler instead of processes of this machine. An
-    interrupt ends the proof and keeps the trials that are done.
+    kind: only such trials. scheduler: address of a Dask scheduler instead of processes of this machine. Every seal is told before its
+    trial starts. An interrupt ends the proof and keeps the trials that are done.
     """
     if trials < 1:
         raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    cases = [draw(seed, k, generator) for k in range(trials)]
+    cases = cases_of(seed, trials, generator, kind)
     for case in cases:
         tell(f"sealed trial {case.index}: SHA-256 {case.sha256()}")
     done: list[Outcome] = []

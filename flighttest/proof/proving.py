@@ -6,7 +6,7 @@ from pathlib import Path
 
 import flighttest
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.proof.cases import Generator
+from flighttest.proof.cases import Generator, Kind
 from flighttest.proof.prove import commit_of, write
 from flighttest.proof.prove import prove as run_trials
 from flighttest.proof.scoreboard import markdown, score, share
@@ -21,12 +21,13 @@ def prove(
     workers: int = 1,
     scheduler: str | None = None,
     output: Path | None = None,
+    kind: Kind | None = None,
     progress: Progress = SILENT,
 ) -> Result:
     """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there."""
     if generator == "sitl":
         find_arducopter()  # raises, with what to do, where there is none
-    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, progress.stage)
+    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, kind, progress.stage)
     commit = commit_of(Path(flighttest.__file__).parent)
     found = score(outcomes)
     if output is not None:

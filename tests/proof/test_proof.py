@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
-from flighttest.proof.cases import draw
+from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.prove import prove
 from flighttest.proof.scoreboard import interval, markdown, score
@@ -116,6 +116,13 @@ def test_the_real_firmware_flies_a_sealed_campaign(tmp_path, arducopter):
 def test_binomial_interval_against_the_table():
     assert interval(19, 20) == pytest.approx((0.7513, 0.9987), abs=2e-4)
     assert interval(0, 150)[1] == pytest.approx(0.0243, abs=2e-4)
+
+
+def test_trials_of_one_kind_are_the_first_such_of_the_seed():
+    some = cases_of(7, 4, kind="outside")
+    every = [draw(7, k) for k in range(some[-1].index + 1)]
+    assert some == [c for c in every if c.kind == "outside"]
+    assert cases_of(7, 3) == every[:3]
 
 
 def test_no_trials_prove_nothing():
