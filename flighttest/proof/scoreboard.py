@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +17,7 @@ ABSENT = 0.5  # below this it is not there
 BINS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
 HIGH_R2 = 0.95
 LEAST_COVERED, MOST_COVERED = 0.90, 0.99
+NONE_FLOWN = "none flown"
 
 
 def interval(k: int, n: int) -> tuple[float, float]:
@@ -31,7 +32,7 @@ def interval(k: int, n: int) -> tuple[float, float]:
 def share(k: int, n: int) -> str:
     """'19 of 20, 95 % (75 to 100)'."""
     if n == 0:
-        return "none flown"
+        return NONE_FLOWN
     low, high = interval(k, n)
     return f"{k} of {n}, {100 * k / n:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f})"
 
@@ -136,29 +137,9 @@ def markdown(outcomes: Sequence[Outcome], seed: int, commit: str, generator: Gen
         "written apart and hashed before the diagnosis began.",
         "",
         f"- generator: `{generator}`; seed {seed}; {s['trials']} trials, {s['flown']} flown; code: {commit}",
-        f"- right class first (effect at least {COUNTS:g} noise floors after the refit): {share(*s['first'])}",
-        f"- the same where the base fit alone has R2 above {HIGH_R2}: {share(*s['absorbed'])}",
-        f"- false alarms on clean trials: {share(*s['false_alarms'])}",
-        f"- two effects, both named: {share(*s['pairs'])}",
-        f"- physics outside the catalogue: wrongly named {share(*s['outside_misnamed'])}; located {share(*s['outside_located'])}",
-        f"- something named that was not hidden, where something was: {share(*s['extra_names'])}",
-        f"- magnitude (RMS force): median error {_percent(s['force_ratio_median_error'])} over {s['force_ratios']} effects",
-        f"- of the error above the noise floor on held-out steps, gone: median {_percent(s['gain_median'])}",
-        f"- held-out repeats inside the 95 % intervals of the diagnosed model: mean {_percent(s['coverage_mean'])}; between "
-        f"{LEAST_COVERED:.0%} and {MOST_COVERED:.0%} in {share(*s['coverage_within'])}",
+        *(f"- {what}: {found}" for what, found in _rates(s) if not found.startswith(NONE_FLOWN)),
         "",
-        "## Power",
-        "",
-        "| effect size, noise floors | hidden | named |",
-        "|---|---|---|",
-        *(f"| {p['from']:g} to {p['to']:g} | {p['n']} | {share(p['named'], p['n'])} |" for p in s["power"]),
-        "",
-        "## Confusion (single effects that count)",
-        "",
-        "| hidden | named first | trials |",
-        "|---|---|---|",
-        *(f"| {c['hidden']} | {c['named']} | {c['count']} |" for c in s["confusion"]),
-        "",
+        *(_tables(s) if any(p["n"] for p in s["power"]) else ()),
         "## Misses",
         "",
         *(
@@ -178,6 +159,39 @@ def markdown(outcomes: Sequence[Outcome], seed: int, commit: str, generator: Gen
         "",
     ]
     return "\n".join(lines)
+
+
+def _rates(s: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    yield f"right class first (effect at least {COUNTS:g} noise floors after the refit)", share(*s["first"])
+    yield f"the same where the base fit alone has R2 above {HIGH_R2}", share(*s["absorbed"])
+    yield "false alarms on clean trials", share(*s["false_alarms"])
+    yield "two effects, both named", share(*s["pairs"])
+    yield "physics outside the catalogue, wrongly named", share(*s["outside_misnamed"])
+    yield "physics outside the catalogue, located", share(*s["outside_located"])
+    yield "something named that was not hidden, where something was", share(*s["extra_names"])
+    if s["force_ratios"]:
+        error = _percent(s["force_ratio_median_error"])
+        yield "magnitude (RMS force)", f"median error {error} over {s['force_ratios']} effects"
+    if s["gain_median"] is not None:
+        yield "of the error above the noise floor on held-out steps, gone", f"median {_percent(s['gain_median'])}"
+    yield (
+        "held-out repeats inside the 95 % intervals of the diagnosed model",
+        f"mean {_percent(s['coverage_mean'])}; between {LEAST_COVERED:.0%} and {MOST_COVERED:.0%} in {share(*s['coverage_within'])}",
+    )
+
+
+def _tables(s: Mapping[str, Any]) -> Iterator[str]:
+    yield from ("## Power", "", "| effect size, noise floors | hidden | named |", "|---|---|---|")
+    yield from (f"| {p['from']:g} to {p['to']:g} | {p['n']} | {share(p['named'], p['n'])} |" for p in s["power"])
+    yield from (
+        "",
+        "## Confusion (single effects that count)",
+        "",
+        "| hidden | named first | trials |",
+        "|---|---|---|",
+    )
+    yield from (f"| {c['hidden']} | {c['named']} | {c['count']} |" for c in s["confusion"])
+    yield ""
 
 
 def _percent(value: float | None) -> str:

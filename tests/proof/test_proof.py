@@ -85,6 +85,13 @@ def test_counts_are_of_what_they_say():
     assert "trial 3: steady_wind (5.0 floors): named accelerometer_bias" in text
 
 
+def test_a_scoreboard_of_one_kind_has_no_empty_rows():
+    text = markdown([outcome(0, "outside", ["resonance"], ["throttle_offset"])], 1, "commit abc")
+    assert "outside the catalogue, wrongly named: 1 of 1" in text
+    assert "none flown" not in text
+    assert "## Power" not in text
+
+
 def test_what_the_firmware_adds_by_itself_is_no_false_alarm():
     outcomes = [
         outcome(0, "clean", own=("angle_boost",)),
