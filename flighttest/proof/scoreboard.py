@@ -174,10 +174,12 @@ def _rates(s: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "magnitude (RMS force)", f"median error {error} over {s['force_ratios']} effects"
     if s["gain_median"] is not None:
         yield "of the error above the noise floor on held-out steps, gone", f"median {_percent(s['gain_median'])}"
-    yield (
-        "held-out repeats inside the 95 % intervals of the diagnosed model",
-        f"mean {_percent(s['coverage_mean'])}; between {LEAST_COVERED:.0%} and {MOST_COVERED:.0%} in {share(*s['coverage_within'])}",
-    )
+    if s["coverage_mean"] is not None:
+        covered = f"between {LEAST_COVERED:.0%} and {MOST_COVERED:.0%} in {share(*s['coverage_within'])}"
+        yield (
+            "held-out repeats inside the 95 % intervals of the diagnosed model",
+            f"mean {_percent(s['coverage_mean'])}; {covered}",
+        )
 
 
 def _tables(s: Mapping[str, Any]) -> Iterator[str]:
