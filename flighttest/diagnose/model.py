@@ -97,8 +97,9 @@ class Diagnosis:
 
     model, values: the accepted model; accepted: its new terms; before: base parameters of the model without them, after: of the
     accepted model, name to {value, std, unit}; heldout: channel to horizon or 'all' to {rmse_before, rmse_after, floor, gain_95};
-    baselines: name to channel to RMSE; residual_map: cells of the heat map; regimes: residual against the variable that explains it;
-    overlays: worst responses, measured, before, after; complete: False when it was interrupted.
+    set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
+    residual_map: cells of the heat map; regimes: residual against the variable that explains it; overlays: worst responses,
+    measured, before, after; complete: False when it was interrupted.
     """
 
     verdict: Verdict
@@ -127,6 +128,7 @@ class Diagnosis:
     next_flight: str | None = None
     next_script: Mapping[str, Any] | None = None
     next_reason: Mapping[str, Any] = field(default_factory=dict)
+    set_aside: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     complete: bool = True
     runs: tuple[str, ...] = ()

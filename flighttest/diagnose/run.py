@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -85,10 +86,10 @@ def diagnose(
         if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
     )
     starts = _starts(usable, model, previous)
-    usable, notes = set_aside(usable, model, starts, filters)
+    usable, aside = set_aside(usable, model, starts, filters)
     groups, group_name = held_out_groups(usable)
     searches: list[Search] = []
-    complete = True
+    complete, notes = True, []
     for block in BLOCKS:
         if block != "translation" and not model.attitude_loops:
             continue
@@ -123,7 +124,11 @@ def diagnose(
             "no reference moves in any of the responses, so that no part of the model can be tried",
             "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
         )
-    return _assembled(usable, model, searches, pool, groups, group_name, previous or {}, complete, notes, seed, tell)
+    found = _assembled(usable, model, searches, pool, groups, group_name, previous or {}, complete, notes, seed, tell)
+    if not aside:
+        return found
+    sentence = f"{found.sentence} {len(aside['segments'])} responses that something pushed once are set aside."
+    return replace(found, sentence=sentence, set_aside=aside)
 
 
 def _acts(term: Term, bench: Bench, model: Model) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,20 +27,24 @@ def set_aside(
     model: Model,
     starts: Sequence[Mapping[str, float]],
     filters: Mapping[str, float] | None,
-) -> tuple[tuple[Segment, ...], list[str]]:
-    """Responses without those that something pushed once, and what is to be said of those. starts: values to begin the base fit from."""
+) -> tuple[tuple[Segment, ...], dict[str, Any]]:
+    """Responses without those that something pushed once, and those by name with a sentence on them.
+
+    starts: values to begin the base fit from.
+    """
     if len(segments) < LEAST or len({s.cell_key for s in segments}) == len(segments):
-        return segments, []  # or nothing was flown twice
+        return segments, {}  # or nothing was flown twice
     bench = Bench(segments, "translation", filters)
     problem = bench.problem(model)
     if not problem.parts:
-        return segments, []
+        return segments, {}
     first = min((bench.start(model, values) for values in starts), key=lambda state: state.objective)
     blind = bench.blind(model, first)
     odd = strays(bench.fit(model, first, tuple(n for n in problem.names if n not in blind)), segments)
     if not odd:
-        return segments, []
-    return tuple(s for i, s in enumerate(segments) if i not in odd), [told(odd, segments)]
+        return segments, {}
+    aside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
+    return tuple(s for i, s in enumerate(segments) if i not in odd), aside
 
 
 def strays(state: State, segments: Sequence[Segment]) -> dict[int, float]:

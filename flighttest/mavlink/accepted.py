@@ -12,6 +12,7 @@ from flighttest.recording import Series
 
 FloatArray = NDArray[np.float64]
 
+SELDOM = 0.01  # a few around every change of mode are nobody's loss
 _THRUST_IS_THROTTLE = 8  # of GUID_OPTIONS
 CLIMB_RATES = "the targets were climb rates (GUID_OPTIONS bit 3 not set), so the throttle is the altitude controller's"
 
@@ -27,10 +28,11 @@ def taken(targets: Series, beats_s: FloatArray, modes: FloatArray, losses: list[
     dropped = ~np.isin(modes[following], TAKES_ATTITUDE_TARGETS) | np.isnan(targets.columns["throttle"])
     if not dropped.any():
         return targets
-    losses.append(
-        f"{int(np.count_nonzero(dropped))} of {dropped.size} SET_ATTITUDE_TARGET are no reference: "
-        "the autopilot drops what is sent in another mode than GUIDED or without a throttle"
-    )
+    if np.mean(dropped) > SELDOM:
+        losses.append(
+            f"{int(np.count_nonzero(dropped))} of {dropped.size} SET_ATTITUDE_TARGET are no reference: "
+            "the autopilot drops what is sent in another mode than GUIDED or without a throttle"
+        )
     if dropped.all():
         return None
     return Series(targets.t_s, {name: np.where(dropped, np.nan, v) for name, v in targets.columns.items()})

@@ -39,6 +39,9 @@ def _located(data: Data) -> Section:
         blocks.append(Paragraph("Nowhere above the noise floor."))
     else:
         blocks.append(Bullets(tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))))
+    aside = data.get("set_aside") or {}
+    if aside.get("sentence"):
+        blocks.append(Paragraph(_sentence(str(aside["sentence"])), "warn"))
     blocks += [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
     weaker = sorted(
         {str(f.get("from")) for f in (data.get("noise_floor") or {}).values() if f.get("from") != "repeats"}

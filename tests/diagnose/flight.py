@@ -80,7 +80,7 @@ def campaign(repeats: int = 3, throttles: bool = True, tilts: bool = True, yaws:
 
 def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, **hidden) -> list[Segment]:
     """Segments of the steps. hidden: wind=(n,w,u), bias=(x,y,z), ground=R2, quadratic=k, lift=k, boost=b, sag=(V,s), offset=(r,p),
-    asymmetry=ln, rotor_lag=1, latency=s, payload=(ratio, length), fade=(depth, s), curve=c, strange=gain (no catalogue entry)."""
+    asymmetry=ln, gust=(responses, m/s^2), rotor_lag=1, latency=s, payload=(ratio, length), fade=(depth, s), curve=c, strange=gain (no catalogue entry)."""
     rng = np.random.default_rng(seed)
     m = len(steps)
     longest = max(s.duration for s in steps) + pre
@@ -105,6 +105,8 @@ def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, 
     heading = np.array([s.heading for s in steps])
     v = np.array([s.v0 for s in steps]) + rng.normal(0, 0.1, (m, 3))
     a_d = rng.normal(0, 0.05 * noise, (m, 3))
+    if "gust" in hidden:
+        a_d[list(hidden["gust"][0]), 0] += hidden["gust"][1]
     pos = np.stack([np.zeros(m), np.zeros(m), [s.height for s in steps]], axis=1)
     ang, rate = np.zeros((m, 2)), np.zeros((m, 2))
     yaw, r = heading.copy(), np.zeros(m)

@@ -75,6 +75,15 @@ def test_nothing_is_missing_where_nothing_is_hidden(calm):
     assert found.next_script["format"] == "maneuver/1"
 
 
+def test_a_gust_is_set_aside_and_told_and_hides_nothing():
+    segments = fly(campaign(2), wind=(3.0, 0.0, 0.0), gust=((4, 5, 6), -2.0))
+    found = diagnose(segments, only=["steady_wind", "accelerometer_bias"])
+    assert found.to_json()["set_aside"]["segments"] == [segments[i].name for i in (4, 5, 6)]
+    assert "3 of" in found.set_aside["sentence"]
+    assert "set aside" in found.sentence
+    assert found.accepted == ("steady_wind",)
+
+
 def test_what_was_not_recorded_is_untestable_by_name():
     segments = tilts()
     term = catalogue()["ground_effect"]
