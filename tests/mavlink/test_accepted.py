@@ -7,7 +7,7 @@ from flighttest.mavlink.accepted import taken
 from flighttest.mavlink.modes import TAKES_ATTITUDE_TARGETS
 from flighttest.recording import Series
 
-GUIDED, LOITER = next(iter(TAKES_ATTITUDE_TARGETS)), 5.0
+GUIDED, LOITER = TAKES_ATTITUDE_TARGETS[0], 5.0
 
 
 @pytest.mark.parametrize(("until_s", "told"), [(0.5, False), (20.0, True)])
