@@ -80,7 +80,8 @@ def campaign(repeats: int = 3, throttles: bool = True, tilts: bool = True, yaws:
 
 def fly(steps: list[Step], seed: int = 0, noise: float = 1.0, pre: float = 0.3, **hidden) -> list[Segment]:
     """Segments of the steps. hidden: wind=(n,w,u), bias=(x,y,z), ground=R2, quadratic=k, lift=k, boost=b, sag=(V,s), offset=(r,p),
-    asymmetry=ln, gust=(responses, m/s^2), rotor_lag=1, latency=s, payload=(ratio, length), fade=(depth, s), curve=c, strange=gain (no catalogue entry)."""
+    asymmetry=ln, gust=(responses, m/s^2), rotor_lag=1, latency=s, payload=(ratio, length), fade=(depth, s), curve=c, strange=gain
+    (no catalogue entry)."""
     rng = np.random.default_rng(seed)
     m = len(steps)
     longest = max(s.duration for s in steps) + pre
