@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, brief, flown, short
-from flighttest.diagnose.noise import Floor, inflation
+from flighttest.diagnose.noise import WANDER, Floor, inflation
 from flighttest.diagnose.rows import Rows
 from flighttest.frames import compass_from_yaw, rotation_from_euler
 from flighttest.segments.model import Segment
@@ -169,7 +169,11 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             excess = float(np.sum(r**2)) / least**2 - at.size
             excess_all += max(excess, 0.0)
             if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or _ordered(
-                r, {v: x[at] for v, x in variables.items()}, rows.segment[at], least, seed
+                r,
+                {v: x[at] for v, x in variables.items()},
+                rows.segment[at],
+                max(0.5 * least, WANDER.get(name, 0.0)),
+                seed,
             ):
                 places.append((excess, c, name, str(kind), at))
     found = []
@@ -197,17 +201,18 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
 
 
 def _ordered(
-    r: FloatArray, variables: Mapping[str, FloatArray], response: NDArray[np.intp], floor: float, seed: int
+    r: FloatArray, variables: Mapping[str, FloatArray], response: NDArray[np.intp], least: float, seed: int
 ) -> bool:
     """Whether a variable orders the residual although repeats differ as much: they differed in that variable.
 
-    A quarter of the variance or more, in no sign flip of the responses as much, and at least half the floor in amplitude.
+    A quarter of the variance or more, in no sign flip of the responses as much, and no less than `least` (RMS, in the channel's unit):
+    half the floor, and more than estimators wander by, since that is slow, and so are voltage and time.
     """
     if np.unique(response).size < LEAST_RESPONSES:
         return False
     for x in variables.values():
         share, p_value = explained_by(r, x, response, seed)
-        if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.mean(r**2)) >= (0.5 * floor) ** 2:
+        if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.mean(r**2)) >= least**2:
             return True
     return False
 

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose import fitted
+from flighttest.diagnose import fitted, locate
 from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
+from flighttest.diagnose.noise import WANDER, Floor, _independent_times, _shared, high_frequency, inflation
 from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
@@ -264,6 +264,14 @@ def test_few_responses_are_believed_when_they_agree_and_much_speaks_for_them(car
     assert plain(parts, bic) is believed
     parts[0] = -1.0
     assert not plain(parts, bic)
+
+
+@pytest.mark.parametrize(("amplitude", "ordered"), [(1e-3, False), (6e-3, True)])
+def test_what_a_slow_variable_orders_must_exceed_what_estimators_wander_by(amplitude, ordered):
+    response = np.repeat(np.arange(20), 50)
+    voltage = 24.0 - 0.1 * response
+    drift = amplitude * np.where(voltage > 23.0, 1.0, -1.0)
+    assert locate._ordered(drift, {"voltage": voltage}, response, WANDER["pitch_rad"], 0) is ordered
 
 
 def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
