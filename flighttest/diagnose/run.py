@@ -119,6 +119,8 @@ def diagnose(
             searches.append(search)
         if not complete:
             break
+    if not searches and not complete:
+        raise KeyboardInterrupt  # before anything was known
     if not searches:
         raise FitError(
             "no reference moves in any of the responses, so that no part of the model can be tried",
@@ -127,8 +129,13 @@ def diagnose(
     found = _assembled(usable, model, searches, pool, groups, group_name, previous or {}, complete, notes, seed, tell)
     if not aside:
         return found
-    sentence = f"{found.sentence} {len(aside['segments'])} responses that something pushed once are set aside."
-    return replace(found, sentence=sentence, set_aside=aside)
+    count = len(aside["segments"])
+    said = (
+        "1 response that something pushed once is"
+        if count == 1
+        else f"{count} responses that something pushed once are"
+    )
+    return replace(found, sentence=f"{found.sentence} {said} set aside.", set_aside=aside)
 
 
 def _acts(term: Term, bench: Bench, model: Model) -> bool:

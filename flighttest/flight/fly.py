@@ -73,10 +73,10 @@ def fly(
     """Fly a plan on a vehicle and record it into run_dir.
 
     link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
-    asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. resume: a run folder whose flown legs
-    are left out; skip: further leg ids. replanner: plans again for the hover throttle and the age of thrust that are seen in flight,
-    where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters that will be in force, before
-    anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
+    asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. resume: a run that this one goes
+    on with, for the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
+    thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
+    that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
     confirm: asked once before arming.
 
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
@@ -85,9 +85,8 @@ def fly(
     recorder = Recorder(run_dir, session.clock.ground_s, first_manifest(plan, link_url, weather, resume), plan)
     session.port.tap(recorder.tap)
     flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested), on_vehicle)
-    left_out = frozenset(skip) | (legs_flown(resume) if resume is not None else frozenset())
     try:
-        return flight.run(set_params, frozenset(waive), left_out, confirm, replanner)
+        return flight.run(set_params, frozenset(waive), frozenset(skip), confirm, replanner)
     finally:
         session.port.close()
 

@@ -8,6 +8,7 @@ from flighttest.flight.cockpit import Cockpit
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode, mode_name
+from flighttest.mavlink.dialect import book
 
 ASK_EVERY_S = 0.2
 NEXT_MODE_AFTER_S = 1.5
@@ -136,7 +137,9 @@ def enter_nogps(cockpit: Cockpit) -> bool:
 
     def hover() -> None:
         ack = cockpit.session.latest.get("COMMAND_ACK")
-        if ack is not None and ack.t_s >= asked_s and ack.message.command == 176 and ack.message.result == 0:
+        if ack is None or ack.t_s < asked_s:
+            return
+        if (ack.message.command, ack.message.result) == (book.MAV_CMD_DO_SET_MODE, book.MAV_RESULT_ACCEPTED):
             cockpit.release()
 
     if not enter(cockpit, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):

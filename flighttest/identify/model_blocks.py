@@ -64,12 +64,7 @@ def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
 
 def plain_block(document: Document, node: Node | None) -> dict[str, Any]:
     """A block of any keys and values as plain data."""
-    if node is None or node.value is None:
-        return {}
-    if not isinstance(node.value, dict):
-        document.wrong(node, f"expected a block of keys, found {kind_of(node.value)}")
-        return {}
-    return dict(node.plain())
+    return {name: child.plain() for name, child in children_of(document, node).items()}
 
 
 def terms_of(document: Document, node: Node | None) -> list[str]:

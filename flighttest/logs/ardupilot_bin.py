@@ -20,6 +20,7 @@ from flighttest.logs.dataflash import Dataflash, Table, read_dataflash, stack
 from flighttest.logs.opening import LogFile
 from flighttest.logs.timing import Times, ordered
 from flighttest.mavlink import offset_m
+from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Provenance, Recording, Series
 
 FloatArray = NDArray[np.float64]
@@ -66,7 +67,6 @@ DEFAULT_ACCEL_FILTER_HZ = 20.0
 """INS_ACCEL_FILTER as ArduPilot ships it (AP_InertialSensor.cpp)."""
 _STATUS = {"XKF1": "XKF4", "NKF1": "NKF4"}
 _CONSTANT_POSITION = 1 << 7  # of the EKF's solution status (AP_Nav_Common.h)
-_LEAST_V = 1.0
 _FACING_DOWN = 25
 _RANGE_GOOD = 4
 _GPS_3D = 3
@@ -296,10 +296,10 @@ class _Importer:
         table, t_s = found
         scale = 1e-2 if table.format.codes[table.format.fields.index("Volt")] == "h" else 1.0  # before Copter 3.3
         voltage = table.get("Volt") * scale
-        if not np.any(voltage > _LEAST_V):
-            self.losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
+        if not np.any(voltage > LEAST_BATTERY_V):
+            self.losses.append(NO_BATTERY)
             return None
-        columns = {"voltage_v": np.where(voltage > _LEAST_V, voltage, np.nan)}
+        columns = {"voltage_v": np.where(voltage > LEAST_BATTERY_V, voltage, np.nan)}
         if "Curr" in table:
             current = table.get("Curr") * scale
             columns["current_a"] = np.where(current >= 0, current, np.nan)
@@ -311,7 +311,7 @@ class _Importer:
         field = next((f for f in ("Inst", "Instance") if table is not None and f in table), None)
         if table is None or t_s is None or field is None or "Volt" not in table:
             return
-        keep = np.isin(table.raw[field], table.raw[field][table.get("Volt") > _LEAST_V])
+        keep = np.isin(table.raw[field], table.raw[field][table.get("Volt") > LEAST_BATTERY_V])
         if keep.any():
             self.tables[name] = table.where(keep), t_s[keep]
 

@@ -17,6 +17,7 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
 from flighttest.logs.timing import held_union, ordered, outliers
+from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Marker, Provenance, Recording, Series
 
 FloatArray = NDArray[np.float64]
@@ -262,10 +263,10 @@ class _Importer:
             return None
         t_s, fields = topic
         name = next((n for n in ("voltage_v", "voltage_filtered_v") if n in fields), None)
-        if name is None or not bool(np.any(fields[name] > 1.0)):
-            self.losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
+        if name is None or not bool(np.any(fields[name] > LEAST_BATTERY_V)):
+            self.losses.append(NO_BATTERY)
             return None
-        columns = {"voltage_v": np.where(fields[name] > 1.0, fields[name], np.nan).astype(np.float64)}
+        columns = {"voltage_v": np.where(fields[name] > LEAST_BATTERY_V, fields[name], np.nan).astype(np.float64)}
         if "current_a" in fields:
             columns["current_a"] = np.where(fields["current_a"] >= 0, fields["current_a"], np.nan).astype(np.float64)
         return ordered(t_s, columns, "battery_status", self.losses)

@@ -19,7 +19,7 @@ from flighttest.mavlink.modes import mode_name
 from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.stamps import HALF_MS, in_lock_step, rounded_off, stamped_rules, stamps, times_of
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
-from flighttest.mavlink.telemetry import RULES, Rule
+from flighttest.mavlink.telemetry import NO_BATTERY, RULES, Rule
 from flighttest.recording import Marker, Series
 
 FloatArray = NDArray[np.float64]
@@ -218,7 +218,7 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
     times = times_of(raw, ground, order, clock, lost_s)
     series, derived = _series(raw, times, losses)
     if "battery" not in series and not raw.keys().isdisjoint(("SYS_STATUS", "BATTERY_STATUS")):
-        losses.append("the battery voltage reads zero throughout: no battery monitor was set up")
+        losses.append(NO_BATTERY)
     beats, last_armed_s = raw.get("HEARTBEAT", {}), np.inf
     armed = (
         (beats["base_mode"].astype(int) & book.MAV_MODE_FLAG_SAFETY_ARMED) != 0 if beats else np.zeros(0, dtype=bool)

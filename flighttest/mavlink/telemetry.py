@@ -25,7 +25,8 @@ STANDARD_GRAVITY = 9.80665  # m/s^2 in one g, as ArduPilot's milli-g are made
 EARTH_RADIUS_M = 6378137.0  # WGS84 equatorial, as in ArduPilot (LOCATION_SCALING_FACTOR)
 _FACING_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _UNKNOWN_CELL_MV = 65535
-_LEAST_V = 1.0  # an autopilot without a battery monitor reports zero
+LEAST_BATTERY_V = 1.0  # an autopilot without a battery monitor reports zero
+NO_BATTERY = "the battery voltage reads zero throughout: no battery monitor was set up"
 
 
 @dataclass(frozen=True)
@@ -131,12 +132,12 @@ def _has_fix(raw: Raw) -> NDArray[np.bool_]:
 
 
 def _first_battery(raw: Raw) -> NDArray[np.bool_]:
-    return np.asarray((raw["id"] == 0) & (_battery(raw)["voltage_v"] > _LEAST_V))
+    return np.asarray((raw["id"] == 0) & (_battery(raw)["voltage_v"] > LEAST_BATTERY_V))
 
 
 def _monitored(raw: Raw) -> NDArray[np.bool_]:
     voltage = raw["voltage_battery"]
-    return np.asarray((voltage != _UNKNOWN_CELL_MV) & (voltage * 1e-3 > _LEAST_V))
+    return np.asarray((voltage != _UNKNOWN_CELL_MV) & (voltage * 1e-3 > LEAST_BATTERY_V))
 
 
 def _looking_down(raw: Raw) -> NDArray[np.bool_]:

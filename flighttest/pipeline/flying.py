@@ -189,7 +189,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     ends: list[FlightResult] = []
     for index, plan in enumerate(compiled):
         try:
-            ended = _one(request, plan, prior, index, len(compiled), compare, progress)
+            ended = _one(request, plan, earlier, prior, index, len(compiled), compare, progress)
         except FlighttestError as error:
             if not folders:
                 raise
@@ -278,6 +278,7 @@ def _say_changes(previous: ModelFile, today: Mapping[str, object], said: set[str
 def _one(
     request: FlightRequest,
     plan: Plan,
+    earlier: Sequence[Path],
     prior: ModelPredictor,
     index: int,
     count: int,
@@ -295,7 +296,7 @@ def _one(
             set_params=request.set_params,
             waive=request.waive,
             resume=request.resume,
-            skip=flown_in(chain(request.resume)),
+            skip=flown_in(earlier),
             replanner=ScriptReplanner(plan, prior),
             on_progress=progress.flight,
             on_stage=progress.stage,

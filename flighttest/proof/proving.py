@@ -32,7 +32,7 @@ def prove(
     found = score(outcomes)
     if output is not None:
         write(outcomes, used, output)
-        (output / "proof.md").write_text(markdown(outcomes, used, commit, generator), encoding="utf-8")
+        (output / "proof.md").write_text(markdown(outcomes, used, commit, generator, kind), encoding="utf-8")
     rows = (
         ("right class first", share(*found["first"])),
         ("right class first where the base fit looks good", share(*found["absorbed"])),

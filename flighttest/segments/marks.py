@@ -30,8 +30,9 @@ class Marked:
     """One marked stretch: from start_s to end_s.
 
     kinds: what the mark says it is (empty: anything). t_step_s: where the mark puts the step, None where it does not say. record_s: where
-    a stretch without a step is worth cutting into windows, None for nowhere. repeat 0: not said. numbered: a step number of a table
-    made the mark, which says neither what the step is nor where exactly. outcome: how the leg ended, where that was recorded.
+    a stretch without a step is worth cutting into windows, None for nowhere. repeat: which repeat of its step, from 1; 0 where the
+    mark does not tell. numbered: a step number of a table made the mark, which says neither what the step is nor where exactly.
+    outcome: how the leg ended, where that was recorded.
     """
 
     name: str

@@ -9,6 +9,7 @@ from flight import campaign, fly
 
 from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.rivals import missing_channels
+from flighttest.diagnose.search import Search
 from flighttest.errors import FitError
 from flighttest.physics.catalogue import catalogue
 
@@ -140,6 +141,15 @@ def test_accepted_terms_are_in_the_model(windy):
 def test_too_little_data_is_said():
     with pytest.raises(FitError, match="only 3 usable responses"):
         diagnose(tilts()[:3])
+
+
+def test_an_interrupt_before_anything_is_known_stays_one(monkeypatch):
+    def interrupt(*_args, **_more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Search, "run", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(tilts(), only=["rate_limit"])
 
 
 def test_an_interrupt_keeps_what_is_done():

@@ -1,6 +1,7 @@
 """Flights where two things go wrong at once, and what is sent after each."""
 
 import errno
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +29,20 @@ def on_mark(link: FaultyLink, word: str) -> list[float]:
     def hook(message: object, t_s: float) -> None:
         if message.get_type() == "STATUSTEXT" and message.text.endswith(word):  # type: ignore[attr-defined]
             times.append(t_s)
+
+    link.hook = hook
+    return times
+
+
+def on_arming(link: FaultyLink, then: Callable[[list[float]], None] = lambda _times: None) -> list[float]:
+    """Times at which we asked it to arm, filled while flying; then: called with them after each."""
+    times: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        kind, command = message.get_type(), book.MAV_CMD_COMPONENT_ARM_DISARM  # type: ignore[attr-defined]
+        if kind == "COMMAND_LONG" and message.command == command and message.param1:  # type: ignore[attr-defined]
+            times.append(t_s)
+            then(times)
 
     link.hook = hook
     return times
@@ -76,19 +91,12 @@ def test_a_pilot_who_takes_what_was_let_go_at_once_ends_the_restoring(run_dir: P
 @pytest.mark.parametrize("by", ["guided", "attitude"])
 def test_a_pilot_who_changes_the_mode_while_it_will_not_arm_has_taken_over(by: str, run_dir: Path) -> None:
     link = FaultyLink(replace(options(), ready_s=12.0))
-    refused: list[float] = []
 
-    def hook(message: object, t_s: float) -> None:
-        if (
-            message.get_type() == "COMMAND_LONG"
-            and message.command == book.MAV_CMD_COMPONENT_ARM_DISARM
-            and message.param1
-        ):  # type: ignore[attr-defined]
-            refused.append(t_s)
-            if len(refused) == _IN_PAIRS:
-                link.set_parameter("SIM_PILOT_MODE", float(CopterMode.STABILIZE))
+    def switch(times: list[float]) -> None:
+        if len(times) == _IN_PAIRS:
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.STABILIZE))
 
-    link.hook = hook
+    refused = on_arming(link, switch)
     result = fly(make_plan(by=by), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.TAKE_OVER
     assert not link.sim.vehicle.armed
@@ -97,17 +105,7 @@ def test_a_pilot_who_changes_the_mode_while_it_will_not_arm_has_taken_over(by: s
 
 def test_ctrl_c_while_it_will_not_arm_arms_nothing(run_dir: Path) -> None:
     link = FaultyLink(replace(options(), ready_s=12.0))
-    tried: list[float] = []
-
-    def hook(message: object, t_s: float) -> None:
-        if (
-            message.get_type() == "COMMAND_LONG"
-            and message.command == book.MAV_CMD_COMPONENT_ARM_DISARM
-            and message.param1
-        ):  # type: ignore[attr-defined]
-            tried.append(t_s)
-
-    link.hook = hook
+    tried = on_arming(link)
     result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: int(len(tried) >= _IN_PAIRS))
     assert result.outcome is FlightOutcome.OPERATOR_STOP
     assert len(tried) == _IN_PAIRS
@@ -149,7 +147,11 @@ def test_a_pilot_who_takes_over_the_landing_is_left_alone(run_dir: Path) -> None
     asked: list[float] = []
 
     def hook(message: object, t_s: float) -> None:
-        if message.get_type() == "COMMAND_LONG" and message.command == 176 and message.param2 == CopterMode.LAND:  # type: ignore[attr-defined]
+        if (
+            message.get_type() == "COMMAND_LONG"
+            and message.command == book.MAV_CMD_DO_SET_MODE
+            and message.param2 == CopterMode.LAND
+        ):  # type: ignore[attr-defined]
             asked.append(t_s)
         if asked and not switched and t_s > asked[0] + 2.0:
             switched.append(t_s)
@@ -168,7 +170,7 @@ def test_a_level_step_is_judged_like_any_other(run_dir: Path) -> None:
     """Between the stopping throttles a step looks like letting go, but holds for seconds, here on the way through the ceiling."""
 
     def climb(t_s: float) -> AttitudeTarget:
-        return AttitudeTarget(t_s, 0.0, 0.0, 0.0, 0.18 if t_s < 0.3 else 0.3)
+        return AttitudeTarget(t_s, 0.0, 0.0, 0.0, 0.18 if t_s < 0.3 else 0.25)
 
     heights: list[float] = []
     link = FaultyLink(options())

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import random
-import socket
-import threading
-import time
 from collections.abc import Callable
 
 import pytest
 
-from flighttest.errors import InputError, LinkError
+from flighttest.errors import LinkError
 from flighttest.link import parameters
 from flighttest.link.ardupilot import ArduPilot, LaggedYaw
 from flighttest.link.clock import FollowedClock, GrantedClock, TimeSync
 from flighttest.link.port import Port
 from flighttest.link.session import Session
-from flighttest.link.transport import open_transport
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
 
@@ -272,66 +268,6 @@ def test_the_lagged_heading_trails_a_bare_integral_and_ends_beside_it() -> None:
     assert bounded.advance(5.0, 0.5) == pytest.approx(0.5 * 0.5 * 0.5)
 
 
-@pytest.mark.parametrize(
-    "url", ["", "tcp:", "udpin:0.0.0.0", "tcp:host:99999", "serial:/dev/x", "http://x:1", "udpin::5"]
-)
-def test_a_bad_url_names_the_good_ones(url: str) -> None:
-    with pytest.raises(InputError, match="udpin:HOST:PORT"):
-        open_transport(url)
-
-
-def test_nobody_listens() -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    with pytest.raises(LinkError, match=f"cannot open tcp:127.0.0.1:{port}"):
-        open_transport(f"tcp:127.0.0.1:{port}")
-
-
-def test_tcp_connects_again_when_the_other_side_comes_back() -> None:
-    server = socket.create_server(("127.0.0.1", 0))
-    port = server.getsockname()[1]
-    transport = open_transport(f"tcp:127.0.0.1:{port}")
-    first, _ = server.accept()
-    first.sendall(b"one")
-    assert transport.receive(1.0) == b"one"
-    first.close()
-    assert transport.receive(0.2) == b""
-    transport.send(b"lost while away")
-    accepted: list[socket.socket] = []
-    thread = threading.Thread(target=lambda: accepted.append(server.accept()[0]))
-    thread.start()
-    deadline = time.monotonic() + 5.0
-    while not accepted and time.monotonic() < deadline:
-        transport.receive(0.05)
-    thread.join()
-    accepted[0].sendall(b"two")
-    assert transport.receive(1.0) == b"two"
-    transport.send(b"back")
-    assert accepted[0].recv(100) == b"back"
-    transport.close()
-    accepted[0].close()
-    server.close()
-
-
-def test_udp_answers_whoever_sent_and_loses_what_nobody_asked_for() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    listening = open_transport(f"udpin://127.0.0.1:{port}")
-    listening.send(b"to nobody")
-    assert listening.receive(0.01) == b""
-    other = open_transport(f"udpout:127.0.0.1:{port}")
-    other.send(b"a")
-    other.send(b"b")
-    time.sleep(0.05)
-    assert listening.receive(1.0) == b"ab"
-    listening.send(b"back")
-    assert other.receive(1.0) == b"back"
-    listening.close()
-    other.close()
-
-
 def beat_of(vehicle: ScriptedVehicle, mode: int, sequence: int) -> None:
     vehicle._out.seq = sequence
     vehicle.say(book.MAVLink_heartbeat_message(2, 3, 129, mode, 4, 3))
@@ -371,21 +307,6 @@ def test_an_answer_to_another_ground_station_is_not_ours() -> None:
             super().on_command_long(m)
 
     assert ArduPilot(session_of(Busy(Host()))).command(176, 1.0, 20.0).accepted
-
-
-def test_udp_goes_on_sending_to_the_vehicle_when_another_sends_too() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    listening = open_transport(f"udpin:127.0.0.1:{port}")
-    vehicle, ground = (open_transport(f"udpout:127.0.0.1:{port}") for _ in range(2))
-    for sender in (vehicle, ground):
-        sender.send(b"x")
-        assert listening.receive(1.0) == b"x"
-    listening.send(b"target")
-    assert vehicle.receive(1.0) == b"target"
-    for transport in (listening, vehicle, ground):
-        transport.close()
 
 
 def test_the_grounds_clock_may_be_set_in_mid_flight() -> None:

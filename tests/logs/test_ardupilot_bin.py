@@ -188,9 +188,14 @@ def test_what_is_restored_after_landing_does_not_describe_the_flight(flight, tmp
     assert import_log(w.save(tmp_path / "a.bin")).provenance.parameters["GUID_OPTIONS"] == 8.0
 
 
+def with_attitude(log):
+    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    return log
+
+
 def estimated(log, statuses):
     """1 s per solution status, at 50 Hz, always flying north at 1 m/s as far as the EKF knows."""
-    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    with_attitude(log)
     log.format("XKF1", "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD")
     log.format("XKF4", "QBHB", "TimeUS,C,SS,PI")
     for k in range(50 * len(statuses)):
@@ -221,8 +226,7 @@ def test_without_any_aiding_there_is_no_horizontal_motion(dataflash, tmp_path):
 
 
 def test_of_two_batteries_the_one_that_tells_its_voltage_is_read(dataflash, tmp_path):
-    log = dataflash()
-    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log = with_attitude(dataflash())
     log.format("BAT", "QBff", "TimeUS,Inst,Volt,Curr")
     for k in range(100):
         log.write("ATT", 10_000_000 + 20_000 * k, 0, 0, 0, 0, 0, 0)
@@ -232,8 +236,7 @@ def test_of_two_batteries_the_one_that_tells_its_voltage_is_read(dataflash, tmp_
 
 
 def test_rates_without_an_attitude_are_no_level_attitude(dataflash, tmp_path):
-    log = dataflash()
-    log.format("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log = with_attitude(dataflash())
     log.format("GUIA", "QBffffffff", "TimeUS,Type,Roll,Pitch,Yaw,RollRt,PitchRt,YawRt,Thrust,ClimbRt")
     for k in range(100):
         log.write("ATT", 10_000_000 + 20_000 * k, 0, 5, 0, 0, 0, 0)
