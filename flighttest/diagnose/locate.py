@@ -168,12 +168,9 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             least = floor.at(name, str(kind))
             excess = float(np.sum(r**2)) / least**2 - at.size
             excess_all += max(excess, 0.0)
+            here = {v: x[at] for v, x in variables.items()}
             if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or _ordered(
-                r,
-                {v: x[at] for v, x in variables.items()},
-                rows.segment[at],
-                max(0.5 * least, WANDER.get(name, 0.0)),
-                seed,
+                name, r, here, rows.segment[at], least, seed
             ):
                 places.append((excess, c, name, str(kind), at))
     found = []
@@ -201,15 +198,21 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
 
 
 def _ordered(
-    r: FloatArray, variables: Mapping[str, FloatArray], response: NDArray[np.intp], least: float, seed: int
+    channel: str,
+    r: FloatArray,
+    variables: Mapping[str, FloatArray],
+    response: NDArray[np.intp],
+    floor: float,
+    seed: int,
 ) -> bool:
     """Whether a variable orders the residual although repeats differ as much: they differed in that variable.
 
-    A quarter of the variance or more, in no sign flip of the responses as much, and no less than `least` (RMS, in the channel's unit):
-    half the floor, and more than estimators wander by, since that is slow, and so are voltage and time.
+    A quarter of the variance or more, in no sign flip of the responses as much, and in RMS no less than half the floor (the channel's
+    unit) nor than estimators wander by, since that is slow, and so are voltage and time.
     """
     if np.unique(response).size < LEAST_RESPONSES:
         return False
+    least = max(0.5 * floor, WANDER.get(channel, 0.0))
     for x in variables.values():
         share, p_value = explained_by(r, x, response, seed)
         if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.mean(r**2)) >= least**2:

@@ -11,7 +11,7 @@ from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.noise import WANDER, Floor, _independent_times, _shared, high_frequency, inflation
+from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
 from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
@@ -271,7 +271,7 @@ def test_what_a_slow_variable_orders_must_exceed_what_estimators_wander_by(ampli
     response = np.repeat(np.arange(20), 50)
     voltage = 24.0 - 0.1 * response
     drift = amplitude * np.where(voltage > 23.0, 1.0, -1.0)
-    assert locate._ordered(drift, {"voltage": voltage}, response, WANDER["pitch_rad"], 0) is ordered
+    assert locate._ordered("pitch_rad", drift, {"voltage": voltage}, response, 1e-4, 0) is ordered
 
 
 def test_without_repeats_the_drift_of_estimates_is_no_mismatch():

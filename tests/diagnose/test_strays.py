@@ -1,11 +1,14 @@
 """Responses that were pushed once are set aside and told of; what repeats share is the vehicle's own and stays."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flight import campaign, fly
 
-from flighttest.diagnose.strays import strays, told
+from flighttest.diagnose.strays import LEAST, set_aside, strays, told
+from flighttest.identify.fit import default_model
 
 
 def response(cell, t_s, kind="throttle_step"):
@@ -73,3 +76,12 @@ def test_free_flight_has_no_repeats_and_what_was_not_measured_no_push():
     pushed[3] = 2.0
     assert strays(state(pushed), flown(pushed, kind="free")) == {}
     assert strays(SimpleNamespace(local={}), flown(pushed)) == {}
+
+
+@pytest.mark.parametrize("count", [LEAST - 1, LEAST])
+def test_of_few_responses_nobody_knows_what_is_usual(count):
+    steps = [replace(step, repeat=k % 2) for step in campaign(1, throttles=False, yaws=False) for k in (0, 1)]
+    segments = tuple(fly(steps[:count], gust=((3,), -2.0)))
+    kept, aside = set_aside(segments, default_model(segments), [{}], None)
+    assert len(kept) == (count if count < LEAST else count - 1)
+    assert bool(aside) is (count == LEAST)

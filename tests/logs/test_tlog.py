@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as v2
 
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
+from flighttest.logs.timing import clock_steps
 from flighttest.logs.tlog_frames import fields_of, good_checksums, split
 
 EPOCH_S = 1_750_000_000.0
@@ -267,6 +268,9 @@ def test_a_link_that_stalls_is_no_step_of_the_clock(tmp_path):
     for a, b, stamp in zip(frames.at, np.append(frames.at[1:], len(data)), frames.stamp_us, strict=True):
         out += struct.pack(">Q", int(end if begin < stamp < end else stamp)) + data[a + 8 : b]
     (tmp_path / "a.tlog").write_bytes(out)
+    made_s = np.arange(2000) / 50.0
+    jitter_s = np.random.default_rng(0).uniform(0.005, 0.02, made_s.size)
+    assert not clock_steps(np.where((made_s > 10) & (made_s < 14), 14.0, made_s) + jitter_s, made_s).any()
     assert not any("clock" in loss for loss in import_log(tmp_path / "a.tlog").provenance.losses)
 
 
