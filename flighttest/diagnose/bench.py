@@ -27,6 +27,7 @@ from flighttest.diagnose.rows import (
     in_order,
     project,
 )
+from flighttest.identify.feeding import able
 from flighttest.identify.problem import Noise, Part, Problem, prior_std
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -49,16 +50,16 @@ class Bench:
     filters_hz: Mapping[str, float] | None = None
     _problems: dict[Any, Problem] = field(default_factory=dict, repr=False)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to another process: not what was compiled here."""
+        return self.__dict__ | {"_problems": {}}
+
     def problem(self, model: Model) -> Problem:
-        """The problem of one model, parts of this block only; kept."""
+        """The problem of one model, parts of this block only (none where nothing moves it); kept."""
         key = (model.terms, tuple(model.extra))
         if key not in self._problems:
-            made = Problem.build(self.segments, model, filters=self.filters_hz, select="all")
-            parts = tuple(p for p in made.parts if part_of(p.block.name) == self.block)
-            reached = {n for part in parts for n in part.block.params}
-            self._problems[key] = replace(
-                made, parts=parts, names=tuple(n for n in made.names if n in reached), _kernels={}
-            )
+            fed = {b.name: able(self.segments, b) for b in model.blocks if part_of(b.name) == self.block}
+            self._problems[key] = Problem.build(self.segments, model, filters=self.filters_hz, fed=fed)
         return self._problems[key]
 
     def start(self, model: Model, values: Mapping[str, float] | None = None) -> State:

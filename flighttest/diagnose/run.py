@@ -8,22 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.another_way import another_way
-from flighttest.diagnose.baselines import baselines
 from flighttest.diagnose.bench import BLOCKS, Bench
-from flighttest.diagnose.findings import finding, parameter_table
-from flighttest.diagnose.judge import compare, excess_share, held_out, held_out_groups, horizon_rmse
-from flighttest.diagnose.locate import locate, regime_curves, residual_map
+from flighttest.diagnose.block_answer import Answer, Asked, answer
+from flighttest.diagnose.judge import held_out_groups
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, Untestable, Verdict, brief, flown, short
+from flighttest.diagnose.model import Diagnosis, Untestable, Verdict
 from flighttest.diagnose.next_flight import Question, propose
-from flighttest.diagnose.noise import floor_of
-from flighttest.diagnose.overlays import overlays
-from flighttest.diagnose.pairs import look_ahead
-from flighttest.diagnose.remainders import drop_remainders
-from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
-from flighttest.diagnose.rows import RESOLUTION
-from flighttest.diagnose.search import Search
+from flighttest.diagnose.rivals import missing_channels
+from flighttest.diagnose.search import Search, silent
 from flighttest.diagnose.strays import set_aside
 from flighttest.diagnose.unknown import describe
 from flighttest.errors import FitError
@@ -38,12 +30,21 @@ from flighttest.segments.model import Segment
 
 LEAST_SEGMENTS = 4
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
-# Held at off in the attitude model until it is needed, so that roll and pitch are always compared on the same responses.
-COUPLING = "roll_pitch_coupling"
-PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "the throttle"}
+# How much of the work each block is, roughly.
+SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 # Start delays never fall on a sample: there the derivative by the delay is one-sided.
 OFF_GRID_S = 1.7e-4
 DELAYS_DIFFER_S = 0.01
+
+
+SideBySide = Callable[[Callable[[Sequence[str]], list[Answer]], Sequence[str], Sequence[float]], list[Answer]]
+
+
+def one_after_the_other(
+    work: Callable[[Sequence[str]], list[Answer]], items: Sequence[str], _shares: Sequence[float]
+) -> list[Answer]:
+    """All the work in this process."""
+    return work(items)
 
 
 def diagnose(
@@ -56,15 +57,16 @@ def diagnose(
     only: Sequence[str] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
+    side_by_side: SideBySide = one_after_the_other,
 ) -> Diagnosis:
     """Locate what the model misses in these recordings and name it.
 
     segments: of one vehicle, from one or several recordings, marked steps or windows of free flight. model: the base (default:
     the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. only: ids of the
-    candidates (default: the whole catalogue). FitError when there is too little to say anything. An interrupt (KeyboardInterrupt)
+    candidates (default: the whole catalogue). side_by_side(work, items, shares of the work): a way to run work(items), one result per
+    item, in more than one process. FitError when there is too little to say anything. An interrupt (KeyboardInterrupt)
     ends the search and returns what is known, with complete=False.
     """
-    tell = progress or (lambda _text: None)
     usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
     if len(usable) < LEAST_SEGMENTS:
         raise FitError(
@@ -85,48 +87,36 @@ def diagnose(
         for t in known.values()
         if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
     )
+    bench = Bench(usable, "translation", filters)
     starts = _starts(usable, model, previous)
-    usable, aside = set_aside(usable, model, starts, filters)
-    groups, group_name = held_out_groups(usable)
-    searches: list[Search] = []
-    complete, notes = True, []
-    for block in BLOCKS:
-        if block != "translation" and not model.attitude_loops:
-            continue
-        bench = Bench(usable, block, filters)
-        own = Model(
-            (*model.terms, COUPLING) if block == "roll_pitch" else model.terms,
-            model.nominal_voltage_v, model.g_m_s2, model.channel_delays, model.attitude_loops, dict(model.extra),
-        )  # fmt: skip
-        if not bench.problem(own).parts:
-            notes.append(f"nothing in this recording moves {PLAIN[block]}: it is left out")
-            continue
-        dormant = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
-        here = tuple(t for t in pool if _acts(t, bench, own) and not missing_channels(t, usable))
-        search = Search(
-            bench, here, groups, dormant, progress=lambda text, b=block: tell(f"{b}: {text}"), look_ahead=look_ahead  # type: ignore[misc]
-        )  # fmt: skip
-        try:
-            search.run(own, min((bench.start(own, values) for values in starts), key=lambda state: state.objective))
-            drop_remainders(search)
-            search, as_well = another_way(search)
-            if as_well:
-                notes.append(as_well)
-        except KeyboardInterrupt:
-            complete = False
-            notes.append("interrupted: candidates not tried are not in this answer")
-        if search.now is not None and search.floor is not None:
-            searches.append(search)
-        if not complete:
-            break
-    if not searches and not complete:
-        raise KeyboardInterrupt  # before anything was known
-    if not searches:
+    kept, aside, near = set_aside(bench, model, starts)
+    if aside:
+        bench = Bench(kept, "translation", filters)
+    groups, group_name = held_out_groups(kept)
+    asked = Asked(kept, model, pool, tuple(starts), groups, filters, previous or {}, seed, progress or silent)
+    blocks = [b for b in BLOCKS if b == "translation" or model.attitude_loops]
+
+    def search(some: Sequence[str]) -> list[Answer]:
+        answers: list[Answer] = []
+        for block in some:
+            known = (bench, near) if block == "translation" else (None, None)
+            try:
+                answers.append(answer(block, asked, *known))
+            except KeyboardInterrupt:
+                answers.append(Answer(complete=False))
+            if not answers[-1].complete:
+                break
+        return answers + [Answer(complete=False) for _ in some[len(answers) :]]
+
+    answers = side_by_side(search, blocks, [SHARES[b] for b in blocks])
+    if not any(a.search for a in answers):
+        if not all(a.complete for a in answers):
+            raise KeyboardInterrupt  # before anything was known
         raise FitError(
             "no reference moves in any of the responses, so that no part of the model can be tried",
             "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
         )
-    found = _assembled(usable, model, searches, pool, groups, group_name, previous or {}, complete, notes, seed, tell)
+    found = _assembled(asked, answers, group_name)
     if not aside:
         return found
     count = len(aside["segments"])
@@ -136,14 +126,6 @@ def diagnose(
         else f"{count} responses that something pushed once are"
     )
     return replace(found, sentence=f"{found.sentence} {said} set aside.", set_aside=aside)
-
-
-def _acts(term: Term, bench: Bench, model: Model) -> bool:
-    """Whether a term changes what this bench compares."""
-    if (block_of(term) == "translation") != (bench.block == "translation"):
-        return False
-    known = bench.problem(model if term.id in model.terms else model.with_terms(term)).names
-    return any(p.name in known for p in term.params)
 
 
 def _starts(
@@ -157,100 +139,39 @@ def _starts(
     return [{k: v + OFF_GRID_S if k.startswith("T_d") else v for k, v in values.items()} for values in found]
 
 
-def _assembled(
-    segments: tuple[Segment, ...],
-    model: Model,
-    searches: Sequence[Search],
-    pool: Sequence[Term],
-    groups: Any,
-    group_name: str,
-    previous: Mapping[str, tuple[float, float | None]],
-    complete: bool,
-    notes: list[str],
-    seed: int,
-    tell: Callable[[str], None],
-) -> Diagnosis:
-    tell("comparing before and after")
-    accepted: list[str] = []
-    located, findings, unseen = [], [], []
-    levels: dict[str, tuple[float, str]] = {}
-    heldout: dict[str, dict[str, Any]] = {}
-    floors: dict[str, dict[str, Any]] = {}
-    cells, curves, overlaid, candidates = [], [], [], []
-    before_table: dict[str, Any] = {}
-    after_table: dict[str, Any] = {}
-    shares: list[float] = []  # of each channel's excess, what stays: channels count alike, whatever their floors
-    staying: set[str] = set()
+def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diagnosis:
+    """One diagnosis of the blocks' answers."""
+    segments, model, pool = asked.segments, asked.model, asked.pool
+    searches = [a.search for a in answers if a.search is not None]
+    complete = all(a.complete for a in answers)
+    accepted = tuple(term for search in searches for term in search.judged)
     values = dict(model.start())
-    base_rmse: dict[str, dict[str, float]] = {}
     for search in searches:
-        base, now, floor, bench = search.base, search.now, search.floor, search.bench
-        assert base is not None
-        assert now is not None
-        assert floor is not None
-        accepted += list(search.judged)
-        values |= now.state.values
-        before_held, after_held = held_out(base.rows, base.names, groups), held_out(now.rows, now.names, groups)
-        for name, h in compare(base.rows, before_held, now.rows, after_held, groups, floor, seed).items():
-            steps_b = horizon_rmse(base.rows, before_held, segments).get(name, {})
-            steps_a = horizon_rmse(now.rows, after_held, segments).get(name, {})
-            heldout[short(name)] = {
-                "all": _held(h),
-                **{k: {"rmse_before": steps_b[k], "rmse_after": steps_a[k]} for k in steps_b if k in steps_a},
-            }
-            floors[short(name)] = {
-                "value": floor.of(name),
-                "from": "repeats"
-                if name in floor.from_repeats
-                else "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)",
-            }
-        first, last = excess_share(base.rows, floor), excess_share(now.rows, floor)
-        places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), seed)
-        located += places
-        above = {place.channel for place in places}
-        shares += [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
-        left = locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), seed)
-        staying |= {place.channel for place in left}
-        curves += regime_curves(places, base.rows, now.rows, segments)
-        cells += residual_map(base.rows, now.rows, segments, floor)
-        overlaid += overlays(base.rows, now.rows, segments)
-        before_table |= parameter_table(base)
-        after_table |= parameter_table(now)
-        for name in search.judged:
-            findings.append(finding(search, name, rivals_of(search, name), groups, seed))
-        if search.ground is not None:
-            seen = detectable(search)
-            levels |= seen
-            unseen += untestable(search, seen)
-        candidates += _candidates(search)
-        base_rmse |= baselines(bench, base, now, segments, previous)
+        assert search.now is not None
+        values |= search.now.state.values
+    located, findings, unseen = (_all(answers, what) for what in ("located", "findings", "unseen"))
+    levels, after = (_merged(answers, what) for what in ("levels", "after"))
     for term in pool:
         missing = missing_channels(term, segments)
         if missing and term.id not in {u.term for u in unseen}:
             unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
-    notes += _delays(after_table)
     tried = {t.id for s in searches for t in s.pool}
     named = {f.term for f in findings} | {u.term for u in unseen}
+    shares = _all(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else 0.0
+    staying = {c for a in answers for c in a.staying}
     verdict = _verdict(bool(findings), share, bool(located), bool(staying))
     formulas: list[dict[str, Any]] = []
     if verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
-        tell("describing what has no name")
+        asked.tell("describing what has no name")
         for search in searches:
-            formulas += describe(search, segments, groups, _with_forces(staying))
-    tell("choosing the next flight")
+            formulas += describe(search, segments, asked.groups, _with_forces(staying))
+    asked.tell("choosing the next flight")
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}) if complete else {}
-    final = Model(
-        (*model.terms, *accepted),
-        model.nominal_voltage_v,
-        model.g_m_s2,
-        model.channel_delays,
-        model.attitude_loops,
-        dict(model.extra),
-    )
+    final = model.with_terms(*accepted)
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, findings, share, located),
+        sentence=_sentence(verdict, findings, share, located, complete),
         located=tuple(located),
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - named)),
@@ -259,26 +180,36 @@ def _assembled(
         smallest_detectable={k: v[0] for k, v in levels.items() if np.isfinite(v[0])},
         model=final,
         values={k: values[k] for k in final.names if k in values},
-        accepted=tuple(accepted),
-        before=before_table,
-        after=after_table,
-        heldout=heldout,
-        noise_floor=floors,
-        baselines=base_rmse,
-        residual_map=tuple(cells),
-        regimes=tuple(curves),
-        overlays=tuple(overlaid),
-        candidates=tuple(candidates),
-        cost={"added_parameters": len(after_table) - len(before_table), "held_out_groups": group_name},
+        accepted=accepted,
+        before=_merged(answers, "before"),
+        after=after,
+        heldout=_merged(answers, "heldout"),
+        noise_floor=_merged(answers, "floors"),
+        baselines=_merged(answers, "baselines"),
+        residual_map=tuple(_all(answers, "cells")),
+        regimes=tuple(_all(answers, "curves")),
+        overlays=tuple(_all(answers, "overlaid")),
+        candidates=tuple(_all(answers, "candidates")),
+        cost={"added_parameters": len(after) - len(_merged(answers, "before")), "held_out_groups": group_name},
         unknown=tuple(formulas),
-        mass=mass_test(previous, after_table),
+        mass=mass_test(asked.previous, after),
         next_flight="next.yaml" if proposal else None,
         next_script=proposal.get("script"),
         next_reason={k: v for k, v in proposal.items() if k != "script"},
-        notes=tuple(notes),
+        notes=(*dict.fromkeys(_all(answers, "notes")), *_delays(after)),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
+
+
+def _all(answers: Sequence[Answer], what: str) -> list[Any]:
+    """The blocks' lists, one after the other."""
+    return [each for a in answers for each in getattr(a, what)]
+
+
+def _merged(answers: Sequence[Answer], what: str) -> dict[str, Any]:
+    """The blocks' tables in one."""
+    return {key: value for a in answers for key, value in getattr(a, what).items()}
 
 
 def _next(
@@ -337,53 +268,22 @@ def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _held(h: Any) -> dict[str, Any]:
-    return {"rmse_before": h.rmse_before, "rmse_after": h.rmse_after, "floor": h.floor, "gain_95": list(h.gain_95)}
-
-
-def _candidates(search: Search) -> list[dict[str, Any]]:
-    """Every candidate's score, for the table of what was ruled out and why."""
-    found = [
-        {
-            "term": j.term, "verdict": "SUPPORTED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
-            "why": f"{brief(j.floors)} noise floors in {short(j.place[0])} of {flown(j.place[1])}",
-        }
-        for j in search.judged.values()
-    ]  # fmt: skip
-    found += [
-        {
-            "term": j.term, "verdict": "NOT_NEEDED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
-            "why": j.reason or "refitted: too small, or no better on what it has not seen",
-        }
-        for j in search.refused.values()
-    ]  # fmt: skip
-    done = {f["term"] for f in found}
-    best: dict[str, Any] = {}
-    for s in search.scores:
-        if s.variant.term.id not in done and (s.variant.term.id not in best or s.bic < best[s.variant.term.id].bic):
-            best[s.variant.term.id] = s
-    for term, s in best.items():
-        why = "no more than chance" if s.p_value > 0.01 else "the criterion does not fall enough for its parameters"
-        found.append(
-            {
-                "term": term, "verdict": "NOT_NEEDED", "delta_bic": s.bic, "floors": None, "gain": None, "p_value": s.p_value, "why": why,
-            }
-        )  # fmt: skip
-    return found
-
-
 def _verdict(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
     if not any_named:
         return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
     return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
 
 
-def _sentence(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any]) -> str:
+def _sentence(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
+    if not complete and verdict is Verdict.NOTHING_MISSING:
+        return "Interrupted: nothing was found missing until then, and what was not searched may hide something."
+    more = "" if complete else " Interrupted: there may be more."
     names = ", ".join(f.title.lower() for f in findings)
     if verdict is Verdict.EXPLAINED:
-        return f"Left out: {names}. With it {100 * max(0.0, 1 - share):.0f} % of the excess error is gone."
+        return f"Left out: {names}. With it {100 * max(0.0, 1 - share):.0f} % of the excess error is gone.{more}"
     if verdict is Verdict.PARTLY:
-        return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained."
+        return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained.{more}"
     if verdict is Verdict.NOTHING_MISSING:
         return "Nothing is missing above the noise floor; see the smallest effects that would have been noticed."
-    return f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
+    told = f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
+    return told + more

@@ -51,6 +51,10 @@ ASTRAY = 3.0  # a base parameter by this factor off its start is fitted from the
 SAME = 0.7  # a rival is tried in a term's place when its linear score is at least this share of the term's
 
 
+def silent(_text: str) -> None:
+    """Progress that nobody watches."""
+
+
 @dataclass
 class Search:
     """One block of the model (roll and pitch, yaw rate, or translation) on one bench.
@@ -63,7 +67,7 @@ class Search:
     pool: tuple[Term, ...]
     groups: IntArray
     dormant: frozenset[str] = frozenset()
-    progress: Callable[[str], None] = lambda _text: None
+    progress: Callable[[str], None] = silent
     look_ahead: Callable[[Search, list[tuple[Judged, Fitted]]], bool] | None = None
     base: Fitted | None = None
     now: Fitted | None = None
@@ -78,11 +82,11 @@ class Search:
     _variants: list[Variant] = field(default_factory=list)
     _left_out: dict[str, tuple[Fitted, Fitted]] = field(default_factory=dict)
 
-    def run(self, model: Model, start: State) -> None:
-        """Fit the base, then search. What is done is kept on interruption."""
+    def run(self, model: Model, start: State, near: State | None = None) -> None:
+        """Fit the base, then search. near: where the base fit begins, if not at `start`. What is done is kept on interruption."""
         self.blind = self.bench.blind(model, start)
         self.origin = {n: start.values[n] for n in self.bench.problem(model).names}
-        self.base = self.now = self._fit(model, start, self.dormant, iterations=20)
+        self.base = self.now = self._fit(model, near or start, self.dormant, iterations=20)
         self.floor = floor_of(self.base.rows, self.bench.segments, RESOLUTION)
         self.progress("base model fitted")
         self.go_on()

@@ -23,28 +23,26 @@ LEAST = 12  # responses: of fewer nobody knows what is usual
 
 
 def set_aside(
-    segments: tuple[Segment, ...],
-    model: Model,
-    starts: Sequence[Mapping[str, float]],
-    filters: Mapping[str, float] | None,
-) -> tuple[tuple[Segment, ...], dict[str, Any]]:
-    """Responses without those that something pushed once, and those by name with a sentence on them.
+    bench: Bench, model: Model, starts: Sequence[Mapping[str, float]]
+) -> tuple[tuple[Segment, ...], dict[str, Any], dict[str, float]]:
+    """A bench's responses without those that something pushed once, those by name with a sentence on them, and the base model's values.
 
-    starts: values to begin the base fit from.
+    bench: of translation. starts: values to begin the base fit from. Without the fit there are no values.
     """
+    segments = bench.segments
     if len(segments) < LEAST or len({s.cell_key for s in segments}) == len(segments):
-        return segments, {}  # or nothing was flown twice
-    bench = Bench(segments, "translation", filters)
+        return segments, {}, {}  # or nothing was flown twice
     problem = bench.problem(model)
     if not problem.parts:
-        return segments, {}
+        return segments, {}, {}
     first = min((bench.start(model, values) for values in starts), key=lambda state: state.objective)
     blind = bench.blind(model, first)
-    odd = strays(bench.fit(model, first, tuple(n for n in problem.names if n not in blind)), segments)
+    fitted = bench.fit(model, first, tuple(n for n in problem.names if n not in blind))
+    odd = strays(fitted, segments)
     if not odd:
-        return segments, {}
+        return segments, {}, fitted.values
     aside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
-    return tuple(s for i, s in enumerate(segments) if i not in odd), aside
+    return tuple(s for i, s in enumerate(segments) if i not in odd), aside, fitted.values
 
 
 def strays(state: State, segments: Sequence[Segment]) -> dict[int, float]:

@@ -152,7 +152,7 @@ class Problem:
         select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
         'all' (every block on every segment in which its references move). values: start values by name; fixed: names that stay
         there; ties: name to the name it equals; fed: block name to the positions of its segments, in place of `select`'s (all segments are
-        then usable). FitError when no segment feeds any block.
+        then usable, and there may be no parts). FitError when no segment feeds any block.
         """
         usable = tuple(s for s in segments if s.usable)
         start = model.start(values)
@@ -163,7 +163,7 @@ class Problem:
             outputs = outputs_of(usable, members, block, still)
             if members and outputs:
                 found.append(_part(usable, members, block, outputs, model, start))
-        if not found:
+        if not found and fed is None:
             why = f"; {never_changing(still)}" if still else ""
             raise FitError(
                 f"no usable segment excites any part of the model{why}",

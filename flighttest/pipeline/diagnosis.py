@@ -14,15 +14,17 @@ from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
+from flighttest.physics.body import DELAY_PARAM
 from flighttest.pipeline.analysis import cut_all, model_data, nominal_voltage
 from flighttest.pipeline.fingerprints import differences
+from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.pipeline.views import fit_view
 from flighttest.recording import Recording
 from flighttest.report import html
-from flighttest.report.diagnosis_sections import VERDICT_TONES, diagnosis_sections
+from flighttest.report.diagnosis_sections import diagnosis_sections, verdict_tone
 from flighttest.report.document import Document
 from flighttest.report.numbers import join
 from flighttest.report.plain import plain
@@ -51,6 +53,7 @@ def run_diagnosis(
         previous=previous,
         nominal_voltage_v=nominal_voltage(recordings, vehicle),
         progress=progress.stage,
+        side_by_side=in_halves,
     )
 
 
@@ -77,10 +80,10 @@ def diagnose(
     if output is not None:
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, output, progress)
-    tone = VERDICT_TONES.get(found.verdict.name, "plain")
     script = write_text(found.next_script) if found.next_script else ""
-    document = Document("diagnosis", found.sentence, tone, diagnosis_sections(data, script), facts)
-    return Result(document, data, Status.UNEXPLAINED if found.verdict in UNFINISHED else Status.DONE, found)
+    document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
+    unexplained = found.verdict in UNFINISHED or not found.complete
+    return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
 
 
 def _base_terms(found: Diagnosis) -> list[str]:
@@ -90,7 +93,9 @@ def _base_terms(found: Diagnosis) -> list[str]:
 def refit(found: Diagnosis, segments: Sequence[Segment], progress: Progress = SILENT) -> Fit:
     """The accepted model fitted to everything, for model.yaml."""
     progress.stage(f"fitting {' + '.join(found.model.terms)}")
-    return identify([s for s in segments if s.usable], found.model, start=found.values)
+    # Delays begin where the responses set in, as in any fit: from the diagnosis' own, just across a sample, the way is longer.
+    start = {name: value for name, value in found.values.items() if name not in DELAY_PARAM.values()}
+    return identify([s for s in segments if s.usable], found.model, start=start)
 
 
 def write_diagnosis(
@@ -119,7 +124,7 @@ def write_diagnosis(
         diagnosis=data,
         next_script=script,
         verdict=found.sentence,
-        tone=VERDICT_TONES.get(found.verdict.name, "plain"),
+        tone=verdict_tone(data),
     )
     html.write(page, folder / REPORT_NAME)
     return data

@@ -73,9 +73,25 @@ def _begin(work: Callable[[Sequence[A]], list[B]], items: Sequence[A]) -> tuple[
 
 
 def _read(answer: int) -> Any:
-    """What the copy wrote; None where it did not get to the end of it."""
+    """What the copy wrote; None where it did not get to the end of it.
+
+    An interrupt reaches the copy as well, which may still tell what it has: that is waited for, unless there is another.
+    """
+    written, interrupted = bytearray(), False
+    while True:
+        try:
+            some = os.read(answer, 1 << 20)
+        except KeyboardInterrupt:
+            if interrupted:
+                raise
+            interrupted = True
+            continue
+        if not some:
+            break
+        written += some
     try:
-        with os.fdopen(answer, "rb", closefd=False) as pipe:
-            return pickle.load(pipe)
+        return pickle.loads(written)
     except (EOFError, pickle.UnpicklingError):
+        if interrupted:
+            raise KeyboardInterrupt from None
         return None

@@ -23,7 +23,7 @@ from flighttest.pipeline.views import fit_view, segment_views
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report import fit_sections, html
-from flighttest.report.diagnosis_sections import VERDICT_TONES, diagnosis_sections
+from flighttest.report.diagnosis_sections import diagnosis_sections, verdict_tone
 from flighttest.report.document import Document, Section, Tone
 from flighttest.report.numbers import duration, join
 from flighttest.report.views import FitView
@@ -114,7 +114,7 @@ def run_document(
     if tone is None:
         tone = "bad" if view is None or not view.good else "good" if all(p.known for p in view.parameters) else "warn"
         if diagnosis is not None and tone == "good":
-            tone = VERDICT_TONES.get(str(diagnosis.get("verdict")), tone)
+            tone = verdict_tone(diagnosis, tone)
     title = f"flighttest: {join([r.name for r in recordings])}"
     footer = f"flighttest {__version__}. In the pictures: drag to zoom, double click to reset, click a name to hide it."
     return Document(title, verdict, tone, tuple(sections), provenance(recordings), footer)
@@ -190,11 +190,10 @@ def _report_diagnosis(folder: Path, output: Path | None, progress: Progress) -> 
     script = ""
     if (folder / "next.yaml").is_file():
         script = (folder / "next.yaml").read_text(encoding="utf-8")
-    tone = VERDICT_TONES.get(str(data.get("verdict")), "plain")
     facts = {"diagnosis": str(folder / DIAGNOSIS_NAME)}
     if (folder / "model.yaml").is_file():
         model = yaml.safe_load((folder / "model.yaml").read_text(encoding="utf-8"))
         facts["model"] = ", ".join(map(str, (model or {}).get("terms", ())))
     verdict = str(data.get("sentence") or data.get("verdict", ""))
-    document = Document("flighttest diagnosis", verdict, tone, diagnosis_sections(data, script), facts)
+    document = Document("flighttest diagnosis", verdict, verdict_tone(data), diagnosis_sections(data, script), facts)
     return written(document, output or folder / REPORT_NAME)

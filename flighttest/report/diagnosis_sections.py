@@ -9,7 +9,7 @@ from flighttest.report.diagnosis_figures import before_after, heat_map, regimes
 from flighttest.report.document import Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
 
-VERDICT_TONES: dict[str, Tone] = {
+_VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
     "NOTHING_MISSING": "good",
     "PARTLY": "warn",
@@ -24,6 +24,11 @@ TERM_WORDS = {
 }
 
 Data = Mapping[str, Any]
+
+
+def verdict_tone(data: Data, otherwise: Tone = "plain") -> Tone:
+    """The tone of a diagnosis' verdict: what was interrupted is none to rely on."""
+    return "warn" if data.get("complete") is False else _VERDICT_TONES.get(str(data.get("verdict")), otherwise)
 
 
 def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]:
@@ -81,7 +86,8 @@ def _findings(data: Data) -> Section:
     if data.get("mass"):
         blocks.append(Paragraph(_sentence(str(data["mass"].get("sentence", ""))), "warn"))
     if not blocks:
-        blocks.append(Paragraph("No physics of the catalogue is needed to explain these recordings."))
+        searched = "of what was searched before the interruption " if data.get("complete") is False else ""
+        blocks.append(Paragraph(f"No physics of the catalogue {searched}is needed to explain these recordings."))
     return Section("findings", "What physics was left out", tuple(blocks))
 
 

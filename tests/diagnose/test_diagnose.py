@@ -9,9 +9,11 @@ from flight import campaign, fly
 
 from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.rivals import missing_channels
+from flighttest.diagnose.run import one_after_the_other
 from flighttest.diagnose.search import Search
 from flighttest.errors import FitError
 from flighttest.physics.catalogue import catalogue
+from flighttest.pipeline.halves import in_halves
 
 RIVALS = ("steady_wind", "accelerometer_bias", "attitude_offset", "velocity_latency", "ground_effect")
 
@@ -159,8 +161,18 @@ def test_an_interrupt_keeps_what_is_done():
 
     found = diagnose(fly(campaign(1, tilts=False, yaws=False)), only=RIVALS, progress=interrupt)
     assert not found.complete
+    assert found.sentence.startswith("Interrupted: nothing was found missing until then")
     assert any("interrupted" in n for n in found.notes)
     assert "v_x" in found.heldout
+
+
+def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
+    monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: True)
+    segments = fly(campaign(1), wind=(2.5, 0.0, 0.0))
+    only = ("steady_wind", "rate_limit")
+    alone, apart = (diagnose(segments, only=only, side_by_side=way) for way in (one_after_the_other, in_halves))
+    assert alone.accepted == ("steady_wind",)
+    assert json.dumps(apart.to_json()) == json.dumps(alone.to_json())
 
 
 def test_a_change_of_mass_is_seen_against_the_previous_model(calm):

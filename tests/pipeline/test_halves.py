@@ -66,3 +66,30 @@ def test_no_process_is_left_behind(two_cores, monkeypatch):
         in_halves(work, range(5), [1] * 5)
     with pytest.raises(ProcessLookupError):
         os.kill(begun[0], 0)
+
+
+@pytest.fixture
+def interrupted_while_waiting(monkeypatch):
+    """Ctrl-C while the copy is waited for. It is not sent: where tests run in a second thread it would hit the first."""
+    pending, read = [KeyboardInterrupt], os.read
+
+    def interrupted(pipe, size):
+        if pending:
+            raise pending.pop()
+        return read(pipe, size)
+
+    monkeypatch.setattr(os, "read", interrupted)
+
+
+def test_an_interrupt_while_waiting_takes_what_the_copy_still_tells(two_cores, interrupted_while_waiting):
+    assert in_halves(lambda some: [-i for i in some], [1, 2], [1, 1]) == [-1, -2]
+
+
+def test_an_interrupt_that_ends_the_copy_ends_all(two_cores, interrupted_while_waiting):
+    def work(some):
+        if os.getpid() != HERE:
+            raise KeyboardInterrupt
+        return list(some)
+
+    with pytest.raises(KeyboardInterrupt):
+        in_halves(work, [1, 2], [1, 1])

@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from flighttest.report import figures, html, terminal
+from flighttest.report.diagnosis_sections import diagnosis_sections, verdict_tone
 from flighttest.report.document import (
     Bullets,
     Cell,
@@ -143,3 +144,11 @@ def test_plain_json_has_no_nan_and_keeps_enum_names():
     data = plain(Thing(float("nan"), np.array([1.0, np.inf]), Colour.RED))
     assert data == {"a": None, "b": [1.0, None], "c": "RED"}
     json.dumps(data, allow_nan=False)
+
+
+def test_an_interrupted_diagnosis_is_no_good_news():
+    data = {"verdict": "NOTHING_MISSING", "sentence": "Interrupted.", "located": [], "findings": []}
+    assert verdict_tone(data) == "good"
+    assert verdict_tone({**data, "complete": False}) == "warn"
+    shown = Document("diagnosis", "Interrupted.", "warn", diagnosis_sections({**data, "complete": False}))
+    assert "of what was searched before the interruption" in html.render(shown)

@@ -1,0 +1,201 @@
+"""One block of the model (roll and pitch, yaw rate, or translation): searched on a bench of its own, and what is to be said of it.
+
+Blocks share nothing but the recordings, so that they can be searched side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.another_way import another_way
+from flighttest.diagnose.baselines import baselines
+from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.judge import compare, excess_share, held_out, horizon_rmse
+from flighttest.diagnose.locate import locate, regime_curves, residual_map
+from flighttest.diagnose.model import Finding, Located, Untestable, brief, flown, short
+from flighttest.diagnose.noise import floor_of
+from flighttest.diagnose.overlays import overlays
+from flighttest.diagnose.pairs import look_ahead
+from flighttest.diagnose.remainders import drop_remainders
+from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
+from flighttest.diagnose.rows import RESOLUTION
+from flighttest.diagnose.search import Search, silent
+from flighttest.physics.compose import block_of
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+# Held at off in the attitude model until it is needed, so that roll and pitch are always compared on the same responses.
+COUPLING = "roll_pitch_coupling"
+PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "the throttle"}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What every block is asked about: responses, base model, candidates, where fits begin, which responses are held out together."""
+
+    segments: tuple[Segment, ...]
+    model: Model
+    pool: tuple[Term, ...]
+    starts: tuple[Mapping[str, float], ...]
+    groups: NDArray[np.intp]
+    filters: Mapping[str, float] | None = None
+    previous: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
+    seed: int = 0
+    tell: Callable[[str], None] = silent
+
+
+@dataclass
+class Answer:
+    """What was found in one block, for `run` to put together. search: as it ended, None where nothing moves the block.
+
+    shares: of each channel's excess what stays; staying: channels (short) whose mismatch stays. The rest as in `Diagnosis`.
+    """
+
+    search: Search | None = None
+    complete: bool = True
+    notes: list[str] = field(default_factory=list)
+    located: list[Located] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    unseen: list[Untestable] = field(default_factory=list)
+    levels: dict[str, tuple[float, str]] = field(default_factory=dict)
+    heldout: dict[str, dict[str, Any]] = field(default_factory=dict)
+    floors: dict[str, dict[str, Any]] = field(default_factory=dict)
+    cells: list[Any] = field(default_factory=list)
+    curves: list[Any] = field(default_factory=list)
+    overlaid: list[Any] = field(default_factory=list)
+    candidates: list[dict[str, Any]] = field(default_factory=list)
+    before: dict[str, Any] = field(default_factory=dict)
+    after: dict[str, Any] = field(default_factory=dict)
+    baselines: dict[str, dict[str, float]] = field(default_factory=dict)
+    shares: list[float] = field(default_factory=list)
+    staying: set[str] = field(default_factory=set)
+
+
+def answer(block: str, asked: Asked, bench: Bench | None = None, near: Mapping[str, float] | None = None) -> Answer:
+    """Search one block and say what was found. bench: one that knows this block already; near: values near the base model's optimum.
+
+    An interrupt (KeyboardInterrupt) ends the search; what is known is told.
+    """
+    made = Answer()
+    bench = bench or Bench(asked.segments, block, asked.filters)
+    model = asked.model
+    own = model.with_terms(COUPLING) if block == "roll_pitch" else model
+    if not bench.problem(own).parts:
+        made.notes.append(f"nothing in this recording moves {PLAIN[block]}: it is left out")
+        return made
+    dormant = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
+    pool = tuple(t for t in asked.pool if _acts(t, bench, own) and not missing_channels(t, asked.segments))
+    search = Search(
+        bench, pool, asked.groups, dormant, progress=lambda text: asked.tell(f"{block}: {text}"), look_ahead=look_ahead
+    )
+    try:
+        start = min((bench.start(own, values) for values in asked.starts), key=lambda state: state.objective)
+        search.run(own, start, bench.start(own, near) if near else None)
+        drop_remainders(search)
+        search, as_well = another_way(search)
+        if as_well:
+            made.notes.append(as_well)
+    except KeyboardInterrupt:
+        made.complete = False
+        made.notes.append("interrupted: candidates not tried are not in this answer")
+    if search.now is not None and search.floor is not None:
+        made.search = search
+        _tell(made, search, asked)
+        search.progress = silent  # what goes to another process takes no screen along
+    return made
+
+
+def _tell(made: Answer, search: Search, asked: Asked) -> None:
+    """Put into an answer what a search came to: the model before and after, what was named and what was not."""
+    segments = asked.segments
+    base, now, floor = search.base, search.now, search.floor
+    assert base is not None
+    assert now is not None
+    assert floor is not None
+    unchanged = now is base
+    before_held = held_out(base.rows, base.names, asked.groups)
+    after_held = before_held if unchanged else held_out(now.rows, now.names, asked.groups)
+    horizons_b = horizon_rmse(base.rows, before_held, segments)
+    horizons_a = horizons_b if unchanged else horizon_rmse(now.rows, after_held, segments)
+    for name, h in compare(base.rows, before_held, now.rows, after_held, asked.groups, floor, asked.seed).items():
+        steps_b, steps_a = horizons_b.get(name, {}), horizons_a.get(name, {})
+        made.heldout[short(name)] = {
+            "all": _held(h),
+            **{k: {"rmse_before": steps_b[k], "rmse_after": steps_a[k]} for k in steps_b if k in steps_a},
+        }
+        made.floors[short(name)] = {
+            "value": floor.of(name),
+            "from": "repeats"
+            if name in floor.from_repeats
+            else "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)",
+        }
+    first, last = excess_share(base.rows, floor), excess_share(now.rows, floor)
+    places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), asked.seed)
+    made.located += places
+    above = {place.channel for place in places}
+    made.shares += [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
+    left = places if unchanged else locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), asked.seed)
+    made.staying |= {place.channel for place in left}
+    made.curves += regime_curves(places, base.rows, now.rows, segments)
+    made.cells += residual_map(base.rows, now.rows, segments, floor)
+    made.overlaid += overlays(base.rows, now.rows, segments)
+    made.before |= parameter_table(base)
+    made.after |= parameter_table(now)
+    for name in search.judged:
+        made.findings.append(finding(search, name, rivals_of(search, name), asked.groups, asked.seed))
+    if search.ground is not None:
+        seen = detectable(search)
+        made.levels |= seen
+        made.unseen += untestable(search, seen)
+    made.candidates += _candidates(search)
+    made.baselines |= baselines(search.bench, base, now, segments, asked.previous)
+
+
+def _acts(term: Term, bench: Bench, model: Model) -> bool:
+    """Whether a term changes what this bench compares."""
+    if (block_of(term) == "translation") != (bench.block == "translation"):
+        return False
+    known = bench.problem(model if term.id in model.terms else model.with_terms(term)).names
+    return any(p.name in known for p in term.params)
+
+
+def _held(h: Any) -> dict[str, Any]:
+    return {"rmse_before": h.rmse_before, "rmse_after": h.rmse_after, "floor": h.floor, "gain_95": list(h.gain_95)}
+
+
+def _candidates(search: Search) -> list[dict[str, Any]]:
+    """Every candidate's score, for the table of what was ruled out and why."""
+    found = [
+        {
+            "term": j.term, "verdict": "SUPPORTED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
+            "why": f"{brief(j.floors)} noise floors in {short(j.place[0])} of {flown(j.place[1])}",
+        }
+        for j in search.judged.values()
+    ]  # fmt: skip
+    found += [
+        {
+            "term": j.term, "verdict": "NOT_NEEDED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
+            "why": j.reason or "refitted: too small, or no better on what it has not seen",
+        }
+        for j in search.refused.values()
+    ]  # fmt: skip
+    done = {f["term"] for f in found}
+    best: dict[str, Any] = {}
+    for s in search.scores:
+        if s.variant.term.id not in done and (s.variant.term.id not in best or s.bic < best[s.variant.term.id].bic):
+            best[s.variant.term.id] = s
+    for term, s in best.items():
+        why = "no more than chance" if s.p_value > 0.01 else "the criterion does not fall enough for its parameters"
+        found.append(
+            {
+                "term": term, "verdict": "NOT_NEEDED", "delta_bic": s.bic, "floors": None, "gain": None, "p_value": s.p_value, "why": why,
+            }
+        )  # fmt: skip
+    return found
