@@ -20,7 +20,9 @@ def serve(
 ) -> Iterator[str]:
     """Serve until interrupted; yields lines for the person at the terminal."""
     if backend == "sitl":
-        yield from _serve_sitl(airframe, hide, seed, speed)
+        if lockstep:
+            raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
+        yield from _serve_sitl(airframe, hide, seed, port, speed)
         return
     made = options(airframe, hide, seed, speed, lockstep)
     with start_simulator(made, port=port) as simulation:
@@ -29,15 +31,15 @@ def serve(
         simulation.wait()
 
 
-def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, speed: float) -> Iterator[str]:
+def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed: float) -> Iterator[str]:
     if airframe == "rotor":
-        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed))
+        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed), port=port)
     elif hide:
         raise InputError(
             "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
         )
     else:
-        started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True))
+        started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port))
     with started as vehicle:
         yield f"ArduPilot SITL, airframe {airframe}, at {vehicle.url}; Ctrl-C stops it"
         yield f"fly it: flighttest run thrust --connect {vehicle.url}"

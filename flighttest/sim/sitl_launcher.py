@@ -27,6 +27,7 @@ _HOST = "127.0.0.1"
 _BUILT = Path("build/sitl/bin/arducopter")
 _PORTS = range(17000, 29000, 20)  # below the ephemeral range; a vehicle takes ten in a row
 _PORTS_EACH = 10
+_LAST_PORT = 65535
 _STOP_PATIENCE_S = 5.0
 _LOG_NAME = "arducopter.log"
 # Near sea level: the firmware corrects thrust for air density, so a high take-off place would change K.
@@ -86,7 +87,7 @@ class SitlOptions:
     physics_port: UDP port of an outside physics (`json_backend`) that replaces ArduPilot's own, with rate_hz steps per vehicle second
     (0: ArduPilot's default); scripts: Lua files to run. home: latitude deg, longitude deg, height above sea level m, heading deg.
     folder: where it runs and leaves its onboard logs; None: a temporary one, removed at the end. ground_crew: gives it a full pack after
-    each landing (the third port is then taken).
+    each landing (the third port is then taken). port: TCP port of `Sitl.url`, the first of ten in a row; 0: wherever ten are free.
     """
 
     airframe: str = "paper"
@@ -99,6 +100,7 @@ class SitlOptions:
     home: tuple[float, float, float, float] = SEA_LEVEL_HOME
     folder: Path | None = None
     ground_crew: bool = False
+    port: int = 0
 
     def __post_init__(self) -> None:
         if self.airframe not in AIRFRAMES:
@@ -211,7 +213,7 @@ def launch(
     folder = Path(tempfile.mkdtemp(prefix="flighttest-sitl-")) if chosen.folder is None else chosen.folder
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        base = free_ports()
+        base = _asked_for(chosen.port) if chosen.port else free_ports()
         words = command(chosen, program, base, folder, speedup)
         with (folder / _LOG_NAME).open("wb") as log:
             # A session of its own: Ctrl-C goes to us, and we stop it in order.
@@ -278,6 +280,17 @@ def free_ports(candidates: Sequence[int] = _PORTS) -> int:
         if all(_is_free(base + i) for i in range(_PORTS_EACH)):
             return base
     raise LinkError("no ten free TCP ports in a row", "stop other simulators")
+
+
+def _asked_for(base: int) -> int:
+    """A port that somebody wants, if it and the nine after it are free."""
+    taken = [base + i for i in range(_PORTS_EACH) if base + i > _LAST_PORT or not _is_free(base + i)]
+    if taken:
+        raise LinkError(
+            f"port {taken[0]} cannot be had; a SITL at {base} needs {base} to {base + _PORTS_EACH - 1}",
+            "stop what listens there, or give another port (0 takes free ones)",
+        )
+    return base
 
 
 def _is_free(port: int) -> bool:

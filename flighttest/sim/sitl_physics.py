@@ -117,12 +117,13 @@ class PhysicsSitl:
 
 
 def launch_on_physics(
-    options: SimOptions, *, folder: Path | None = None, wait_s: float = 180.0, binary: Path | None = None
+    options: SimOptions, *, folder: Path | None = None, wait_s: float = 180.0, binary: Path | None = None, port: int = 0
 ) -> PhysicsSitl:
-    """Start the rotor vehicle of `options` under a real ArduCopter and wait until it can arm. LinkError, InputError as `launch`."""
+    """Start the rotor vehicle of `options` under a real ArduCopter and wait until it can arm. port: as in `SitlOptions`. LinkError,
+    InputError as `launch`."""
     parameters = firmware_parameters(options)
     sock = bind_physics("127.0.0.1", 0)
-    port = int(sock.getsockname()[1])
+    physics_port = int(sock.getsockname()[1])
     physics = start_physics(sock, options)
     shipped = sitl_dir()
     try:
@@ -131,10 +132,11 @@ def launch_on_physics(
                 airframe="rotor",
                 speedup=options.speed,
                 parameters=parameters,
-                physics_port=port,
+                physics_port=physics_port,
                 rate_hz=RATE_HZ,
                 scripts=(shipped / "scripts" / "battery.lua",),
                 folder=folder,
+                port=port,
             ),
             wait_s=wait_s,
             binary=binary,

@@ -94,6 +94,20 @@ class TestCommand:
             with pytest.raises(LinkError, match="ports"):
                 free_ports([busy])
 
+    def test_a_port_that_somebody_wants_is_taken_or_the_launch_refused(self, tmp_path):
+        fake = program(tmp_path / "arducopter")
+        with socket.socket() as taken:
+            taken.bind(("127.0.0.1", 0))
+            taken.listen()
+            busy = taken.getsockname()[1]
+            with pytest.raises(LinkError, match=f"port {busy} cannot be had; a SITL at {busy - 3} needs"):
+                launch(SitlOptions(port=busy - 3), binary=fake, wait_s=0.0)
+        with pytest.raises(LinkError, match="port 65536 cannot be had"):
+            launch(SitlOptions(port=65530), binary=fake, wait_s=0.0)
+        base = free_ports()
+        with launch(SitlOptions(port=base), binary=fake, wait_s=0.0) as vehicle:
+            assert vehicle.url == f"tcp:127.0.0.1:{base}"
+
 
 class TestProcess:
     def test_a_firmware_that_ends_says_what_it_printed(self, tmp_path):
