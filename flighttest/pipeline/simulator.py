@@ -9,6 +9,8 @@ from flighttest.sim import SimOptions, parse_hide, start_simulator
 from flighttest.sim.sitl_launcher import Sitl, SitlOptions, launch
 from flighttest.sim.sitl_physics import PhysicsSitl, launch_on_physics
 
+_BOOT_S = 45
+
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
     """The words of the command line as `SimOptions`."""
@@ -32,12 +34,13 @@ def serve(
 
 
 def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed: float) -> Iterator[str]:
-    if airframe == "rotor":
-        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed), port=port)
-    elif hide:
+    if hide and airframe != "rotor":
         raise InputError(
             "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
         )
+    yield f"starting ArduPilot SITL, airframe {airframe}; it can arm after {_BOOT_S} s or so of its own time"
+    if airframe == "rotor":
+        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed), port=port)
     else:
         started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port))
     with started as vehicle:

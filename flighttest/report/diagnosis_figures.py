@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.report.document import Figure, Panel, Trace
+from flighttest.report.document import Figure, Panel, Role, Trace
 from flighttest.report.fit_sections import KIND_WORDS
 from flighttest.report.numbers import unit
 
@@ -69,16 +69,26 @@ def regimes(data: Data) -> Figure | None:
 
 
 def before_after(data: Data) -> Figure | None:
-    """The worst responses: measured, before, after."""
+    """The worst responses, in noise floors of their channels: measured, before, and after where something was found."""
+    found = bool(data.get("findings"))
+    lines: list[tuple[str, str, Role]] = [("before", "before" if found else "simulated", "before")]
+    lines += [("after", "after", "after")] if found else []
+    lines += [("measured", "measured", "measured")]
     panels = []
-    for o in (data.get("overlays") or ())[:MAX_OVERLAYS]:
+    for o in sorted(data.get("overlays") or (), key=lambda o: -_floors(o, data))[:MAX_OVERLAYS]:
         t = np.asarray(o["t_s"], dtype=float)
-        traces = tuple(
-            Trace(t, np.asarray(o[key], dtype=float), key, role)  # type: ignore[arg-type]
-            for key, role in (("before", "before"), ("after", "after"), ("measured", "measured"))
-        )
+        traces = tuple(Trace(t, np.asarray(o[key], dtype=float), name, role) for key, name, role in lines)
         units = unit(str(o.get("unit", "")))
         panels.append(Panel(str(o["segment"]), "time since the step, s", f"{o['channel']}, {units}", traces))
     if not panels:
         return None
-    return Figure("before-after", tuple(panels), "The responses that were worst before.", 2, 270)
+    caption = "The responses that were worst before." if found else "The responses that fit worst."
+    return Figure("before-after", tuple(panels), caption, 2, 270)
+
+
+def _floors(overlay: Data, data: Data) -> float:
+    """RMS error before, in noise floors of its channel."""
+    error = np.asarray(overlay["before"], dtype=float) - np.asarray(overlay["measured"], dtype=float)
+    floor = (data.get("noise_floor") or {}).get(overlay.get("channel")) or {}
+    made = float(np.sqrt(np.nanmean(error**2))) / (_number(floor.get("value")) or float("nan"))
+    return made if np.isfinite(made) else 0.0

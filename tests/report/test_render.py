@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from flighttest.report import figures, html, terminal
+from flighttest.report.diagnosis_figures import before_after
 from flighttest.report.diagnosis_sections import diagnosis_sections, verdict_tone
 from flighttest.report.document import (
     Bullets,
@@ -152,3 +153,29 @@ def test_an_interrupted_diagnosis_is_no_good_news():
     assert verdict_tone({**data, "complete": False}) == "warn"
     shown = Document("diagnosis", "Interrupted.", "warn", diagnosis_sections({**data, "complete": False}))
     assert "of what was searched before the interruption" in html.render(shown)
+
+
+def test_the_responses_shown_are_those_that_missed_by_most_noise_floors():
+    def flown(channel, error):
+        return {"channel": channel, "segment": f"{channel} {error}", "t_s": [0.0, 1.0], "before": [0.0, 0.0],
+                "after": [error, error], "measured": [error, error]}  # fmt: skip
+
+    data = {
+        "overlays": [flown("roll", e) for e in (3e-3, 2e-3, 1e-3)] + [flown("v_z", e) for e in (0.4, 0.3, 0.1, 0.01)],
+        "noise_floor": {"roll": {"value": 1e-3}, "v_z": {"value": 0.02}},
+        "findings": [{"term": "ground_effect"}],
+    }
+    shown = before_after(data)
+    assert [p.title for p in shown.panels] == [
+        "v_z 0.4",
+        "v_z 0.3",
+        "v_z 0.1",
+        "roll 0.003",
+        "roll 0.002",
+        "roll 0.001",
+    ]
+    assert [t.name for t in shown.panels[0].traces] == ["before", "after", "measured"]
+    clean = before_after({**data, "findings": []})
+    assert [t.name for t in clean.panels[0].traces] == ["simulated", "measured"], (
+        "nothing was left out: one line, not two"
+    )
