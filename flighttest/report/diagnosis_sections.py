@@ -184,7 +184,8 @@ def _limits(data: Data) -> Section:
             for c in candidates
         )
         align: tuple[Align, ...] = ("left", "right", "right", "left")
-        blocks.append(Table(("candidate", "change of BIC", "p", "why not"), rows, align, fold=True))
+        caption = "Candidates that were tried and not taken."
+        blocks.append(Table(("candidate", "change of BIC", "p", "why not"), rows, align, caption, fold=True))
     unseen = tuple(
         (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
     )
@@ -194,10 +195,8 @@ def _limits(data: Data) -> Section:
     smallest = data.get("smallest_detectable") or {}
     if smallest:
         lines = tuple((str(k), number(v, 2) if isinstance(v, int | float) else str(v)) for k, v in smallest.items())
-        caption = "In the unit of the effect's first parameter."
-        blocks.append(
-            Table(("effect", "smallest that would have been noticed"), lines, ("left", "right"), caption, fold=True)
-        )
+        caption = "The smallest effect that would have been noticed, in the unit of its first parameter."
+        blocks.append(Table(("effect", "smallest"), lines, ("left", "right"), caption, fold=True))
     left = (data.get("unexplained") or {}).get("excess_share")
     if left is not None:
         blocks.append(Paragraph(f"Left unexplained: {percent(float(left))} of the error above the noise floor."))

@@ -94,10 +94,12 @@ def _table(table: Table) -> str:
     head = "".join(f'<th class="{side[i]}">{escape(name)}</th>' for i, name in enumerate(table.columns))
     body = "".join("<tr>" + "".join(_cell(cell, side[i]) for i, cell in enumerate(row)) + "</tr>" for row in table.rows)
     caption = f'<p class="caption">{escape(table.caption)}</p>' if table.caption else ""
-    whole = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{caption}'
+    whole = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     if table.fold:
-        return f"<details><summary>all {len(table.rows)} rows</summary>{whole}</details>"
-    return whole
+        rows = f"{len(table.rows)} rows"
+        what = f"{escape(table.caption.rstrip('.'))} ({rows})" if table.caption else f"all {rows}"
+        return f"<details><summary>{what}</summary>{whole}</details>"
+    return whole + caption
 
 
 def _cell(cell: Cell | str, side: str) -> str:
