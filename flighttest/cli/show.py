@@ -64,8 +64,8 @@ class Show:
         return self.side.is_terminal
 
     def say(self, text: str, style: str = "") -> None:
-        """One line of progress or notice."""
-        self.side.print(Text(text, style=style), soft_wrap=True)
+        """One line of progress or notice; on a terminal folded between words, elsewhere whole."""
+        self.side.print(Text(text, style=style), soft_wrap=not self.side.is_terminal)
 
     def draw(self, renderable: RenderableType) -> None:
         """Any rich renderable, beside the results."""

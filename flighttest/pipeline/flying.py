@@ -43,6 +43,7 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 BUILTIN_SPEED = 20.0
+MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list them all
 
 
 @dataclass(frozen=True)
@@ -267,11 +268,16 @@ def _say_changes(previous: ModelFile, today: Mapping[str, object], said: set[str
     if not changes:
         return
     since = flown_until(previous)
-    named = ", ".join(f"{c.name} ({c.before} is now {c.after})" for c in changes)
+    told = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:MOST_CHANGES_SAID]]
+    if len(changes) > MOST_CHANGES_SAID:
+        told.append(f"{len(changes) - MOST_CHANGES_SAID} more")
     subsets = [s for s in SUBSETS if any(s in c.touches for c in changes)]
+    least = scripts_for(tuple(subsets))
+    again = join(list(ALL_SCRIPTS)) + (
+        f" again (at least {join(list(least))})" if set(least) < set(ALL_SCRIPTS) else " again"
+    )
     progress.stage(
-        f"the last model is stale: {named}{f'; changed {since}' if since else ''}; touches {join(subsets)}; "
-        f"fly {join(list(ALL_SCRIPTS))} again (at least {join(list(scripts_for(tuple(subsets))))})"
+        f"the last model is stale: {join(told)}{f'; changed {since}' if since else ''}; touches {join(subsets)}; fly {again}"
     )
 
 
