@@ -2,7 +2,8 @@
 
 Two candidates are confusable when what is left of them beside the rest of the model points the same way (cosine above 0.95). The smallest
 effect that would have been noticed is the larger of two: four standard errors (found four times out of five at the catalogue's false alarm
-rate) and half a noise floor in the place where it shows most.
+rate; by the noise, or by how little the responses agree, whichever is larger) and half the power of the noise floor in the place where it
+shows most, after the base model has copied what it can.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from flighttest.diagnose.fitted import LEAST_FLOORS
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.model import Rival, Untestable
 from flighttest.diagnose.rows import Rows
-from flighttest.diagnose.screen import ABSORBED, FALSE_ALARM_RATE, orthonormal
+from flighttest.diagnose.screen import ABSORBED, Variant, orthonormal
 from flighttest.diagnose.search import Search
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
@@ -25,7 +26,8 @@ from flighttest.segments.model import Segment
 FloatArray = NDArray[np.float64]
 
 CONFUSABLE = 0.95
-STANDARD_ERRORS = 4.0
+BEYOND_CHANCE = 3.2  # standard errors that exclude chance for the whole catalogue
+STANDARD_ERRORS = 4.0  # so many are beyond chance four times out of five
 PLAUSIBLE = 2.0  # times the usual size: an effect that shows only above that could not be seen
 UNSEEN = "nothing in this flight would have looked different with it, or too few responses to believe it"
 NEVER = 100.0  # times the usual size: no such thing flies, so that this is no different from seeing nothing
@@ -82,10 +84,13 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
     """Candidate to (smallest amplitude that would have been noticed, its parameter), infinite where none would."""
     assert search.floor is not None
     assert search.ground is not None
+    assert search.now is not None
     ground, rows = search.ground, search.ground.rows
     found: dict[str, tuple[float, str]] = {}
     of_place = places(rows, search.bench.segments)
-    for v in search.variants():
+    base, open_base = rows.columns(search.now.names), rows.open_columns(search.now.names)
+    _, which = np.unique(rows.segment, return_inverse=True)
+    for v in _usual(search.variants()):
         own = v.columns - ground.basis @ (ground.basis.T @ v.columns)
         for k in range(own.shape[1]):
             others = orthonormal(np.delete(own, k, axis=1)) if own.shape[1] > 1 else np.zeros((own.shape[0], 0))
@@ -95,10 +100,14 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
             if float(alone @ alone) <= (ABSORBED * float(np.linalg.norm(v.columns[:, k]))) ** 2 or information <= 0:
                 level = np.inf
             else:
-                level = _asked(rows, alone**2 * ground.weight) * float(np.sqrt(1.0 / information))
+                without = ground.residual - alone * float(alone @ ground.residual) / float(alone @ alone)
+                parts = np.bincount(which, alone * ground.weight * without)
+                error = max(float(np.sqrt(1.0 / information)), float(np.sqrt(parts @ parts)) / information)
+                level = _asked(rows, alone**2 * ground.weight) * error
+                copied = np.linalg.lstsq(base, v.columns[:, k], rcond=1e-10)[0]
+                effect = v.open_columns[:, k] - open_base @ copied
                 sizes = [
-                    float(np.sqrt(np.mean(v.open_columns[at, k] ** 2))) / search.floor.of(c)
-                    for (c, _), at in of_place.items()
+                    float(np.sqrt(np.mean(effect[at] ** 2))) / search.floor.of(c) for (c, _), at in of_place.items()
                 ]
                 level = max(level, LEAST_FLOORS / max(max(sizes, default=0.0), 1e-12))
             if level < found.get(v.term.id, (np.inf, ""))[0] or v.term.id not in found:
@@ -106,16 +115,30 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
     return found
 
 
+def _usual(variants: Sequence[Variant]) -> list[Variant]:
+    """Of each candidate the setting of its shapes that is nearest to the usual one: at its most visible it may be what never flies."""
+    best: dict[str, tuple[float, Variant]] = {}
+    for v in variants:
+        usual = {p.name: p.nominal for p in v.term.shapes}
+        off = sum(abs(float(np.log(max(abs(v.shapes[n] / usual[n]), 1e-9)))) for n in v.shapes if usual.get(n))
+        if v.term.id not in best or off < best[v.term.id][0]:
+            best[v.term.id] = off, v
+    return [v for _, v in best.values()]
+
+
 def _asked(rows: Rows, information: FloatArray) -> float:
-    """Standard errors that naming takes: more where few responses carry the information, for sign flips of few never exclude chance;
-    infinitely many below the fewest that are believed at all. information: (n,) per row."""
+    """Standard errors that naming takes. Flipping the signs of few responses hardly excludes chance: the fewer carry the information, the
+    more, up to what is believed of so few without flips; infinitely many below the fewest that are believed at all. information: (n,)
+    per row."""
     _, which = np.unique(rows.segment, return_inverse=True)
     by_response = np.bincount(which, information)
     carriers = float(by_response.sum() ** 2 / max(float(by_response @ by_response), 1e-300))
-    if carriers >= np.log2(1.0 / FALSE_ALARM_RATE) + 1.0:
-        return STANDARD_ERRORS
     falls = [-least for fewest, least in PLAIN if carriers >= fewest]
-    return float(np.sqrt(min(falls) + np.log(max(rows.residual.size, 2)))) if falls else float("inf")
+    found = [float(np.sqrt(fall + np.log(max(rows.residual.size, 2)))) for fall in falls]
+    # Flips spread the effect itself, too: of n like responses it stands out by sqrt(n) of that spread at most.
+    if carriers > BEYOND_CHANCE**2:
+        found.append(STANDARD_ERRORS / float(np.sqrt(1.0 - BEYOND_CHANCE**2 / carriers)))
+    return min(found, default=float("inf"))
 
 
 def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Untestable]:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose import fitted, locate
+from flighttest.diagnose import fitted, locate, rivals
 from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
@@ -321,3 +321,16 @@ def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
     step = SimpleNamespace(t_s=t, y={"roll_rad": roll}, u=references)
     values = {"omega_phi": 20.0, "zeta_phi": 0.5, **limit}
     assert (never_reached(catalogue()[term], values, [step]) == "") is reached
+
+
+@pytest.mark.parametrize(("carriers", "asked"), [(2, np.inf), (4, 14.4), (8, 7.6), (11, 7.6), (20, 5.7), (200, 4.1)])
+def test_the_fewer_responses_carry_an_effect_the_larger_it_has_to_be(carriers, asked):
+    response = np.repeat(np.arange(carriers + 5), 10)
+    rows = SimpleNamespace(segment=response, residual=np.zeros(response.size))
+    assert rivals._asked(rows, (response < carriers).astype(float)) == pytest.approx(asked, rel=0.05)
+
+
+def test_what_would_be_seen_is_told_for_the_usual_shape():
+    term = SimpleNamespace(id="thrust_fade", shapes=(SimpleNamespace(name="tau", nominal=60.0),))
+    settings = [SimpleNamespace(term=term, shapes={"tau": tau}) for tau in (5.0, 40.0, 300.0)]
+    assert rivals._usual(settings) == [settings[1]]
