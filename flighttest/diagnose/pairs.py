@@ -1,7 +1,8 @@
 """Two effects that hide each other: neither earns its place alone, both do together.
 
-Asked only where no single candidate was taken although some, refitted, improved the fit far beyond chance: from the optimum such a
-candidate leads to, the catalogue is screened once more, and the two are judged each in the other's presence, by the bar that holds for all.
+Asked where a candidate, refitted, improved the fit far beyond chance and was refused, and none that was kept improves it as much: alone it
+may be bent by what it lacks (a shaped reference, by a third pole of the loop). From the optimum it leads to, the catalogue is screened
+once more, and the two are judged each in the other's presence, by the bar that holds for all.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ MOST_FIRST, MOST_SECOND = 2, 2
 def look_ahead(search: Search, refused: Sequence[tuple[Judged, Fitted]]) -> bool:
     """Take two candidates at once where both are kept; the search is as it was otherwise. refused: what was refitted in vain."""
     before = search.now, search.held_columns()
-    promising = sorted((j.bic, k) for k, (j, _) in enumerate(refused) if not j.reason and j.bic < -PROMISING)
+    promising = sorted((j.bic, k) for k, (j, _) in enumerate(refused) if j.bic < -PROMISING)
     for _, k in promising[:MOST_FIRST]:
         first, fitted = refused[k]
         search.now = fitted

@@ -59,8 +59,9 @@ def silent(_text: str) -> None:
 class Search:
     """One block of the model (roll and pitch, yaw rate, or translation) on one bench.
 
-    look_ahead: asked where no candidate is taken (`pairs.look_ahead`). pinned: amplitudes of accepted terms held at off since they did
-    not earn their place beside the others of their term, and the standard error they had. origin: where the base parameters began.
+    look_ahead: asked where what was refused improves more than what is kept (`pairs.look_ahead`). pinned: amplitudes of accepted terms held
+    at off since they did not earn their place beside the others of their term, and the standard error they had. origin: where the base
+    parameters began.
     """
 
     bench: Bench
@@ -174,8 +175,11 @@ class Search:
                 continue
             kept.append((judged, fitted))
             best = min(kept, key=lambda k: k[0].bic)
+        better = [r for r in refused if best is None or r[0].bic < best[0].bic / SAME]
+        if better and self.look_ahead is not None and self.look_ahead(self, better):
+            return True
         if best is None:
-            return self.look_ahead is not None and self.look_ahead(self, refused)
+            return False
         close = [k for k in kept if k[0].bic < SAME * best[0].bic]
         if len(close) > 1:
             best = self._best_at_the_end(close)

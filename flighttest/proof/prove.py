@@ -26,11 +26,13 @@ def prove(
     generator: Generator = "rotor",
     kind: Kind | None = None,
     tell: Tell = lambda _text: None,
+    keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
 
-    kind: only such trials. scheduler: address of a Dask scheduler instead of processes of this machine. Every seal is told before its
-    trial starts. An interrupt ends the proof and keeps the trials that are done.
+    kind: only such trials. keep: given the outcomes so far, and the seed, whenever a trial is opened. scheduler: address of a Dask
+    scheduler instead of processes of this machine. Every seal is told before its trial starts. An interrupt ends the proof and keeps
+    the trials that are done.
     """
     if trials < 1:
         raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
@@ -42,10 +44,16 @@ def prove(
     try:
         for outcome in _outcomes(cases, workers, scheduler):
             done.append(outcome)
+            keep(in_order(done), seed)
             tell(f"trial {outcome.index} opened ({len(done)} of {trials})")
     except KeyboardInterrupt:
         tell(f"interrupted: {len(done)} trials are done")
-    return sorted(done, key=lambda o: o.index), seed
+    return in_order(done), seed
+
+
+def in_order(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """As the trials were drawn."""
+    return sorted(outcomes, key=lambda o: o.index)
 
 
 def _outcomes(cases: Sequence[Case], workers: int, scheduler: str | None) -> Iterator[Outcome]:

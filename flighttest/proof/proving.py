@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import flighttest
@@ -10,6 +11,7 @@ from flighttest.proof.cases import Generator, Kind
 from flighttest.proof.prove import commit_of, write
 from flighttest.proof.prove import prove as run_trials
 from flighttest.proof.scoreboard import markdown, score, share
+from flighttest.proof.trial import Outcome
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl_launcher import find_arducopter
 
@@ -24,15 +26,19 @@ def prove(
     kind: Kind | None = None,
     progress: Progress = SILENT,
 ) -> Result:
-    """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there."""
+    """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there, anew with every trial."""
     if generator == "sitl":
         find_arducopter()  # raises, with what to do, where there is none
-    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, kind, progress.stage)
     commit = commit_of(Path(flighttest.__file__).parent)
+
+    def keep(done: Sequence[Outcome], drawn_from: int) -> None:
+        if output is not None:
+            write(done, drawn_from, output)
+            page = markdown(done, drawn_from, commit, generator, kind)
+            (output / "proof.md").write_text(page, encoding="utf-8")
+
+    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, kind, progress.stage, keep)
     found = score(outcomes)
-    if output is not None:
-        write(outcomes, used, output)
-        (output / "proof.md").write_text(markdown(outcomes, used, commit, generator, kind), encoding="utf-8")
     rows = (
         ("right class first", share(*found["first"])),
         ("right class first where the base fit looks good", share(*found["absorbed"])),

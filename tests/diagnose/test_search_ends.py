@@ -8,8 +8,9 @@ import pytest
 
 from flighttest.diagnose import another_way as other
 from flighttest.diagnose import remainders
+from flighttest.diagnose import search as search_module
 from flighttest.diagnose.fitted import Judged
-from flighttest.diagnose.search import Search
+from flighttest.diagnose.search import Search, silent
 
 PLACE = ("roll_rad", "roll_step")
 
@@ -117,3 +118,31 @@ def test_a_second_course_is_not_tried_for_two_terms(monkeypatch):
     monkeypatch.setattr(other, "explained", lambda _s: pytest.fail("no second search was due"))
     search = Scripted(SimpleNamespace(segments=()), (), np.zeros(3, dtype=np.intp), judged={"a": 1, "b": 2})
     assert other.another_way(search) == (search, "")
+
+
+@pytest.mark.parametrize(("refused_bic", "asked"), [(-509.0, True), (-240.0, False)])
+def test_what_is_refused_although_it_improves_more_is_looked_into_first(monkeypatch, refused_bic, asked):
+    def scored(term, bic):
+        variant = SimpleNamespace(term=SimpleNamespace(id=term), names=("a",), open_columns=np.ones((4, 1)))
+        return SimpleNamespace(variant=variant, bic=bic, beyond_chance=True, estimate=np.ones(1), p_value=0.001)
+
+    def search_of(look_ahead):
+        found = SimpleNamespace(
+            now=SimpleNamespace(rows=None), floor=1.0, judged={}, refused={}, look_ahead=look_ahead, progress=silent,
+            scores=[scored("reference_shaping", -500.0), scored("rate_limit", -300.0)],
+            bench=SimpleNamespace(block="roll_pitch", segments=()), _worst=lambda: 0.0, refitted_with=lambda s: s.variant.term.id,
+        )  # fmt: skip
+        bent = replace(judged("reference_shaping", 1.0), bic=refused_bic, reason="shaping_tc runs to its bound")
+        table = {"reference_shaping": bent, "rate_limit": replace(judged("rate_limit", 1.0), bic=-232.0)}
+        found.judge = lambda term, _before, _after, _p: table[term]
+        found.take = lambda fitted, *_judged: taken.append(fitted)
+        return found
+
+    monkeypatch.setattr(search_module, "best_per_term", lambda scores: scores)
+    monkeypatch.setattr(search_module, "size_in_floors", lambda *_: (5.0, PLACE))
+    taken, looked = [], []
+    assert Search._forward(
+        search_of(lambda _search, refused: bool(looked.append([j.term for j, _ in refused])) or asked)
+    )
+    assert looked == ([["reference_shaping"]] if asked else [])
+    assert taken == ([] if asked else ["rate_limit"])

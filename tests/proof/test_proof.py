@@ -7,6 +7,7 @@ import pytest
 
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
+from flighttest.proof import proving
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.prove import prove
@@ -130,6 +131,20 @@ def test_trials_of_one_kind_are_the_first_such_of_the_seed():
     every = [draw(7, k) for k in range(some[-1].index + 1)]
     assert some == [c for c in every if c.kind == "outside"]
     assert cases_of(7, 3) == every[:3]
+
+
+def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
+    def flown(case):
+        if case.index == 2:
+            raise MemoryError
+        return outcome(case.index, "clean")
+
+    monkeypatch.setattr("flighttest.proof.prove.run", flown)
+    with pytest.raises(MemoryError):
+        proving.prove(4, seed=7, output=tmp_path)
+    kept = json.loads((tmp_path / "proof.json").read_text())
+    assert [o["index"] for o in kept["outcomes"]] == [0, 1]
+    assert "seed 7; 2 trials" in (tmp_path / "proof.md").read_text()
 
 
 def test_no_trials_prove_nothing():
