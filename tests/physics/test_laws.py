@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from flighttest.channels import CHANNELS
 from flighttest.frames import rotation_from_euler
@@ -197,6 +198,18 @@ def test_reveals_a_shipped_maneuver(term, repository):
     assert (repository / "maneuvers" / f"{term.reveals}.yaml").is_file(), term.reveals
 
 
+def strayed():
+    """Rates of pitch and roll of a target that is to turn about the vertical and is turned by the rates ArduPilot makes of it: both as
+    small rotations, in aerospace axes (x north, y east, z down)."""
+    roll, pitch, yaw, q, r = 0.2, 0.1, -0.7, 0.6, -0.5  # of `flight`, from axes with z up
+    turn = (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
+    target, small = Rotation.from_euler("ZYX", [yaw, pitch, roll]), 1e-6
+    taken = target.apply([0.0, 0.0, turn])  # ang_vel_target = attitude_desired_quat * ang_vel_body_rads
+    after = (target * Rotation.from_rotvec(small * taken)).as_euler("ZYX")
+    _, pitch_rate, roll_rate = (after - [yaw, pitch, roll]) / small
+    return np.array([-pitch_rate, roll_rate])
+
+
 # Witnesses: the same physics in plain numbers. (term, what is set, changes to the flight, expected contribution).
 WITNESSES = {
     "linear_drag": ({"d_x": 0.4, "d_y": 0.4, "d_z": 0.5}, {}, [-1.2, 0.8, 0.75]),
@@ -238,6 +251,7 @@ WITNESSES = {
     # r = cos(roll) cos(pitch) yaw_dot - sin(roll) pitch_dot, half of the way there
     "heading_rate_reference": ({"heading_rate_share": 0.5}, {}, [0.8 + 0.5 * (
         np.cos(0.2) * np.cos(-0.1) * 0.8 - np.sin(0.2) * (np.cos(0.2) * -0.6 - np.sin(0.2) * 0.5) - 0.8)]),
+    "turn_axes": ({"turn_axes_s": 0.1}, {}, np.array([-0.2, 0.3]) + 0.1 * strayed()),
     "attitude_extra_pole": ({"attitude_pole_share": 0.5}, {}, [-0.1, 0.3]),
     # from the cable's constraint solved as one linear system for the load's acceleration and the tension
     "slung_payload": ({"payload_ratio": 0.25}, {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}, [0.158600, 0.158600, -1.570061]),

@@ -188,6 +188,44 @@ yaw_rate_shaping = Term(
 )  # fmt: skip
 
 
+def _turn_axes(s: Signals, p: Values, _x: Values) -> Contribution:
+    lean = s.rotation[2, 1] / ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
+    side, level = ca.sqrt(ca.fmax(1 - lean**2, 0.01)), ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
+    turn = (s.rates[1] * lean + s.rates[2] * side) / level
+    # The rate that goes with the target is turned by the whole target attitude, heading included; a turn about the vertical needs the row.
+    stray = turn * (s.rotation[:2, 2] - s.rotation[2, :2].T)
+    return Contribution(
+        {
+            "roll_ref": s.roll_ref + p["turn_axes_s"] * (stray[0] - s.rotation[2, 0] / level * lean * stray[1]),
+            "pitch_ref": s.pitch_ref + p["turn_axes_s"] * side * stray[1],
+        }
+    )
+
+
+turn_axes = Term(
+    id="turn_axes",
+    title="Turning moves roll and pitch",
+    family="autopilot",
+    port=Port.REFERENCE,
+    params=(
+        Param(
+            "turn_axes_s", "t_x", "s", 0.15, -0.6, 0.6, 0.03, "time for which the stray rate acts on the shaped target",
+            "ATC_INPUT_TC, 0.15 s by default", one_sided=True,
+        ),
+    ),
+    build=_turn_axes,
+    equation="(phi_r, theta_r) <- (phi_r, theta_r) + t_x E(phi, theta) psi_dot (R e_z - R^T e_z), E: body to Euler rates",
+    plain="the autopilot takes the yaw rate that comes with an attitude target in axes turned by the whole target, so that a turn while "
+    "tilted moves roll and pitch, by the heading; this is no physics of the vehicle",
+    source="ArduPilot AC_AttitudeControl::input_quaternion: ang_vel_target = attitude_desired_quat * ang_vel_body_rads",
+    doubt="the turn is the measured one and the attitude, too, where the autopilot takes the target's",
+    hides_in=(),
+    told_apart_by="turns while tilted, on several headings",
+    reveals="free_flight",
+    needs=("roll_ref_rad", "roll_rad", "yaw_rad", "r_rad_s"),
+)  # fmt: skip
+
+
 def _heading_hold(s: Signals, p: Values, x: Values) -> Contribution:
     behind = x["heading_behind_rad"]
     pull = s.base["sigma_r"] * p["heading_gain"] * behind
