@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.another_way import another_way
 from flighttest.diagnose.baselines import baselines
-from flighttest.diagnose.bench import Bench
+from flighttest.diagnose.bench import Bench, part_of
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.judge import compare, excess_share, held_out, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
@@ -162,7 +162,8 @@ def _acts(term: Term, bench: Bench, model: Model) -> bool:
     """Whether a term changes what this bench compares."""
     if (block_of(term) == "translation") != (bench.block == "translation"):
         return False
-    known = bench.problem(model if term.id in model.terms else model.with_terms(term)).names
+    tried = model if term.id in model.terms else model.with_terms(term)
+    known = {name for block in tried.blocks if part_of(block.name) == bench.block for name in block.params}
     return any(p.name in known for p in term.params)
 
 
