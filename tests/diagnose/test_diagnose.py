@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flight import campaign, fly
 
-from flighttest.diagnose import Verdict, diagnose
+from flighttest.diagnose import Verdict, block_answer, diagnose
 from flighttest.diagnose.rivals import missing_channels
 from flighttest.diagnose.run import one_after_the_other
 from flighttest.diagnose.search import Search
@@ -164,6 +164,13 @@ def test_an_interrupt_keeps_what_is_done():
     assert found.sentence.startswith("Interrupted: nothing was found missing until then")
     assert any("interrupted" in n for n in found.notes)
     assert "v_x" in found.heldout
+
+
+def test_every_block_is_asked_for_names_that_are_none(monkeypatch):
+    asked = []
+    monkeypatch.setattr(block_answer, "drop_remainders", lambda search: asked.append(search.bench.block))
+    diagnose(fly(campaign(1)), only=("rate_limit",))
+    assert asked == ["roll_pitch", "yaw", "translation"]
 
 
 def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
