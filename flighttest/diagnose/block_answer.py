@@ -45,10 +45,10 @@ class Asked:
     pool: tuple[Term, ...]
     starts: tuple[Mapping[str, float], ...]
     groups: NDArray[np.intp]
-    filters: Mapping[str, float] | None = None
-    previous: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
-    seed: int = 0
-    tell: Callable[[str], None] = silent
+    filters: Mapping[str, float] | None
+    previous: Mapping[str, tuple[float, float | None]]
+    seed: int
+    tell: Callable[[str], None]
 
 
 @dataclass
@@ -104,7 +104,6 @@ def answer(block: str, asked: Asked, bench: Bench | None = None, near: Mapping[s
             made.notes.append(as_well)
     except KeyboardInterrupt:
         made.complete = False
-        made.notes.append("interrupted: candidates not tried are not in this answer")
     if search.now is not None and search.floor is not None:
         made.search = search
         _tell(made, search, asked)

@@ -161,6 +161,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
     share = float(np.mean(shares)) if shares else 0.0
     staying = {c for a in answers for c in a.staying}
     verdict = _verdict(bool(findings), share, bool(located), bool(staying))
+    cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     formulas: list[dict[str, Any]] = []
     if verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
         asked.tell("describing what has no name")
@@ -196,7 +197,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         next_flight="next.yaml" if proposal else None,
         next_script=proposal.get("script"),
         next_reason={k: v for k, v in proposal.items() if k != "script"},
-        notes=(*dict.fromkeys(_all(answers, "notes")), *_delays(after)),
+        notes=(*_all(answers, "notes"), *cut_short, *_delays(after)),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )

@@ -9,7 +9,7 @@ from flighttest.sim import SimOptions, parse_hide, start_simulator
 from flighttest.sim.sitl_launcher import Sitl, SitlOptions, launch
 from flighttest.sim.sitl_physics import PhysicsSitl, launch_on_physics
 
-_BOOT_S = 45
+_BOOT_S = 45  # until the firmware's position estimate stands
 
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:

@@ -188,16 +188,22 @@ yaw_rate_shaping = Term(
 )  # fmt: skip
 
 
+def _bank(s: Signals) -> tuple[Expr, Expr, Expr]:
+    """sin(roll), cos(roll) and cos(pitch) of the measured attitude, away from standing on the nose."""
+    cos_pitch = ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
+    sin_roll = s.rotation[2, 1] / cos_pitch
+    return sin_roll, ca.sqrt(ca.fmax(1 - sin_roll**2, 0.01)), cos_pitch
+
+
 def _turn_axes(s: Signals, p: Values, _x: Values) -> Contribution:
-    lean = s.rotation[2, 1] / ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
-    side, level = ca.sqrt(ca.fmax(1 - lean**2, 0.01)), ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
-    turn = (s.rates[1] * lean + s.rates[2] * side) / level
+    sin_roll, cos_roll, cos_pitch = _bank(s)
+    turn = (s.rates[1] * sin_roll + s.rates[2] * cos_roll) / cos_pitch
     # The rate that goes with the target is turned by the whole target attitude, heading included; a turn about the vertical needs the row.
     stray = turn * (s.rotation[:2, 2] - s.rotation[2, :2].T)
     return Contribution(
         {
-            "roll_ref": s.roll_ref + p["turn_axes_s"] * (stray[0] - s.rotation[2, 0] / level * lean * stray[1]),
-            "pitch_ref": s.pitch_ref + p["turn_axes_s"] * side * stray[1],
+            "roll_ref": s.roll_ref + p["turn_axes_s"] * (stray[0] - s.rotation[2, 0] / cos_pitch * sin_roll * stray[1]),
+            "pitch_ref": s.pitch_ref + p["turn_axes_s"] * cos_roll * stray[1],
         }
     )
 
@@ -259,11 +265,9 @@ heading_hold = Term(
 
 def _heading_rate(s: Signals, p: Values, _x: Values) -> Contribution:
     # Body yaw rate of the heading rate that was asked for: cos(roll) cos(pitch) r_r - sin(roll) pitch_dot.
-    lean = s.rotation[2, 1] / ca.sqrt(ca.fmax(1 - s.rotation[2, 0] ** 2, 0.01))
-    upright = s.rotation[2, 2]
-    side = ca.sqrt(ca.fmax(1 - lean**2, 0.01))
-    pitch_dot = side * s.rates[1] - lean * s.rates[2]
-    body_rate = upright * s.yaw_rate_ref - lean * pitch_dot
+    sin_roll, cos_roll, _ = _bank(s)
+    pitch_dot = cos_roll * s.rates[1] - sin_roll * s.rates[2]
+    body_rate = s.rotation[2, 2] * s.yaw_rate_ref - sin_roll * pitch_dot
     return Contribution({"yaw_rate_ref": s.yaw_rate_ref + p["heading_rate_share"] * (body_rate - s.yaw_rate_ref)})
 
 
