@@ -6,7 +6,7 @@ initial state and disturbance unknown, as in the fit. The numbers rest on the no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from flighttest.identify.feeding import able, feeding
 from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.solve import State, normal_equations
 from flighttest.physics.body import DELAY_PARAM
-from flighttest.physics.model import Model
+from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.physics.simulate import Run, simulate_many
 from flighttest.physics.stepping import RESOLVED
 from flighttest.plan.model import AttitudeTarget, Leg, Plan
@@ -75,25 +75,27 @@ class Told:
 def told_by_plans(
     plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> list[Told]:
-    """What each plan would tell: every response is flown and differentiated once. Legs without a profile (waypoints, motors off) are
-    left out."""
-    groups = _planned(plans, model, values)
+    """What each plan would tell: every flight is flown and differentiated once (see `_planned`). Legs without a profile (waypoints,
+    motors off) are left out."""
+    groups, flights = _planned(plans, model, values)
     every = [segment for group in groups for segment in group]
     starts = np.cumsum([0, *(len(group) for group in groups)]).tolist()
+    of_flight = dict(zip(flights, every, strict=True))
     can = [{b.name: able(group, b) for b in model.blocks} for group in groups]
     fed: dict[str, set[int]] = {b.name: set() for b in model.blocks}
     for start, group, of in zip(starts, groups, can, strict=False):
         for block in model.blocks:
             # In more company a response feeds what it feeds here, or less; but free flight is called in where there are few steps.
             free = [i for i in of[block.name] if group[i].kind == "free"]
-            fed[block.name] |= {start + i for i in (*feeding(group, block, "paper", of[block.name]), *free)}
+            fed[block.name] |= {flights[start + i] for i in (*feeding(group, block, "paper", of[block.name]), *free)}
     p = len(model.names)
     information = {b.name: np.zeros((len(every), p, p)) for b in model.blocks}
     if every:
-        problem = Problem.build(every, model, values=values, fed=fed)
+        # In a flight that only hovers nothing changes, and yet it would be measured.
+        problem = Problem.build([of_flight[i] for i in range(len(of_flight))], model, values=values, fed=fed, dead=())
         at = [model.names.index(n) for n in problem.names]
         for name, of_block in _information(problem, noise).items():
-            information[name][:, np.array(at)[:, None], at] = of_block
+            information[name][:, np.array(at)[:, None], at] = of_block[flights]
     return [
         Told(
             tuple(replace(s, t_s=s.t_s[:0], y={}, u={}) for s in group),
@@ -232,23 +234,45 @@ def _step_words(segment: Segment) -> str:
     return " ".join([kind, *(f"{k} {v:g}" for k, v in sorted(cell.items()))])
 
 
-def _planned(plans: Sequence[Plan], model: Model, values: Mapping[str, float]) -> list[list[Segment]]:
+def _planned(plans: Sequence[Plan], model: Model, values: Mapping[str, float]) -> tuple[list[list[Segment]], list[int]]:
+    """Each plan's responses as the model would fly them; and, plan after plan, the number of the flight each is taken from.
+
+    Repeats under the same voltage are the same flight: hardly anything is asked for once only.
+    """
     wanted = [
-        (k, plan, leg, run) for k, plan in enumerate(plans) for leg in plan.legs if (run := _run(plan, leg)) is not None
+        (k, leg, run)
+        for k, plan in enumerate(plans)
+        for leg in plan.legs
+        if (run := _run(plan, leg, model, values)) is not None
     ]
+    groups: list[list[Segment]] = [[] for _ in plans]
     if not wanted:
-        return [[] for _ in plans]
+        return groups, []
+    numbers: dict[Hashable, int] = {}
+    flights = [numbers.setdefault(_flight(leg, run, model), len(numbers)) for _, leg, run in wanted]
+    runs = {number: run for number, (*_, run) in zip(flights, wanted, strict=True)}
     fastest = max(values.get(name, 0.0) for name in ("sigma_t", "sigma_r", "omega_phi", "omega_theta"))
     step_s = min(PLANNED_STEP_S, RESOLVED / max(fastest, 1.0))
-    flown = simulate_many(model, values, [run for *_, run in wanted], step_s)
-    groups: list[list[Segment]] = [[] for _ in plans]
-    for (k, _, leg, run), one in zip(wanted, flown, strict=True):
-        groups[k].append(_segment(leg, run, one))
-    return groups
+    flown = simulate_many(model, values, [runs[i] for i in range(len(runs))], step_s)
+    for number, (k, leg, run) in zip(flights, wanted, strict=True):
+        groups[k].append(_segment(leg, run, flown[number]))
+    return groups, flights
 
 
-def _run(plan: Plan, leg: Leg) -> Run | None:
-    """A leg as it would be flown on the prior model, from its start to a little after its record."""
+def _flight(leg: Leg, run: Run, model: Model) -> Hashable:
+    """What makes a flight. The paper's model knows neither heading nor height; terms may."""
+    start = () if set(model.terms) == set(PAPER_TERMS) else tuple(run.start.items())
+    asked = tuple((n, t.tobytes(), v.tobytes()) for n, (t, v) in (*run.references.items(), *run.signals.items()))
+    return _recorded_from_s(leg), run.t_s.tobytes(), start, asked
+
+
+def _recorded_from_s(leg: Leg) -> float:
+    recorded = [p for p in leg.phases if p.record] or list(leg.phases)
+    return max(min(leg.t_step_s, recorded[0].start_s) - BEFORE_S, 0.0)
+
+
+def _run(plan: Plan, leg: Leg, model: Model, values: Mapping[str, float]) -> Run | None:
+    """What is recorded of a leg, as it would be flown on the prior model from hovering at its voltage."""
     if leg.profile is None or leg.motors_off:
         return None
     recorded = [p for p in leg.phases if p.record] or list(leg.phases)
@@ -257,9 +281,10 @@ def _run(plan: Plan, leg: Leg) -> Run | None:
     t = np.arange(0.0, min(recorded[-1].end_s + AFTER_S, leg.duration_s), 1.0 / plan.rate_hz)
     if t.size < 12:
         return None
-    columns = dict(zip(_TARGETS, _targets(leg.profile, t).T, strict=True))
-    u = {n: _edges(t, v) for n, v in columns.items()}
     voltage = leg.voltage_v or plan.vehicle.nominal_voltage_v
+    level = leg.flown_with(float(model.hover_throttle(values, voltage)), angle_boost=False)
+    columns = dict(zip(_TARGETS, _targets(level.profile or leg.profile, t).T, strict=True))
+    u = {n: _edges(t, v) for n, v in columns.items()}
     began = {"p_z_m": leg.start_m[2], "yaw_rad": leg.heading_rad}
     return Run(t, began, u, {"voltage_v": (t[:1], np.array([voltage]))})
 
@@ -273,8 +298,7 @@ def _targets(profile: Callable[[float], AttitudeTarget], t: FloatArray) -> Float
 
 
 def _segment(leg: Leg, run: Run, flown: Mapping[str, FloatArray]) -> Segment:
-    recorded = [p for p in leg.phases if p.record] or list(leg.phases)
-    keep = run.t_s >= max(min(leg.t_step_s, recorded[0].start_s) - BEFORE_S, 0.0)
+    keep = run.t_s >= _recorded_from_s(leg)
     measured = ("roll_rad", "pitch_rad", "yaw_rad", "p_rad_s", "q_rad_s", "r_rad_s", "p_z_m",
                 "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s")  # fmt: skip
     y = {c: flown[c][keep] for c in measured}

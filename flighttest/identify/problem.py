@@ -145,6 +145,7 @@ class Problem:
         fixed: Sequence[str] = (),
         ties: Mapping[str, str] | None = None,
         fed: Mapping[str, Collection[int]] | None = None,
+        dead: Sequence[str] | None = None,
     ) -> Problem:
         """Assign segments to blocks.
 
@@ -152,12 +153,13 @@ class Problem:
         select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
         'all' (every block on every segment in which its references move). values: start values by name; fixed: names that stay
         there; ties: name to the name it equals; fed: block name to the positions of its segments, in place of `select`'s (all segments are
-        then usable, and there may be no parts). FitError when no segment feeds any block.
+        then usable, and there may be no parts). dead: channels that were not measured; None: those that never change.
+        FitError when no segment feeds any block.
         """
         usable = tuple(s for s in segments if s.usable)
         start = model.start(values)
         found = []
-        still = dead_channels(usable)
+        still = dead_channels(usable) if dead is None else dead
         for block in model.blocks:
             members = feeding(usable, block, select) if fed is None else sorted(fed.get(block.name, ()))
             outputs = outputs_of(usable, members, block, still)

@@ -17,6 +17,9 @@ from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
 from flighttest.physics import body
@@ -113,6 +116,11 @@ class Model:
                 given[name] = given["T_d"]
         found.update({k: float(v) for k, v in given.items() if k in found})
         return found
+
+    def hover_throttle(self, values: Mapping[str, float], voltage_v: ArrayLike) -> NDArray[np.float64]:
+        """Throttle that holds height by the body alone at these voltages, V, of their shape."""
+        ratio = np.asarray(voltage_v, dtype=float) / self.nominal_voltage_v
+        return np.asarray(self.g_m_s2 / (values["K"] * ratio ** values["alpha"]))
 
     def with_terms(self, *terms: str | Term) -> Model:
         """This model with further terms (ids, or Terms that need not be in the catalogue)."""

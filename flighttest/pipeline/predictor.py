@@ -61,8 +61,7 @@ class ModelPredictor:
 
     def hover_throttle(self, voltage_v: FloatArray) -> FloatArray:
         """Throttle (n,) that holds height at these voltages (n,)."""
-        ratio = np.asarray(voltage_v, dtype=float) / self.model.nominal_voltage_v
-        return np.asarray(self.model.g_m_s2 / (self.values["K"] * ratio ** self.values["alpha"]))
+        return self.model.hover_throttle(self.values, voltage_v)
 
     @property
     def thrust_age_s(self) -> float:

@@ -61,3 +61,31 @@ def test_a_script_is_checked_while_one_waits():
     expected_of_plans(compiled, prior.model, prior.values)
     # A quarter of a second here where nothing else runs; four times that where everything does.
     assert time.process_time() - began < 2.5
+
+
+@pytest.mark.parametrize("terms", [(), ("ground_effect",)])
+def test_repeats_that_are_the_same_flight_are_flown_once(monkeypatch, terms):
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    model = prior.model.with_terms(*terms)
+    compiled = plans(["roll_pitch"], DEFAULT_VEHICLE, prior)
+    flown = []
+    simulate_many = expected.simulate_many
+
+    def counted(model, values, runs, step_s):
+        flown.append(len(runs))
+        return simulate_many(model, values, runs, step_s)
+
+    monkeypatch.setattr(expected, "simulate_many", counted)
+    told = expected.told_by_plans(compiled, model, model.start(prior.values))
+    poses = {(*sorted(leg.cell.items()), leg.kind, leg.heading_rad, leg.start_m[2]) for leg in compiled[0].legs}
+    assert flown == [len(poses) if terms else 12], "only what knows heading and height tells them apart"
+    assert len(poses) > 24
+    assert len(told[0].steps) == 36
+
+
+def test_a_turn_on_the_spot_tells_hover_and_nothing_of_drag_along_z():
+    prior = predictor_for(None, DEFAULT_VEHICLE)
+    (found,), _ = expected_of_plans(plans(["yaw_rate"], DEFAULT_VEHICLE, prior), prior.model, prior.values)
+    std = {e.name: e.std for e in found}
+    assert 0.1 < std["K"] < 1.0
+    assert std["d_z"] is None
