@@ -21,7 +21,13 @@ if TYPE_CHECKING:
 @click.option("--seed", type=int, help="First seed; otherwise new ones are drawn and printed.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
-@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for the sealed truths and the scoreboard.")
+@click.option(
+    "-o",
+    "--output",
+    type=FOLDER,
+    metavar="DIR",
+    help="Folder for the truths and the scoreboard; with its --seed a proof begun there is continued.",
+)
 def prove(
     context: Context,
     trials: int,

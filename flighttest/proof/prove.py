@@ -6,6 +6,7 @@ import json
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -27,23 +28,32 @@ def prove(
     kind: Kind | None = None,
     tell: Tell = lambda _text: None,
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
+    code: str = "",
+    before: Sequence[Outcome] = (),
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
 
     kind: only such trials. keep: given the outcomes so far, and the seed, whenever a trial is opened. scheduler: address of a Dask
-    scheduler instead of processes of this machine. Every seal is told before its trial starts. An interrupt ends the proof and keeps
-    the trials that are done.
+    scheduler instead of processes of this machine. code: as `Outcome.code`. before: outcomes of an earlier part of the same proof,
+    which are not flown again. Every seal is told before its trial starts. An interrupt ends the proof and keeps the trials that are done.
     """
     if trials < 1:
         raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     cases = cases_of(seed, trials, generator, kind)
-    for case in cases:
-        tell(f"sealed trial {case.index}: SHA-256 {case.sha256()}")
-    done: list[Outcome] = []
+    seals = {case.index: case.sha256() for case in cases}
+    done = list(before)
+    if any(seals.get(outcome.index) != outcome.sha256 for outcome in done):
+        raise InputError(
+            "the earlier part of this proof has trials that would not be drawn now: another generator or kind, more trials, or older code",
+            "ask for it as it was begun, or give --output another folder",
+        )
+    left = [case for case in cases if case.index not in {outcome.index for outcome in done}]
+    for case in left:
+        tell(f"sealed trial {case.index}: SHA-256 {seals[case.index]}")
     try:
-        for outcome in _outcomes(cases, workers, scheduler):
-            done.append(outcome)
+        for outcome in _outcomes(left, workers, scheduler):
+            done.append(replace(outcome, code=code))
             keep(in_order(done), seed)
             tell(f"trial {outcome.index} opened ({len(done)} of {trials})")
     except KeyboardInterrupt:
@@ -94,3 +104,18 @@ def write(outcomes: Sequence[Outcome], seed: int, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     data = {"format": "proof/1", "seed": seed, "outcomes": [o.to_json() for o in outcomes]}
     (folder / "proof.json").write_text(json.dumps(data, indent=1, default=float) + "\n", encoding="utf-8")
+
+
+def read(folder: Path) -> tuple[int, list[Outcome]] | None:
+    """Seed and outcomes of the proof that `write` has put into a folder; None where there is none."""
+    path = folder / "proof.json"
+    if not path.exists():
+        return None
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        return int(data["seed"]), [Outcome.from_json(o) for o in data["outcomes"]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: not a proof that could be continued ({type(error).__name__}: {error})",
+            "give --output another folder",
+        ) from error

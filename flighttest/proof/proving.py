@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import flighttest
+from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.cases import Generator, Kind
-from flighttest.proof.prove import commit_of, write
+from flighttest.proof.prove import commit_of, read, write
 from flighttest.proof.prove import prove as run_trials
-from flighttest.proof.scoreboard import markdown, score, share
+from flighttest.proof.scoreboard import code_of, markdown, score, share
 from flighttest.proof.trial import Outcome
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl_launcher import find_arducopter
@@ -26,18 +27,29 @@ def prove(
     kind: Kind | None = None,
     progress: Progress = SILENT,
 ) -> Result:
-    """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there, anew with every trial."""
+    """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there, anew with every trial.
+
+    A proof of the same seed that is there already is continued; InputError for one of another, which would be lost.
+    """
     if generator == "sitl":
         find_arducopter()  # raises, with what to do, where there is none
-    commit = commit_of(Path(flighttest.__file__).parent)
+    begun = read(output) if output is not None else None
+    if begun is not None and begun[0] != seed:
+        raise InputError(
+            f"{output} holds a proof of seed {begun[0]}",
+            f"continue it with --seed {begun[0]}, or give --output another folder",
+        )
 
     def keep(done: Sequence[Outcome], drawn_from: int) -> None:
         if output is not None:
             write(done, drawn_from, output)
-            page = markdown(done, drawn_from, commit, generator, kind)
+            page = markdown(done, drawn_from, generator, kind)
             (output / "proof.md").write_text(page, encoding="utf-8")
 
-    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, kind, progress.stage, keep)
+    commit = commit_of(Path(flighttest.__file__).parent)
+    before = begun[1] if begun is not None else ()
+    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, kind, progress.stage, keep, commit, before)
+    code = code_of(outcomes)
     found = score(outcomes)
     rows = (
         ("right class first", share(*found["first"])),
@@ -56,11 +68,11 @@ def prove(
     data = {
         "format": "proof/1",
         "seed": used,
-        "commit": commit,
+        "commit": code,
         "generator": generator,
         "score": found,
         "outcomes": [o.to_json() for o in outcomes],
     }
     return Result(
-        Document("proof", verdict, "plain", sections, {"seed": str(used), "code": commit}), data, Status.DONE, outcomes
+        Document("proof", verdict, "plain", sections, {"seed": str(used), "code": code}), data, Status.DONE, outcomes
     )

@@ -62,10 +62,18 @@ class Outcome:
     confusable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     error: str = ""
     truth: str = ""
+    code: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Plain types."""
         return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Outcome:
+        """What `to_json` made, after it went through a file."""
+        lists = {"named": tuple(data["named"]), "own": tuple(data["own"])}
+        maps = {k: {n: tuple(v) for n, v in data[k].items()} for k in ("classes", "forces", "confusable")}
+        return cls(**{**data, **lists, **maps})
 
 
 def run(case: Case) -> Outcome:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -81,13 +82,13 @@ def test_counts_are_of_what_they_say():
     assert s["coverage_mean"] == pytest.approx(0.9)
     assert [m["index"] for m in s["misses"]] == [1, 3, 7, 9]
     assert {p["n"] for p in s["power"] if p["from"] == 1.0} == {1}
-    text = markdown(outcomes, 1, "commit abc")
+    text = markdown(outcomes, 1)
     assert "1 of 2, 50 %" in text
     assert "trial 3: steady_wind (5.0 floors): named accelerometer_bias" in text
 
 
 def test_a_scoreboard_of_one_kind_has_no_empty_rows():
-    text = markdown([outcome(0, "outside", ["resonance"], ["throttle_offset"])], 1, "commit abc")
+    text = markdown([outcome(0, "outside", ["resonance"], ["throttle_offset"])], 1)
     assert "outside the catalogue, wrongly named: 1 of 1" in text
     assert "none flown" not in text
     assert "## Power" not in text
@@ -99,7 +100,7 @@ def test_what_the_firmware_adds_by_itself_is_no_false_alarm():
         outcome(1, "clean", named=["steady_wind"], own=("angle_boost",)),
     ]
     assert score(outcomes)["false_alarms"] == (1, 2)
-    assert "generator: `sitl`" in markdown(outcomes, 1, "commit abc", "sitl")
+    assert "generator: `sitl`" in markdown(outcomes, 1, "sitl")
 
 
 def test_only_what_a_vehicle_can_hide_from_its_firmware_is_drawn():
@@ -145,6 +146,45 @@ def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
     kept = json.loads((tmp_path / "proof.json").read_text())
     assert [o["index"] for o in kept["outcomes"]] == [0, 1]
     assert "seed 7; 2 trials" in (tmp_path / "proof.md").read_text()
+
+
+def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
+    flown = []
+
+    def trial(case):
+        flown.append(case.index)
+        if flown == [0, 1, 2]:
+            raise KeyboardInterrupt
+        more = {"base_r2": 0.9, "gain": 0.5, "coverage": 0.95, "forces": {"updraft": (1.0, 0.9)}}
+        return replace(outcome(case.index, case.kind, ["updraft"], ["steady_wind"], **more), sha256=case.sha256())
+
+    monkeypatch.setattr("flighttest.proof.prove.run", trial)
+    monkeypatch.setattr(proving, "commit_of", lambda _folder: "commit abc")
+    proving.prove(4, seed=7, output=tmp_path)
+    kept = (tmp_path / "proof.json").read_text()
+    monkeypatch.setattr(proving, "commit_of", lambda _folder: "commit def")
+    for other, what in (
+        ({"seed": 8}, "of seed 7"),
+        ({"seed": None}, "of seed 7"),
+        ({"seed": 7, "kind": "clean"}, "not be drawn"),
+    ):
+        with pytest.raises(InputError, match=what):
+            proving.prove(4, output=tmp_path, **other)
+    assert (tmp_path / "proof.json").read_text() == kept
+    result = proving.prove(4, seed=7, output=tmp_path)
+    assert flown == [0, 1, 2, 2, 3]
+    assert [o.index for o in result.value] == [0, 1, 2, 3]
+    assert result.value[0] == replace(trial(cases_of(7, 1)[0]), code="commit abc"), (
+        "as it was, after it went through a file"
+    )
+    assert "4 flown; code: commit abc (2 trials), commit def (2 trials)" in (tmp_path / "proof.md").read_text()
+
+
+def test_a_folder_with_something_else_is_not_written_over(tmp_path):
+    (tmp_path / "proof.json").write_text('{"seed": 7}')
+    with pytest.raises(InputError, match="could be continued"):
+        proving.prove(1, seed=7, output=tmp_path)
+    assert (tmp_path / "proof.json").read_text() == '{"seed": 7}'
 
 
 def test_no_trials_prove_nothing():
