@@ -118,8 +118,11 @@ class Bench:
     ) -> State:
         """Damped Gauss-Newton over `names` and all locals, inside the parameters' bounds; noise estimated on the way if `reweigh`.
 
-        A Jacobian serves up to three steps, since residuals cost a tenth of it.
+        A Jacobian serves up to three steps, since residuals cost a tenth of it. A state from which the simulation is not finite is given
+        back as it is: nothing shows the way from there.
         """
+        if not np.isfinite(state.objective):
+            return state
         damping = 1e-3
         for _ in range(iterations):
             before = state
