@@ -223,7 +223,8 @@ def segments(views: Sequence[SegmentView]) -> Section:
         outliers = [*outliers[:MANY_OUTLIERS], f"and {rest} more like these (all of them in the table)"]
     if outliers:
         blocks.append(Bullets(tuple(outliers)))
-    blocks.append(Table(columns, rows, align, fold=len(rows) > 12))  # type: ignore[arg-type]
+    if rows:
+        blocks.append(Table(columns, rows, align, fold=len(rows) > 12))  # type: ignore[arg-type]
     return Section("segments", "Responses", tuple(blocks), lead)
 
 
