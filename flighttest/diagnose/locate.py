@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,7 +23,6 @@ TRANSIENT_S = 0.5
 BINS = 8
 FLIPS = 199
 LEAST_EXPLAINED = 0.1
-SHARE_KEPT = 0.9  # a regime may leave out a tenth of the excess if that makes it smaller
 MOST_PLACES = 6
 ORDERED = 0.25
 LEAST_RESPONSES = 12
@@ -156,8 +156,9 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
     tau = inflation(rows, rows.open_residual)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
-    maneuver = {s.kind: s.maneuver or s.kind for s in segments}
-    excess_all = 0.0
+    maneuvers = {
+        kind: Counter(s.maneuver or s.kind for s in segments if s.kind == kind) for kind in {s.kind for s in segments}
+    }
     places = []
     for c, name in enumerate(rows.channels):
         for kind in np.unique(kinds):
@@ -167,14 +168,13 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             r = rows.open_residual[at]
             least = floor.at(name, str(kind))
             excess = float(np.sum(r**2)) / least**2 - at.size
-            excess_all += max(excess, 0.0)
             here = {v: x[at] for v, x in variables.items()}
             if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or _ordered(
                 name, r, here, rows.segment[at], least, seed
             ):
-                places.append((excess, c, name, str(kind), at))
+                places.append((excess, name, str(kind), at))
     found = []
-    for _, c, name, kind, at in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
+    for _, name, kind, at in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
         r = rows.open_residual[at]
         scores = {v: explained_by(r, x[at], rows.segment[at], seed) for v, x in variables.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
@@ -182,7 +182,7 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
         found.append(
             _located(
                 name,
-                maneuver[kind],
+                maneuvers[kind].most_common(1)[0][0],
                 kind,
                 r,
                 variables[best][at] if best else None,
@@ -193,7 +193,6 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
                 floor.repeated(name, kind),
             )
         )
-        del c
     return found
 
 
@@ -242,7 +241,9 @@ def _located(
     if x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05:
         label, _ = VARIABLES[variable]
         good = np.isfinite(x)
-        power = np.where(good, r**2 - floor**2, 0.0)
+        power, error = np.where(good, r**2 - floor**2, 0.0), "excess error"
+        if power.sum() <= 0.0:  # ordered by the variable, though repeats differ by more
+            power, error = np.where(good, r**2, 0.0), "error"
         total = float(power.sum())
         best = (0.0, "", 0.0, 1.0, 1.0)
         for q in np.linspace(0.05, 0.95, 19):
@@ -262,11 +263,11 @@ def _located(
         peak = max(means, key=abs) if means else peak
         where = f", {_where(variable, best[1], best[2])}" if best[1] else f", along {label}"
         head += (
-            f"{where}, up to {peak:+.2g} {unit}; {100 * excess_share:.0f} % of the excess error lies in {100 * sample_share:.0f} % of the "
+            f"{where}, up to {peak:+.2g} {unit}; {100 * excess_share:.0f} % of the {error} lies in {100 * sample_share:.0f} % of the "
             f"samples; {label} explains {100 * share:.0f} % of the residual"
         )
     return Located(
-        short(name), maneuver, regime, excess_share, sample_share, head, rmse, floor, unit, peak, share, p_value
+        short(name), maneuver, kind, regime, excess_share, sample_share, head, rmse, floor, unit, peak, share, p_value
     )
 
 
@@ -291,9 +292,9 @@ def regime_curves(
         variable = place.regime.get("variable")
         if variable is None or variable not in variables:
             continue
-        maneuvers = np.array([(s.maneuver or s.kind) == place.maneuver for s in segments])
+        kinds = np.array([s.kind == place.kind for s in segments])
         at = np.flatnonzero(
-            (before.channel == names[place.channel]) & maneuvers[before.segment] & np.isfinite(variables[variable])
+            (before.channel == names[place.channel]) & kinds[before.segment] & np.isfinite(variables[variable])
         )
         if at.size < 5 * bins:
             continue
@@ -308,7 +309,8 @@ def regime_curves(
         label, unit = VARIABLES[variable]
         found.append(
             {
-                "channel": place.channel, "maneuver": place.maneuver, "variable": variable, "label": label, "variable_unit": unit,
+                "channel": place.channel, "maneuver": place.maneuver, "kind": place.kind, "variable": variable, "label": label,
+                "variable_unit": unit,
                 "unit": place.unit, "x": mean(x), "before": mean(before.open_residual[at]), "after": mean(after.open_residual[at]),
                 "floor": place.floor,
             }

@@ -35,11 +35,13 @@ class TermVerdict(Enum):
 
 @dataclass(frozen=True)
 class Located:
-    """Where the mismatch is. channel: short name (f_z, v_x, roll, ...); regime: {"variable": ..., "below" or "above": ...} or {};
-    shares of the excess over the noise floor and of the samples; peak: largest mean residual in the regime, in `unit`."""
+    """Where the mismatch is. channel: short name (f_z, v_x, roll, ...); maneuver: the script most of these steps are of; kind: as
+    `Segment.kind`; regime: {"variable": ..., "below" or "above": ...} or {}; shares of the excess over the noise floor (of the error,
+    where none of it is over the floor) and of the samples; peak: largest mean residual in the regime, in `unit`."""
 
     channel: str
     maneuver: str
+    kind: str
     regime: Mapping[str, Any]
     excess_share: float
     sample_share: float

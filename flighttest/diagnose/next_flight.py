@@ -17,6 +17,7 @@ import yaml
 
 from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.fitted import Fitted
+from flighttest.diagnose.model import brief
 from flighttest.diagnose.rows import State
 from flighttest.diagnose.screen import orthonormal
 from flighttest.diagnose.search import Search
@@ -74,7 +75,7 @@ def _proposal(question: Question, name: str, odds: float) -> dict[str, Any]:
     rival = question.rival.id if question.rival else None
     aim = f"to tell {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
     to_one = math.exp(min(odds, 23.0))
-    worth = f"{to_one:.2g} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
+    worth = f"{brief(to_one)} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
     script |= {"name": "next", "doc": f"{name}, {aim}; expected odds {worth}"}
     return {
         "maneuver": name,

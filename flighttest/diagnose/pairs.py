@@ -19,7 +19,7 @@ MOST_FIRST, MOST_SECOND = 2, 2
 
 def look_ahead(search: Search, refused: Sequence[tuple[Judged, Fitted]]) -> bool:
     """Take two candidates at once where both are kept; the search is as it was otherwise. refused: what was refitted in vain."""
-    before = search.now, search.held_columns()
+    now, columns, pinned = search.now, search.held_columns(), dict(search.pinned)
     promising = sorted((j.bic, k) for k, (j, _) in enumerate(refused) if j.bic < -PROMISING)
     for _, k in promising[:MOST_FIRST]:
         first, fitted = refused[k]
@@ -36,6 +36,6 @@ def look_ahead(search: Search, refused: Sequence[tuple[Judged, Fitted]]) -> bool
             if again.kept:
                 search.take(both, again, second)
                 return True
-    search.now = before[0]
-    search.hold_columns(before[1])
+    search.now, search.pinned = now, pinned
+    search.hold_columns(columns)
     return False

@@ -32,28 +32,28 @@ SYMBOLS = {
 }  # fmt: skip
 
 
-def _functions(variables: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Formula to values: powers, changes of slope, products with speed, periodic in heading."""
-    found: dict[str, FloatArray] = {}
+def _functions(variables: dict[str, FloatArray]) -> dict[str, tuple[FloatArray, tuple[str, ...]]]:
+    """Formula to (values, variables in it): powers, changes of slope, products with speed, periodic in heading."""
+    found: dict[str, tuple[FloatArray, tuple[str, ...]]] = {}
     for name, x in variables.items():
         s = SYMBOLS[name]
         if name == "heading_rad":
-            found["cos(psi)"], found["sin(psi)"] = np.cos(x), np.sin(x)
-            continue
-        found[s] = x
-        found[f"{s}^2"] = x**2
-        for knot in sorted({float(f"{k:.2g}") for k in np.quantile(x, KNOTS)}):
-            found[f"max({s} - {knot:g}, 0)"] = np.maximum(x - knot, 0.0)
+            own = {"cos(psi)": np.cos(x), "sin(psi)": np.sin(x)}
+        else:
+            own = {s: x, f"{s}^2": x**2}
+            for knot in sorted({float(f"{k:.2g}") for k in np.quantile(x, KNOTS)}):
+                own[f"max({s} {'-' if knot >= 0 else '+'} {abs(knot):g}, 0)"] = np.maximum(x - knot, 0.0)
         if name.startswith("speed"):
-            found[f"|{s}| {s}"] = np.abs(x) * x
+            own[f"|{s}| {s}"] = np.abs(x) * x
         if name == "height_m":
-            found["1/(h + 0.2)^2"] = 1 / (np.maximum(x, 0.0) + 0.2) ** 2
+            own["1/(h + 0.2)^2"] = 1 / (np.maximum(x, 0.0) + 0.2) ** 2
         if name in ("time_since_command_s", "time_since_takeoff_s"):
-            found[f"exp(-{s}/0.5 s)"] = np.exp(-np.maximum(x, 0.0) / 0.5)
+            own[f"exp(-{s}/0.5 s)"] = np.exp(-np.maximum(x, 0.0) / 0.5)
+        found |= {formula: (values, (name,)) for formula, values in own.items()}
     for a in ("speed_forward_m_s", "speed_left_m_s", "speed_up_m_s"):
         for b in ("throttle", "height_m", "tilt_rad"):
             if a in variables and b in variables:
-                found[f"{SYMBOLS[a]} {SYMBOLS[b]}"] = variables[a] * variables[b]
+                found[f"{SYMBOLS[a]} {SYMBOLS[b]}"] = variables[a] * variables[b], (a, b)
     return found
 
 
@@ -73,7 +73,8 @@ def describe(
         r = rows.open_residual[good]
         if good.size < 200:
             continue
-        table = {k: v for k, v in _functions({k: x[good] for k, x in variables.items()}).items() if np.ptp(v) > 1e-9}
+        functions = _functions({k: x[good] for k, x in variables.items()})
+        table = {k: v for k, (v, _) in functions.items() if np.ptp(v) > 1e-9}
         fold = folds_of(groups)[rows.segment[good]]
         chosen, left = _sparse(r, table, fold)
         if not chosen:
@@ -81,11 +82,7 @@ def describe(
         columns = np.stack([np.ones(r.size), *(table[k] for k in chosen)], axis=1)
         weights = np.linalg.lstsq(columns, r, rcond=None)[0]
         formula = f"{weights[0]:+.3g} " + " ".join(f"{w:+.3g} {k}" for w, k in zip(weights[1:], chosen, strict=True))
-        used = [
-            n
-            for n, s in SYMBOLS.items()
-            if n in variables and any(s in k.replace("(", " ").replace(")", " ").split() or s in k for k in chosen)
-        ]
+        used = [n for n in SYMBOLS if any(n in functions[k][1] for k in chosen)]
         found.append(
             {
                 "channel": short(name),

@@ -22,7 +22,7 @@ from flighttest.pipeline.batteries import battery_data
 from flighttest.pipeline.fingerprints import conflicts, of_recordings, repeated
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
-from flighttest.pipeline.views import fit_view, segment_views
+from flighttest.pipeline.views import fit_view, metrics, segment_views
 from flighttest.recording import Recording
 from flighttest.report import fit_sections
 from flighttest.report.document import Document, Tone
@@ -86,7 +86,7 @@ def _segment_data(s: Segment) -> dict[str, Any]:
         "notes": list(s.notes),
         "channels": sorted(s.y),
         "inputs": sorted(s.u),
-        "metrics": plain(s.context.get("metrics", {})),
+        "metrics": plain(metrics(s)),
     }
 
 

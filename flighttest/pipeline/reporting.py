@@ -19,7 +19,7 @@ from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
 from flighttest.pipeline.history import FIT_NAME
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
-from flighttest.pipeline.views import fit_view, segment_views
+from flighttest.pipeline.views import METRICS, fit_view, metrics, segment_views
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report import fit_sections, html
@@ -36,7 +36,8 @@ DIAGNOSIS_NAME = "diagnosis.json"
 
 
 def keep_segments(folder: Path, segments: Sequence[Segment]) -> Path:
-    """segments.parquet: one row per response (the samples stay in the channels)."""
+    """segments.parquet: one row per response with its metrics (the samples stay in the channels)."""
+    found = [metrics(s) for s in segments]
     table = pa.table(
         {
             "name": [s.name for s in segments],
@@ -50,6 +51,7 @@ def keep_segments(folder: Path, segments: Sequence[Segment]) -> Path:
             "end_s": [float(s.t_s[-1]) if s.t_s.size else None for s in segments],
             "usable": [s.usable for s in segments],
             "flaws": [", ".join(f.name for f in s.flaws) for s in segments],
+            **{name: pa.array([row.get(name) for row in found], pa.float64()) for name in METRICS},
         },
         metadata={"format": SEGMENTS_FORMAT},
     )

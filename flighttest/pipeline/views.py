@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,11 @@ from flighttest.identify.problem import Part, PartEvaluation
 from flighttest.physics.model import Model
 from flighttest.report.numbers import join, number, percent
 from flighttest.report.views import FitView, Overlay, ParameterView, QualityView, SegmentView, ThrustPoint
-from flighttest.segments.model import Segment
+from flighttest.segments import Metrics, Segment, metrics_of
 
 FloatArray = NDArray[np.float64]
 
+METRICS = tuple(f.name for f in fields(Metrics) if f.name != "channel")
 CORRELATED = 0.9
 MAX_OVERLAYS = 40  # per kind: more lines than that are a grey cloud, and megabytes of page
 TOLD_R2 = 0.05
@@ -209,8 +211,14 @@ def thrust_points(found: Fit) -> tuple[ThrustPoint, ...]:
     return tuple(points)
 
 
+def metrics(segment: Segment) -> dict[str, float | None]:
+    """Rise, overshoot and the like of a step by name; empty where there is none."""
+    found = metrics_of(segment)
+    return {} if found is None else {name: getattr(found, name) for name in METRICS}
+
+
 def segment_views(segments: Sequence[Segment], outliers: Mapping[str, str] | None = None) -> tuple[SegmentView, ...]:
-    """Every segment as a row; metrics where the segments room attached them."""
+    """Every segment as a row, with its step's metrics."""
     return tuple(
         SegmentView(
             s.name,
@@ -220,7 +228,7 @@ def segment_views(segments: Sequence[Segment], outliers: Mapping[str, str] | Non
             s.repeat,
             tuple(f.value for f in s.flaws),
             tuple(s.notes),
-            dict(s.context.get("metrics", {})),
+            metrics(s),
             (outliers or {}).get(s.name, ""),
         )
         for s in segments

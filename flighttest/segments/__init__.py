@@ -6,6 +6,5 @@ Must not fit, and must not judge outliers or gusts (identify does).
 from flighttest.segments.cut import cut
 from flighttest.segments.metrics import Metrics, metrics_of
 from flighttest.segments.model import Flaw, Segment
-from flighttest.segments.table import segment_table
 
-__all__ = ["Flaw", "Metrics", "Segment", "cut", "metrics_of", "segment_table"]
+__all__ = ["Flaw", "Metrics", "Segment", "cut", "metrics_of"]

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose import fitted, locate, rivals
+from flighttest.diagnose import fitted, locate, pairs, rivals
 from flighttest.diagnose.chance import plain
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
@@ -334,3 +334,51 @@ def test_what_would_be_seen_is_told_for_the_usual_shape():
     term = SimpleNamespace(id="thrust_fade", shapes=(SimpleNamespace(name="tau", nominal=60.0),))
     settings = [SimpleNamespace(term=term, shapes={"tau": tau}) for tau in (5.0, 40.0, 300.0)]
     assert rivals._usual(settings) == [settings[1]]
+
+
+@pytest.mark.parametrize(("size", "error"), [(1.5, "error"), (5.0, "excess error")])
+def test_the_side_that_is_named_is_the_one_with_the_error(size, error):
+    x = np.linspace(0.0, 10.0, 2000)
+    r = np.where(x > 8.0, size, 0.0)
+    place = locate._located("v_z_m_s", "thrust", "throttle_step", r, x, "speed_up_m_s", 0.9, 0.005, 1.0, True)
+    assert place.regime["above"] == pytest.approx(8.0, abs=0.01)
+    assert f"100 % of the {error} lies in 20 % of the samples" in place.sentence
+
+
+def test_a_curve_is_of_the_steps_that_were_located():
+    n = 100
+    segments = [SimpleNamespace(kind=kind, maneuver="roll_pitch") for kind in ("roll_step", "pitch_step")]
+    rows = SimpleNamespace(
+        channels=("roll_rad",),
+        channel=np.zeros(2 * n, dtype=int),
+        segment=np.repeat([0, 1], n),
+        open_residual=np.repeat([1.0, 0.0], n),
+    )
+    place = SimpleNamespace(
+        channel="roll", maneuver="roll_pitch", kind="roll_step", regime={"variable": "tilt_rad"}, unit="rad", floor=0.1
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(locate, "sampled", lambda *_: {"tilt_rad": np.tile(np.linspace(0.0, 0.3, n), 2)})
+        (curve,) = locate.regime_curves([place], rows, rows, segments)
+    assert curve["before"] == pytest.approx([1.0] * len(curve["before"]))
+
+
+def test_a_look_ahead_in_vain_leaves_the_search_as_it_was():
+    now, other = object(), object()
+
+    def refit(_score, _fitted):
+        search.pinned.pop("w_up")
+        return other
+
+    candidate = SimpleNamespace(
+        beyond_chance=True, bic=-100.0, p_value=0.001, variant=SimpleNamespace(term=SimpleNamespace(id="steady_wind"))
+    )
+    search = SimpleNamespace(
+        now=now, pinned={"w_up": 0.1}, scores=[candidate], held_columns=lambda: "columns", hold_columns=lambda _found: None,
+        linearise=lambda: None, progress=lambda _text: None, refitted_with=refit, judge=lambda *_: SimpleNamespace(kept=False),
+    )  # fmt: skip
+    bent = SimpleNamespace(term="rate_limit", bic=-1000.0, p_value=0.001)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pairs, "best_per_term", lambda scores: scores)
+        assert not pairs.look_ahead(search, [(bent, other)])
+    assert (search.now, search.pinned) == (now, {"w_up": 0.1})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flighttest.diagnose.unknown import _sparse
+from flighttest.diagnose.unknown import _functions, _sparse
 
 
 def _table(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
@@ -37,3 +37,12 @@ def test_sparse_regression_keeps_the_one_function_that_is_there():
     assert chosen == ["x3^2"]
     assert left < 0.1
     assert _sparse(rng.normal(size=600), table, np.arange(600) % 5)[0] == []
+
+
+def test_a_formula_names_the_variables_in_it_and_its_knots_with_their_sign():
+    found = _functions({"speed_up_m_s": np.linspace(-3.0, 0.0, 11), "tilt_rad": np.linspace(0.0, 0.5, 11)})
+    values, uses = found["max(w + 1.8, 0)"]
+    assert values[-1] == 1.8
+    assert uses == ("speed_up_m_s",)
+    assert found["tilt^2"][1] == ("tilt_rad",)
+    assert found["w tilt"][1] == ("speed_up_m_s", "tilt_rad")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from flighttest.segments import Segment, cut, metrics_of, segment_table
+from flighttest.segments import Segment, cut, metrics_of
 
 
 def test_numbers_of_a_response_that_is_known(campaign):
@@ -47,13 +47,3 @@ def test_what_has_no_meaning_is_none():
     assert metrics_of(made(lambda t: t, kind="free")) is None
     assert metrics_of(made(lambda t: t, kind="pitch_step")) is None
     assert metrics_of(made(lambda t: t * np.nan)).delay_s is None
-
-
-def test_the_table_has_a_row_for_every_segment(campaign):
-    segments = cut(campaign.recording())
-    table = segment_table(segments)
-    assert list(table["kind"]) == [s.kind for s in segments]
-    assert table["usable"].all()
-    assert table["voltage_v"].between(23.8, 24.0).all()
-    assert table["cell"][2] == "throttle_0=0.1 throttle_1=0.4"
-    assert segment_table(()).empty
