@@ -142,7 +142,10 @@ def _sentence(
         parts.append(words + _culprit(alarms, sides))
     elif crossed:
         parts.append(
-            "slow drift: " + ", ".join(f"{d.parameter} {d.change * 100:+.1f} % by {d.crossed_at}" for d in crossed)
+            "slow drift: "
+            + ", ".join(
+                f"{d.parameter} {d.change * 100:+.1f} % by now, beyond chance in {d.crossed_at}" for d in crossed
+            )
         )
     later = [part[:1].upper() + part[1:] for part in parts[1:]]
     return f"Stale: {'. '.join([*parts[:1], *later])}."
@@ -150,8 +153,7 @@ def _sentence(
 
 def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | None) -> str:
     moved = {t.subset for t in alarms}
-    thrust = next((t for t in alarms if t.subset == "thrust"), None)
-    if thrust is not None and "K" in thrust.shifts and abs(thrust.shifts["K"][1]) < abs(_z(thrust, "sigma_t")) / 2.0:
+    if _lag_alone(alarms):
         return (
             ": what delays the thrust (motors, speed controllers, a throttle filter), and not how much of it there is"
         )
@@ -170,6 +172,12 @@ def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | 
     return ""
 
 
+def _lag_alone(alarms: Sequence[SubsetTest]) -> bool:
+    """Whether of the thrust only the lag has moved."""
+    thrust = next((t for t in alarms if t.subset == "thrust"), None)
+    return thrust is not None and "K" in thrust.shifts and abs(thrust.shifts["K"][1]) < abs(_z(thrust, "sigma_t")) / 2.0
+
+
 def _z(test: SubsetTest, parameter: str) -> float:
     return test.shifts[parameter][1] if parameter in test.shifts else 0.0
 
@@ -177,7 +185,7 @@ def _z(test: SubsetTest, parameter: str) -> float:
 def _rivals(alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
     found = []
     moved = {t.subset for t in alarms}
-    if "thrust" in moved:
+    if "thrust" in moved and not _lag_alone(alarms):
         found += [
             "another mass (weigh it)",
             "air density (10 °C or 300 m: 3 %)",

@@ -10,6 +10,8 @@ import numpy as np
 
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
+from flighttest.identify import mass
+from flighttest.identify.mass import FORCES
 from flighttest.identify.student import beyond, fisher_beyond, quantile
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
@@ -224,27 +226,12 @@ def _sentence(subset: str, alarm: bool, shifts: Mapping[str, tuple[float, float]
 
 
 def thrust_or_mass(stored: Estimates, new: Estimates) -> str:
-    """'thrust', 'mass' or 'thrust or mass'.
-
-    More mass divides K and the drag coefficients by one ratio; less thrust touches K alone. Told apart only where the drag is
-    known better than 2 % on both sides.
-    """
-    names = [n for n in ("d_x", "d_y", "d_z") if n in stored.names and n in new.names]
-    if "K" not in stored.names or "K" not in new.names or not names:
-        return "thrust or mass"
-    ratios, errors = [], []
-    for n in names:
-        i, j = stored.names.index(n), new.names.index(n)
-        relative = math.hypot(
-            math.sqrt(stored.covariance[i, i]) / abs(stored.values[i]),
-            math.sqrt(new.covariance[j, j]) / abs(new.values[j]),
-        )
-        if relative < 0.02:
-            ratios.append(float(new.values[j] / stored.values[i]))
-            errors.append(relative)
-    if not ratios:
-        return "thrust or mass"
-    weights = 1.0 / np.square(errors)
-    drag = float(np.average(ratios, weights=weights)) - 1.0
-    thrust = float(new.values[new.names.index("K")] / stored.values[stored.names.index("K")]) - 1.0
-    return "mass" if abs(drag - thrust) < abs(drag) else "thrust"
+    """'thrust', 'mass' or 'thrust or mass' (see `identify.mass`)."""
+    changes: dict[str, tuple[float, float]] = {}
+    for name in (n for n in FORCES if n in stored.names and n in new.names):
+        i, j = stored.names.index(name), new.names.index(name)
+        old, now = float(stored.values[i]), float(new.values[j])
+        if old > 0 and now > 0:
+            variance = stored.covariance[i, i] / old**2 + new.covariance[j, j] / now**2
+            changes[name] = math.log(now / old), max(float(variance), 1e-10)
+    return mass.thrust_or_mass(changes).answer if "K" in changes else "thrust or mass"

@@ -31,3 +31,8 @@ def normal_beyond(z: float) -> float:
 def fisher_beyond(f: float, dof_above: float, dof_below: float) -> float:
     """The probability that Fisher's F ratio of these degrees of freedom is larger than f."""
     return float(special.fdtrc(dof_above, dof_below, f))
+
+
+def chi2_beyond(value: float, dof: float) -> float:
+    """The probability that a chi-squared variable of these degrees of freedom is larger than value."""
+    return float(special.chdtrc(dof, value))

@@ -98,7 +98,7 @@ def _analysis(
         fitted, reason = None, error.message
     currency = None
     if previous is not None and fitted is not None:
-        currency = judge(previous, recordings, vehicle, progress=progress)
+        currency = judge(previous, recordings, vehicle, folder.parent, progress)
     diagnosis, explained = None, True
     if fitted is not None and (previous is not None if diagnose is None else diagnose):
         try:

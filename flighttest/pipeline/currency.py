@@ -55,19 +55,26 @@ def status(
     present: Present | None = None,
 ) -> Result:
     """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign; present: the vehicle as it is now."""
-    stored = model_file.read(model) if model is not None else newest_model(out)
     declared = load_vehicle(vehicle) if vehicle is not None else None
     recordings = open_recordings(runs, progress=progress)
+    stored = model_file.read(model) if model is not None else newest_model(out, flown_by(recordings, declared))
     found = judge(stored, recordings, declared, out, progress, present)
     return finish(found, stored, declared, [str(r) for r in runs], output, present)
 
 
-def newest_model(out: Path) -> ModelFile:
-    """The model fitted last in a folder of runs."""
-    found = standing(campaigns(out))
+def flown_by(recordings: Sequence[Recording], vehicle: Vehicle | None) -> str:
+    """The name of the vehicle that is asked about; empty where it is not known."""
+    names = [vehicle.name] if vehicle is not None else [str(r.provenance.vehicle.get("name", "")) for r in recordings]
+    return next((name for name in reversed(names) if name), "")
+
+
+def newest_model(out: Path, vehicle: str = "") -> ModelFile:
+    """The model fitted last in a folder of runs, of the vehicle of this name where it is known."""
+    found = standing(campaigns(out, vehicle))
     if found is None:
+        whose = f" of a vehicle called {vehicle}" if vehicle else ""
         raise InputError(
-            f"no model was given, and {out} holds no run with a fit",
+            f"no model was given, and {out} holds no run{whose} with a fit",
             "name one with --model, or fly: flighttest run thrust",
         )
     return found.model
@@ -91,7 +98,7 @@ def judge(
     untestable: list[str] = []
     series: list[Estimates] = []
     new = {r.name for r in recordings}
-    known = campaigns(out) if out is not None else []
+    known = campaigns(out, flown_by(recordings, vehicle)) if out is not None else []
     earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
     usable = [s for s in cut_all(recordings, progress) if s.usable] if recordings else []
     paired = None

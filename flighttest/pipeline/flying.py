@@ -23,7 +23,7 @@ from flighttest.pipeline.campaign import analyse
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.currency import flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
-from flighttest.pipeline.history import campaigns, standing, vehicle_name
+from flighttest.pipeline.history import campaigns, standing
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
@@ -132,8 +132,7 @@ def previous_model(request: FlightRequest, vehicle: Vehicle) -> ModelFile | None
     """The model to compare with: the one named, else the last one fitted in the folder of runs for a vehicle of this name."""
     if request.model is not None:
         return model_file.read(request.model)
-    known = [c for c in campaigns(request.out) if vehicle_name(c.folder) in ("", vehicle.name)]
-    found = standing(known)
+    found = standing(campaigns(request.out, vehicle.name))
     return found.model if found is not None else None
 
 

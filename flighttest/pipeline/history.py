@@ -115,12 +115,15 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if (p / MANIFEST_NAME).is_file())
 
 
-def campaigns(folder: Path) -> list[Campaign]:
-    """Distinct fits in a folder of runs, oldest first; files that cannot be read are passed over (`runs` names them)."""
+def campaigns(folder: Path, vehicle: str = "") -> list[Campaign]:
+    """Distinct fits in a folder of runs, oldest first; files that cannot be read are passed over (`runs` names them).
+
+    vehicle: only of runs with a vehicle of this name, or of which it is not known.
+    """
     found: dict[tuple[str, ...], Campaign] = {}
     for run in run_folders(folder):
         path = run / FIT_NAME
-        if not path.is_file():
+        if not path.is_file() or (vehicle and vehicle_name(run) not in ("", vehicle)):
             continue
         try:
             stored = model_file.read(path)

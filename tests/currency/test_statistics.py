@@ -71,6 +71,10 @@ def test_thrust_or_mass_is_one_answer_unless_drag_is_known():
     rng = np.random.default_rng(4)
     stored, new = campaign(rng), campaign(rng, factor=changed(K=0.93))
     assert compare.thrust_or_mass(stored, new) == "thrust or mass"
+    unsure = np.diag((np.array([0.015 if n.startswith("d_") else 0.002 for n in NAMES]) * TRUTH) ** 2)
+    little = changed(K=0.975, d_x=0.987, d_y=0.987, d_z=0.987)
+    sides = Estimates("a", NAMES, TRUTH, unsure / 2), Estimates("b", NAMES, TRUTH * little, unsure / 2)
+    assert compare.thrust_or_mass(*sides) == "thrust or mass", "drag within its error of both"
     sharp = np.diag((0.002 * TRUTH) ** 2)
     lighter = changed(K=0.93, d_x=0.93, d_y=0.93, d_z=0.93)
     assert (
@@ -302,3 +306,4 @@ def test_a_slower_thrust_is_not_called_less_thrust():
         found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=base, runs=[new])
         assert found.verdict is Verdict.STALE
         assert ("what delays the thrust" in found.sentence) is lag, found.sentence
+        assert ("another mass (weigh it)" in found.could_also_be) is not lag

@@ -147,6 +147,9 @@ def test_thrust_or_mass(ratio, drag_ratio, drag_std, answer):
     found = mass_test(old, new)
     assert found.get("answer") == answer
     assert found["thrust_changed"] == (answer is not None)
+    assert (found["sentence"] == "no change of thrust per mass is seen (one above 0.4 % would show)") is (
+        answer is None
+    )
 
 
 def test_orthonormal_drops_what_repeats(rng):

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flighttest.errors import InputError
 from flighttest.identify.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline.history import Campaign, standing, watched
+from flighttest.pipeline import currency, history
+from flighttest.pipeline.history import Campaign, campaigns, standing, watched
 
 NAMES = ("omega_phi", "sigma_r", "K", "alpha")
 VALUES = {"omega_phi": 25.0, "sigma_r": 21.0, "K": 54.0, "alpha": 1.7}
@@ -79,3 +81,17 @@ def test_unidentified_parameters_do_not_count():
     weak = {**first.model.parameters, "alpha": replace(first.model.parameters["alpha"], identifiable=False)}
     second = Campaign(Path("second"), replace(first.model, parameters=weak, runs=("b",)))
     assert standing([first, second]).folder.name == "first"
+
+
+def test_of_several_vehicles_in_a_folder_the_model_is_of_the_one_asked_about(tmp_path, monkeypatch):
+    for name, vehicle in (("1-thrust", "heron"), ("2-thrust", "stork")):
+        run = tmp_path / name
+        run.mkdir()
+        (run / "manifest.yaml").write_text(f"format: run/1\nvehicle: {{name: {vehicle}}}\n")
+        (run / "fit.yaml").touch()
+    monkeypatch.setattr(history.model_file, "read", lambda path: model(runs=(path.parent.name,)))
+    assert [c.folder.name for c in campaigns(tmp_path)] == ["1-thrust", "2-thrust"]
+    assert currency.newest_model(tmp_path).runs == ("2-thrust",)
+    assert currency.newest_model(tmp_path, "heron").runs == ("1-thrust",)
+    with pytest.raises(InputError, match="no run of a vehicle called crow"):
+        currency.newest_model(tmp_path, "crow")
