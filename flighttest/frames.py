@@ -41,12 +41,6 @@ def flip_euler(rpy: ArrayLike) -> FloatArray:
     return flipped
 
 
-def enu_to_nwu(vector: ArrayLike) -> FloatArray:
-    """World vector from East-North-Up: north = y, west = -x. Shape (..., 3)."""
-    v = np.asarray(vector, dtype=float)
-    return np.stack([v[..., 1], -v[..., 0], v[..., 2]], axis=-1)
-
-
 _ENU_TO_NWU_QUATERNION = np.array([math.cos(-math.pi / 4), 0.0, 0.0, math.sin(-math.pi / 4)])
 
 

@@ -48,7 +48,7 @@ def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> i
 @click.option("--freeze", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
 @click.option("--tie", multiple=True, metavar="A=B", help="Tie a parameter to another (omega_theta=omega_phi).")
 @click.option(
-    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for importing and fitting."
+    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for reading recordings."
 )
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
 def fit(
@@ -79,7 +79,7 @@ def fit(
     "-o", "--output", type=FOLDER, metavar="DIR", help="Folder for diagnosis.json, model.yaml, report.html, next.yaml."
 )
 @COLUMNS
-@click.option("--vehicle", type=FILE, help="vehicle.yaml: the zone the next flight must fit in.")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 def diagnose(
     context: Context,

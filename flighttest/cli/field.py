@@ -107,7 +107,7 @@ def run(
 @command("sim")
 @click.option("--airframe", type=click.Choice(["paper", "rotor"]), default="paper", show_default=True)
 @click.option("--backend", type=click.Choice(["builtin", "sitl"]), default="builtin", show_default=True)
-@click.option("--hide", multiple=True, metavar="ID:key=value", help="Hide an effect, e.g. ground_effect:strength=0.1.")
+@click.option("--hide", multiple=True, metavar="ID:key=value", help="Hide an effect, e.g. ground_effect:R2_m2=0.1.")
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=5760, show_default=True, help="TCP port; 0 takes a free one."

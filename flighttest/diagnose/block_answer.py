@@ -16,6 +16,7 @@ from flighttest.diagnose.another_way import another_way
 from flighttest.diagnose.baselines import baselines
 from flighttest.diagnose.bench import Bench, part_of
 from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.fitted import LEAST_BIC
 from flighttest.diagnose.judge import compare, excess_share, held_out, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.model import Finding, Located, Untestable, brief, flown, short
@@ -192,7 +193,12 @@ def _candidates(search: Search) -> list[dict[str, Any]]:
         if s.variant.term.id not in done and (s.variant.term.id not in best or s.bic < best[s.variant.term.id].bic):
             best[s.variant.term.id] = s
     for term, s in best.items():
-        why = "no more than chance" if s.p_value > 0.01 else "the criterion does not fall enough for its parameters"
+        if not s.beyond_chance:
+            why = "no more than chance"
+        elif s.bic > -LEAST_BIC:
+            why = "the criterion does not fall enough for its parameters"
+        else:
+            why = "not refitted: others explain more, or it is too small to be seen"
         found.append(
             {
                 "term": term, "verdict": "NOT_NEEDED", "delta_bic": s.bic, "floors": None, "gain": None, "p_value": s.p_value, "why": why,

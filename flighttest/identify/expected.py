@@ -224,6 +224,8 @@ def _best(
 
 def _step_words(segment: Segment) -> str:
     """A step as a person would call it: 'throttle 0.05 to 0.40', 'roll +0.3 rad', 'yaw rate -2 rad/s'."""
+    if segment.kind == "free":  # chirps and doublets: the label says the axis, the cell does not
+        return segment.name.split("/")[1] if "/" in segment.name else "free flight"
     kind, cell = segment.kind.removesuffix("_step").replace("_", " "), segment.cell
     if "throttle_0" in cell and "throttle_1" in cell:
         return f"{kind} {cell['throttle_0']:.2f} to {cell['throttle_1']:.2f}"

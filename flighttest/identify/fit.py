@@ -7,6 +7,7 @@ found = fit(segments, Model(("body", "linear_drag", "ground_effect")), ties={"d_
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -109,10 +110,6 @@ class Fit:
         """Names of the recordings used."""
         return tuple(dict.fromkeys(s.run for s in self.problem.segments))
 
-    def equations(self) -> tuple[str, ...]:
-        """The terms' equations, plain text."""
-        return tuple(t.equation for t in self.model.built_terms)
-
 
 def has_attitude_references(segments: Sequence[Segment]) -> bool:
     """Whether roll and pitch loops can be told at all."""
@@ -170,6 +167,8 @@ def fit(
     covariance = widened(widened(covariance_of(problem, solution), apart), moved)
     quality = channel_quality(problem, solution)
     doubts = doubts_of(problem, solution, covariance, quality, others, moved)
+    if "alpha" not in (*covariance.names, *(frozen or {})):
+        covariance = widened(covariance, {"K": solution.values["K"] * assumed_share(problem.segments, model)})
     estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, doubts)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))
@@ -232,15 +231,16 @@ def _best(problem: Problem, robust: bool, nominal: Mapping[str, float], noise: N
     others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
     found = [first] + [solve(problem, start, robust=robust) for start in others]
     good = [s for s in found if s.status.good] or found
-    return min(good, key=_misfit)
+    return min(good, key=lambda solution: _misfit(problem, solution))
 
 
-def _misfit(solution: Solution) -> float:
+def _misfit(problem: Problem, solution: Solution) -> float:
     """Log-likelihood's noise part: comparable between solutions, whose noise differs."""
-    counts = {}
-    for made in solution.evaluations:
-        counts[id(made)] = made.residual.size
-    return float(sum(np.log(v) for v in solution.noise.channel.values()))
+    return sum(
+        float(part.mask[..., k].sum()) * math.log(solution.noise.channel[c])
+        for part in problem.parts
+        for k, c in enumerate(part.outputs)
+    )
 
 
 def _estimates(
@@ -253,7 +253,6 @@ def _estimates(
     doubts: Mapping[str, Doubts],
 ) -> dict[str, Estimate]:
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
-    unsure = 0.0 if "alpha" in (*covariance.names, *frozen) else assumed_share(problem.segments, model)
     found: dict[str, Estimate] = {}
     std = np.sqrt(np.diag(covariance.matrix))
     correlation = covariance.matrix / np.outer(std, std) if std.size else covariance.matrix
@@ -268,7 +267,7 @@ def _estimates(
         known_std, interval, partner = None, None, None
         if source_name in covariance.names:
             i = covariance.names.index(source_name)
-            known_std = float(np.hypot(std[i], value * unsure)) if name == "K" else float(std[i])
+            known_std = float(std[i])
             half = interval_factor(float(covariance.dof[i])) * known_std
             interval = (value - half, value + half)
             other = np.abs(correlation[i]) * (np.arange(std.size) != i)
@@ -376,11 +375,6 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
                 f"no segment moves the {block.name.replace('_', ' ')} reference: its parameters stay as assumed"
             )
     return tuple(notes)
-
-
-def refit(found: Fit, segments: Sequence[Segment], **options: object) -> Fit:
-    """The same model on other segments, started from a fit's values."""
-    return fit(segments, found.model, start=found.values, filters=found.problem.filters_hz, **options)  # type: ignore[arg-type]
 
 
 def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -> tuple[Problem, Solution]:

@@ -78,13 +78,6 @@ class ModelFile:
         p = np.array([self.values[n] for n in system.params])
         return dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
 
-    @property
-    def identified(self) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-        """Names, values and covariance of the parameters that are identifiable."""
-        names = tuple(n for n in self.order if n in self.parameters and self.parameters[n].identifiable)
-        pick = np.array([self.order.index(n) for n in names], dtype=np.intp)
-        return names, np.array([self.parameters[n].value for n in names]), self.covariance[np.ix_(pick, pick)]
-
 
 def as_data(
     found: Fit,

@@ -2,7 +2,6 @@
 
     problem = Problem.build(segments, model)                     # which data feeds what: as in the paper
     fit = solve(problem)                                         # identify.solve
-    rows = problem.linearise(values, free=[*problem.names, "R2_m2"], local=fit.local)    # for screening candidates
 
 A `Part` is one block of the model with the responses that feed it. Parameters not in `names` stay at their value.
 """
@@ -92,23 +91,6 @@ class _Batch:
     members: list[int]
     nodes: FloatArray
     samples: list[NDArray[np.intp]]
-
-
-@dataclass(frozen=True)
-class Rows:
-    """A linearised problem, one row per measured sample: whitened and with the local unknowns projected out.
-
-    residual: (n,); jacobian: (n, n_free) of the simulated output (a parameter step d lowers the residual by jacobian @ d); raw:
-    (n,) neither whitened nor projected; segment, sample: (n,) positions in problem.segments and in their t_s; channel: (n,) names.
-    """
-
-    residual: FloatArray
-    jacobian: FloatArray
-    raw: FloatArray
-    segment: NDArray[np.intp]
-    sample: NDArray[np.intp]
-    channel: NDArray[np.str_]
-    free: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -280,53 +262,6 @@ class Problem:
         if key not in self._kernels:
             self._kernels[key] = Kernel(part.block, part.outputs, free, dict(cutoffs))
         return self._kernels[key]
-
-    def linearise(
-        self,
-        values: Mapping[str, float],
-        noise: Noise,
-        free: Sequence[str],
-        local: Sequence[FloatArray],
-        response_weight: FloatArray | None = None,
-    ) -> Rows:
-        """Whitened residual and Jacobian by `free` with each response's locals projected out (their priors respected).
-
-        free may name candidates' amplitudes at their off value. response_weight: (n_segments,), 1 where None.
-        """
-        parts: list[tuple[NDArray[Any], ...]] = []
-        channels: list[NDArray[np.str_]] = []
-        for part, made, at in zip(self.parts, self.evaluate(values, local, free), local, strict=True):
-            n_p = len(made.columns) - len(part.locals)
-            std = np.array([noise.channel[c] for c in part.outputs])
-            prior = prior_std(part, noise)
-            centre = part.start_local()
-            for j, response in enumerate(part.responses):
-                mask = part.mask[j]
-                sample, channel = np.nonzero(mask)
-                root = 1.0 / std[channel]
-                if response_weight is not None:
-                    root = root * np.sqrt(response_weight[response.index])
-                raw = made.residual[j][mask]
-                r = np.concatenate([raw * root, (centre[j] - at[j]) / prior[j]])
-                jac = made.jacobian[j][mask] * root[:, None]
-                j_l = np.concatenate([jac[:, n_p:], np.diag(1.0 / prior[j])])
-                j_p = np.zeros((r.size, len(free)))
-                for k, name in enumerate(made.columns[:n_p]):
-                    j_p[: raw.size, list(free).index(name)] = jac[:, k]
-                basis = np.linalg.qr(j_l)[0]
-                r, j_p = r - basis @ (basis.T @ r), j_p - basis @ (basis.T @ j_p)
-                parts.append((r[: raw.size], j_p[: raw.size], raw, np.full(raw.size, response.index), sample))
-                channels.append(np.array(part.outputs)[channel])
-        cat = [np.concatenate([p[k] for p in parts]) for k in range(5)]
-        return Rows(
-            cat[0],
-            cat[1],
-            cat[2],
-            cat[3].astype(np.intp),
-            cat[4].astype(np.intp),
-            np.concatenate(channels),
-            tuple(free),
-        )
 
 
 def prior_std(part: Part, noise: Noise) -> FloatArray:

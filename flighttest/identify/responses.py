@@ -22,7 +22,7 @@ T = TypeVar("T")
 # Longer pieces are split. The step resolves the fastest pole of the block: RK4 then errs by less than 3e-5 in any parameter,
 # which is a tenth of the standard error of the best known one (a damping ratio in a full campaign).
 MAX_STEP_S = 0.0251
-STEP_OF_POLE = {"translation": 0.8, "attitude": 0.2}  # step x pole (1/s)
+STEP_OF_POLE = {"translation": 1.0, "attitude": 0.25}  # step x pole (1/s), at most
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
@@ -212,7 +212,7 @@ def max_step_s(block: Block, values: Mapping[str, float]) -> float:
     else:
         poles = [values[n] for n in ("omega_phi", "omega_theta", "sigma_r") if n in block.params]
         pole = max(poles, default=20.0) / STEP_OF_POLE["attitude"]
-    return MAX_STEP_S / float(min(max(np.ceil(MAX_STEP_S * pole * 0.8), 1.0), 8.0))
+    return MAX_STEP_S / float(min(max(np.ceil(MAX_STEP_S * pole), 1.0), 8.0))
 
 
 def nodes_of(response: Response, delay_s: float, step_s: float = MAX_STEP_S) -> tuple[FloatArray, NDArray[np.intp]]:

@@ -212,7 +212,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     # Each step once, to compare with a model: too little to look for unnamed physics in.
     wanted = False if all(plan.script.name == SPOT_CHECK for plan in compiled) else None
     if request.fly_only:
-        return _flown(folders, ends, notes, usable)
+        return _flown(compiled, folders, ends, notes, usable)
     try:
         return analyse(
             folders, vehicle=vehicle, previous=previous, diagnose=wanted, notes=notes, usable=usable, progress=progress
@@ -221,7 +221,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         if usable:
             raise
         progress.stage(f"nothing to analyse: {error.message}")
-        return _flown(folders, ends, notes, usable)
+        return _flown(compiled, folders, ends, notes, usable)
 
 
 def _unflown(ended: FlightResult) -> list[str]:
@@ -314,13 +314,14 @@ def _one(
     return ended
 
 
-def _flown(folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequence[str], usable: bool) -> Result:
+def _flown(
+    plans: Sequence[Plan], folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequence[str], usable: bool
+) -> Result:
     """What `--only fly` shows: how the flights ended and where they are."""
     lines = []
-    for ended in ends:
+    for plan, ended in zip(plans, ends, strict=False):
         flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-        tried = len({leg.leg for leg in ended.legs})
-        lines.append(f"{ended.run_dir}: {flown} of {tried} steps flown; {ended.outcome.value}")
+        lines.append(f"{ended.run_dir}: {flown} of {len(plan.legs)} steps flown; {ended.outcome.value}")
     blocks: list[Block] = [Bullets(tuple(lines))]
     if notes:
         blocks.append(Bullets(tuple(notes)))

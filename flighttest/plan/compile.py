@@ -283,6 +283,7 @@ def _cell_plan(
         kind=f.cell.kind,
         legs=legs,
         held_s=tuple((piece.name, piece.duration_s) for piece in f.lead),
+        recorded_from=next((k for k, piece in enumerate(f.lead) if piece.record), len(f.lead)),
         stops=stops,
         useful_s=useful_s(f, setting),
         start_m=placement.start_m,

@@ -307,8 +307,13 @@ def _length(lead: tuple[Piece, ...]) -> float:
 
 def useful_s(fitted: Fitted, setting: Setting) -> float:
     """How much of the record is left after the delay, s; the whole record of a flight without a step."""
-    first = next((piece.duration_s for piece in fitted.lead if piece.record), 0.0)
-    return first - setting.predictor.delay_s
+    delay = setting.predictor.delay_s if fitted.cell.kind != "free" else 0.0
+    return recorded_s(fitted.lead) - delay
+
+
+def recorded_s(lead: Sequence[Piece]) -> float:
+    """Length of the record, s."""
+    return sum(piece.duration_s for piece in lead if piece.record)
 
 
 def _judge(fitted: Fitted, setting: Setting) -> Fitted:

@@ -69,15 +69,16 @@ class Leg:
 class CellPlan:
     """What was found for one distinct step: durations, start, stop, and the room it takes. `check` prints these.
 
-    held_s: pieces before and during the record with their lengths; stop: (throttle or tilt words, s); useful_s: record left
-    after the delay; low_m, high_m: corners of the predicted envelope about the start, vehicle's heading along x; lost_low_m,
-    lost_high_m: the same with the link lost at the worst moment; speed_m_s: fastest.
+    held_s: (name, length) of the pieces before and during the record, which begins with piece `recorded_from`; stops: (name, length,
+    throttle or tilt); useful_s: record left after the delay of a step; low_m, high_m: corners of the predicted envelope about the
+    start, vehicle's heading along x; lost_low_m, lost_high_m: the same with the link lost at the worst moment; speed_m_s: fastest.
     """
 
     label: str
     kind: str
     legs: int
     held_s: tuple[tuple[str, float], ...]
+    recorded_from: int
     stops: tuple[tuple[str, float, float], ...]
     useful_s: float
     start_m: tuple[float, float, float]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flighttest.plan.fit_zone import Fitted, Setting, fit_cells
+from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, recorded_s
 from flighttest.plan.room import Placement, box, place
 from flighttest.plan.together import Work
 
@@ -48,7 +48,7 @@ def remedy(
 
 def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> Work[str]:
     """The longest shorter duration that fits, as a sentence; empty when none does."""
-    wanted = next((piece.duration_s for piece in f.cell.lead if piece.record), 0.0)
+    wanted = recorded_s(f.cell.lead)
     shorter = []
     for share in SHARES:
         lead = tuple(replace(p, duration_s=round(p.duration_s * share, 1)) if p.record else p for p in f.cell.lead)
@@ -59,6 +59,5 @@ def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], 
             or place(tried.nominal, tried.lost, setting.room, wish_m, headings_rad, f.cell.height_m).excess
         ):
             continue
-        seconds = next(piece.duration_s for piece in tried.lead if piece.record)
-        return f"{seconds:.1f} s instead of {wanted:.1f} s would fit"
+        return f"{recorded_s(tried.lead):.1f} s instead of {wanted:.1f} s would fit"
     return ""

@@ -15,7 +15,7 @@ from flighttest.recording.model import Recording
 from flighttest.script.load import parse_script
 from flighttest.segments import Segment, cut
 from flighttest.sim import InProcess, SimOptions
-from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.sim.rotor_vehicle import random_rotor
 from flighttest.sim.sitl_physics import launch_on_physics
 from flighttest.vehicle.model import Vehicle, Zone
 
@@ -65,11 +65,6 @@ class InProcessTransport:
 
     def close(self) -> None:
         """Nothing to close."""
-
-
-def airframe(vehicle_seed: int) -> RotorVehicle:
-    """The vehicle of a trial."""
-    return random_rotor(vehicle_seed)
 
 
 def fly_campaign(

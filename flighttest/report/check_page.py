@@ -79,12 +79,14 @@ def _envelope(rows: Sequence[EnvelopeRow]) -> Table:
 
 
 def _row(row: EnvelopeRow) -> tuple[Cell | str, ...]:
-    lengths = [length for name, length in row.cell.held_s if name != "entry"]
+    pieces, first = row.cell.held_s, row.cell.recorded_from
+    before = [length for name, length in pieces[:first] if name != "entry"]
+    record = sum(length for _, length in pieces[first:])
     return (
         row.cell.label,
         str(row.cell.legs),
-        "+".join(f"{length:.2f}" for length in lengths[:-1]) or "-",
-        f"{lengths[-1]:.2f}" if lengths else "-",
+        "+".join(f"{length:.2f}" for length in before) or "-",
+        f"{record:.2f}" if record else "-",
         Cell(f"{row.useful_s:.2f}", "warn" if row.cell.shortened else "plain"),
         f"{row.cell.start_m[2]:.1f}",
         f"{row.height_m[0]:.1f}-{row.height_m[1]:.1f}",

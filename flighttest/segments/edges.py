@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.channels import CHANNELS, INPUTS
+from flighttest.channels import INPUTS
 from flighttest.recording import Recording
 
 FloatArray = NDArray[np.float64]
@@ -262,8 +262,3 @@ def _held_until(row: Sequence[Plateau], edges: Sequence[Edge], last: int, latest
     end = row[edges[last].after].end_s
     following = edges[last + 1].before if last + 1 < len(edges) else len(row) - 1
     return min(max(end, row[following].end_s), latest_s)
-
-
-def input_names(references: References) -> tuple[str, ...]:
-    """The inputs that were recorded."""
-    return tuple(n for i, n in enumerate(INPUTS) if n in CHANNELS and not np.all(np.isnan(references.values[:, i])))

@@ -34,8 +34,6 @@ def test_the_mean_delay_is_in_the_covariance(found, written):
     stored = model_file.read(written)
     k = stored.order.index("T_d")
     assert np.sqrt(stored.covariance[k, k]) == pytest.approx(found.estimates["T_d"].std, rel=1e-4)
-    names, values, covariance = stored.identified
-    assert covariance.shape == (len(names), len(names)) == (len(values), len(values))
 
 
 def test_a_file_with_the_papers_twelve_is_enough(tmp_path):
