@@ -188,6 +188,8 @@ class _Flight:
             # A host under load may have missed the answer above; free-running at many times real time would spoil the delays.
             self._enter_lock_step(self._parameters[lockstep.PARAMETER])
         simulator = preflight.is_simulator(self._parameters)
+        if not simulator:
+            session.clock.keep_real_time()
         firmware = vehicle.firmware()
         self.recorder.manifest.update(
             firmware=f"ArduCopter {firmware}" if firmware else "", parameters=self._parameters
@@ -283,6 +285,8 @@ class _Flight:
             attitude_age_max_s=0.3 * self._pace,
             position_age_max_s=0.5 * self._pace,
             silence_max_s=0.5 * self._pace,
+            mode_age_max_s=1.5 * self._pace,
+            held_up_max_s=0.5 * self._pace if preflight.is_simulator(self._parameters) else preflight.TIMEOUT_S,
         )
 
     @property
@@ -362,10 +366,12 @@ class _Flight:
         return FlightOutcome.VEHICLE_REFUSED
 
     def _let_go(self, cockpit: Cockpit) -> None:
-        if cockpit.owned and cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-            # Whatever fails again here is the lesser news.
-            with contextlib.suppress(Exception):
+        # Whatever fails again here is the lesser news.
+        with contextlib.suppress(Exception):
+            if cockpit.owned and cockpit.state.mode == CopterMode.GUIDED_NOGPS:
                 supervisor.abort(cockpit, ("the program failed",))
+            elif cockpit.owned and cockpit.vehicle.armed and cockpit.state.mode == CopterMode.GUIDED:
+                supervisor.insist(cockpit, supervisor.abort_modes(cockpit.state), lambda: None)
 
     def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""

@@ -51,7 +51,8 @@ class GateLimits:
     stop acts (delay, lag, telemetry age). brake_m_s2: horizontal deceleration of the abort mode. stop_throttle: what the
     supervisor sends to stop (a climb, a descent). needs_position: without it (no satellite fix) zone and speed cannot be
     judged and are left to the height limits and the fence. zone_placed: whether it is known where the zone is, so that a step is judged
-    by it wherever the vehicle has a position.
+    by it wherever the vehicle has a position. mode_age_max_s: of the last HEARTBEAT: without one a pilot's take-over is not seen.
+    held_up_max_s: between two targets of a step, which a real vehicle follows no longer than GUID_TIMEOUT.
     """
 
     limits: Limits
@@ -66,6 +67,8 @@ class GateLimits:
     attitude_age_max_s: float = 0.3
     position_age_max_s: float = 0.5
     silence_max_s: float = 0.5
+    mode_age_max_s: float = 1.5
+    held_up_max_s: float = 0.5
 
 
 def stop_throttles(limits: Limits, hover_throttle: float) -> tuple[float, float]:
@@ -120,7 +123,7 @@ def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
         found.append(Refusal.MODE)
     if not state.armed:
         found.append(Refusal.DISARMED)
-    if not state.silence_s <= gate.silence_max_s:
+    if not (state.silence_s <= gate.silence_max_s and state.mode_age_s <= gate.mode_age_max_s):
         found.append(Refusal.LINK)
     if state.attitude_rad is None or not state.attitude_age_s <= gate.attitude_age_max_s:
         found.append(Refusal.TELEMETRY_OLD)

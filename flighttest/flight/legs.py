@@ -87,7 +87,7 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
     tick = 0
     while True:
         t_s = cockpit.session.now_s() - start
-        if cockpit.session.now_s() - sent_s > cockpit.gate.silence_max_s:
+        if cockpit.session.now_s() - sent_s > cockpit.gate.held_up_max_s:
             return _refused(cockpit, leg, (Refusal.HELD_UP,))
         if t_s >= leg.duration_s - 1e-6:
             break

@@ -15,6 +15,7 @@ class FlightOutcome(Enum):
     COMPLETED = "the plan was flown to its end and the vehicle landed"
     ABORTED_BY_GATE = "the flight was aborted: too many targets were refused by the gate"
     BATTERY = "the flight ended early: the battery reached the script's lower limit"
+    NOT_SETTLED = "the flight ended early: the vehicle did not settle at the start of several steps in a row; it landed"
     TAKE_OVER = "the pilot (or a failsafe) changed the mode; nothing was sent after that"
     LINK_LOST = "the link to the vehicle was lost and did not come back"
     OPERATOR_STOP = "the operator stopped the flight; the vehicle landed"
@@ -26,12 +27,13 @@ class FlightOutcome(Enum):
 
     @property
     def usable(self) -> bool:
-        """Whether the flight ended as planned or as the operator, the pilot or the battery wished: its legs are complete."""
+        """Whether what was flown is complete: the flight ended as planned, between two steps, or by agreement."""
         return self in (
             FlightOutcome.COMPLETED,
             FlightOutcome.OPERATOR_STOP,
             FlightOutcome.LEFT_TO_PILOT,
             FlightOutcome.BATTERY,
+            FlightOutcome.NOT_SETTLED,
         )
 
 

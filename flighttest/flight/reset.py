@@ -13,8 +13,9 @@ import numpy as np
 from flighttest import frames
 from flighttest.flight.cockpit import Cockpit, sentences
 from flighttest.flight.gate import Refusal, readiness
+from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.state import VehicleState
-from flighttest.flight.supervisor import enter, enter_nogps
+from flighttest.flight.supervisor import GIVE_UP_AFTER_S, UNSEEN_S, enter, enter_nogps
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.outer_loop import OuterLoop
@@ -27,6 +28,7 @@ LEANING_RAD = 0.35  # into the wind, where position and velocity say that it hol
 _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
 _ASK_AGAIN_S = 0.1
+_SOON_S = 5.0  # after the link has come back
 _SHORTEST_S = 0.3  # over which a change of the climb rate tells an acceleration
 _YAW_SLEW_RAD_S = 0.8
 
@@ -121,7 +123,13 @@ def _timeout_s(state: VehicleState, start: Start) -> float:
 
 def guided(cockpit: Cockpit, start: Start) -> Arrived:
     """By GUIDED's own position control."""
-    if not enter(cockpit, CopterMode.GUIDED, meanwhile=None):
+
+    def hold() -> None:
+        # The mode keeps its last target, and a step's may have been the last: level until GUIDED has the vehicle.
+        if cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+            cockpit.release()
+
+    if not enter(cockpit, CopterMode.GUIDED, meanwhile=hold):
         return Arrived(False, why="the vehicle did not enter GUIDED")
     settling = Settling(start)
     goal = np.asarray(start.position_m) + cockpit.reader.origin_m
@@ -131,11 +139,16 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
         if cockpit.stop_asked:
             return Arrived(False, why="stopped")
         now = cockpit.session.now_s()
-        if now >= next_ask:
+        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
             # Streamed: without a new one within GUID_TIMEOUT (0.2 s here) ArduPilot stops turning to the heading (flown).
             cockpit.vehicle.go_to(goal, start.yaw_rad)
             next_ask = now + _ASK_AGAIN_S
         state = cockpit.cycle()
+        if state.mode_age_s > UNSEEN_S:
+            # The autopilot holds the place by itself; a pilot who takes it meanwhile would not be seen.
+            if state.mode_age_s > GIVE_UP_AFTER_S:
+                raise FlightEnded(FlightOutcome.LINK_LOST)
+            deadline = max(deadline, state.t_s + _SOON_S)
         if settling.done(state, _commanded_throttle(cockpit)):
             return Arrived(True, settling.hover_throttle)
     return Arrived(False, why="the vehicle did not settle at the start")

@@ -20,6 +20,7 @@ from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
 
 REFUSED_IN_A_ROW_MAX = 4
+UNSETTLED_IN_A_ROW_MAX = 2  # each of them tried twice
 REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
@@ -133,7 +134,9 @@ class Scheduler:
                 supervisor.abort(cockpit, sentences(found))
                 raise LinkError(f"the climb was ended: {'; '.join(sentences(found))}", "mend it, then fly again")
             ramp = min((cockpit.session.now_s() - began) / 4.0, 1.0)
+            low, high = cockpit.gate.stop_throttle
             throttle = cockpit.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
+            throttle = min(max(throttle, low), high)
             yaw = state.attitude_rad[2] if state.attitude_rad else 0.0
             refused = cockpit.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
             assert not refused, "level targets around hover always pass"
@@ -161,7 +164,7 @@ class Scheduler:
     # -- legs ----------------------------------------------------------------------------------------------------------------
 
     def _legs(self, legs: list[Leg]) -> FlightOutcome:
-        in_a_row = 0
+        in_a_row = unsettled = 0
         refused_cells: Counter[object] = Counter()
         retried: set[str] = set()
         unfit: list[str] = []
@@ -200,6 +203,9 @@ class Scheduler:
             ended = self._asked_to_end()
             if ended is not None:
                 return ended
+            unsettled = unsettled + 1 if result.outcome is LegOutcome.NOT_SETTLED else 0
+            if unsettled >= UNSETTLED_IN_A_ROW_MAX:
+                return FlightOutcome.NOT_SETTLED
             in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
             if result.outcome is LegOutcome.REFUSED:
                 refused_cells[cell] += 1
@@ -242,6 +248,8 @@ class Scheduler:
                 outcome = LegOutcome.LINK_LOST if flying.LINK & set(arrived.refused) else LegOutcome.REFUSED
                 return LegResult(leg.id, outcome, sentences(arrived.refused))
             cockpit.recorder.event("note", f"{leg.id}: {arrived.why}", cockpit.session.now_s())
+            if cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+                supervisor.abort(cockpit, (arrived.why,))
             outcome = LegOutcome.STOPPED if arrived.why == "stopped" else LegOutcome.NOT_SETTLED
             return LegResult(leg.id, outcome, (arrived.why,))
         self._use_hover(arrived.hover_throttle)
@@ -327,7 +335,7 @@ class Scheduler:
 
     def _battery_low(self) -> bool:
         voltage, limit = self.cockpit.state.voltage_v, self.plan.limits.voltage_min_v
-        return voltage is not None and limit > 0 and voltage < limit
+        return limit > 0 and (voltage is None or voltage < limit)
 
     # -- words ---------------------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from flighttest.flight.cockpit import Cockpit
@@ -13,7 +14,10 @@ from flighttest.mavlink.dialect import book
 ASK_EVERY_S = 0.2
 NEXT_MODE_AFTER_S = 1.5
 _ENTRY_S = 3.0
-GIVE_UP_AFTER_S = 30.0  # of silence: the vehicle's own failsafes have long acted
+# Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
+UNSEEN_S = 1.5
+GIVE_UP_AFTER_S = 30.0  # without one: the vehicle's own failsafes have long acted
+LET_GO_AFTER_S = 5.0  # of insisting after the operator wanted to let go at once
 REST_PATIENCE_S = 6.0
 AT_REST_M_S = 0.4
 _STICK_MID = 0.5
@@ -62,8 +66,10 @@ def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
 def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
     """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
 
-    FlightEnded when the pilot takes over, or nothing is heard for `GIVE_UP_AFTER_S`.
+    FlightEnded when the pilot takes over, no HEARTBEAT comes for `GIVE_UP_AFTER_S`, or the operator wants to let go and the vehicle does
+    not answer.
     """
+    let_go_s = math.inf
     began = cockpit.session.now_s()
     next_ask = began
     heard_again = began
@@ -73,7 +79,11 @@ def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[
     cockpit.expect(*asked, CopterMode.GUIDED_NOGPS)
     while True:
         now = cockpit.session.now_s()
-        if now >= next_ask:
+        if cockpit.stop_now:
+            let_go_s = min(let_go_s, now + LET_GO_AFTER_S)
+            if now > let_go_s:
+                raise FlightEnded(FlightOutcome.OPERATOR_ABORT)
+        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
             if cockpit.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
                 index = min(index + 1, len(modes) - 1)
                 asked = modes[: index + 1]
@@ -81,15 +91,15 @@ def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[
             cockpit.vehicle.ask_mode(modes[index])
             next_ask = now + ASK_EVERY_S
         state = cockpit.cycle()
-        if state.mode in asked and state.mode_age_s < 1.5 and state.silence_s < 1.0:
+        if state.mode in asked and state.mode_age_s < UNSEEN_S and state.silence_s < 1.0:
             reached = CopterMode(state.mode)
             cockpit.expect(reached)
             cockpit.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
             return reached
         if state.silence_s >= 1.0:
             heard_again = cockpit.session.now_s()
-            if state.silence_s > GIVE_UP_AFTER_S:
-                raise FlightEnded(FlightOutcome.LINK_LOST)
+        if state.mode_age_s > GIVE_UP_AFTER_S:
+            raise FlightEnded(FlightOutcome.LINK_LOST)
         meanwhile()
 
 
@@ -108,17 +118,17 @@ def come_to_rest(cockpit: Cockpit) -> None:
 def enter(
     cockpit: Cockpit, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
 ) -> bool:
-    """Ask for a mode every 0.2 s until HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
+    """Ask for a mode every 0.2 s until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
     cockpit.expect(mode)
     deadline = cockpit.session.now_s() + timeout_s
     next_ask = -1.0
     while True:
         now = cockpit.session.now_s()
-        if now >= next_ask:
+        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
             cockpit.vehicle.ask_mode(mode)
             next_ask = now + ASK_EVERY_S
         state = cockpit.cycle()
-        if state.mode == mode:
+        if state.mode == mode and state.mode_age_s < UNSEEN_S:
             cockpit.expect(mode)
             return True
         if now > deadline:

@@ -16,6 +16,7 @@ from typing import Protocol
 _PACE_WINDOW_S = 2.0  # host seconds over which the pace is read
 _PERIOD_S = 1.0  # the least delayed stamp is looked for over one to two of these
 _REAL_TIME_TOLERANCE = 0.05  # a vehicle nearer to real time than this is a real one, and its pace exactly 1
+_DRIFT = 2e-4  # two crystals part by less than this
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,9 @@ class Clock(Protocol):
     def answered(self, vehicle_s: float, round_trip_s: float) -> None:
         """A TIMESYNC answer has arrived now that was vehicle_s on the vehicle, half the round trip ago."""
 
+    def keep_real_time(self) -> None:
+        """The vehicle is known to be a real one: its clock runs as ours does, whatever the link makes of its stamps."""
+
     @property
     def pace(self) -> float:
         """Vehicle seconds per host second."""
@@ -61,6 +65,13 @@ class FollowedClock:
         self._latest_s = 0.0
         self._started_s = host_s()
         self._shift_s, self._quickest_s = 0.0, math.inf
+        # Of a real vehicle: (host, vehicle less host) by the least delayed stamp of all, which only drift makes older.
+        self._ahead: tuple[float, float] | None = None
+        self._real = False
+
+    def keep_real_time(self) -> None:
+        """From now on the pace is 1, and a link that stalls or grows slower neither stops the clock nor sets it back."""
+        self._real, self._pace = True, 1.0
 
     @property
     def pace(self) -> float:
@@ -73,12 +84,15 @@ class FollowedClock:
         if self._heard and vehicle_s < self._heard[-1][1] - 5.0:  # a reboot: begin anew
             self._heard.clear()
             self._best, self._latest_s, self._pace = (None, None), 0.0, 1.0
-            self._shift_s, self._quickest_s = 0.0, math.inf
+            self._shift_s, self._quickest_s, self._ahead = 0.0, math.inf, None
+        if self._real:
+            drifted = -math.inf if self._ahead is None else self._ahead[1] - _DRIFT * (host - self._ahead[0])
+            self._ahead = host, max(drifted, vehicle_s - host)
         self._heard.append((host, vehicle_s))
         while host - self._heard[0][0] > _PACE_WINDOW_S:
             self._heard.popleft()
         span = host - self._heard[0][0]
-        if span > 0.5 * _PACE_WINDOW_S:
+        if span > 0.5 * _PACE_WINDOW_S and not self._real:
             pace = (vehicle_s - self._heard[0][1]) / span
             self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else max(pace, 0.0)
         period = _PERIOD_S if self._pace == 1.0 else 0.1 * _PERIOD_S
@@ -97,6 +111,8 @@ class FollowedClock:
         self._shift_s = max(vehicle_s + 0.5 * round_trip_s - (self._run_on(self._host_s()) - self._shift_s), 0.0)
 
     def _run_on(self, host: float) -> float:
+        if self._ahead is not None:
+            return host + self._ahead[1] + self._shift_s
         known = [b[1] + (host - b[0]) * self._pace for b in self._best if b is not None]
         return (
             max(known) + self._shift_s if known else host - self._started_s
@@ -124,6 +140,9 @@ class GrantedClock:
     def pace(self) -> float:
         """Always 1: the ground's clock is the vehicle's."""
         return 1.0
+
+    def keep_real_time(self) -> None:
+        """A simulator in lock-step keeps its own."""
 
     def heard(self, vehicle_s: float) -> None:
         """Stamps do not move this clock."""

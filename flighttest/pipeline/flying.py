@@ -201,7 +201,10 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         if not ended.outcome.usable:
             notes.append(f"{plan.script.name}: {ended.outcome.value}")
         missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
-        if missing and ended.outcome.usable and ended.outcome is not FlightOutcome.COMPLETED:
+        again = ended.outcome is not FlightOutcome.COMPLETED or any(
+            leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
+        )
+        if missing and ended.outcome.usable and again:
             notes.append(
                 f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
             )

@@ -29,7 +29,7 @@ class FaultyLink:
     """The built-in vehicle behind a link. down: frames of neither direction pass, except the clock's (lock-step needs them).
 
     sent: message names in order, with the vehicle's time; hook: called with each message before it is handed over. deaf: the
-    vehicle hears nothing, but is heard; mute: the other way round.
+    vehicle hears nothing, but is heard; mute: the other way round; silenced: messages of the vehicle that do not arrive.
     """
 
     options: SimOptions
@@ -37,6 +37,7 @@ class FaultyLink:
     hook: Callable[[object, float], None] | None = None
     deaf: Callable[[float], bool] = lambda _t: False
     mute: Callable[[float], bool] = lambda _t: False
+    silenced: Callable[[str, float], bool] | None = None
     sent: list[tuple[float, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -59,10 +60,16 @@ class FaultyLink:
     def receive(self, _timeout_s: float) -> bytes:
         data, self._aside = self._aside + self.sim.receive(), b""
         now = self.sim.time_s
-        if not data or not (self.down(now) or self.mute(now)):
+        lost = self.down(now) or self.mute(now)
+        if not data or not (lost or self.silenced):
             return data
+        silenced = self.silenced or (lambda _kind, _t: False)
         messages = self._theirs.parse_buffer(data) or []
-        return b"".join(bytes(m.get_msgbuf()) for m in messages if m.get_type() == "SYSTEM_TIME")
+        return b"".join(
+            bytes(m.get_msgbuf())
+            for m in messages
+            if m.get_type() == "SYSTEM_TIME" or not (lost or silenced(m.get_type(), now))
+        )
 
     def close(self) -> None:
         pass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 
@@ -235,6 +236,29 @@ def test_silence_is_measured_and_a_fast_simulator_keeps_its_pace() -> None:
     assert clock.pace == pytest.approx(10.0, rel=0.05)
     host.now += 1.0
     assert clock.now_s() == pytest.approx(50.0, rel=0.05)
+
+
+def test_the_clock_of_a_real_vehicle_stands_still_for_no_link() -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    clock.keep_real_time()
+    rng = random.Random(3)
+    shown, queue = [], []
+    for k in range(12000):  # two minutes; from the middle on a quarter of a second slower, and stalls all along
+        t = 0.01 * k
+        queue.append((t + 0.02 + rng.random() * 0.1 + (0.25 if t > 60.0 else 0.0), 50.0 + t))
+        host.now = 1000.0 + t
+        if not 0.0 <= t % 2.7 < 0.25:
+            for _, stamp in sorted(q for q in queue if q[0] <= t):
+                clock.heard(stamp)
+            queue = [q for q in queue if q[0] > t]
+        shown.append(clock.now_s())
+    steps = [b - a for a, b in pairwise(shown[500:])]
+    assert clock.pace == 1.0
+    assert 0.0099 < min(steps) <= max(steps) < 0.012
+    assert shown[-1] == pytest.approx(50.0 + 119.99, abs=0.05)
+    clock.heard(1.0)  # booted anew
+    assert clock.now_s() == pytest.approx(1.0)
 
 
 def test_a_granted_clock_stands_still() -> None:

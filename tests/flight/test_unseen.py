@@ -1,0 +1,100 @@
+"""While the vehicle's mode cannot be seen a pilot may have taken it: no mode is asked for, nothing is flown on, and the flight ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import book
+from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+
+
+def marked(link: FaultyLink, word: str, *, then: object = None) -> list[float]:
+    """When a leg's phase is first marked."""
+    times: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(word) and not times:  # type: ignore[attr-defined]
+            times.append(t_s)
+            if callable(then):
+                then()
+
+    link.hook = look
+    return times
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    for room in ("supervisor", "reset"):
+        monkeypatch.setattr(f"flighttest.flight.{room}.GIVE_UP_AFTER_S", 8.0)
+
+
+def asked(link: FaultyLink) -> list[tuple[float, int]]:
+    """Modes that are asked for from now on, with the vehicle's time."""
+    found: list[tuple[float, int]] = []
+    before = link.hook
+
+    def look(message: object, t_s: float) -> None:
+        if before is not None:
+            before(message, t_s)
+        if message.get_type() == "COMMAND_LONG" and message.command == book.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
+            found.append((t_s, int(message.param2)))  # type: ignore[attr-defined]
+
+    link.hook = look
+    return found
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize("lost", ["everything", "heartbeats"])
+def test_a_pilot_who_is_not_seen_keeps_the_vehicle(run_dir: Path, lost: str) -> None:
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    modes = asked(link)
+    switched: list[float] = []
+
+    def unheard(t_s: float) -> bool:
+        gone = bool(began) and t_s > began[0] + 0.1
+        if gone and not switched and t_s > began[0] + 3.0:
+            switched.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
+        return gone
+
+    if lost == "everything":
+        link.mute = unheard
+    else:
+        link.silenced = lambda kind, t_s: kind == "HEARTBEAT" and unheard(t_s)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.LINK_LOST
+    assert link.sim.vehicle.mode == CopterMode.LOITER
+    assert [t for t, _ in modes if t > switched[0]] == []
+    if lost == "everything":
+        assert int(CopterMode.BRAKE) in [mode for t, mode in modes if t > began[0]], "asked for while it was seen"
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_lost_downlink_between_two_steps_ends_the_flight(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    ended = marked(link, " end")
+    link.mute = lambda t: bool(ended) and t > ended[0] + 1.5
+    away = replace(make_leg("b"), start_m=(5.0, 0.0, 5.0))
+    result = fly(make_plan(make_leg("a"), away), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.LINK_LOST
+    last = max(t for t, kind in link.sent if kind.startswith("SET_"))
+    assert last < ended[0] + 1.5 + 1.6, "nobody would see a pilot who takes over now"
+
+
+def test_a_vehicle_that_refuses_guided_is_held_level_and_landed(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    ended = marked(link, " end", then=lambda: link.set_parameter("SIM_GPS1_ENABLE", 0.0))
+    legs = [make_leg(name) for name in "abcd"]
+    result = fly(make_plan(*legs), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.NOT_SETTLED
+    assert [r.outcome for r in result.legs] == [LegOutcome.FLOWN, *[LegOutcome.NOT_SETTLED] * 4]
+    assert not link.sim.vehicle.armed
+    targets = [t for t, kind in link.sent if kind == "SET_ATTITUDE_TARGET" and ended[0] < t < ended[0] + 4.0]
+    assert max(b - a for a, b in pairwise(targets)) < 0.1
