@@ -12,6 +12,7 @@ import numpy as np
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
 from flighttest.flight import preflight, supervisor
+from flighttest.flight.changes import ParameterChanges
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
@@ -34,7 +35,15 @@ POSITION_WAIT_S = 90.0
 _POSITION_PATIENCE_S = 5.0  # where none is needed
 BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _LISTEN_AFTER_TAKE_OVER_S = 2.0
-_SLOW_STREAMS = ("ATTITUDE", "HIGHRES_IMU", "RAW_IMU", "LOCAL_POSITION_NED", "BATTERY_STATUS", "ATTITUDE_TARGET")
+_SLOW_STREAMS = (
+    "ATTITUDE",
+    "HIGHRES_IMU",
+    "RAW_IMU",
+    "LOCAL_POSITION_NED",
+    "BATTERY_STATUS",
+    "ATTITUDE_TARGET",
+    "HEARTBEAT",
+)
 
 OnStage = Callable[[str], None]
 
@@ -114,7 +123,7 @@ class _Flight:
         self._stops = stops
         self._on_vehicle = on_vehicle
         self._parameters: dict[str, float] = {}
-        self._changes: preflight.ParameterChanges | None = None
+        self._changes: ParameterChanges | None = None
 
     def run(
         self,
@@ -247,7 +256,7 @@ class _Flight:
         self.recorder.use_clock(self.session.clock.ground_s)
 
     def _mend(self, found: list[preflight.Check], waived: frozenset[str]) -> list[preflight.Check]:
-        self._changes = preflight.ParameterChanges(self.session, self._parameters)
+        self._changes = ParameterChanges(self.session, self._parameters)
         left = []
         for check in found:
             if check.set and check.name not in waived:
@@ -285,7 +294,7 @@ class _Flight:
             attitude_age_max_s=0.3 * self._pace,
             position_age_max_s=0.5 * self._pace,
             silence_max_s=0.5 * self._pace,
-            mode_age_max_s=1.5 * self._pace,
+            mode_age_max_s=2.5 * self._pace,
             held_up_max_s=0.5 * self._pace if preflight.is_simulator(self._parameters) else preflight.TIMEOUT_S,
         )
 
@@ -379,7 +388,7 @@ class _Flight:
         if self._changes is not None and self._changes.pending:
             self._say("restoring parameters")
             try:
-                left = self._changes.restore()
+                left = self._changes.restore(airborne=self.vehicle.armed)
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
                 left = self._changes.pending
                 self.notes.append(str(error))

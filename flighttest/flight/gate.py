@@ -67,7 +67,7 @@ class GateLimits:
     attitude_age_max_s: float = 0.3
     position_age_max_s: float = 0.5
     silence_max_s: float = 0.5
-    mode_age_max_s: float = 1.5
+    mode_age_max_s: float = 2.5
     held_up_max_s: float = 0.5
 
 
@@ -146,7 +146,8 @@ def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
 def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits, step: bool) -> list[Refusal]:
     found = []
     fresh = state.position_ok and state.position_age_s <= gate.position_age_max_s
-    if state.height_m is not None and not height_inside(target, state, gate):
+    blind = step and not math.isfinite(math.nan if state.climb_m_s is None else state.climb_m_s)
+    if state.height_m is not None and (blind or not height_inside(target, state, gate)):
         found.append(Refusal.HEIGHT)
     judged = gate.needs_position or (step and gate.zone_placed and fresh)
     if judged and state.position_m is not None and state.velocity_m_s is not None:
@@ -182,12 +183,13 @@ def zone_inside(state: VehicleState, gate: GateLimits) -> bool:
 
 
 def zone_room_m(state: VehicleState, gate: GateLimits) -> float:
-    """Least distance, m, between a wall and any place on the way to a stop; negative outside."""
+    """Least distance, m, between a wall and any place on the way to a stop; negative outside. An old position has moved on since."""
     assert state.position_m is not None
     assert state.velocity_m_s is not None
     here = gate.zone.from_world([state.position_m[0], state.position_m[1], 0.0])
     speed = math.hypot(state.velocity_m_s[0], state.velocity_m_s[1])
-    reach = gate.reaction_s + speed / (2.0 * gate.brake_m_s2)
+    age = state.position_age_s if math.isfinite(state.position_age_s) else 0.0
+    reach = age + gate.reaction_s + speed / (2.0 * gate.brake_m_s2)
     way = gate.zone.from_world([state.velocity_m_s[0] * reach, state.velocity_m_s[1] * reach, 0.0])
     places = np.array([here, here + way])[:, :2]
     low, high = np.array([gate.zone.x_m, gate.zone.y_m]).T

@@ -5,16 +5,15 @@ A simulator is excused from what only a field has (a live RC link, a fence), and
 
 from __future__ import annotations
 
-import contextlib
+import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from flighttest.errors import LinkError, PreflightError
+from flighttest.errors import PreflightError
 from flighttest.flight.state import VehicleState
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.link.session import Session
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
 
@@ -31,8 +30,8 @@ _FENCE_BRAKE = 4
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
 _FENCE_ROOM_M = 20.0  # between the zone and a fence that is still one for it
 _FS_CONTINUE_GUIDED = 4
+_RC_IGNORED = 1
 RATE_SHARE = 0.8
-_GONE_S = 5.0  # of silence
 
 RATES_HZ: dict[str, float] = {
     "HEARTBEAT": 10.0,
@@ -90,7 +89,9 @@ def rc_live(vehicle: ArduPilot) -> bool:
     if heard is None or heard.message.chancount == 0:
         return False
     status = vehicle.request("SYS_STATUS", book.MAVLINK_MSG_ID_SYS_STATUS)
-    if status is None or not status.onboard_control_sensors_present & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER:
+    if status is None:
+        return False
+    if not status.onboard_control_sensors_present & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER:
         return True  # it does not say
     return bool(status.onboard_control_sensors_health & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
 
@@ -108,7 +109,7 @@ def is_simulator(parameters: Mapping[str, float]) -> bool:
 # What a check may be called after --waive.
 NAMES = (
     "plan", "vehicles", "frame", "firmware", "GUID_OPTIONS", "GUID_TIMEOUT", "FLTMODE_GCSBLOCK", "SYSID_ENFORCE", "FS_OPTIONS", "rc",
-    "fence", "LOG_BITMASK", "rates", "battery", "position", "armed", "attitude",
+    "FS_THR_ENABLE", "FLTMODE_CH", "RC_OPTIONS", "fence", "LOG_BITMASK", "rates", "battery", "position", "armed", "attitude",
 )  # fmt: skip
 
 
@@ -225,6 +226,7 @@ def _safety(s: Situation) -> list[Check]:
                 "switch the transmitter on; its mode switch is how the pilot takes over",
             )
         )
+    found += _transmitter(s)
     zone = s.plan.vehicle.zone
     reach = max(abs(v) for v in (*zone.x_m, *zone.y_m)) * 1.5 + 5.0
     kinds = int(s.value("FENCE_TYPE") or 0)
@@ -243,10 +245,11 @@ def _safety(s: Situation) -> list[Check]:
     if not good:
         wanted_fence = {
             "FENCE_ENABLE": 1.0,
-            "FENCE_TYPE": float(_FENCE_ALTITUDE | _FENCE_CIRCLE),
+            "FENCE_TYPE": float(kinds | _FENCE_ALTITUDE | _FENCE_CIRCLE),
             "FENCE_ACTION": float(_FENCE_BRAKE),
-            "FENCE_ALT_MAX": float(round(zone.z_m[1] + 5.0)),
-            "FENCE_RADIUS": float(max(round(reach), 30)),
+            # What the pilot has drawn tighter stays as tight.
+            "FENCE_ALT_MAX": min(float(round(zone.z_m[1] + 5.0)), s.value("FENCE_ALT_MAX") or math.inf),
+            "FENCE_RADIUS": min(float(max(round(reach), 30)), s.value("FENCE_RADIUS") or math.inf),
         }
         text = ", ".join(f"{k} {v:g}" for k, v in wanted_fence.items())
         found.append(
@@ -255,6 +258,37 @@ def _safety(s: Situation) -> list[Check]:
                 "no fence that brakes at the height and distance of the flight zone",
                 f"set {text} (or use --set-params)",
                 wanted_fence,
+            )
+        )
+    return found
+
+
+def _transmitter(s: Situation) -> list[Check]:
+    """Whether the pilot's switch changes the mode, and what a lost transmitter does."""
+    found = []
+    if s.value("FS_THR_ENABLE") == 0:
+        found.append(
+            Check(
+                "FS_THR_ENABLE",
+                "FS_THR_ENABLE is 0: the vehicle would not notice that the transmitter is lost",
+                "set up the radio failsafe (FS_THR_ENABLE 1 or higher, FS_THR_VALUE below the lowest throttle), and try it on the ground",
+            )
+        )
+    if s.value("FLTMODE_CH") == 0:
+        found.append(
+            Check(
+                "FLTMODE_CH",
+                "FLTMODE_CH is 0: no switch changes the mode",
+                "set FLTMODE_CH to the mode switch's channel",
+            )
+        )
+    options = int(s.value("RC_OPTIONS") or 0)
+    if options & _RC_IGNORED:
+        found.append(
+            Check(
+                "RC_OPTIONS",
+                f"RC_OPTIONS is {options}: the vehicle ignores the receiver",
+                f"set RC_OPTIONS to {options & ~_RC_IGNORED}",
             )
         )
     return found
@@ -275,6 +309,8 @@ def _data(s: Situation) -> list[Check]:
             )
         )
     wanted_hz = {"ATTITUDE": 0.5 * RATES_HZ["ATTITUDE"], "BATTERY_STATUS": 1.0}
+    if not s.simulator:
+        wanted_hz["HEARTBEAT"] = 4.0  # a pilot's switch is seen in it
     if s.plan.reset.by == "guided":
         wanted_hz["LOCAL_POSITION_NED"] = 10.0
     if s.rates_hz.get("HIGHRES_IMU", 0.0) < RATE_SHARE * 25.0 and s.rates_hz.get("RAW_IMU", 0.0) < RATE_SHARE * 25.0:
@@ -325,46 +361,6 @@ _MULTICOPTERS = frozenset(
         book.MAV_TYPE_COAXIAL, book.MAV_TYPE_DODECAROTOR, book.MAV_TYPE_DECAROTOR,
     }
 )  # fmt: skip
-
-
-class ParameterChanges:
-    """Parameters set for this flight, verified, and restored afterwards."""
-
-    def __init__(self, session: Session, known: dict[str, float]) -> None:
-        self._session = session
-        self._known = known
-        self._before: dict[str, float] = {}
-
-    def apply(self, wanted: Mapping[str, float], note: Callable[[str], None]) -> None:
-        """Set parameters. LinkError where one does not take."""
-        for name, value in wanted.items():
-            own = name if name in self._known else (params.other_name(name, 0.0) or (name, 0.0))[0]
-            before = self._known.get(own)
-            if before is None:
-                raise LinkError(f"the vehicle has no parameter {name}", "set it up by hand, or waive its check")
-            self._before.setdefault(own, before)
-            params.write(self._session, name, value, self._known)
-            note(f"{own} set from {figure(before)} to {figure(self._known[own])}; it is restored after the flight")
-
-    @property
-    def pending(self) -> dict[str, float]:
-        """What still has to be restored: name to value."""
-        return dict(self._before)
-
-    def restore(self) -> dict[str, float]:
-        """Put everything back, verified; what could not be, with the value it should have, stays pending.
-
-        A link that is still silent after one of them has been tried is not waited for again.
-        """
-        tried = False
-        for name, value in reversed(list(self._before.items())):
-            if self._session.port.muted or (tried and self._session.silence_s > _GONE_S):
-                break
-            tried = True
-            with contextlib.suppress(LinkError):  # it is told as left
-                params.write(self._session, name, value, self._known)
-                del self._before[name]
-        return self.pending
 
 
 def refuse(found: list[Check], waived: Collection[str]) -> None:

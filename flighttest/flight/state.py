@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 VOLTAGE_MEAN_S = 2.0
 VOLTAGE_LOST_S = 10.0  # without a new one: then the battery is not known any more
+_EKF_SPEAKS_S = 5.0  # it reports five times a second
 _PRESSURE_SCALE_M, _PRESSURE_EXPONENT = 44330.8, 0.190263  # international standard atmosphere
 _FRESH_S = 1.0  # a preferred message older than this gives way to the next one of its group
 
@@ -145,7 +146,10 @@ class StateReader:
         heard = bool(self._voltages) and now - self._voltages[-1][0] <= VOLTAGE_LOST_S
         voltages = [v for _, v in self._voltages] if heard else []
         ekf = session.latest.get("EKF_STATUS_REPORT")
-        flags = int(ekf.message.flags) if ekf else 0
+        # A filter that fell silent vouches for nothing; one that only assumes to stand still knows no position.
+        told = ekf is None or now - ekf.t_s <= _EKF_SPEAKS_S
+        flags = int(ekf.message.flags) if ekf and told else 0
+        placed = flags & (book.EKF_POS_HORIZ_ABS | book.EKF_POS_HORIZ_REL) and not flags & book.EKF_CONST_POS_MODE
         return VehicleState(
             t_s=now,
             mode=int(beat.message.custom_mode) if beat else -1,
@@ -160,7 +164,7 @@ class StateReader:
             climb_m_s=climb,
             voltage_v=float(np.mean(voltages)) if voltages else None,
             ekf_ok=ekf is None or bool(flags & book.EKF_ATTITUDE),
-            position_ok=bool(flags & (book.EKF_POS_HORIZ_ABS | book.EKF_POS_HORIZ_REL)) and local is not None,
+            position_ok=bool(placed) and local is not None,
             throttle_stick=self._throttle_stick(),
             silence_s=session.silence_s,
         )

@@ -103,7 +103,7 @@ def test_a_stop_that_ends_beyond_the_wall_is_refused_before_the_wall_is_reached(
     moving = replace(GOOD, position_m=(10.0, 0.0, 5.0), velocity_m_s=(6.0, 0.0, 0.0))
     assert refusals(TILTED, moving, GATE) == (Refusal.ZONE,)
     assert refusals(TILTED, replace(moving, velocity_m_s=(-6.0, 0.0, 0.0)), GATE) == ()
-    reach = 6.0 * GATE.reaction_s + 36.0 / (2 * GATE.brake_m_s2)
+    reach = 6.0 * (GATE.reaction_s + moving.position_age_s) + 36.0 / (2 * GATE.brake_m_s2)
     assert zone_room_m(moving, GATE) == pytest.approx(5.0 - reach)
 
 

@@ -24,7 +24,7 @@ PARAMETERS = {
     "FENCE_ALT_MAX": 15.0,
     "LOG_BITMASK": 980991.0,
 }
-RATES = {"ATTITUDE": 100.0, "HIGHRES_IMU": 100.0, "LOCAL_POSITION_NED": 50.0, "BATTERY_STATUS": 10.0}
+RATES = {"ATTITUDE": 100.0, "HIGHRES_IMU": 100.0, "LOCAL_POSITION_NED": 50.0, "BATTERY_STATUS": 10.0, "HEARTBEAT": 10.0}
 
 
 def situation(**changes: Any) -> Situation:
@@ -65,6 +65,10 @@ REFUSED: list[tuple[str, dict[str, Any], dict[str, float] | None]] = [
     ("fence", {"parameters": {"FENCE_TYPE": 2.0}}, None),
     ("fence", {"parameters": {"FENCE_ALT_MAX": 100.0}}, None),
     ("rc", {"rc_live": False}, {}),
+    ("FS_THR_ENABLE", {"parameters": {"FS_THR_ENABLE": 0.0}}, {}),
+    ("FLTMODE_CH", {"parameters": {"FLTMODE_CH": 0.0}}, {}),
+    ("RC_OPTIONS", {"parameters": {"RC_OPTIONS": 33.0}}, {}),
+    ("rates", {"rates": {"HEARTBEAT": 1.0}}, {}),
     ("battery", {"state": {"voltage_v": 21.0}}, {}),
     ("battery", {"state": {"voltage_v": None}}, {}),
     ("position", {"state": {"position_ok": False}}, {}),
@@ -91,6 +95,12 @@ def test_each_fault_is_found_alone_with_its_remedy(
         assert check.set
     else:
         assert check.set == wanted
+
+
+def test_a_fence_that_the_pilot_has_drawn_is_completed_and_not_widened() -> None:
+    (check,) = found(parameters={"FENCE_ENABLE": 0.0, "FENCE_TYPE": 4.0, "FENCE_ALT_MAX": 12.0, "FENCE_RADIUS": 20.0})
+    assert check.set["FENCE_TYPE"] == 7.0
+    assert (check.set["FENCE_ALT_MAX"], check.set["FENCE_RADIUS"]) == (12.0, 20.0)
 
 
 def test_an_armed_vehicle_is_refused() -> None:

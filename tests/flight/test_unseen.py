@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight.preflight import Check
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
 from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
@@ -98,3 +99,26 @@ def test_a_vehicle_that_refuses_guided_is_held_level_and_landed(run_dir: Path) -
     assert not link.sim.vehicle.armed
     targets = [t for t, kind in link.sent if kind == "SET_ATTITUDE_TARGET" and ended[0] < t < ended[0] + 4.0]
     assert max(b - a for a, b in pairwise(targets)) < 0.1
+
+
+def test_a_vehicle_that_is_left_in_the_air_keeps_its_fence(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    fence = {"FENCE_ENABLE": 1.0, "FENCE_ACTION": 4.0}
+    refused = Check("fence", "no fence", "set one", fence)
+    began = marked(link, " step")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("flighttest.flight.preflight.checks", lambda _situation: [refused])
+        result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: 2 if began else 0)
+    assert result.outcome is FlightOutcome.OPERATOR_ABORT
+    assert link.sim.vehicle.armed
+    assert set(result.parameters_left) == set(fence)
+    assert any("not restored, set by hand" in note for note in result.notes)
+
+
+def test_an_estimator_that_fell_silent_vouches_for_nothing(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    link.silenced = lambda kind, t_s: kind == "EKF_STATUS_REPORT" and bool(began) and t_s > began[0]
+    result = fly(make_plan(*(make_leg(name) for name in "abc")), "sim", run_dir, transport=link)
+    assert result.outcome is not FlightOutcome.COMPLETED
+    assert not link.sim.vehicle.armed
