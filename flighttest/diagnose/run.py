@@ -35,6 +35,9 @@ SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 # Start delays never fall on a sample: there the derivative by the delay is one-sided.
 OFF_GRID_S = 1.7e-4
 DELAYS_DIFFER_S = 0.01
+UNMOVED = "these flights do not move what it acts on"
+# A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is told.
+MOVED, MOVED_ERRORS = 0.05, 4.0
 
 
 SideBySide = Callable[[Callable[[Sequence[str]], list[Answer]], Sequence[str], Sequence[float]], list[Answer]]
@@ -156,7 +159,11 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         if missing and term.id not in {u.term for u in unseen}:
             unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
     tried = {t.id for s in searches for t in s.pool}
-    named = {f.term for f in findings} | {u.term for u in unseen}
+    if complete:
+        told = tried | {u.term for u in unseen}
+        unseen += [Untestable(t.id, UNMOVED, t.reveals) for t in pool if t.id not in told]
+    hidden = {u.term: u.why for u in unseen}
+    named = {f.term for f in findings} | set(hidden)
     shares = _all(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else 0.0
     staying = {c for a in answers for c in a.staying}
@@ -172,7 +179,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
     final = model.with_terms(*accepted)
     return Diagnosis(
         verdict=verdict,
-        sentence=_sentence(verdict, findings, share, located, complete),
+        sentence=_sentence(verdict, findings, share, located, complete) + _moved(asked.previous, after),
         located=tuple(located),
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - named)),
@@ -190,7 +197,11 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         residual_map=tuple(_all(answers, "cells")),
         regimes=tuple(_all(answers, "curves")),
         overlays=tuple(_all(answers, "overlaid")),
-        candidates=tuple(_all(answers, "candidates")),
+        # What these flights could not have shown was not ruled out by them.
+        candidates=tuple(
+            {**c, "verdict": "UNTESTABLE", "why": hidden[c["term"]]} if c["term"] in hidden else c
+            for c in _all(answers, "candidates")
+        ),
         cost={"added_parameters": len(after) - len(_merged(answers, "before")), "held_out_groups": group_name},
         unknown=tuple(formulas),
         mass=mass_test(asked.previous, after),
@@ -251,6 +262,23 @@ def _next(
 def _with_forces(channels: set[str]) -> set[str]:
     """A velocity that goes astray was pushed: its force is to be described."""
     return channels | {f"{force}_{c[2:]}" for c in channels if c.startswith("v_") for force in ("f", "a")}
+
+
+def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, Mapping[str, Any]]) -> str:
+    """What the refit of the base has taken up: parameters that are no longer those of the model given."""
+    changes = {}
+    for name in (n for n in previous if n in after and not n.startswith("T_d")):
+        old, std = previous[name]
+        difference = float(after[name]["value"]) - old
+        error = float(np.hypot(float(after[name]["std"]), std or 0.0))
+        if old and abs(difference) > max(MOVED * abs(old), MOVED_ERRORS * error):
+            changes[name] = difference / abs(old)
+    if not changes:
+        return ""
+    largest = sorted(changes, key=lambda n: -abs(changes[n]))
+    words = ", ".join(f"{n} {100 * changes[n]:+.0f} %" for n in largest[:3])
+    more = f" and {len(largest) - 3} more" if len(largest) > 3 else ""
+    return f" The model given does not hold as it is ({words}{more}): its parameters were fitted anew."
 
 
 def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:

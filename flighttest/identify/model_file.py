@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from flighttest.identify.model_blocks import (
     plain_block,
     terms_of,
 )
-from flighttest.physics.body import DELAY_PARAM
+from flighttest.physics.body import ATTITUDE_PARAMS, CHANNEL_DELAYS, DELAY, DELAY_PARAM
 from flighttest.physics.model import Model
 
 FloatArray = NDArray[np.float64]
@@ -163,8 +165,11 @@ def write(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def read(path: Path) -> ModelFile:
-    """Read model.yaml; ModelError lists everything wrong with it."""
+def read(path: Path, *, whole: bool = False) -> ModelFile:
+    """Read model.yaml; ModelError lists everything wrong with it.
+
+    whole: it will be flown or exported, so that it has to hold every parameter of its terms; otherwise the body's may be missing.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -193,6 +198,10 @@ def read(path: Path) -> ModelFile:
     document.raise_problems(ModelError)
 
     plain = {k: n.plain() for k, n in root.items()}
+    for key in ("attitude_loops", "channel_delays"):
+        if not isinstance(plain.get(key, True), bool):
+            document.wrong(root[key], "expected true or false")
+    document.raise_problems(ModelError)
     loops = plain.get("attitude_loops", any(n in parameters for n in ("omega_phi", "omega_theta", "sigma_r")))
     channel_delays = plain.get("channel_delays", any(n in parameters for n in DELAY_PARAM.values()))
     model = Model(
@@ -203,18 +212,12 @@ def read(path: Path) -> ModelFile:
         attitude_loops=bool(loops),
     )
     for name, node in children_of(document, root["parameters"]).items():
-        bounds, stored = model.param.get(name), parameters[name]
-        if bounds is None or stored.source != "fit":
-            continue
-        slack = 1e-6 * bounds.scale  # of rounding
-        if not bounds.lower - slack <= stored.value <= bounds.upper + slack:
-            document.wrong(
-                node, f"{stored.value:g} is outside {bounds.lower:g} to {bounds.upper:g} {bounds.unit}, where fits look"
-            )
+        _check_parameter(document, node, name, parameters[name], model)
     document.raise_problems(ModelError)
     values = model.start({n: p.value for n, p in parameters.items()})
+    delays = (*DELAY_PARAM.values(), DELAY.name)
     missing = [
-        n for n in model.names if n not in parameters and n not in DELAY_PARAM.values() and model.term_of(n) != "body"
+        n for n in model.names if n not in parameters and n not in delays and (whole or model.term_of(n) != "body")
     ]
     if missing:
         raise ModelError(
@@ -295,20 +298,49 @@ def _parameters(document: Document, node: Node | None) -> dict[str, StoredParame
         interval = entry["interval_95"].plain() if "interval_95" in entry else None
         pair = None
         if isinstance(interval, list):
-            if len(interval) == 2 and all(isinstance(v, int | float) for v in interval):
-                pair = (float(interval[0]), float(interval[1]))
+            numbers = [float(v) for v in interval if isinstance(v, int | float) and not isinstance(v, bool)]
+            if len(interval) == len(numbers) == 2 and np.isfinite(numbers).all() and numbers[0] <= numbers[1]:
+                pair = (numbers[0], numbers[1])
             else:
-                document.wrong(entry["interval_95"], "an interval is two numbers", "write [low, high]")
+                document.wrong(entry["interval_95"], "an interval is two rising numbers", "write [low, high]")
+        elif interval is not None:
+            document.wrong(entry["interval_95"], "an interval is two rising numbers", "write [low, high]")
 
         def text(key: str, default: str = "", entry: dict[str, Node] = entry) -> str:
             return str(entry[key].plain()) if key in entry else default
 
         identifiable = entry["identifiable"].plain() if "identifiable" in entry else True
+        if not isinstance(identifiable, bool):
+            document.wrong(entry["identifiable"], "expected true or false")
         if value is not None:
             found[name] = StoredParameter(
                 value, text("unit"), std, pair, text("source", "fit"), bool(identifiable), text("why"), text("fly")
             )
     return found
+
+
+def _check_parameter(document: Document, node: Node, name: str, stored: StoredParameter, model: Model) -> None:
+    """A name that the model has, in its unit, where such a parameter can lie."""
+    known = {p.name: p for p in (*ATTITUDE_PARAMS, *CHANNEL_DELAYS, DELAY)} | dict(model.param)
+    param = known.get(name)
+    if param is None:
+        near = get_close_matches(name, known, 1)
+        hint = f"did you mean {near[0]}?" if near else f"its terms have {', '.join(model.names)}"
+        document.wrong(node, f"the model has no parameter {name}", hint)
+        return
+    if stored.unit and _plain_unit(stored.unit) != _plain_unit(param.unit):
+        document.wrong(node, f"{name} is in {param.unit}, not in {stored.unit}", f"convert it to {param.unit}")
+    slack = 1e-6 * param.scale  # of rounding
+    if stored.source == "fit" and not param.lower - slack <= stored.value <= param.upper + slack:
+        document.wrong(
+            node, f"{stored.value:g} is outside {param.lower:g} to {param.upper:g} {param.unit}, where fits look"
+        )
+    elif stored.value <= 0.0 < param.lower:
+        document.wrong(node, f"{stored.value:g}: {name} is above zero")
+
+
+def _plain_unit(unit: str) -> str:
+    return {"-": "1"}.get(unit, unit.replace("\u00b2", "^2").replace(" ", ""))
 
 
 def _covariance(
@@ -328,4 +360,12 @@ def _covariance(
         document.wrong(node, "the matrix holds something that is not a finite number")
     elif np.any(np.diag(matrix) < 0.0):
         document.wrong(node, "the matrix has a negative variance on its diagonal")
+    elif not np.allclose(matrix, matrix.T, rtol=1e-5, atol=0.0):
+        document.wrong(node, "the matrix is not symmetric")
+    strange = [n for n in names if n not in parameters]
+    if strange or len(set(names)) < len(names):
+        twice = ", ".join(strange) or ", ".join(n for n, k in Counter(names).items() if k > 1)
+        document.wrong(
+            node, f"`order` names {twice}, which {'are no parameters of this file' if strange else 'stand there twice'}"
+        )
     return names, matrix

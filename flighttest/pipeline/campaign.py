@@ -103,7 +103,7 @@ def _analysis(
     if fitted is not None and (previous is not None if diagnose is None else diagnose):
         try:
             result = run_diagnosis(segments, recordings, previous, vehicle, progress)
-            diagnosis = write_diagnosis(result, segments, recordings, vehicle, folder, progress)
+            diagnosis = write_diagnosis(result, segments, recordings, vehicle, previous, folder, progress)
             explained = result.verdict not in UNFINISHED
         except FitError as error:
             progress.stage(f"no diagnosis: {error.message}")

@@ -11,6 +11,7 @@ from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
 from flighttest.documents import write_text
 from flighttest.identify import model_file
+from flighttest.identify.carried_over import carry_over, known_before
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
@@ -79,7 +80,7 @@ def diagnose(
         facts["another vehicle"] = f"the model's has {other}; see `flighttest status`"
     if output is not None:
         facts["written to"] = str(output)
-        data = write_diagnosis(found, segments, recordings, declared, output, progress)
+        data = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
     script = write_text(found.next_script) if found.next_script else ""
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
@@ -90,12 +91,19 @@ def _base_terms(found: Diagnosis) -> list[str]:
     return [t for t in found.model.terms if t not in found.accepted]
 
 
-def refit(found: Diagnosis, segments: Sequence[Segment], progress: Progress = SILENT) -> Fit:
-    """The accepted model fitted to everything, for model.yaml."""
+def refit(
+    found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None, progress: Progress = SILENT
+) -> tuple[Fit, tuple[str, ...]]:
+    """The accepted model fitted to everything, for model.yaml; and which parameters are held as the base model knew them."""
     progress.stage(f"fitting {' + '.join(found.model.terms)}")
     # Delays begin where the responses set in, as in any fit: from the diagnosis' own, just across a sample, the way is longer.
     start = {name: value for name, value in found.values.items() if name not in DELAY_PARAM.values()}
-    return identify([s for s in segments if s.usable], found.model, start=start)
+    usable = [s for s in segments if s.usable]
+    fitted = identify(usable, found.model, start=start)
+    known = known_before(fitted, base)
+    if not known:
+        return fitted, ()
+    return identify(usable, found.model, start=start, frozen=known), tuple(known)
 
 
 def write_diagnosis(
@@ -103,10 +111,11 @@ def write_diagnosis(
     segments: Sequence[Segment],
     recordings: Sequence[Recording],
     vehicle: Vehicle | None,
+    base: ModelFile | None,
     folder: Path,
     progress: Progress = SILENT,
 ) -> dict[str, Any]:
-    """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written."""
+    """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written. base: the model given."""
     folder.mkdir(parents=True, exist_ok=True)
     data = found.to_json()
     script = ""
@@ -115,8 +124,9 @@ def write_diagnosis(
         (folder / "next.yaml").write_text(script, encoding="utf-8")
         data["next_flight"] = "next.yaml"
     (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
-    fitted = refit(found, segments, progress)
-    model_file.write(folder / "model.yaml", model_data(fitted, recordings, vehicle))
+    fitted, kept = refit(found, segments, base, progress)
+    model = model_data(fitted, recordings, vehicle)
+    model_file.write(folder / "model.yaml", carry_over(model, base, kept) if base is not None and kept else model)
     page = run_document(
         recordings,
         fit_view(fitted, segments),

@@ -20,7 +20,7 @@ from flighttest.report.numbers import join, percent, to_error, unit
 
 def export(model: Path, kind: str, output: Path) -> Result:
     """Write a model for other programs."""
-    stored = model_file.read(model)
+    stored = model_file.read(model, whole=True)
     written = write_export(stored, kind, output)  # type: ignore[arg-type]
     rows = tuple((str(path), _what(path)) for path in written)
     verdict = f"{len(written)} file{'s' if len(written) != 1 else ''} written to {output}."

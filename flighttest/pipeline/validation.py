@@ -28,7 +28,7 @@ def validate(
     progress: Progress = SILENT,
 ) -> Result:
     """Paper section 4; `output`: also write the page."""
-    stored = model_file.read(model)
+    stored = model_file.read(model, whole=True)
     earlier = model_file.read(previous) if previous is not None else None
     recordings = open_recordings(runs, columns, progress=progress)
     segments = cut_all(recordings, progress)

@@ -99,6 +99,13 @@ def test_a_model_does_not_differ_from_itself_and_does_from_another(found, writte
         ("fingerprint: {mass_kg: heavy}", "fingerprint.mass_kg"),
         ("fit_quality: good", "expected a block of keys"),
         ("covariance: {order: [alpha], matrix: [[-1.0]]}", "negative variance"),
+        ("covariance: {order: [banana], matrix: [[1.0]]}", "names banana, which are no parameters"),
+        (
+            "covariance: {order: [alpha, alpha], matrix: [[1.0, 0.0], [0.0, 1.0]]}",
+            "names alpha, which stand there twice",
+        ),
+        ("covariance: {order: [alpha, alpha], matrix: [[1.0, 0.5], [0.0, 1.0]]}", "not symmetric"),
+        ('attitude_loops: "false"', "expected true or false"),
     ],
 )
 def test_nonsense_in_any_block_is_told_with_its_line(tmp_path, line, words):
@@ -107,6 +114,32 @@ def test_nonsense_in_any_block_is_told_with_its_line(tmp_path, line, words):
     with pytest.raises(ModelError, match=words) as error:
         model_file.read(path)
     assert {p.line for p in error.value.problems} == {4}
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("alhpa: {value: 1.7}", "did you mean alpha"),
+        ("alpha: {value: 1.7, interval_95: [1.8, 1.6]}", "two rising numbers"),
+        ("alpha: {value: 1.7, interval_95: [.nan, 1.6]}", "two rising numbers"),
+        ('alpha: {value: 1.7, identifiable: "false"}', "expected true or false"),
+        ("T_d: {value: 100, unit: ms, source: frozen}", "T_d is in s, not in ms"),
+        ("K: {value: -50, source: frozen}", "K is above zero"),
+    ],
+)
+def test_a_parameter_that_would_be_misread_is_refused(tmp_path, entry, words):
+    path = tmp_path / "bad.yaml"
+    path.write_text(f"format: model/1\nterms: [body]\nparameters:\n  {entry}\n")
+    with pytest.raises(ModelError, match=words):
+        model_file.read(path)
+
+
+def test_what_is_flown_or_exported_must_be_whole(tmp_path):
+    path = tmp_path / "k.yaml"
+    path.write_text("format: model/1\nterms: [body]\nparameters: {K: {value: 50, unit: m/s^2}}\n")
+    assert model_file.read(path).values["K"] == 50
+    with pytest.raises(ModelError, match="sigma_t, alpha of its terms are missing"):
+        model_file.read(path, whole=True)
 
 
 def test_a_fit_that_no_fit_can_have_found_is_refused(tmp_path):
