@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 import warnings
@@ -69,11 +70,9 @@ def call(argv: Sequence[str]) -> int:
         return 0
     except OSError as error:
         # A file that cannot be read or written is the typist's to mend: name it instead of a traceback.
-        if error.filename is None:
-            raise
-        show.error(
-            FlighttestError(f"{error.filename}: {error.strerror}", "check the path, its permissions and the free space")
-        )
+        what = error.strerror or str(error)
+        words = what if error.filename is None else f"{error.filename}: {what}"
+        show.error(FlighttestError(words, "check the path, its permissions and the free space"))
         return 2
 
 
@@ -81,6 +80,9 @@ def main() -> None:
     """Entry point of the `flighttest` program."""
     # Trial steps of a solver may overflow before they are taken back; that is no news to an operator.
     warnings.simplefilter("ignore", RuntimeWarning)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks a sign shows another in its place
+            stream.reconfigure(errors="replace")
     code = call(sys.argv[1:])
     gc.freeze()  # what is left goes with the process: Python need not search it for cycles on the way out
     sys.exit(code)

@@ -123,6 +123,7 @@ class Diagnosis:
     residual_map: tuple[Mapping[str, Any], ...]
     regimes: tuple[Mapping[str, Any], ...]
     overlays: tuple[Mapping[str, Any], ...]
+    smallest_units: Mapping[str, str] = field(default_factory=dict)
     candidates: tuple[Mapping[str, Any], ...] = ()
     cost: Mapping[str, Any] = field(default_factory=dict)
     unknown: tuple[Mapping[str, Any], ...] = ()

@@ -14,7 +14,7 @@ from flighttest.diagnose.judge import held_out_groups
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Untestable, Verdict
 from flighttest.diagnose.next_flight import Question, propose
-from flighttest.diagnose.rivals import missing_channels
+from flighttest.diagnose.rivals import UNSEEN, missing_channels
 from flighttest.diagnose.search import Search, silent
 from flighttest.diagnose.strays import set_aside
 from flighttest.diagnose.unknown import describe
@@ -35,6 +35,7 @@ SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 # Start delays never fall on a sample: there the derivative by the delay is one-sided.
 OFF_GRID_S = 1.7e-4
 DELAYS_DIFFER_S = 0.01
+SHAPE_ALONE = "times its usual self"
 UNMOVED = "these flights do not move what it acts on"
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is told.
 MOVED, MOVED_ERRORS = 0.05, 4.0
@@ -163,6 +164,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         told = tried | {u.term for u in unseen}
         unseen += [Untestable(t.id, UNMOVED, t.reveals) for t in pool if t.id not in told]
     hidden = {u.term: u.why for u in unseen}
+    units = {p.name: p.unit for t in pool for p in t.params}
     named = {f.term for f in findings} | set(hidden)
     shares = _all(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else 0.0
@@ -185,7 +187,8 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         not_needed=tuple(sorted(tried - named)),
         untestable=tuple(unseen),
         unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
-        smallest_detectable={k: v[0] for k, v in levels.items() if np.isfinite(v[0])},
+        smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
+        smallest_units={k: f"{units[name]} ({name})" if name else SHAPE_ALONE for k, (_, name) in levels.items()},
         model=final,
         values={k: values[k] for k in final.names if k in values},
         accepted=accepted,

@@ -166,7 +166,9 @@ def _missing(frames: Frames) -> list[str]:
     sentences: list[str] = []
     for one in np.unique(frames.sender):
         sequence = frames.sequence[frames.sender == one].astype(np.int64)
-        missing = int(np.sum((np.diff(sequence) - 1) % 256)) if sequence.size > 1 else 0
+        # Frames that overtook one another step back a little: that is no loss.
+        steps = (np.diff(sequence) + 127) % 256 - 128
+        missing = max(int(np.sum(steps)), 0) if sequence.size > 1 else 0
         # A sender that restarts its count, or counts per link, looks like a loss of everything: say nothing then.
         if _SEQUENCE_LOSS * sequence.size < missing < sequence.size:
             share = 100.0 * missing / (missing + sequence.size)

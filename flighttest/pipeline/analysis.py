@@ -119,7 +119,17 @@ def fit_segments(
         attitude_loops=has_attitude_references(usable),
     )
     progress.stage(f"fitting {len(usable)} responses")
-    found = identify(usable, model, frozen=_held(options.freeze, model), ties=_ties(options.tie))
+    held, ties = _held(options.freeze, model), _ties(options.tie)
+    both = sorted(set(held) & set(ties))
+    if both:
+        raise InputError(f"{', '.join(both)} is both held and tied", "give either --freeze or --tie")
+    for name, source in ties.items():
+        units = {model.param[n].unit for n in (name, source) if n in model.param}
+        if len(units) > 1:
+            raise InputError(
+                f"--tie {name}={source}: {' and '.join(sorted(units))} are not the same unit", "tie like to like"
+            )
+    found = identify(usable, model, frozen=held, ties=ties)
     return cross_checked(found)
 
 
@@ -157,6 +167,8 @@ def _pairs(words: Sequence[str], option: str) -> dict[str, float]:
             equals = ""
         if not equals or not name.strip():
             raise InputError(f"{option} {word!r} is not NAME=VALUE", f"as in {option} alpha=1.7")
+    if len(found) < len(words):
+        raise InputError(f"{option} names a parameter twice", "give it one value")
     return found
 
 
@@ -167,6 +179,12 @@ def _ties(words: Sequence[str]) -> dict[str, str]:
         if not (name and equals and source) or name == source:
             raise InputError(f"--tie {word!r} is not A=B", "as in --tie d_y=d_x")
         found[name] = source
+    chained = [f"{name}={source}" for name, source in found.items() if source in found]
+    if len(found) < len(words) or chained:
+        raise InputError(
+            f"--tie {chained[0] if chained else words[-1]}: a parameter is tied twice, or to one that is tied itself",
+            "tie each to one that is free",
+        )
     return found
 
 

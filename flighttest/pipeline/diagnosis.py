@@ -82,6 +82,9 @@ def diagnose(
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
     script = write_text(found.next_script) if found.next_script else ""
+    if script:
+        kept = "the script below, saved as next.yaml" if output is None else str(output / "next.yaml")
+        data |= {"next_path": kept}
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)

@@ -13,7 +13,8 @@ from flighttest.vehicle.model import Vehicle
 
 
 def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
-    """From the newest recording that knows each part; the recording's own components before those of the vehicle file."""
+    """From the newest recording that knows each part; the recording's own components before those of the vehicle file, but the nominal
+    voltage as the vehicle file has it, since the fit takes it from there."""
     firmware = ""
     parameters: dict[str, float] = {}
     components: dict[str, Any] = {}
@@ -30,7 +31,7 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
         mass = float(weighed) if isinstance(weighed, int | float) else mass
     if not components and vehicle is not None:
         components = dict(vehicle.components)
-    if voltage is None and vehicle is not None:
+    if vehicle is not None:
         voltage = vehicle.nominal_voltage_v
     if mass is None and vehicle is not None:
         mass = vehicle.mass_kg

@@ -108,9 +108,10 @@ def connection(request: FlightRequest, flight: int = 0) -> Iterator[str]:
     """The URL to fly at; starts the built-in vehicle, with a fresh battery, where that is what flies."""
     url = target(request)
     if url != BUILTIN:
-        if request.hide:
+        given = {"--hide": bool(request.hide), "--airframe": request.airframe != DEFAULT_VEHICLE.name}
+        for option in (name for name, is_given in given.items() if is_given):
             raise InputError(
-                "--hide is for the built-in vehicle", "leave out --connect and --vehicle, or use --connect sim"
+                f"{option} is for the built-in vehicle", "leave out --connect and --vehicle, or use --connect sim"
             )
         yield url
         return

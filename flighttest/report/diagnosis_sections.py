@@ -194,9 +194,13 @@ def _limits(data: Data) -> Section:
         blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption))
     smallest = data.get("smallest_detectable") or {}
     if smallest:
-        lines = tuple((str(k), number(v, 2) if isinstance(v, int | float) else str(v)) for k, v in smallest.items())
-        caption = "The smallest effect that would have been noticed, in the unit of its first parameter."
-        blocks.append(Table(("effect", "smallest"), lines, ("left", "right"), caption, fold=True))
+        units = data.get("smallest_units") or {}
+        lines = tuple(
+            (str(k), number(v, 2) if isinstance(v, int | float) else str(v), unit(str(units.get(k, ""))))
+            for k, v in smallest.items()
+        )
+        caption = "The smallest effect that would have been noticed."
+        blocks.append(Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True))
     left = (data.get("unexplained") or {}).get("excess_share")
     if left is not None:
         blocks.append(Paragraph(f"Left unexplained: {percent(float(left))} of the error above the noise floor."))
@@ -211,7 +215,7 @@ def _next(data: Data, script: str) -> Section | None:
     if not name:
         return None
     said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
-    blocks: list[Block] = [Code(str(said or f"flighttest run {name}"))]
+    blocks: list[Block] = [Code(str(said or f"flighttest run {data.get('next_path', name)}"))]
     if script:
         blocks.append(Code(script, "the script"))
     return Section("next", "Fly this next", tuple(blocks))

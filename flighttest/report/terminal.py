@@ -112,7 +112,12 @@ def _table(table: Table, roomy: bool) -> RenderableType:
     parts: list[RenderableType] = [grid]
     hidden = len(table.rows) - len(rows)
     if hidden > 0:
-        parts.append(Text(f"... and {hidden} more (all of them in the HTML report and with --json)", style="dim"))
+        parts.append(
+            Text(
+                f"... and {hidden} more (all of them with --json, and in the HTML report where one is written)",
+                style="dim",
+            )
+        )
     if table.caption:
         parts.append(Text(table.caption, style="dim italic"))
     return Group(*parts)

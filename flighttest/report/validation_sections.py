@@ -32,7 +32,7 @@ def validation_sections(found: Validation) -> tuple[Section, ...]:
     count = len(found.segments)
     where = f"{found.starts} starts in {count} stretch{'es' if count != 1 else ''} of flight"
     lead = f"{where}; only recorded commands and voltage drive the models."
-    sections = [Section("validation", "Against a flight it has not seen", (Bullets(found.sentences), figure), lead)]
+    sections = [Section("validation", "Prediction against these flights", (Bullets(found.sentences), figure), lead)]
     sections.append(Section("horizons", "Errors by horizon", (_table(found),)))
     return tuple(sections)
 

@@ -1,4 +1,5 @@
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -6,7 +7,7 @@ from pymavlink.dialects.v10 import ardupilotmega as v1
 from pymavlink.dialects.v20 import ardupilotmega as v2
 
 from flighttest.errors import RecordingError
-from flighttest.logs import import_log
+from flighttest.logs import import_log, tlog
 from flighttest.logs.timing import clock_steps
 from flighttest.logs.tlog_frames import fields_of, good_checksums, split
 
@@ -288,3 +289,13 @@ def test_thrust_that_was_a_climb_rate_is_no_throttle(tmp_path):
     assert r.channel("throttle")[1][-1] == pytest.approx(0.42)
     assert r.channel("roll_ref_rad")[1][-1] == pytest.approx(0.25)
     assert "climb rates" in r.provenance.derived["throttle"]
+
+
+def test_frames_that_overtook_one_another_are_no_loss():
+    order = np.arange(2000)
+    order[100:1900:50], order[101:1901:50] = order[101:1901:50].copy(), order[100:1900:50].copy()
+    frames = SimpleNamespace(sender=np.full(2000, 257), sequence=order % 256)
+    assert tlog._missing(frames) == []
+    lossy = SimpleNamespace(sender=np.full(1800, 257), sequence=order[order % 10 != 0] % 256)
+    (said,) = tlog._missing(lossy)
+    assert "(10.0 %)" in said

@@ -164,7 +164,8 @@ def test_missing_files_are_bad_input(call, argv, tmp_path, monkeypatch):
 def test_bad_fit_options_are_bad_input(call, flight_csv):
     for options in (
         ("--term", "nope"), ("--freeze", "alpha"), ("--tie", "d_y"), ("--freeze", "nope=1"), ("--freeze", "K=nan"),
-        ("--freeze", "K=1e300"), ("--tie", "K=K"),
+        ("--freeze", "K=1e300"), ("--tie", "K=K"), ("--freeze", "K=50", "--freeze", "K=60"), ("--freeze", "K=50", "--tie", "K=alpha"),
+        ("--tie", "K=omega_phi"), ("--tie", "d_x=d_y", "--tie", "d_y=d_x"),
     ):  # fmt: skip
         code, _, err = call("fit", flight_csv, *options)
         assert code in (2, 3), (options, err)
