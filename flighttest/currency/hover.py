@@ -89,6 +89,6 @@ def hover_test(stored: Hover, new: Hover, alpha: float | None, level: float) -> 
     verb = "rose" if change > 0 else "fell"
     share = math.expm1(change)
     words = f"the throttle that holds height {verb} {abs(share) * 100:.1f} %"
-    sentence = f"{words} (chance of this without a change: {p_value:.1g})" if alarm else f"{words}, as it may"
+    sentence = f"{words} (chance of this without a change: {p_value:.1g})" if alarm else f"{words}: no more than usual"
     detectable = {NAME: -quantile(level / 2.0, dof) * math.sqrt(total)}
     return SubsetTest("thrust", z * z, 1, p_value, level, alarm, {NAME: (share, z)}, sentence, detectable)

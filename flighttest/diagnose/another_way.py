@@ -39,7 +39,7 @@ def another_way(search: Search) -> tuple[Search, str]:
     kept, given_up = sorted(by_worth, key=lambda s: (len(s.judged), -explained(s)))
     return kept, (
         f"{_listed(given_up)} together would explain these flights as well as {_listed(kept)}: "
-        + ("the fewer are named" if len(kept.judged) < len(given_up.judged) else "the better by a little are named")
+        + ("the fewer are named" if len(kept.judged) < len(given_up.judged) else "the slightly better set is named")
     )
 
 

@@ -35,7 +35,7 @@ def impossible(
     """Why the estimates of a term cannot be what its name says; '' when they can. names, std: of what was estimated."""
     own = [n for n in names if is_amplitude(term, n, model)]
     if own and not any(model.param[n].alone for n in own):
-        return f"{', '.join(own)} without the rest of its term is no such thing: it stands in for something else"
+        return f"{', '.join(own)} alone, without the rest of its term, is not this effect: it imitates another"
     single = len(own) == 1
     for name, error in zip(names, std, strict=True):
         p = model.param[name]

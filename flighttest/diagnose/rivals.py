@@ -29,7 +29,7 @@ CONFUSABLE = 0.95
 BEYOND_CHANCE = 3.2  # standard errors that exclude chance for the whole catalogue
 STANDARD_ERRORS = 4.0  # so many are beyond chance four times out of five
 PLAUSIBLE = 2.0  # times the usual size: an effect that shows only above that could not be seen
-UNSEEN = "nothing in this flight would have looked different with it, or too few responses to believe it"
+UNSEEN = "it would not have shown in this flight, or in too few responses"
 NEVER = 100.0  # times the usual size: no such thing flies, so that this is no different from seeing nothing
 
 

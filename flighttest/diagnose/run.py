@@ -188,7 +188,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         untestable=tuple(unseen),
         unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
         smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
-        smallest_units={k: f"{units[name]} ({name})" if name else SHAPE_ALONE for k, (_, name) in levels.items()},
+        smallest_units={k: _in_units(name, units[name]) if name else SHAPE_ALONE for k, (_, name) in levels.items()},
         model=final,
         values={k: values[k] for k in final.names if k in values},
         accepted=accepted,
@@ -215,6 +215,10 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
+
+
+def _in_units(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{unit} ({name})"
 
 
 def _all(answers: Sequence[Answer], what: str) -> list[Any]:

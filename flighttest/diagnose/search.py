@@ -276,7 +276,7 @@ class Search:
                 self.pinned[least] = float(std[least])
                 held = self.bench.moved(self.now.model, self.now.state, {least: off[least]})
                 self.now = self._fit(self.now.model, held, self.now.dormant)
-                self.progress(f"{least} is held at {off[least]:g}: the rest of {term} says as much without it")
+                self.progress(f"{least} is held at {off[least]:g}: {term} fits as well without it")
 
     def _worst(self) -> float:
         """Largest mean square of a place over its floor's."""

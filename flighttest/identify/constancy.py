@@ -55,7 +55,7 @@ class Spread:
     def sentence(self, unit: str) -> str:
         """In words."""
         name = f" {unit}" if unit != "1" else ""
-        return f"one number does not do: {self.low:.3g}{name} in {self.low_in}, {self.high:.3g} in {self.high_in}"
+        return f"no single value fits: {self.low:.3g}{name} in {self.low_in}, {self.high:.3g} in {self.high_in}"
 
 
 def spreads(problem: Problem, solution: Solution, covariance: Covariance) -> Mapping[str, Spread]:

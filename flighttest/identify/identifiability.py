@@ -118,7 +118,7 @@ def judge(
         )
     share = std / abs(value) if value else float("inf")
     # More than half of the variance.
-    steered = "; most of it because what flew the vehicle answered disturbances, as a position loop does"
+    steered = "; mostly because what flew the vehicle answered disturbances, as a pilot or a position loop does"
     steered = steered if doubts.answered > np.sqrt(0.5) * std else ""
     if param.name == "alpha":
         range_v = (
@@ -180,7 +180,7 @@ def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> lis
     notes = [f"{never_changing(['voltage_v'])}: alpha cannot be told from it"] if still else []
     if assumed_share(segments, model) > FAR_SHARE:
         notes.append(
-            f"K is stated at {model.nominal_voltage_v:g} V by an assumed alpha, while {flown_voltage(segments, model):.1f} V were flown: "
+            f"K is carried to {model.nominal_voltage_v:g} V by an assumed alpha from the {flown_voltage(segments, model):.1f} V flown: "
             "a vehicle.yaml with the battery's nominal voltage (--vehicle) states it where it is known"
         )
     return notes

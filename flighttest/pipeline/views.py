@@ -115,7 +115,7 @@ def _accuracy(found: Fit) -> str:
 def _onset(found: Fit) -> str:
     assert found.onset is not None
     onset = found.onset
-    return f"the paper's onset estimate of T_d is {number(onset.mean_s * 1000, 3)} ms (late by nature); the table has the joint estimate"
+    return f"the paper's onset estimate of T_d is {number(onset.mean_s * 1000, 3)} ms (biased late); the table has the joint estimate"
 
 
 def _correlations(found: Fit) -> tuple[tuple[str, str, float], ...]:

@@ -72,7 +72,7 @@ def test_what_is_known_and_yet_differs_with_the_step_is_said():
         flown += [s for s in every if abs(s.cell.get("amplitude_rad", 0.0)) == size]
     found = fit(flown)
     assert found.estimates["omega_phi"].identifiable
-    assert any(note.startswith("omega_phi: one number does not do") for note in found.notes)
+    assert any(note.startswith("omega_phi: no single value fits") for note in found.notes)
     assert found.checks["step_sizes"]["omega_phi"]["high_in"] == "steps of 0.2 rad"
     assert "omega_theta" not in found.checks["step_sizes"]
 
