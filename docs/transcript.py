@@ -1,4 +1,4 @@
-"""Runs the commands shown in README.md and writes what they print: `python docs/transcript.py` (make transcript).
+"""Runs the commands shown in README.md and writes what they print: `python docs/transcript.py`.
 
 A transcript stands between `<!-- transcript: COMMAND -->` and `<!-- end -->`. With words as arguments, only transcripts whose command
 contains one of them are run again.

@@ -4,7 +4,6 @@
     model.with_terms("ground_effect").params        # what can be estimated
     model.blocks                                    # what the fit integrates: roll, pitch, yaw, translation
     model.system                                    # everything chained: x_dot, y = system.function(x, u, p)
-    model.simulate({...}, ...)                      # see physics.simulate
 
 A model without attitude loops (`attitude_loops=False`) takes the attitude as input and has neither omega, zeta nor sigma_r.
 """

@@ -106,7 +106,7 @@ def refit(
     known = known_before(fitted, base)
     if not known:
         return fitted, ()
-    return identify(usable, found.model, start=start, frozen=known), tuple(known)
+    return identify(usable, found.model, start=fitted.values, frozen=known, noise=fitted.noise), tuple(known)
 
 
 def write_diagnosis(

@@ -26,9 +26,9 @@ SETTLED_SHARE = 0.3  # the last part of a throttle response that counts as settl
 _SPECIFIC_FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
 
 
-def fit_view(found: Fit, segments: Sequence[Segment], before: Mapping[str, float] | None = None) -> FitView:
-    """A fit as it is shown. segments: all of them, rejected ones too; before: parameter values of an earlier model."""
-    parameters = tuple(_parameter(found.model, e, (before or {}).get(e.name)) for e in found.estimates.values())
+def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
+    """A fit as it is shown. segments: all of them, rejected ones too."""
+    parameters = tuple(_parameter(found.model, e) for e in found.estimates.values())
     unknown = [p.name for p in parameters if p.word in ("weak", "not identifiable")]
     quality = tuple(
         QualityView(
@@ -67,9 +67,9 @@ def _warnings(found: Fit) -> tuple[str, ...]:
     return tuple(dict.fromkeys(lines))
 
 
-def _parameter(model: Model, e: Estimate, before: float | None) -> ParameterView:
+def _parameter(model: Model, e: Estimate) -> ParameterView:
     param = model.param.get(e.name)
-    if e.source in ("frozen", "held"):
+    if e.source == "frozen":
         word = "held"
     elif e.identifiable:
         word = "known"
@@ -78,7 +78,7 @@ def _parameter(model: Model, e: Estimate, before: float | None) -> ParameterView
     low, high = e.interval_95 if e.interval_95 is not None else (None, None)
     remedy = f"fly {e.fly}" if e.fly and word not in ("known", "held") else ""
     doc = param.doc if param is not None else "command to first effect, mean of the channels"
-    return ParameterView(e.name, e.unit, e.value, e.std, low, high, e.identifiable, word, remedy, e.source, doc, before)
+    return ParameterView(e.name, e.unit, e.value, e.std, low, high, e.identifiable, word, remedy, e.source, doc)
 
 
 def _verdict(found: Fit, unknown: Sequence[str]) -> str:

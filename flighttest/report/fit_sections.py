@@ -46,14 +46,10 @@ def cell_words(cell: Mapping[str, float]) -> str:
 
 def parameters(view: FitView) -> Section:
     """The parameter table."""
-    changed = any(p.before is not None for p in view.parameters)
-    columns: tuple[str, ...] = ("parameter", "value", "unit", "95 % interval", "", "what it is")
-    columns = (*columns[:1], "before", *columns[1:]) if changed else columns
+    columns = ("parameter", "value", "unit", "95 % interval", "", "what it is")
     align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
-    rows = tuple(_parameter_row(p, changed) for p in view.parameters)
-    blocks: list[Block] = [
-        Table(columns, rows, ("left", "right", *align[1:]) if changed else align, roomy=(len(columns) - 1,))
-    ]
+    rows = tuple(_parameter_row(p) for p in view.parameters)
+    blocks: list[Block] = [Table(columns, rows, align, roomy=(len(columns) - 1,))]
     strong = [(a, b, c) for a, b, c in view.correlations if abs(c) >= view.correlation_above]
     if strong:
         words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong[:MAX_CORRELATIONS])
@@ -95,9 +91,9 @@ def quality(view: FitView) -> Section:
     return Section("quality", "What the model leaves", tuple(blocks))
 
 
-def _parameter_row(p: ParameterView, changed: bool) -> tuple[Cell | str, ...]:
+def _parameter_row(p: ParameterView) -> tuple[Cell | str, ...]:
     tone = TONE.get(p.word, "plain")
-    row: tuple[Cell | str, ...] = (
+    return (
         p.name,
         to_error(p.value, p.std),
         unit(p.unit),
@@ -105,9 +101,6 @@ def _parameter_row(p: ParameterView, changed: bool) -> tuple[Cell | str, ...]:
         Cell(p.word, tone, p.remedy),  # type: ignore[arg-type]
         p.doc,
     )
-    if not changed:
-        return row
-    return (row[0], "-" if p.before is None else to_error(p.before, p.std), *row[1:])
 
 
 def figure4(view: FitView) -> Section | None:
@@ -130,7 +123,7 @@ def figure4(view: FitView) -> Section | None:
     if not panels:
         return None
     caption = (
-        "Each recorded response (thin, dark) over the fitted model driven by the recorded commands (wide, coloured). "
+        "Recorded responses (thin, dark; of many, a selection) over the fitted model driven by the recorded commands (wide, coloured). "
         "Settled acceleration against battery voltage: one point per response, the model's value joined per throttle pair."
     )
     return Section(
@@ -152,8 +145,6 @@ def _responses(overlays: Sequence[Overlay], kind: str, channel: str, title: str,
     traces = [Trace(o.t_s, o.simulated, f"model, {cell_words(o.cell)}", "simulated", group="simulated") for o in chosen]
     for o in chosen:
         name = f"{KIND_WORDS.get(o.kind, o.kind)} {cell_words(o.cell)} ({o.segment})"
-        if o.before is not None:
-            traces.append(Trace(o.t_s, o.before, name, "before", group="before"))
         traces.append(Trace(o.t_s, o.measured, name, "measured", group="measured"))
     return Panel(f"{title} ({len(chosen)} responses)", "time since the step, s", label, tuple(traces))
 

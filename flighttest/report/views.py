@@ -26,12 +26,11 @@ class ParameterView:
     remedy: str = ""
     source: str = "fit"
     doc: str = ""
-    before: float | None = None
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """One response, measured and simulated. t_s counts from the step. before: by a model without the accepted terms."""
+    """One response, measured and simulated. t_s counts from the step."""
 
     segment: str
     kind: str
@@ -40,7 +39,6 @@ class Overlay:
     t_s: FloatArray
     measured: FloatArray
     simulated: FloatArray
-    before: FloatArray | None = None
 
 
 @dataclass(frozen=True)

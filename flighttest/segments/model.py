@@ -35,7 +35,7 @@ class Segment:
     kind: roll_step, pitch_step, yaw_rate_step, throttle_step, tilt_throttle or free (a window of free flight).
     cell: what distinguishes it from other steps of its kind (amplitude_rad, rate_rad_s, throttle_0, throttle_1; signed; axis of the tilt
     in tilt_throttle: 0 roll, 1 pitch);
-    repeats share a cell. group: the held-out unit (run, maneuver, repeat). t_step_s: the input step, as recorded.
+    repeats share a cell. t_step_s: the input step, as recorded.
 
     t_s: (n,) s, vehicle clock, the sample times. y: channel name to (n,) samples at t_s; NaN where missing. References
     are not sampled but kept as they changed: `u` maps each of `channels.INPUTS` that was recorded to (t_edge_s (m,), value (m,)), held from
