@@ -30,12 +30,14 @@ def prove(
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
     code: str = "",
     before: Sequence[Outcome] = (),
+    seal: Callable[[Sequence[Case]], None] = lambda _cases: None,
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
 
     kind: only such trials. keep: given the outcomes so far, and the seed, whenever a trial is opened. scheduler: address of a Dask
     scheduler instead of processes of this machine. code: as `Outcome.code`. before: outcomes of an earlier part of the same proof,
-    which are not flown again. Every seal is told before its trial starts. An interrupt ends the proof and keeps the trials that are done.
+    which are not flown again. seal: given all cases before the first is flown. Every seal is told before its trial starts. An interrupt
+    ends the proof and keeps the trials that are done.
     """
     if trials < 1:
         raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
@@ -48,6 +50,7 @@ def prove(
             "the earlier part of this proof has trials that would not be drawn now: another generator or kind, more trials, or older code",
             "ask for it as it was begun, or give --output another folder",
         )
+    seal(cases)
     left = [case for case in cases if case.index not in {outcome.index for outcome in done}]
     for case in left:
         tell(f"sealed trial {case.index}: SHA-256 {seals[case.index]}")

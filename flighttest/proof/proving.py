@@ -8,7 +8,7 @@ from pathlib import Path
 import flighttest
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.proof.cases import Generator, Kind
+from flighttest.proof.cases import Case, Generator, Kind
 from flighttest.proof.prove import commit_of, read, write
 from flighttest.proof.prove import prove as run_trials
 from flighttest.proof.scoreboard import code_of, markdown, score, share
@@ -27,7 +27,8 @@ def prove(
     kind: Kind | None = None,
     progress: Progress = SILENT,
 ) -> Result:
-    """Sealed trials and their scoreboard; with `output` proof.json and proof.md are written there, anew with every trial.
+    """Sealed trials and their scoreboard; with `output` the truths are written there before the first flight (truths.jsonl), and proof.json
+    and proof.md anew with every trial.
 
     A proof of the same seed that is there already is continued; InputError for one of another, which would be lost.
     """
@@ -46,9 +47,17 @@ def prove(
             page = markdown(done, drawn_from, generator, kind)
             (output / "proof.md").write_text(page, encoding="utf-8")
 
+    def seal(cases: Sequence[Case]) -> None:
+        if output is not None:
+            output.mkdir(parents=True, exist_ok=True)
+            lines = "".join(f"{case.truth()}\n" for case in cases)
+            (output / "truths.jsonl").write_text(lines, encoding="utf-8")
+
     commit = commit_of(Path(flighttest.__file__).parent)
     before = begun[1] if begun is not None else ()
-    outcomes, used = run_trials(trials, seed, workers, scheduler, generator, kind, progress.stage, keep, commit, before)
+    outcomes, used = run_trials(
+        trials, seed, workers, scheduler, generator, kind, progress.stage, keep, commit, before, seal
+    )
     code = code_of(outcomes)
     found = score(outcomes)
     rows = (

@@ -143,6 +143,8 @@ def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
     monkeypatch.setattr("flighttest.proof.prove.run", flown)
     with pytest.raises(MemoryError):
         proving.prove(4, seed=7, output=tmp_path)
+    truths = (tmp_path / "truths.jsonl").read_text().splitlines()
+    assert [hashlib.sha256(t.encode()).hexdigest() for t in truths] == [c.sha256() for c in cases_of(7, 4)]
     kept = json.loads((tmp_path / "proof.json").read_text())
     assert [o["index"] for o in kept["outcomes"]] == [0, 1]
     assert "seed 7; 2 trials" in (tmp_path / "proof.md").read_text()
