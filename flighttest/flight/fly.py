@@ -26,7 +26,6 @@ from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
-from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
 from flighttest.recording.store import read_events
@@ -151,7 +150,8 @@ class _Flight:
                 why = str(error)
                 outcome = self._land_after(scheduler, error)
             except BaseException:  # a defect of ours, whatever it is, must not leave the vehicle with a step's throttle; it is raised after
-                self._let_go(cockpit)
+                with contextlib.suppress(Exception):  # whatever fails again here is the lesser news
+                    supervisor.let_go(cockpit, "the program failed")
                 raise
         except FlighttestError as error:
             self.recorder.manifest["outcome"] = str(error)
@@ -373,14 +373,6 @@ class _Flight:
         except FlightEnded as ended:
             return ended.outcome
         return FlightOutcome.VEHICLE_REFUSED
-
-    def _let_go(self, cockpit: Cockpit) -> None:
-        # Whatever fails again here is the lesser news.
-        with contextlib.suppress(Exception):
-            if cockpit.owned and cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-                supervisor.abort(cockpit, ("the program failed",))
-            elif cockpit.owned and cockpit.vehicle.armed and cockpit.state.mode == CopterMode.GUIDED:
-                supervisor.insist(cockpit, supervisor.abort_modes(cockpit.state), lambda: None)
 
     def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""

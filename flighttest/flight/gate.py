@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.flight.state import VehicleState
-from flighttest.frames import G_M_S2
+from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
+from flighttest.plan.room import BRAKE_M_S2
 from flighttest.script.model import Limits
 from flighttest.vehicle.model import Zone
 
@@ -63,7 +65,7 @@ class GateLimits:
     needs_position: bool = True
     zone_placed: bool = False
     reaction_s: float = 0.25
-    brake_m_s2: float = 4.0
+    brake_m_s2: float = BRAKE_M_S2
     attitude_age_max_s: float = 0.3
     position_age_max_s: float = 0.5
     silence_max_s: float = 0.5
@@ -187,10 +189,20 @@ def zone_room_m(state: VehicleState, gate: GateLimits) -> float:
     assert state.position_m is not None
     assert state.velocity_m_s is not None
     here = gate.zone.from_world([state.position_m[0], state.position_m[1], 0.0])
-    speed = math.hypot(state.velocity_m_s[0], state.velocity_m_s[1])
     age = state.position_age_s if math.isfinite(state.position_age_s) else 0.0
-    reach = age + gate.reaction_s + speed / (2.0 * gate.brake_m_s2)
-    way = gate.zone.from_world([state.velocity_m_s[0] * reach, state.velocity_m_s[1] * reach, 0.0])
-    places = np.array([here, here + way])[:, :2]
+    # Until the stop acts it goes on as it leans now.
+    velocity, push, wait = np.array(state.velocity_m_s[:2]), _push(state.attitude_rad), gate.reaction_s
+    later = velocity * (age + wait) + 0.5 * push * wait**2
+    then = velocity + push * wait
+    stopped = later + then * math.hypot(*then) / (2.0 * gate.brake_m_s2)
+    places = np.array([here, *(here + gate.zone.from_world([x, y, 0.0]) for x, y in (later, stopped))])[:, :2]
     low, high = np.array([gate.zone.x_m, gate.zone.y_m]).T
     return float(np.min([places - low, high - places]))  # NaN where a place is not a number: no room
+
+
+def _push(attitude_rad: tuple[float, float, float] | None) -> NDArray[np.float64]:
+    """Horizontal acceleration (2,), m/s^2, NWU, of a vehicle that holds its height at this roll, pitch and yaw; none where not known."""
+    if attitude_rad is None:
+        return np.zeros(2)
+    up = rotation_from_euler(attitude_rad)[:, 2]
+    return np.asarray(G_M_S2 * up[:2] / max(float(up[2]), 0.5))

@@ -103,6 +103,14 @@ def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[
         meanwhile()
 
 
+def let_go(cockpit: Cockpit, why: str) -> None:
+    """Into the abort mode from wherever the vehicle is ours."""
+    if cockpit.owned and cockpit.state.mode == CopterMode.GUIDED_NOGPS:
+        abort(cockpit, (why,))
+    elif cockpit.owned and cockpit.vehicle.armed and cockpit.state.mode == CopterMode.GUIDED:
+        insist(cockpit, abort_modes(cockpit.state), lambda: None)
+
+
 def come_to_rest(cockpit: Cockpit) -> None:
     """Stay in the abort mode until it has stopped the vehicle: the next mode may not brake as hard (GUIDED takes 10 m to stop a climb of
     4 m/s, flown). Only where a position is known, and not for long: LAND does not come to rest in the air.

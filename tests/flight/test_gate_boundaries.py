@@ -105,6 +105,9 @@ def test_a_stop_that_ends_beyond_the_wall_is_refused_before_the_wall_is_reached(
     assert refusals(TILTED, replace(moving, velocity_m_s=(-6.0, 0.0, 0.0)), GATE) == ()
     reach = 6.0 * (GATE.reaction_s + moving.position_age_s) + 36.0 / (2 * GATE.brake_m_s2)
     assert zone_room_m(moving, GATE) == pytest.approx(5.0 - reach)
+    assert zone_room_m(replace(moving, attitude_rad=(0.0, 0.4, 0.0)), GATE) < 5.0 - reach - 1.0, "it leans that way"
+    assert zone_room_m(replace(moving, attitude_rad=(0.0, -0.4, 0.0)), GATE) > 5.0 - reach + 1.0
+    assert zone_room_m(replace(moving, attitude_rad=None), GATE) == pytest.approx(5.0 - reach)
 
 
 def test_the_zone_turns_with_its_heading() -> None:

@@ -9,7 +9,19 @@ from flighttest.flight.gate import GateLimits, stop_throttles, stopping_heights,
 from flighttest.plan.rehearse import sample
 
 
-@pytest.mark.parametrize("name", ["thrust", "roll_pitch", "ground_effect", "throttle_levels"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "thrust",
+        "roll_pitch",
+        "ground_effect",
+        "throttle_levels",
+        "tilt_throttle",
+        "speed_dash",
+        "lateral_stop",
+        "reversals",
+    ],
+)
 def test_the_gate_lets_the_plan_pass(planned, predictor, name):
     plan = planned(name)
     legs = [leg for leg in plan.legs if leg.profile]
@@ -33,5 +45,10 @@ def test_the_gate_lets_the_plan_pass(planned, predictor, name):
             bottom, top = stopping_heights(table[j, k, 3], flown.p_m[j, k, 2], flown.v_m_s[j, k, 2], gate)
             assert low <= bottom, leg.id
             assert top <= high, leg.id
-            state = SimpleNamespace(position_m=flown.p_m[j, k], velocity_m_s=flown.v_m_s[j, k])
+            state = SimpleNamespace(
+                position_m=flown.p_m[j, k],
+                velocity_m_s=flown.v_m_s[j, k],
+                attitude_rad=flown.rpy_rad[j, k],
+                position_age_s=0.02,
+            )
             assert zone_room_m(state, gate) > 0.0, leg.id
