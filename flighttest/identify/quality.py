@@ -37,7 +37,7 @@ class ChannelQuality:
         if self.rmse < 1.5 * self.floor:
             return "what is left changes slowly, but is hardly larger than the noise"
         ratio = self.rmse / max(self.floor, 1e-12)
-        return f"what is left changes slowly and is {ratio:.1f} times the noise: the model misses something here"
+        return f"what is left changes slowly and is {ratio:.1f} times the noise: that is slow noise, or something the model misses here"
 
 
 @dataclass(frozen=True)

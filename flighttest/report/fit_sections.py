@@ -83,7 +83,7 @@ def quality(view: FitView) -> Section:
     if any(not q.clean for q in view.quality):
         blocks.append(
             Paragraph(
-                "Where more than noise is left, the model misses something: `flighttest diagnose` says what, as far as the "
+                "Where more is left, it is slow noise or something that the model misses: `flighttest diagnose` says, as far as the "
                 "recordings can tell.",
                 "quiet",
             )
