@@ -11,7 +11,6 @@ import numpy as np
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
 from flighttest.identify import mass
-from flighttest.identify.mass import FORCES
 from flighttest.identify.student import beyond, fisher_beyond, quantile
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
@@ -228,10 +227,9 @@ def _sentence(subset: str, alarm: bool, shifts: Mapping[str, tuple[float, float]
 def thrust_or_mass(stored: Estimates, new: Estimates) -> str:
     """'thrust', 'mass' or 'thrust or mass' (see `identify.mass`)."""
     changes: dict[str, tuple[float, float]] = {}
-    for name in (n for n in FORCES if n in stored.names and n in new.names):
+    for name in (n for n in mass.FORCES if n in stored.names and n in new.names):
         i, j = stored.names.index(name), new.names.index(name)
         old, now = float(stored.values[i]), float(new.values[j])
         if old > 0 and now > 0:
-            variance = stored.covariance[i, i] / old**2 + new.covariance[j, j] / now**2
-            changes[name] = math.log(now / old), max(float(variance), 1e-10)
+            changes[name] = mass.change(old, math.sqrt(stored.covariance[i, i]), now, math.sqrt(new.covariance[j, j]))
     return mass.thrust_or_mass(changes).answer if "K" in changes else "thrust or mass"

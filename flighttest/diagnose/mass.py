@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.identify.mass import FORCES, SIGNIFICANT, thrust_or_mass
+from flighttest.identify.mass import FORCES, SIGNIFICANT, change, thrust_or_mass
 from flighttest.identify.student import normal_beyond, normal_quantile
 
 
@@ -22,8 +22,7 @@ def mass_test(
         old, old_std = previous[name]
         new, new_std = float(after[name]["value"]), float(after[name]["std"])
         if old > 0 and new > 0:
-            variance = (new_std / new) ** 2 + ((old_std or 0.0) / old) ** 2
-            changes[name] = float(np.log(new / old)), max(variance, 1e-10)
+            changes[name] = change(old, old_std or 0.0, new, new_std)
     if "K" not in changes:
         return {}
     test = thrust_or_mass(changes)

@@ -148,7 +148,7 @@ def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
 def _motion(target: AttitudeTarget, state: VehicleState, gate: GateLimits, step: bool) -> list[Refusal]:
     found = []
     fresh = state.position_ok and state.position_age_s <= gate.position_age_max_s
-    blind = step and not math.isfinite(math.nan if state.climb_m_s is None else state.climb_m_s)
+    blind = step and (state.climb_m_s is None or not math.isfinite(state.climb_m_s))
     if state.height_m is not None and (blind or not height_inside(target, state, gate)):
         found.append(Refusal.HEIGHT)
     judged = gate.needs_position or (step and gate.zone_placed and fresh)

@@ -27,8 +27,13 @@ class MassTest:
     drag_unchanged_p: float | None = None
 
 
+def change(old: float, old_std: float, new: float, new_std: float) -> tuple[float, float]:
+    """Logarithm of new over old, both above zero, and its variance."""
+    return float(np.log(new / old)), max((new_std / new) ** 2 + (old_std / old) ** 2, 1e-10)
+
+
 def thrust_or_mass(changes: Mapping[str, tuple[float, float]]) -> MassTest:
-    """changes: name among `FORCES`, K included, to (logarithm of new over old, its variance)."""
+    """changes: name among `FORCES`, K included, to its `change`."""
     y, variance = (np.array(column) for column in zip(*changes.values(), strict=True))
     weight = 1.0 / variance
     common, std = float(np.sum(weight * y) / np.sum(weight)), float(1.0 / np.sqrt(np.sum(weight)))

@@ -364,8 +364,8 @@ def _covariance(
         document.wrong(node, "the matrix is not symmetric")
     strange = [n for n in names if n not in parameters]
     if strange or len(set(names)) < len(names):
-        twice = ", ".join(strange) or ", ".join(n for n, k in Counter(names).items() if k > 1)
+        named = ", ".join(strange) or ", ".join(n for n, k in Counter(names).items() if k > 1)
         document.wrong(
-            node, f"`order` names {twice}, which {'are no parameters of this file' if strange else 'stand there twice'}"
+            node, f"`order` names {named}, which {'are no parameters of this file' if strange else 'stand there twice'}"
         )
     return names, matrix

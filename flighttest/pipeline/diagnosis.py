@@ -82,9 +82,8 @@ def diagnose(
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
     script = write_text(found.next_script) if found.next_script else ""
-    if script:
-        kept = "the script below, saved as next.yaml" if output is None else str(output / "next.yaml")
-        data |= {"next_path": kept}
+    if script and output is not None:
+        data |= {"next_path": str(output / "next.yaml")}
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
