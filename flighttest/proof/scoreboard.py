@@ -67,6 +67,9 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         for e, (true, found) in o.forces.items()
         if true > 0.02 and found > 0 and right(o, e)
     ]
+    values = [v for o in single + pairs for e, v in o.values.items() if o.sizes.get(e, 0.0) >= COUNTS]
+    misses = [_relative(v) for v in values if any(true for true, _, _ in v.values())]
+    spans = [abs(found - true) <= 1.96 * std for v in values for true, found, std in v.values() if np.isfinite(std)]
     gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
     covered = [o.coverage for o in flown if np.isfinite(o.coverage)]
     # Of whatever size: a wrong name is wrong beside a small effect, too.
@@ -85,6 +88,9 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "extra_names": (extra, len(hiding)),
         "force_ratio_median_error": float(np.median(np.abs(np.array(ratios) - 1))) if ratios else None,
         "force_ratios": len(ratios),
+        "value_median_error": float(np.median(misses)) if misses else None,
+        "values": len(misses),
+        "values_inside": (sum(spans), len(spans)),
         "coverage_mean": float(np.mean(covered)) if covered else None,
         "coverage_within": (sum(LEAST_COVERED <= c <= MOST_COVERED for c in covered), len(covered)),
         "gain_median": float(np.median(gains)) if gains else None,
@@ -92,6 +98,11 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "confusion": _confusion(single),
         "misses": _misses(flown),
     }
+
+
+def _relative(values: Mapping[str, tuple[float, float, float]]) -> float:
+    """Largest relative error of an effect's parameters, of those that are not zero."""
+    return max(abs(found / true - 1.0) for true, found, _ in values.values() if true)
 
 
 def _confusion(single: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -179,7 +190,11 @@ def _rates(s: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "something named that was not hidden, where something was", share(*s["extra_names"])
     if s["force_ratios"]:
         error = _percent(s["force_ratio_median_error"])
-        yield "magnitude (RMS force)", f"median error {error} over {s['force_ratios']} effects"
+        yield "magnitude (RMS force the base model leaves)", f"median error {error} over {s['force_ratios']} effects"
+    if s["values"]:
+        error = _percent(s["value_median_error"])
+        yield "worst parameter of a named effect", f"median error {error} over {s['values']} effects"
+        yield "parameters of named effects inside their 95 % intervals", share(*s["values_inside"])
     if s["gain_median"] is not None:
         yield "of the error above the noise floor on held-out steps, gone", f"median {_percent(s['gain_median'])}"
     if s["coverage_mean"] is not None:

@@ -40,10 +40,11 @@ CONFUSABLE = 0.95
 @dataclass(frozen=True)
 class Outcome:
     """What came of one trial. named: effects the tool named, strongest first; sizes: hidden effect to noise floors after the refit (by
-    ablation); classes: hidden effect to the ids the oracle cannot tell from it; forces: hidden effect to (true, found) RMS force, m/s^2;
-    base_r2: of the base fit alone; gain: share of the mean square above the floor that is gone on held-out data; coverage: of the
-    diagnosed model's 95 % intervals on repeats it was not fitted to; own: what was named of the firmware's own doing (shaping, angle
-    boost), which nobody hid and which is no false alarm."""
+    ablation); classes: hidden effect to the ids the oracle cannot tell from it; forces: hidden effect to (true, found) RMS specific force
+    that the base model leaves because of it, m/s^2; values: hidden effect that was named to its parameters that vehicle and catalogue
+    share, name to (true, found, standard error), SI; base_r2: of the base fit alone; gain: share of the mean square above the floor
+    that is gone on held-out data; coverage: of the diagnosed model's 95 % intervals on repeats it was not fitted to; own: what was
+    named of the firmware's own doing (shaping, angle boost), which nobody hid and which is no false alarm."""
 
     index: int
     kind: str
@@ -55,6 +56,7 @@ class Outcome:
     sizes: Mapping[str, float] = field(default_factory=dict)
     classes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     forces: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    values: Mapping[str, Mapping[str, tuple[float, float, float]]] = field(default_factory=dict)
     base_r2: float = float("nan")
     gain: float = float("nan")
     coverage: float = float("nan")
@@ -73,7 +75,8 @@ class Outcome:
         """What `to_json` made, after it went through a file."""
         lists = {"named": tuple(data["named"]), "own": tuple(data["own"])}
         maps = {k: {n: tuple(v) for n, v in data[k].items()} for k in ("classes", "forces", "confusable")}
-        return cls(**{**data, **lists, **maps})
+        values = {e: {k: tuple(v) for k, v in found.items()} for e, found in data.get("values", {}).items()}
+        return cls(**{**data, **lists, **maps, "values": values})
 
 
 def run(case: Case) -> Outcome:
@@ -101,6 +104,7 @@ def run(case: Case) -> Outcome:
         sizes=sizes,
         classes=classes,
         forces=forces,
+        values=_values(case, found),
         base_r2=_r2(found),
         gain=_gain(found),
         coverage=_coverage(segments, found),
@@ -118,6 +122,19 @@ def _flown(case: Case, hide: Mapping[str, Mapping[str, float]]) -> tuple[Segment
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         return tuple(s for s in fly_campaign(options, Path(folder), case.generator) if s.usable)
+
+
+def _values(case: Case, found: Diagnosis) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Of every hidden effect that was named, the parameters that the hidden vehicle has under the same name: (true, found, error)."""
+    named = {f.term: f.parameters for f in found.findings if f.term in case.hide}
+    return {
+        term: {
+            k: (case.hide[term][k], float(p["value"]), float(p["std"]))
+            for k, p in table.items()
+            if k in case.hide[term]
+        }
+        for term, table in named.items()
+    }
 
 
 def _gain(found: Diagnosis) -> float:
@@ -169,15 +186,10 @@ def _measured(
                 best = size
                 classes[name] = side.alike(name, effect)
             if side.block == "translation":
-                claimed = next(
-                    (
-                        f.evidence["rms_force_left_m_s2"]
-                        for f in found.findings
-                        if f.term in (name, *classes.get(name, ()))
-                    ),
-                    0.0,
-                )
-                forces[name] = (side.force(effect), float(claimed or 0.0))
+                alike = (name, *classes.get(name, ()))
+                claimed = next((f.evidence["rms_force_left_m_s2"] for f in found.findings if f.term in alike), 0.0)
+                usual = _Oracle(twin, side.block, nominal_voltage_v).force_power()
+                forces[name] = (float(np.sqrt(max(side.force_power() - usual, 0.0))), float(claimed or 0.0))
         sizes[name] = best
         classes.setdefault(name, (name,))
     return sizes, classes, forces
@@ -254,12 +266,8 @@ class _Oracle:
         known = self.bench.problem(self.model.with_terms(term)).names
         return any(p.name in known for p in term.params)
 
-    def force(self, effect: FloatArray) -> float:
-        """RMS over all samples of an effect on specific force, m/s^2, its noise taken off."""
-        total = 0.0
-        for c, name in enumerate(self.rows.channels):
-            if name.startswith("f_"):
-                at = self.rows.channel == c
-                power = float(np.mean((effect[at] * self.rows.scale[at]) ** 2)) if at.any() else 0.0
-                total += max(power - 2 * self.floor.of(name) ** 2, 0.0)
-        return float(np.sqrt(total))
+    def force_power(self) -> float:
+        """Mean square of the specific force that the refitted base model leaves, all axes, (m/s^2)^2."""
+        left = self.rows.residual * self.rows.scale
+        axes = (self.rows.channel == c for c, name in enumerate(self.rows.channels) if name.startswith("f_"))
+        return float(sum(np.mean(left[at] ** 2) for at in axes if at.any()))

@@ -192,3 +192,17 @@ def test_a_folder_with_something_else_is_not_written_over(tmp_path):
 def test_no_trials_prove_nothing():
     with pytest.raises(InputError, match="prove nothing"):
         prove(0)
+
+
+def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_both_have():
+    """An effect's parameters count at its worst; zero ones count only in the intervals."""
+    values = {"steady_wind": {"w_north": (2.0, 1.8, 0.2), "w_west": (-1.0, -1.05, 0.1), "w_up": (0.0, 0.5, 0.1)}}
+    more = {"forces": {"steady_wind": (0.5, 0.45)}, "values": values, "base_r2": 0.9, "gain": 0.5, "coverage": 0.95}
+    seen = outcome(0, "single", ["steady_wind"], ["steady_wind"], **more)
+    small = replace(seen, index=1, sizes={"steady_wind": 1.0}, values={"steady_wind": {"w_north": (2.0, 9.0, 0.1)}})
+    found = score([seen, small])
+    assert found["force_ratio_median_error"] == pytest.approx(0.1)
+    assert (found["value_median_error"], found["values"]) == (pytest.approx(0.1), 1)
+    assert found["values_inside"] == (2, 3)
+    assert Outcome.from_json(json.loads(json.dumps(seen.to_json()))) == seen
+    assert "worst parameter of a named effect: median error 10 % over 1 effects" in markdown([seen], seed=0)
