@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from flighttest.flight.changes import Meddling
 from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_room_m
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightProgress, OnProgress
 from flighttest.flight.recorder import Recorder
@@ -51,6 +52,7 @@ class Cockpit:
         *,
         rate_hz: float,
         stops: Stops,
+        meddling: Meddling,
         on_progress: OnProgress | None = None,
     ) -> None:
         self.vehicle = vehicle
@@ -62,6 +64,7 @@ class Cockpit:
         self.state: VehicleState = self.reader.read()
         self.hover_throttle = gate.hover_throttle
         self._stops = stops
+        self.meddling = meddling
         self._on_progress = on_progress
         self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
         self._next_progress_s = -math.inf
@@ -101,7 +104,13 @@ class Cockpit:
         self._expected = {self._before, *(int(m) for m in modes)}
 
     def _watch(self, message: Message, t_s: float) -> None:
-        if message.get_type() != "HEARTBEAT" or not self._owned:
+        if not self._owned:
+            return
+        if message.get_type() == "PARAM_VALUE":
+            text = self.meddling.look(message.param_id, float(message.param_value))
+            if text:
+                self.recorder.event("note", text, t_s)
+        if message.get_type() != "HEARTBEAT":
             return
         mode = int(message.custom_mode)
         if self._landing and not is_armed(message):
@@ -143,14 +152,15 @@ class Cockpit:
 
     @property
     def stop_asked(self) -> bool:
-        """Whether the flight is to end in order: the operator wants it, or nothing can be recorded any more."""
-        return self._stops.orderly or bool(self.recorder.failure)
+        """Whether the flight is to end in order: the operator wants it, nothing can be recorded, or the vehicle was set up anew."""
+        return self._stops.orderly or bool(self.recorder.failure) or bool(self.meddling.vital)
 
     @property
     def stop_reason(self) -> str:
         """Why, as a sentence."""
-        failure = self.recorder.failure
-        return f"the record cannot be written: {failure}" if failure else "the operator asked to stop"
+        if self.recorder.failure:
+            return f"the record cannot be written: {self.recorder.failure}"
+        return self.meddling.vital[0] if self.meddling.vital else "the operator asked to stop"
 
     @property
     def stop_now(self) -> bool:

@@ -7,16 +7,16 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
+from types import MappingProxyType
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
 from flighttest.flight import preflight, supervisor
-from flighttest.flight.changes import ParameterChanges
+from flighttest.flight.changes import Meddling, ParameterChanges
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightResult, OnProgress
+from flighttest.flight.placing import place_home, place_zone
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.response import Replanner
 from flighttest.flight.scheduler import Scheduler
@@ -68,6 +68,7 @@ def fly(
     transport: Transport | None = None,
     set_params: bool = False,
     waive: Collection[str] = (),
+    left_behind: Mapping[str, float] = MappingProxyType({}),
     resume: Path | None = None,
     skip: Collection[str] = (),
     replanner: Replanner | None = None,
@@ -81,8 +82,9 @@ def fly(
     """Fly a plan on a vehicle and record it into run_dir.
 
     link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
-    asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. resume: a run that this one goes
-    on with, for the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
+    asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. left_behind: parameters that an
+    earlier flight set and could not restore, with the values they should have. resume: a run that this one goes on with, for the
+    manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
     thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
     that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
     confirm: asked once before arming.
@@ -92,7 +94,7 @@ def fly(
     session = Session(Port(transport if transport is not None else open_transport(link_url)))
     recorder = Recorder(run_dir, session.clock.ground_s, first_manifest(plan, link_url, weather, resume), plan)
     session.port.tap(recorder.tap)
-    flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested), on_vehicle)
+    flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested), on_vehicle, left_behind)
     try:
         return flight.run(set_params, frozenset(waive), frozenset(skip), confirm, replanner)
     finally:
@@ -111,6 +113,7 @@ class _Flight:
         say: OnStage,
         stops: Stops,
         on_vehicle: OnVehicle,
+        left_behind: Mapping[str, float],
     ) -> None:
         self.plan = plan
         self.session = session
@@ -122,7 +125,10 @@ class _Flight:
         self._stops = stops
         self._on_vehicle = on_vehicle
         self._parameters: dict[str, float] = {}
+        self._left_behind = left_behind
         self._changes: ParameterChanges | None = None
+        self._unrestored: dict[str, float] = {}
+        self._meddling = Meddling({})
 
     def run(
         self,
@@ -140,7 +146,7 @@ class _Flight:
             if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
             scheduler = Scheduler(cockpit, self.plan, self._airframe(), left_out, replanner)
-            scheduler.on_armed = lambda: self._place_home(cockpit)
+            scheduler.on_armed = lambda: place_home(cockpit, self.plan.vehicle.zone)
             try:
                 outcome = scheduler.fly()
             except FlightEnded as ended:
@@ -167,8 +173,9 @@ class _Flight:
                 {"id": r.leg, "outcome": r.outcome.name, "why": list(r.why)}
                 for r in (scheduler.results if scheduler else [])
             ],
-            notes=[*self.notes, *(scheduler.notes if scheduler else [])],
+            notes=[*self.notes, *(scheduler.notes if scheduler else []), *self._meddling.changed],
         )
+        self.recorder.save_manifest()
         self._say("writing the channels")
         self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
         if self.recorder.failure:
@@ -218,6 +225,7 @@ class _Flight:
             self.recorder,
             rate_hz=self.plan.rate_hz,
             stops=self._stops,
+            meddling=self._meddling,
             on_progress=self._on_progress,
         )
         self._wait_for_position(cockpit)
@@ -234,6 +242,7 @@ class _Flight:
                 "free some space, or choose --out",
             )
         self._say("checking the vehicle")
+        self._inherit(set_params or simulator)
         found = preflight.checks(situation)
         if simulator:
             self.notes.append("a simulator: live RC input and a fence were not asked for; parameters are set as needed")
@@ -243,9 +252,16 @@ class _Flight:
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
         self._tell_battery(cockpit)
-        self._place_zone(cockpit)
+        far = preflight.fence_words(replace(situation, parameters=self._parameters))
+        if far:
+            self._note(far)
+            self._say(far)
+        said = place_zone(cockpit, self.plan.vehicle.zone)
+        if said:
+            self.notes.append(said)
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
+        self._meddling.known.update(self._parameters)
         return cockpit
 
     def _enter_lock_step(self, offered: float) -> None:
@@ -256,16 +272,30 @@ class _Flight:
         self.recorder.use_clock(self.session.clock.ground_s)
 
     def _mend(self, found: list[preflight.Check], waived: frozenset[str]) -> list[preflight.Check]:
-        self._changes = ParameterChanges(self.session, self._parameters)
-        left = []
-        for check in found:
-            if check.set and check.name not in waived:
-                self._changes.apply(check.set, self._note)
-            else:
-                left.append(check)
-        self.recorder.manifest.update(parameters=dict(self._parameters), parameters_changed=self._changes.pending)
+        assert self._changes is not None
+        mended = [check for check in found if check.set and check.name not in waived]
+        wanted = {name: value for check in mended for name, value in check.set.items()}
+        self._changes.apply(wanted, self._note, self._keep_changed)
+        self.recorder.manifest["parameters"] = dict(self._parameters)
         self.recorder.save_manifest()
-        return left
+        return [check for check in found if check not in mended]
+
+    def _keep_changed(self, pending: Mapping[str, float]) -> None:
+        self.recorder.manifest["parameters_changed"] = dict(pending)
+        self.recorder.save_manifest()
+
+    def _inherit(self, restoring: bool) -> None:
+        """What an earlier flight set and nobody has put back since."""
+        known = self._parameters
+        left = {n: v for n, v in self._left_behind.items() if n in known and not params.same(known[n], v)}
+        self._unrestored = {} if restoring else left
+        self._changes = ParameterChanges(self.session, known, left if restoring else {})
+        for name, value in left.items():
+            after = "it is restored after this flight" if restoring else "set it back by hand, or fly with --set-params"
+            text = f"an earlier flight left {name} at {preflight.figure(known[name])} instead of {preflight.figure(value)}: {after}"
+            self._note(text)
+            self._say(text)
+        self._keep_changed(left)
 
     def _tell_battery(self, cockpit: Cockpit) -> None:
         """A pack that is not full spreads a script's repeats over less than was asked for."""
@@ -327,38 +357,6 @@ class _Flight:
             source = cockpit.reader.height_source or "nothing: height is not judged"
             self.notes.append(f"no position: zone and speed are not judged; height is, from {source}")
 
-    def _place_zone(self, cockpit: Cockpit) -> None:
-        """Where the zone's origin is in the vehicle's local frame."""
-        if not cockpit.state.position_ok:
-            return
-        home = self.vehicle.home_m()
-        if home is None:
-            state = cockpit.state
-            assert state.position_m is not None
-            home = np.asarray(state.position_m) + cockpit.reader.origin_m
-            self.notes.append("the vehicle states no home: its present place is taken")
-        zone = self.plan.vehicle.zone
-        if zone.origin is not None:
-            origin = self.vehicle.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
-            if origin is None:
-                raise LinkError("the vehicle does not state its origin", "use `zone: {origin: home}`")
-            place = self.vehicle.local_m(zone.origin[0], zone.origin[1], origin, float(home[2]))
-            if float(np.hypot(*(place - home)[:2])) > 500.0:
-                raise PreflightError([("the flight zone is more than 500 m from home", "correct the zone's origin")])
-            home = place
-        cockpit.reader.origin_m = home
-        cockpit.gate = replace(cockpit.gate, zone_placed=True)
-        cockpit.after()
-        self.recorder.manifest["zone_origin_local_m"] = [round(float(v), 3) for v in home]
-
-    def _place_home(self, cockpit: Cockpit) -> None:
-        """ArduPilot takes home anew when it arms: until then the estimate of height may have drifted by metres since boot."""
-        if cockpit.gate.zone_placed and self.plan.vehicle.zone.origin is None:
-            home = self.vehicle.home_m()
-            if home is not None:
-                cockpit.reader.origin_m = home
-                self.recorder.manifest["zone_origin_local_m"] = [round(float(v), 3) for v in home]
-
     # -- after ---------------------------------------------------------------------------------------------------------------
 
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
@@ -376,6 +374,7 @@ class _Flight:
 
     def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
+        self._meddling.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
         if self._changes is not None and self._changes.pending:
             self._say("restoring parameters")
@@ -384,6 +383,7 @@ class _Flight:
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
                 left = self._changes.pending
                 self.notes.append(str(error))
+        left |= self._unrestored
         if left:
             text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())
             self._note(f"not restored, set by hand: {text}")

@@ -21,6 +21,7 @@ class FlightOutcome(Enum):
     OPERATOR_STOP = "the operator stopped the flight; the vehicle landed"
     OPERATOR_ABORT = "the operator stopped the flight at once; the vehicle was left in its abort mode"
     RECORD_LOST = "the flight ended early: its record could not be written any more; the vehicle landed"
+    SET_UP_ANEW = "the flight ended early: somebody else changed a parameter that it rests on; the vehicle landed"
     LEFT_TO_PILOT = "the flight ended while the pilot had the vehicle, by agreement: it is the pilot's to land; nothing more was sent"
     VEHICLE_REFUSED = "the vehicle refused a command; the flight ended"
     DISARMED = "the vehicle disarmed by itself during the flight"
@@ -34,6 +35,7 @@ class FlightOutcome(Enum):
             FlightOutcome.LEFT_TO_PILOT,
             FlightOutcome.BATTERY,
             FlightOutcome.NOT_SETTLED,
+            FlightOutcome.SET_UP_ANEW,
         )
 
 
@@ -45,7 +47,7 @@ class LegOutcome(Enum):
     LINK_LOST = "aborted: the link was lost"
     NOT_SETTLED = "not begun: the vehicle did not settle at the start"
     TAKE_OVER = "ended by a change of mode"
-    STOPPED = "ended by the operator"
+    STOPPED = "ended with the flight"
     LEFT_OUT = "left out: the gate had refused this step twice"
     UNFIT = "left out: planned again for the thrust seen in flight, it does not fit the flight zone"
 

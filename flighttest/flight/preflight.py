@@ -28,7 +28,8 @@ _LOG_NEEDED = {
 }
 _FENCE_BRAKE = 4
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
-_FENCE_ROOM_M = 20.0  # between the zone and a fence that is still one for it
+_FENCE_ROOM_M = 10.0  # between the zone and a fence that is still one for it
+_FENCE_LEAST_M = 30.0  # the smallest circle the firmware is meant for
 _FS_CONTINUE_GUIDED = 4
 _RC_IGNORED = 1
 RATE_SHARE = 0.8
@@ -228,16 +229,14 @@ def _safety(s: Situation) -> list[Check]:
         )
     found += _transmitter(s)
     zone = s.plan.vehicle.zone
-    reach = max(abs(v) for v in (*zone.x_m, *zone.y_m)) * 1.5 + 5.0
+    reach = max(math.ceil(_corner_m(s.plan)) + 1.0, _FENCE_LEAST_M)
     kinds = int(s.value("FENCE_TYPE") or 0)
     # A circle is about home; one about a zone elsewhere is the pilot's to draw.
-    near = (
-        kinds & _FENCE_POLYGON or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _FENCE_ROOM_M
-    )
+    near = _drawn(s) or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _FENCE_ROOM_M
     good = (
         int(s.value("FENCE_ENABLE") or 0) == 1
         and kinds & _FENCE_ALTITUDE
-        and kinds & (_FENCE_CIRCLE | _FENCE_POLYGON)
+        and (kinds & _FENCE_CIRCLE or _drawn(s))
         and near
         and int(s.value("FENCE_ACTION") or 0) == _FENCE_BRAKE
         and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _FENCE_ROOM_M
@@ -249,7 +248,7 @@ def _safety(s: Situation) -> list[Check]:
             "FENCE_ACTION": float(_FENCE_BRAKE),
             # What the pilot has drawn tighter stays as tight.
             "FENCE_ALT_MAX": min(float(round(zone.z_m[1] + 5.0)), s.value("FENCE_ALT_MAX") or math.inf),
-            "FENCE_RADIUS": min(float(max(round(reach), 30)), s.value("FENCE_RADIUS") or math.inf),
+            "FENCE_RADIUS": min(reach, s.value("FENCE_RADIUS") or math.inf),
         }
         text = ", ".join(f"{k} {v:g}" for k, v in wanted_fence.items())
         found.append(
@@ -261,6 +260,31 @@ def _safety(s: Situation) -> list[Check]:
             )
         )
     return found
+
+
+def _corner_m(plan: Plan) -> float:
+    """From the zone's origin to its farthest corner."""
+    zone = plan.vehicle.zone
+    return math.hypot(max(map(abs, zone.x_m)), max(map(abs, zone.y_m)))
+
+
+def _drawn(s: Situation) -> bool:
+    """Whether there is a polygon: its kind alone, without points, stops nothing. Where it lies is not read."""
+    return bool(int(s.value("FENCE_TYPE") or 0) & _FENCE_POLYGON) and s.value("FENCE_TOTAL") != 0.0
+
+
+def fence_words(s: Situation) -> str:
+    """Where the plan counts on a fence along the zone, and the vehicle's is a circle beyond it: how far; else ''."""
+    zone, radius_m = s.plan.vehicle.zone, s.value("FENCE_RADIUS")
+    if s.simulator or not s.plan.fenced or _drawn(s) or zone.origin is not None or radius_m is None:
+        return ""
+    beyond_m = radius_m - min(map(abs, (*zone.x_m, *zone.y_m)))
+    if beyond_m <= 0:
+        return ""
+    return (
+        f"{s.plan.fenced} kinds of steps count on a fence along the zone where the link is lost; the circle of {radius_m:.0f} m lies up to "
+        f"{beyond_m:.0f} m beyond it, and so far such a vehicle may get (a polygon fence along the zone keeps it inside)"
+    )
 
 
 def _transmitter(s: Situation) -> list[Check]:

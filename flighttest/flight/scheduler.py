@@ -231,7 +231,9 @@ class Scheduler:
         return self._stopped() if self.cockpit.stop_asked else None
 
     def _stopped(self) -> FlightOutcome:
-        return FlightOutcome.RECORD_LOST if self.cockpit.recorder.failure else FlightOutcome.OPERATOR_STOP
+        if self.cockpit.recorder.failure:
+            return FlightOutcome.RECORD_LOST
+        return FlightOutcome.SET_UP_ANEW if self.cockpit.meddling.vital else FlightOutcome.OPERATOR_STOP
 
     def _why_unfit(self, leg_id: str) -> tuple[str, ...]:
         return tuple(what for leg, what, _ in self.plan.refusals if leg == leg_id)

@@ -29,7 +29,7 @@ from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
 from flighttest.pipeline.replanning import ScriptReplanner
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.resuming import chain, flown_in, script_of, worth_resuming
+from flighttest.pipeline.resuming import chain, flown_in, left_behind, script_of, worth_resuming
 from flighttest.pipeline.simulator import options
 from flighttest.pipeline.sources import open_recording
 from flighttest.plan import Plan
@@ -295,6 +295,7 @@ def _one(
     progress: Progress,
 ) -> FlightResult:
     name = plan.script.name
+    behind = left_behind(request.out, plan.vehicle.name)
     folder = new_run(request.out, name, datetime.datetime.now())
     progress.stage(f"{name} ({index + 1} of {count}): {len(plan.legs)} steps, recorded in {folder}")
     with connection(request, index) as url, counted_interrupts() as stops:
@@ -304,6 +305,7 @@ def _one(
             folder,
             set_params=request.set_params,
             waive=request.waive,
+            left_behind=behind,
             resume=request.resume,
             skip=flown_in(earlier),
             replanner=ScriptReplanner(plan, prior),

@@ -1,4 +1,4 @@
-"""`flighttest run --resume`: what earlier flights of a script have flown, and whether they can be gone on with."""
+"""What earlier flights leave to the next: steps that are missing, parameters that nobody has put back."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.flight import legs_flown
+from flighttest.pipeline.history import run_folders, vehicle_name
 from flighttest.plan import Plan
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
 
@@ -33,6 +34,16 @@ def chain(run_dir: Path | None) -> list[Path]:
         named = Path(str(before))
         run_dir = named if named.is_dir() else run_dir.parent / named.name
     return found
+
+
+def left_behind(folder: Path, vehicle: str) -> dict[str, float]:
+    """Parameters that the last flight of a vehicle set and did not restore (its program may have been killed), with the values they
+    should have."""
+    last = next((run for run in reversed(run_folders(folder)) if vehicle_name(run) == vehicle), None)
+    if last is None:
+        return {}
+    manifest = read_manifest(last)
+    return dict(manifest.get("parameters_left", manifest.get("parameters_changed")) or {})
 
 
 def flown_in(runs: Sequence[Path]) -> frozenset[str]:

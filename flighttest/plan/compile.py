@@ -87,6 +87,7 @@ def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost
     refused = {label for label, _, _ in refusals}
     slots = [slot for slot in slots if _leg_id(script, cells[slot.cell], slot.repeat) not in refused]
     legs, stops = yield from _legs(script, fitted, places, slots, setting, zone.heading_rad, angle_boost)
+    fenced = sum(any(p.fence and p.excess is None for p in placed) for placed in places)
     return Plan(
         script=script,
         vehicle=vehicle,
@@ -95,12 +96,13 @@ def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost
         reset=script.reset,
         rate_hz=script.rate_hz,
         refusals=refusals,
-        notes=_notes(fitted, places, script, setting),
+        notes=_notes(fitted, fenced, script, setting),
         cells=tuple(
             _cell_plan(f, places[i][0], setting, stops.get(i, ()), sum(slot.cell == i for slot in slots))
             for i, f in enumerate(fitted)
         ),
         reaction_s=reaction_s(predictor),
+        fenced=fenced,
     )
 
 
@@ -296,16 +298,13 @@ def _cell_plan(
     )
 
 
-def _notes(
-    fitted: Sequence[Fitted], places: Sequence[Sequence[Placement]], script: Script, setting: Setting
-) -> tuple[str, ...]:
+def _notes(fitted: Sequence[Fitted], fenced: int, script: Script, setting: Setting) -> tuple[str, ...]:
     notes = []
     shortened = [f.cell.label for f in fitted if f.shortened]
     if shortened:
         notes.append(
             f"{len(shortened)} of {len(fitted)} steps are shorter than asked for, to stay inside zone, heights and speed"
         )
-    fenced = sum(any(p.fence and p.excess is None for p in placed) for placed in places)
     if fenced:
         notes.append(
             f"{fenced} of {len(fitted)} steps drift past the zone's margin when the link is lost: the autopilot's fence has to stop them"

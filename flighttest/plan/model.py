@@ -95,7 +95,8 @@ class Plan:
     """Everything a scheduler needs: legs in flying order, limits, reset, rate. refusals: (leg id, sentence, remedy).
 
     vehicle: its zone carries the script's own floor where it has one. A leg that was refused is not among the legs. reaction_s: how
-    long the prior takes to answer a stop; the gate looks as far ahead.
+    long the prior takes to answer a stop; the gate looks as far ahead. fenced: kinds of steps that with the link lost only a fence along
+    the zone would keep inside.
     """
 
     script: Script
@@ -109,6 +110,7 @@ class Plan:
     data: Mapping[str, Any] = field(default_factory=dict)
     cells: tuple[CellPlan, ...] = ()
     reaction_s: float = 0.25
+    fenced: int = 0
 
     @property
     def duration_s(self) -> float:

@@ -30,7 +30,16 @@ CHANNELS_DIR = "channels"
 CHANNELS_FORMAT = "channels/1"  # in the metadata of each Parquet file
 FORMAT = "run/1"
 EVENTS_FORMAT = "events/1"
-_BLOCKS = ("parameters", "components", "vehicle", "clock", "filters", "derived")
+_BLOCKS = (
+    "parameters",
+    "parameters_changed",
+    "parameters_left",
+    "components",
+    "vehicle",
+    "clock",
+    "filters",
+    "derived",
+)
 _REBUILD = "rebuild the run from its raw file with `flighttest import`"
 
 
@@ -67,7 +76,7 @@ def read_manifest(run_dir: Path) -> dict[str, Any]:
             raise RecordingError(f"{path}: components.{name} is no block of keys and values", _REBUILD)
     if not isinstance(manifest.get("losses") or [], list):
         raise RecordingError(f"{path}: losses is no list", _REBUILD)
-    for key in ("parameters", "filters"):
+    for key in ("parameters", "parameters_changed", "parameters_left", "filters"):
         for name, value in (manifest.get(key) or {}).items():
             _number(value, f"{path}: {key}.{name}")
     clock = manifest.get("clock") or {}

@@ -165,13 +165,28 @@ def test_waivers_are_by_name_and_noted() -> None:
     [
         ({"FENCE_TYPE": 3.0, "FENCE_RADIUS": 300.0}, False),  # the firmware's default
         ({"FENCE_TYPE": 3.0, "FENCE_RADIUS": 40.0}, True),
+        ({"FENCE_TYPE": 3.0, "FENCE_RADIUS": 41.0}, False),
         ({"FENCE_TYPE": 7.0, "FENCE_RADIUS": 300.0}, True),  # a polygon, which is not read
+        ({"FENCE_TYPE": 7.0, "FENCE_RADIUS": 300.0, "FENCE_TOTAL": 0.0}, False),  # none is drawn
+        ({"FENCE_TYPE": 5.0, "FENCE_TOTAL": 0.0, "FENCE_RADIUS": 30.0}, False),
+        ({"FENCE_TYPE": 5.0, "FENCE_TOTAL": 6.0, "FENCE_RADIUS": 300.0}, True),
     ],
 )
 def test_a_circle_far_beyond_the_zone_is_no_fence_for_it(fence: dict[str, float], good: bool) -> None:
     refused = found(parameters=fence)
     assert [check.name for check in refused] == ([] if good else ["fence"])
     assert all(check.set["FENCE_RADIUS"] == 30.0 for check in refused)
+
+
+def test_a_plan_that_counts_on_a_fence_is_told_how_far_a_circle_lets_it_go() -> None:
+    counting = replace(make_plan(), fenced=3)
+    words = preflight.fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0}))
+    assert words.startswith("3 kinds of steps count on a fence along the zone where the link is lost")
+    assert "of 30 m lies up to 22 m beyond it" in words
+    assert (
+        preflight.fence_words(situation(plan=make_plan(), parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0})) == ""
+    )
+    assert preflight.fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 5.0, "FENCE_TOTAL": 6.0})) == ""
 
 
 def test_a_second_vehicle_on_the_link_is_refused() -> None:

@@ -1,0 +1,104 @@
+"""Parameters of a flight: what somebody else changes meanwhile ends it or is told, and what a killed program left is put back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flighttest.flight import FlightOutcome, FlightResult, fly
+from flighttest.flight.preflight import THRUST_AS_THRUST
+from flighttest.mavlink import CopterMode
+from flighttest.pipeline.resuming import left_behind
+from flighttest.recording.store import MANIFEST_NAME, read_events
+from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+
+
+def fly_while(run_dir: Path, name: str, value: float) -> tuple[FaultyLink, FlightResult]:
+    """A flight of two steps in whose first one somebody sets a parameter."""
+    link = FaultyLink(options())
+    seen: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step") and not seen:  # type: ignore[attr-defined]
+            seen.append(t_s)
+            link.set_parameter(name, value)
+
+    link.hook = hook
+    plan = make_plan(make_leg("roll+0.30"), make_leg("roll+0.31"))
+    result = fly(plan, "sim", run_dir, transport=link)
+    assert seen
+    return link, result
+
+
+def test_a_flight_whose_throttle_would_mean_something_else_lands(run_dir: Path) -> None:
+    link, result = fly_while(run_dir, "GUID_OPTIONS", 0.0)
+    assert result.outcome is FlightOutcome.SET_UP_ANEW
+    assert [leg.leg for leg in result.legs] == ["test/roll+0.30/r1"]
+    assert any(note.startswith("GUID_OPTIONS was changed from 8 to 0 during the flight") for note in result.notes)
+    aborted = next(m for m in read_events(run_dir)[0] if m.kind == "abort")
+    assert "GUID_OPTIONS was changed" in aborted.label
+    assert link.sim.vehicle.mode == CopterMode.LAND
+    assert not link.sim.vehicle.armed
+
+
+def test_another_parameter_is_told_and_the_flight_goes_on(run_dir: Path) -> None:
+    _, result = fly_while(run_dir, "ATC_ANG_RLL_P", 7.0)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert sum("ATC_ANG_RLL_P was changed from" in note for note in result.notes) == 1
+    assert sum("was changed" in note for note in result.notes) == 1, (
+        "what the flight itself sets and restores is nobody else's"
+    )
+
+
+def killed_before_it_restores(run_dir: Path) -> float:
+    """A run whose program dies with the first parameter set: its manifest as it was then. GUID_OPTIONS as it was before it."""
+    link = FaultyLink(options(parameters={"GUID_OPTIONS": 0.0}))
+    kept: list[bytes] = []
+
+    def hook(message: object, _t_s: float) -> None:
+        if message.get_type() == "PARAM_SET" and message.param_id == "GUID_OPTIONS" and not kept:  # type: ignore[attr-defined]
+            kept.append((run_dir / MANIFEST_NAME).read_bytes())
+
+    link.hook = hook
+    fly(make_plan(), "sim", run_dir, transport=link)
+    assert link.sim.vehicle.store["GUID_OPTIONS"] == 0.0
+    (run_dir / MANIFEST_NAME).write_bytes(kept[0])
+    return 0.0
+
+
+def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Path) -> None:
+    should = killed_before_it_restores(tmp_path / "2026-01-01-a")
+    behind = left_behind(tmp_path, "paper")
+    assert behind["GUID_OPTIONS"] == should
+    assert left_behind(tmp_path, "another") == {}
+    link = FaultyLink(options(parameters={"GUID_OPTIONS": float(THRUST_AS_THRUST)}))
+    said: list[str] = []
+    run_dir = tmp_path / "2026-01-02-b"
+    result = fly(make_plan(), "sim", run_dir, transport=link, left_behind=behind, on_stage=said.append)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert link.sim.vehicle.store["GUID_OPTIONS"] == should
+    assert any("an earlier flight left GUID_OPTIONS at 8 instead of 0: it is restored" in line for line in said)
+    assert left_behind(tmp_path, "paper") == {}
+
+
+def test_what_was_left_is_only_told_where_nobody_allowed_to_set_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flighttest.flight.preflight.is_simulator", lambda _parameters: False)
+    link = FaultyLink(options(parameters={"GUID_OPTIONS": float(THRUST_AS_THRUST)}))
+    waived = ("rc", "FS_THR_ENABLE", "FLTMODE_CH", "RC_OPTIONS", "fence", "LOG_BITMASK", "GUID_TIMEOUT", "rates")
+    run_dir = tmp_path / "run"
+    result = fly(make_plan(), "sim", run_dir, transport=link, left_behind={"GUID_OPTIONS": 0.0}, waive=waived)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert link.sim.vehicle.store["GUID_OPTIONS"] == THRUST_AS_THRUST
+    assert result.parameters_left == {"GUID_OPTIONS": 0.0}
+    assert any("set it back by hand, or fly with --set-params" in note for note in result.notes)
+    assert left_behind(tmp_path, "paper") == {"GUID_OPTIONS": 0.0}, "the next flight is told again"
+
+
+def test_what_was_put_back_meanwhile_is_not_told(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    usual = link.sim.vehicle.store["WP_SPD_UP"]
+    result = fly(make_plan(), "sim", run_dir, transport=link, left_behind={"WP_SPD_UP": usual, "GONE": 1.0})
+    assert not any("an earlier flight left" in note for note in result.notes)
