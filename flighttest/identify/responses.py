@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
 from flighttest.identify.sag import SAMPLES, between_samples
@@ -132,7 +133,8 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
     if name.endswith("_dot_rad_s2"):
         rate = filled(t, y.get(name.replace("_dot_rad_s2", "_rad_s")), 0.0)
-        return np.gradient(rate, t) if t.size > 1 else np.zeros_like(t)
+        # A spline: differences of neighbours blur an angular acceleration that jumps, as after a step, by several percent.
+        return np.asarray(CubicSpline(t, rate)(t, 1)) if t.size > 1 else np.zeros_like(t)
     values = filled(t, y.get(name), 0.0)
     return np.unwrap(values) if name in _ANGLES else values
 
