@@ -28,7 +28,7 @@ LIMIT_KEYS = (
 )
 RESET_KEYS = ("to", "heading_deg", "by", "settle_s")
 REPEAT_KEYS = ("each", "over_voltage_v", "order")
-MODES = ("GUIDED_NOGPS", "OFFBOARD")
+MODE = "GUIDED_NOGPS"  # the one mode in which targets go to the attitude loops as they are
 PARAMETERS = (
     "omega_phi",
     "omega_theta",
@@ -100,7 +100,7 @@ class _Reader:
             name=name,
             doc=self._get(self.fields, "doc", doc.text, ""),
             identifies=self._identifies(),
-            mode=self._get(self.fields, "mode", lambda n: doc.choice(n, MODES), "GUIDED_NOGPS"),
+            mode=self._get(self.fields, "mode", self._mode, MODE),
             rate_hz=self._get(self.fields, "rate_hz", lambda n: doc.number(n, 5.0, 400.0, "Hz"), 50.0),
             throttle_unit=unit,
             limits=limits,
@@ -118,6 +118,13 @@ class _Reader:
             return default
         found = read(fields[key])
         return default if found is None else found
+
+    def _mode(self, node: Node) -> str | None:
+        if node.value == MODE:
+            return MODE
+        found = f"`{str(node.value)[:40]}`" if isinstance(node.value, str | int | float) else kind_of(node.value)
+        self.document.wrong(node, f"steps are flown in {MODE} only, found {found}", f"write `mode: {MODE}`")
+        return None
 
     def _identifies(self) -> tuple[str, ...]:
         node = self.fields.get("identifies")
