@@ -31,7 +31,18 @@ from flighttest.identify.variations import (
 )
 from flighttest.segments.model import Segment
 
-__all__ = ["GROUPS", "HORIZONS_S", "UNITS", "Figure5", "HorizonError", "Validation", "Variation", "merged", "validate"]
+__all__ = [
+    "GROUPS",
+    "HORIZONS_S",
+    "UNITS",
+    "Figure5",
+    "HorizonError",
+    "Validation",
+    "Variation",
+    "comparable",
+    "merged",
+    "validate",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,6 +50,7 @@ HORIZONS_S = (0.1, 0.5, 1.0, 1.5, 3.0)
 START_EVERY_S = 0.25
 MAX_STARTS = 400
 FIGURE_S = 1.5
+_SHORTEST_S = 0.6
 
 
 @dataclass(frozen=True)
@@ -82,12 +94,18 @@ class Validation:
         return None
 
 
+def comparable(segment: Segment) -> bool:
+    """Whether a segment can be run open loop: not rejected, with the throttle recorded, and long enough for half a second."""
+    return segment.usable and "throttle" in segment.u and bool(segment.t_s[-1] - segment.t_s[0] > _SHORTEST_S)
+
+
 def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile | None = None) -> Validation:
-    """Compare on usable segments: free flight where there is any, else whatever is given.
+    """Compare on usable segments: free flight where there is any, else whatever is given. Steps beside free flight are a comparison
+    of their own, for the caller to ask for.
 
     FitError where none lasts half a second with throttle recorded.
     """
-    usable = [s for s in segments if s.usable and "throttle" in s.u and s.t_s[-1] - s.t_s[0] > 0.6]
+    usable = [s for s in segments if comparable(s)]
     chosen = merged([s for s in usable if s.kind == "free"]) or usable
     if not chosen:
         raise FitError(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.identify import model_file
-from flighttest.identify.validate import Validation, Variation
+from flighttest.identify.validate import Validation, Variation, comparable
 from flighttest.identify.validate import validate as compare_models
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.fingerprints import differences
@@ -17,6 +17,7 @@ from flighttest.report import html
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import join
 from flighttest.report.validation_sections import validation_sections
+from flighttest.segments import Segment
 
 
 def validate(
@@ -27,13 +28,17 @@ def validate(
     columns: Path | None = None,
     progress: Progress = SILENT,
 ) -> Result:
-    """Paper section 4; `output`: also write the page."""
+    """Paper section 4; `output`: also write the page. Free flight and steps, where both are given, are compared apart: they ask
+    different things of a model, and an error over both together would say little of either."""
     stored = model_file.read(model, whole=True)
     earlier = model_file.read(previous) if previous is not None else None
     recordings = open_recordings(runs, columns, progress=progress)
     segments = cut_all(recordings, progress)
     progress.stage("running the models open loop")
+    usable = [s for s in segments if comparable(s)]
+    steps = [s for s in usable if s.kind != "free"]
     found = compare_models(stored, segments, earlier)
+    beside = compare_models(stored, steps, earlier) if steps and len(steps) < len(usable) else None
     facts = {"model": str(model), "flights": join([str(r) for r in runs])}
     seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
     if seen:
@@ -41,11 +46,32 @@ def validate(
     other = differences(stored.fingerprint, recordings)
     if other:
         facts["another vehicle"] = f"the model's has {other}"
+    left_out = _left_out(segments)
+    if left_out:
+        facts["left out"] = left_out
     verdict, tone = _verdict(found)
-    document = Document("validation", verdict, tone, validation_sections(found), facts)
+    sections, data = validation_sections(found), _data(found) | {"left_out": left_out}
+    if beside is not None:
+        on_steps, steps_tone = _verdict(beside)
+        verdict = " ".join(
+            f"In {kind}: {v[0].lower()}{v[1:]}" for kind, v in (("free flight", verdict), ("steps", on_steps))
+        )
+        tone = "warn" if "warn" in (tone, steps_tone) else tone
+        sections = (*validation_sections(found, "free flight"), *validation_sections(beside, "steps"))
+        data["steps"] = _data(beside)
+    document = Document("validation", verdict, tone, sections, facts)
     if output is not None:
         html.write(document, output)
-    return Result(document, _data(found), Status.DONE, found)
+    return Result(document, data, Status.DONE, found)
+
+
+def _left_out(segments: Sequence[Segment]) -> str:
+    """How many responses are not in the comparison, and why."""
+    rejected = sum(not s.usable for s in segments)
+    rest = sum(s.usable and not comparable(s) for s in segments)
+    words = [f"{rejected} rejected (see `flighttest segment`)"] if rejected else []
+    words += [f"{rest} too short or without a recorded throttle"] if rest else []
+    return f"of {len(segments)} responses {join(words)}" if words else ""
 
 
 def _verdict(found: Validation) -> tuple[str, Tone]:

@@ -26,18 +26,21 @@ PANELS = (
 )
 
 
-def validation_sections(found: Validation) -> tuple[Section, ...]:
-    """Sentences, Figure 5, and one table per group of channels."""
-    figure = _figure5(found)
+def validation_sections(found: Validation, of: str = "") -> tuple[Section, ...]:
+    """Sentences, Figure 5, and one table per group of channels. of: which part of the flights, where it is not all of them."""
+    mark = f"-{of.replace(' ', '-')}" if of else ""
+    figure = _figure5(found, f"figure5{mark}")
     count = len(found.segments)
-    where = f"{found.starts} starts in {count} stretch{'es' if count != 1 else ''} of flight"
-    lead = f"{where}; only recorded commands and voltage drive the models."
-    sections = [Section("validation", "Prediction against these flights", (Bullets(found.sentences), figure), lead)]
-    sections.append(Section("horizons", "Errors by horizon", (_table(found),)))
+    kind = f"step{'s' if count != 1 else ''}" if of == "steps" else f"stretch{'es' if count != 1 else ''} of flight"
+    lead = f"{found.starts} starts in {count} {kind}; only recorded commands and voltage drive the models."
+    title = f"Prediction of {of}" if of else "Prediction against these flights"
+    sections = [Section(f"validation{mark}", title, (Bullets(found.sentences), figure), lead)]
+    title = f"Errors by horizon, {of}" if of else "Errors by horizon"
+    sections.append(Section(f"horizons{mark}", title, (_table(found),)))
     return tuple(sections)
 
 
-def _figure5(found: Validation) -> Figure:
+def _figure5(found: Validation, name: str) -> Figure:
     f = found.figure
     panels = []
     places = ("p_x_m", "p_y_m", "p_z_m")
@@ -61,7 +64,7 @@ def _figure5(found: Validation) -> Figure:
                 lines.append(Trace(f.t_s[:n], made[channel][:n], variation.value, ROLES[variation], shown=shown))
         panels.append(Panel(title, "time, s", label, tuple(lines)))
     caption = f"The liveliest {f.t_s[-1]:.1f} s of the flight ({f.segment}): measured, and each model run open loop from the same start."
-    return Figure("figure5", tuple(panels), caption, 2, 270)
+    return Figure(name, tuple(panels), caption, 2, 270)
 
 
 def _table(found: Validation) -> Table:

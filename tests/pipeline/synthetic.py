@@ -117,9 +117,10 @@ def flight(seed=0, gain=1.0):
     return table
 
 
-def write_csv(path, **options):
-    """The flight as a CSV file."""
-    table = flight(**options)
+def write_csv(path, until_s=np.inf, **options):
+    """The flight as a CSV file, up to until_s."""
+    whole = flight(**options)
+    table = {name: column[whole["t_s"] < until_s] for name, column in whole.items()}
     header = ",".join(table)
     np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=header, comments="", fmt="%.6g")
     return path

@@ -117,6 +117,27 @@ def test_validate_export_and_compare(call, model, worn_csv, tmp_path):
     assert max(abs(p["z"]) for p in json.loads(out)["parameters"] if p["z"] is not None) == 0.0
 
 
+@pytest.fixture(scope="module")
+def free_csv(synthetic, tmp_path_factory):
+    """The first seconds of a flight: too few steps for anything but free flight."""
+    return synthetic.write_csv(tmp_path_factory.mktemp("free") / "free.csv", seed=2, until_s=9.4)
+
+
+def test_steps_beside_a_free_flight_are_validated_too(call, model, free_csv, worn_csv, tmp_path):
+    alone = json.loads(call("validate", model, free_csv, "--json")[1])
+    assert "steps" not in alone
+    assert alone["left_out"] == ""
+    page = tmp_path / "v.html"
+    code, out, _ = call("validate", model, free_csv, worn_csv, "-o", page, "--json")
+    assert code == 0
+    both = json.loads(out)
+    assert both["errors"] == alone["errors"]
+    assert both["steps"]["starts"] > alone["starts"]
+    assert {e["model"] for e in both["steps"]["errors"]} == {e["model"] for e in alone["errors"]}
+    assert "Prediction of free flight" in page.read_text()
+    assert "Prediction of steps" in page.read_text()
+
+
 def test_status_sees_worn_propellers_and_not_the_same_vehicle(call, model, flight_csv, worn_csv, tmp_path):
     code, out, _ = call("status", "--model", model, worn_csv, "--out", tmp_path, "-o", tmp_path / "status", "--json")
     assert code == 4
