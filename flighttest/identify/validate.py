@@ -50,18 +50,30 @@ HORIZONS_S = (0.1, 0.5, 1.0, 1.5, 3.0)
 START_EVERY_S = 0.25
 MAX_STARTS = 400
 FIGURE_S = 1.5
+ENOUGH_STRETCHES = 5  # an RMS of five independent errors is known to a third
 _SHORTEST_S = 0.6
 
 
 @dataclass(frozen=True)
 class HorizonError:
-    """RMS error of one group of channels (vector norm) after a horizon, over `count` starts, in `UNITS[group]`."""
+    """RMS error of one group of channels (vector norm) after a horizon, over `count` starts, in `UNITS[group]`. stretches: how many of
+    those do not overlap, and so say something of their own."""
 
     variation: Variation
     group: str
     horizon_s: float
     rmse: float
     count: int
+    stretches: int
+
+    @property
+    def few(self) -> str:
+        """What to know of an error that few stretches of flight tell; empty where there are enough."""
+        if self.stretches >= ENOUGH_STRETCHES:
+            return ""
+        starts = f"{self.count} start{'s' if self.count != 1 else ''}"
+        apart = f", in {self.stretches} separate stretch{'es' if self.stretches != 1 else ''} of flight"
+        return f"from {starts} only{apart if self.stretches < self.count else ''}"
 
 
 @dataclass(frozen=True)
@@ -210,6 +222,7 @@ def _errors(
     for group, channels in GROUPS.items():
         for horizon in HORIZONS_S:
             squares = []
+            stretches, ended = 0, (-1, 0.0)
             for s, made in zip(starts, predicted, strict=True):
                 y = measured[s.segment]
                 if not all(c in y and c in made for c in channels):
@@ -222,8 +235,11 @@ def _errors(
                 off = np.array([made[c][k] - y[c][s.first + k] for c in channels])
                 if np.isfinite(off).all():
                     squares.append(float(off @ off))
+                    if s.segment != ended[0] or t[0] >= ended[1]:
+                        stretches, ended = stretches + 1, (s.segment, float(t[k]))
             if squares:
-                found.append(HorizonError(variation, group, horizon, float(np.sqrt(np.mean(squares))), len(squares)))
+                rmse = float(np.sqrt(np.mean(squares)))
+                found.append(HorizonError(variation, group, horizon, rmse, len(squares), stretches))
     return found
 
 
@@ -245,13 +261,15 @@ def _verdicts(errors: Sequence[HorizonError]) -> list[str]:
     """What the table says, against each simplification, at the longest horizon measured."""
     sentences = []
     table = {(e.variation, e.group, e.horizon_s): e.rmse for e in errors}
+    few = {(e.group, e.horizon_s): e.few for e in errors if e.variation is Variation.FULL}
     for group in ("position", "velocity"):
         horizons = sorted(h for v, g, h in table if v is Variation.FULL and g == group)
         if not horizons:
             continue
         h = horizons[-1]
         full = table[Variation.FULL, group, h]
-        sentences.append(f"after {h:g} s the full model's {group} is off by {full:.2f} {UNITS[group]} (RMS)")
+        little = f", {few[group, h]}: little is known of it, or of what follows" if few[group, h] else ""
+        sentences.append(f"after {h:g} s the full model's {group} is off by {full:.2f} {UNITS[group]} (RMS){little}")
         for variation in Variation:
             other = table.get((variation, group, h))
             if variation is Variation.FULL or other is None:

@@ -88,14 +88,16 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     better = [v.value for v, r in others.items() if r > mine * 1.02]
     worse = [v.value for v, r in others.items() if r < mine * 0.98]
     units = {"velocity": "m/s", "position": "m", "roll": "rad"}[group]
-    head = f"After 1 s the model's {group} is off by {mine:.3g} {units} (RMS)"
+    few = full[group].few
+    tone: Tone = "warn" if few else "good"
+    head = f"After 1 s the model's {group} is off by {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
     if worse:
         return f"{head}; {join(worse)} would have been better on this flight.", "warn"
     if not better:
-        return f"{head}.", "good"
+        return f"{head}.", tone
     if len(better) <= 2:
-        return f"{head}, less than with {join(better, 'or')}.", "good"
-    return f"{head}, less than with any of the {len(better)} simplifications that matter here.", "good"
+        return f"{head}, less than with {join(better, 'or')}.", tone
+    return f"{head}, less than with any of the {len(better)} simplifications that matter here.", tone
 
 
 def _data(found: Validation) -> dict[str, Any]:
@@ -104,7 +106,14 @@ def _data(found: Validation) -> dict[str, Any]:
         "segments": list(found.segments),
         "sentences": list(found.sentences),
         "errors": [
-            {"model": e.variation.name, "group": e.group, "horizon_s": e.horizon_s, "rmse": e.rmse, "count": e.count}
+            {
+                "model": e.variation.name,
+                "group": e.group,
+                "horizon_s": e.horizon_s,
+                "rmse": e.rmse,
+                "count": e.count,
+                "stretches": e.stretches,
+            }
             for e in found.errors
         ],
     }

@@ -87,4 +87,8 @@ def _table(found: Validation) -> Table:
             rows.append((head, v.value, *cells))
     numbers: list[Align] = ["right" for _ in horizons]
     caption = "Root mean square error after each horizon; green: the smallest in its column."
+    full = [e for e in found.errors if e.variation is Variation.FULL and e.few]
+    few = {e.horizon_s: e.few for e in sorted(full, key=lambda e: -e.count)}
+    if few:
+        caption += " Little is known " + "; ".join(f"after {h:g} s, {words}" for h, words in sorted(few.items())) + "."
     return Table(("", "model", *(f"{h:g} s" for h in horizons)), tuple(rows), ("left", "left", *numbers), caption)

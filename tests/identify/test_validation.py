@@ -69,6 +69,23 @@ def test_errors_grow_with_the_horizon_and_are_small(table):
     assert position[0] < 0.02
 
 
+def test_few_starts_are_called_few(table, found, flight):
+    """24 s of flight hold eight stretches of 3 s; 4 s hold one, however many starts overlap in it."""
+    whole = {(e.group, e.horizon_s): e for e in table.errors if e.variation is Variation.FULL}
+    assert whole["position", 3.0].stretches in (7, 8)
+    assert whole["position", 3.0].few == ""
+    assert "only" not in table.sentences[0]
+    short = flight[0]
+    cut = slice(0, 200)
+    short = replace(short, t_s=short.t_s[cut], y={n: v[cut] for n, v in short.y.items()})
+    seen = validate(from_fit(found), [short])
+    brief = {(e.group, e.horizon_s): e for e in seen.errors if e.variation is Variation.FULL}
+    late = brief["position", 3.0]
+    assert late.stretches == 1 < late.count < 8
+    assert f"from {late.count} starts only, in 1 separate stretch of flight" in seen.sentences[0]
+    assert brief["position", 0.1].few == ""
+
+
 def test_windows_of_one_flight_are_joined(flight):
     joined = merged(list(reversed(flight)))
     assert len(joined) == 1
