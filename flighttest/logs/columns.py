@@ -163,6 +163,9 @@ def _source(document: Document, name: str, entry: Node, keys: Mapping[str, Node]
     else:
         columns = [c for c in (document.text(n, 200) for n in document.items(keys["mean"], "columns")) if c is not None]
     scale = document.number(keys["scale"], -1e12, 1e12) if "scale" in keys else 1.0
+    if scale == 0.0:
+        hint = "write the factor from the table's unit to the channel's; what does not change goes into `constants:`"
+        document.wrong(keys["scale"], f"scale 0 makes every value of {name} the same", hint)
     offset = document.number(keys["offset"], -1e12, 1e12) if "offset" in keys else 0.0
     unit = CHANNELS[name].unit if name in CHANNELS else ("s" if name == TIME else "1")
     factor: float | None = 1.0

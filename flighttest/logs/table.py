@@ -18,6 +18,7 @@ from flighttest.documents import nearest
 from flighttest.errors import RecordingError
 from flighttest.logs.columns import STEP, TIME, ColumnMap, load_columns, plain_map
 from flighttest.logs.crazyflie import crazyflie_map
+from flighttest.logs.gravity import gravity_doubts
 from flighttest.logs.opening import LogFile
 from flighttest.logs.sheet import Sheet, read_sheet
 from flighttest.logs.timing import ordered, outliers
@@ -77,6 +78,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     if "throttle" in found:
         _check_throttle(path, found["throttle"])
     _check_angles(path, found)
+    losses += gravity_doubts(found, plan.body, mapped=given is not None)
     step = sheet.column(plan.columns[STEP].columns[0]) if STEP in plan.columns else pieces
     markers = _steps(t_s, step) if step is not None else []
     return Recording(

@@ -176,7 +176,7 @@ def describe(recording: Recording, folder: Path) -> Result:
     table = Table(("group", "channels", "rate", "samples", ""), tuple(rows), ("left", "left", "right", "right", "left"))
     sections = [Section("channels", "Channels", (table,))]
     if source.losses:
-        sections.append(Section("losses", "What was lost", (Bullets(source.losses),)))
+        sections.append(Section("losses", "What was lost, or looks wrong", (Bullets(source.losses),)))
     if source.derived:
         lines = tuple(f"{name}: {how}" for name, how in source.derived.items())
         sections.append(Section("derived", "What was derived", (Bullets(lines),)))

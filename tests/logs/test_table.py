@@ -330,6 +330,43 @@ def test_units_that_cannot_be_meant_are_refused(tmp_path, t, factor_t, factor_ro
         import_log(save(tmp_path / "a.csv", t_s=t * factor_t, roll_rad=0.3 * np.sin(t) * factor_roll))
 
 
+def test_a_scale_of_zero_is_refused():
+    with pytest.raises(RecordingError) as caught:
+        parse_columns("format: columns/1\ncolumns:\n  t_s: t\n  roll_rad: {from: r, scale: 0.0}\n", "map.yaml")
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.path) == (4, "columns.roll_rad.scale")
+    assert "every value of roll_rad the same" in problem.what
+    assert "`constants:`" in problem.hint
+
+
+@pytest.mark.parametrize(
+    ("frame", "factor", "words"),
+    [
+        ("", 1.0, ()),
+        ("", 1 / 9.81, ("`unit: g`",)),
+        ("", -1.0, ("say `frame: {body: FRD}`",)),
+        ("", -1 / 9.81, ("`unit: g`", "say `frame: {body: FRD}`")),
+        ("frame: {body: FRD}\n", -1.0, ()),
+        ("frame: {body: FRD}\n", 1.0, ("leave that out",)),
+    ],
+)
+def test_an_accelerometer_in_another_unit_or_frame_is_told(tmp_path, t, frame, factor, words):
+    columns = "columns: {t_s: t, roll_rad: r, f_x_m_s2: x, f_y_m_s2: y, f_z_m_s2: z}\n"
+    wave = np.sin(7 * t)
+    r = mapped(
+        tmp_path,
+        frame + columns,
+        t=t,
+        r=0.1 * wave,
+        x=factor * wave,
+        y=0.5 * factor * wave,
+        z=factor * (9.81 + 3 * wave),
+    )
+    assert len(r.provenance.losses) == len(words)
+    for loss, word in zip(r.provenance.losses, words, strict=True):
+        assert word in loss
+
+
 def test_a_channel_has_one_source_and_a_filter_lets_something_through():
     text = "format: columns/1\ncolumns: {t_s: t, throttle: u}\nconstants: {throttle: 0.3}\nfilters_hz: {rates: -3}\n"
     with pytest.raises(RecordingError) as caught:
