@@ -6,6 +6,7 @@ accelerometer. Frames of the table become NWU/FLU here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -52,18 +53,15 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     plan = given or plain_map(sheet.names)
     losses = sheet.losses
     if given is None:
-        unread = [n for n in sheet.names if n not in plan.columns and n and not n.startswith("Unnamed")]
+        unread = _unread(sheet.names, plan)
         if not [n for n in plan.columns if n in CHANNELS]:
             shown = ", ".join(sheet.names[:12])
+            guesses = [line for line in unread if "did you mean" in line]
             raise RecordingError(
                 f"{path}: no column of this table is a channel ({shown})",
-                "describe it with --columns map.yaml (docs/formats.md)",
+                "; ".join([*guesses, "describe it with --columns map.yaml (docs/formats.md)"]),
             )
-        for name in unread:
-            guess = nearest(name, (*CHANNELS, TIME, STEP))
-            losses.append(
-                f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else "")
-            )
+        losses += unread
     t_s, pieces = _one_after_another(_tame(_time(path, sheet, plan), losses), losses)
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
@@ -71,9 +69,10 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     series = _grouped(t_s, found, losses)
     if not {"attitude", "specific_force", "acceleration", "velocity"} & set(series):
         have = ", ".join(found) or "nothing"
+        remedy = "a thrust stand is no flight; name the columns of motion in the column map"
         raise RecordingError(
             f"{path}: neither attitude nor acceleration nor velocity nor position is in the table (found {have})",
-            "a thrust stand is no flight; name the columns of motion in the column map",
+            "; ".join([*(line for line in losses if "did you mean" in line), remedy]),
         )
     if "throttle" in found:
         _check_throttle(path, found["throttle"])
@@ -95,6 +94,16 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
             derived=derived,
         ),
     )
+
+
+def _unread(columns: Sequence[str], plan: ColumnMap) -> list[str]:
+    """A sentence for each column that is no channel, with the channel that may have been meant."""
+    unread = [n for n in columns if n not in plan.columns and n and not n.startswith("Unnamed")]
+    found = []
+    for name in unread:
+        guess = nearest(name, (*CHANNELS, TIME, STEP))
+        found.append(f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else ""))
+    return found
 
 
 def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:

@@ -21,7 +21,7 @@ from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
 from flighttest.pipeline.batteries import battery_data
 from flighttest.pipeline.fingerprints import conflicts, of_recordings, repeated
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.pipeline.views import fit_view, metrics, segment_views
 from flighttest.recording import Recording
 from flighttest.report import fit_sections
@@ -66,7 +66,12 @@ def segment(runs: Sequence[Path], columns: Path | None = None, progress: Progres
         verdict, tone = f"None of the {len(segments)} responses can be used; the reasons are below.", "bad"
     else:
         verdict, tone = section.lead, "good" if used == len(segments) else "warn"
-    data = {"segments": [_segment_data(s) for s in segments], "used": used, "rejected": len(segments) - used}
+    data = {
+        "segments": [_segment_data(s) for s in segments],
+        "used": used,
+        "rejected": len(segments) - used,
+        "losses": losses_of(recordings),
+    }
     document = Document("responses", verdict, tone, (replace(section, lead=""),))  # type: ignore[arg-type]
     return Result(document, data, Status.DONE if used else Status.UNUSABLE, segments)
 
@@ -248,4 +253,4 @@ def finish_fit(
     tone: Tone = "bad" if not found.status.good else "good" if all(p.known for p in view.parameters) else "warn"
     document = Document("fit", view.verdict, tone, fit_sections.fit_sections(view), facts)
     status = Status.DONE if found.status.good else Status.UNEXPLAINED
-    return Result(document, data, status, found)
+    return Result(document, data | {"losses": losses_of(recordings)}, status, found)

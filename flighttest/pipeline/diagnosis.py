@@ -21,7 +21,7 @@ from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.pipeline.views import fit_view
 from flighttest.recording import Recording
 from flighttest.report import html
@@ -81,6 +81,7 @@ def diagnose(
     if output is not None:
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
+    data |= {"losses": losses_of(recordings)}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:
         data |= {"next_path": str(output / "next.yaml")}

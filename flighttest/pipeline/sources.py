@@ -83,6 +83,9 @@ def open_recordings(
         for path in paths:
             progress.stage(f"reading {path}")
             found.append(read(path))
+    for path, recording in zip(paths, found, strict=True):
+        for loss in untold(path, recording):
+            progress.stage(f"{path}: {loss}")
     names: set[str] = set()
     unique = []
     for recording in found:
@@ -96,6 +99,17 @@ def open_recordings(
             else Recording(name, recording.series, recording.markers, recording.provenance)
         )
     return tuple(unique)
+
+
+def untold(path: Path, recording: Recording) -> tuple[str, ...]:
+    """What reading a table in passing found wrong with it, columns that were not read among it: of a run folder `import` has told it."""
+    source = recording.provenance
+    return source.losses if source.importer == "table" and not path.is_dir() else ()
+
+
+def losses_of(recordings: Sequence[Recording]) -> list[str]:
+    """What was lost or looks wrong in each recording, by name, for a program that reads the result."""
+    return [f"{r.name}: {loss}" for r in recordings for loss in r.provenance.losses]
 
 
 def _on_cluster(scheduler: str, read: Callable[[Path], Recording], paths: Sequence[Path]) -> list[Recording]:

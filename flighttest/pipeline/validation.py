@@ -12,7 +12,7 @@ from flighttest.identify.validate import validate as compare_models
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.report import html
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import join
@@ -50,7 +50,7 @@ def validate(
     if left_out:
         facts["left out"] = left_out
     verdict, tone = _verdict(found)
-    sections, data = validation_sections(found), _data(found) | {"left_out": left_out}
+    sections, data = validation_sections(found), _data(found) | {"left_out": left_out, "losses": losses_of(recordings)}
     if beside is not None:
         on_steps, steps_tone = _verdict(beside)
         verdict = " ".join(

@@ -193,6 +193,28 @@ def test_bad_fit_options_are_bad_input(call, flight_csv):
         assert "error:" in err
 
 
+def test_a_misspelt_column_is_told_by_every_command_that_reads_the_table(call, flight_csv, tmp_path):
+    names, rows = flight_csv.read_text().split("\n", 1)
+    path = tmp_path / "a.csv"
+    path.write_text(names.replace(",roll_rad", ",rol_rad") + "\n" + rows)
+    hint = "column 'rol_rad' is no channel and was not read; did you mean roll_rad?"
+    code, out, err = call("segment", path, "--json")
+    assert code == 0
+    assert json.loads(out)["losses"] == [f"a: {hint}"]
+    assert hint in err
+    code, out, _ = call("segment", path)
+    assert f"{path}: {hint}" in out
+    run = tmp_path / "run"
+    call("import", path, "-o", run)
+    assert hint not in call("segment", run)[1], "the import has told it"
+    rows = "".join(f"{0.02 * k},0.1,0.2\n" for k in range(300))
+    for names, expected in (("t_s,rol_rad,pitch_rad", 3), ("t_s,rol_rad,throttle", 2), ("t_s,rol_rad,gyro", 2)):
+        path.write_text(f"{names}\n{rows}")
+        code, out, err = call("fit", path)
+        assert code == expected
+        assert hint in " ".join((out + err).split()), "where nothing can be fitted it is the reason"
+
+
 def test_garbage_is_no_traceback(call, tmp_path):
     junk = tmp_path / "junk.bin"
     junk.write_bytes(bytes(range(256)) * 50)
