@@ -129,8 +129,13 @@ def sim(
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
     from flighttest.pipeline import simulator
 
-    for line in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep):
-        context.show.say(line)
+    for said in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep):
+        if isinstance(said, str):
+            context.show.say(said)
+            continue
+        context.show.line(said.data())
+        for sentence in said.sentences:
+            context.show.say(sentence)
     return 0
 
 

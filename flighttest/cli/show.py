@@ -82,6 +82,12 @@ class Show:
         """One JSON document; numbers that are not finite become null."""
         self.out.file.write(json.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
+    def line(self, data: Mapping[str, Any]) -> None:
+        """With --json one line, sent at once: what a program needs of something that goes on. Otherwise nothing."""
+        if self.as_json:
+            self.out.file.write(json.dumps(plain(data), ensure_ascii=False, allow_nan=False) + "\n")
+            self.out.file.flush()
+
     def error(self, error: FlighttestError) -> None:
         """One clear message with its remedy."""
         if self.as_json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 
 from flighttest.errors import InputError
 from flighttest.sim import SimOptions, parse_hide, start_simulator
@@ -10,6 +11,33 @@ from flighttest.sim.sitl_launcher import Sitl, SitlOptions, launch
 from flighttest.sim.sitl_physics import PhysicsSitl, launch_on_physics
 
 _BOOT_S = 45  # until the firmware's position estimate stands
+SYSTEM_ID = 1  # of the built-in vehicle and of ArduPilot alike
+
+
+@dataclass(frozen=True)
+class Serving:
+    """A vehicle that can be connected to, as a program needs it. hide: as typed; speed: times real time."""
+
+    url: str
+    airframe: str
+    backend: str
+    seed: int
+    speed: float
+    lockstep: bool
+    hide: tuple[str, ...]
+
+    def data(self) -> dict[str, object]:
+        """Its fields, with the port and the MAVLink system id."""
+        return asdict(self) | {"port": int(self.url.rsplit(":", 1)[1]), "system_id": SYSTEM_ID}
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """What it is, and how to fly it."""
+        if self.backend == "sitl":
+            what = f"ArduPilot SITL, airframe {self.airframe}, at {self.url}"
+        else:
+            what = f"simulated copter ({self.airframe} airframe, seed {self.seed}) at {self.url}"
+        return f"{what}; Ctrl-C stops it", f"fly it: flighttest run thrust --connect {self.url}"
 
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
@@ -19,8 +47,8 @@ def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, l
 
 def serve(
     airframe: str, backend: str, hide: Sequence[str], seed: int, port: int, speed: float, lockstep: bool
-) -> Iterator[str]:
-    """Serve until interrupted; yields lines for the person at the terminal."""
+) -> Iterator[str | Serving]:
+    """Serve until interrupted; yields what is going on, and once it can be connected to, where."""
     if backend == "sitl":
         if lockstep:
             raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
@@ -28,12 +56,11 @@ def serve(
         return
     made = options(airframe, hide, seed, speed, lockstep)
     with start_simulator(made, port=port) as simulation:
-        yield f"simulated copter ({airframe} airframe, seed {seed}) at {simulation.url}; Ctrl-C stops it"
-        yield f"fly it: flighttest run thrust --connect {simulation.url}"
+        yield Serving(simulation.url, airframe, backend, seed, speed, lockstep, tuple(hide))
         simulation.wait()
 
 
-def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed: float) -> Iterator[str]:
+def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed: float) -> Iterator[str | Serving]:
     if hide and airframe != "rotor":
         raise InputError(
             "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
@@ -44,6 +71,5 @@ def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed:
     else:
         started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port))
     with started as vehicle:
-        yield f"ArduPilot SITL, airframe {airframe}, at {vehicle.url}; Ctrl-C stops it"
-        yield f"fly it: flighttest run thrust --connect {vehicle.url}"
+        yield Serving(vehicle.url, airframe, "sitl", seed, speed, False, tuple(hide))
         vehicle.wait()

@@ -3,9 +3,13 @@
 import json
 import os
 import signal
+import subprocess
+import sys
+import threading
 
 import click
 import pytest
+from pymavlink import mavutil
 
 from flighttest.cli import main as cli_main
 from flighttest.cli.live import LiveProgress
@@ -144,3 +148,25 @@ def test_a_closed_terminal_lands_and_ctrl_c_twice_lets_go():
         os.kill(os.getpid(), signal.SIGINT)
         assert presses() == 2
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
+
+
+def test_sim_tells_a_program_where_it_is():
+    argv = [sys.executable, "-m", "flighttest.cli.main", "sim", "--json", "--port", "0", "--seed", "4", "--speed", "2"]
+    process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    late = threading.Timer(60.0, process.kill)
+    late.start()
+    try:
+        told = json.loads(process.stdout.readline())
+        assert (told["airframe"], told["seed"], told["speed"], told["backend"]) == ("paper", 4, 2.0, "builtin")
+        assert told["url"] == f"tcp:127.0.0.1:{told['port']}"
+        client = mavutil.mavlink_connection(told["url"])
+        heartbeat = client.wait_heartbeat(timeout=20)
+        client.close()
+        assert heartbeat.get_srcSystem() == told["system_id"]
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.read() == "", "one line, and no more"
+        assert process.wait(20) == 1
+    finally:
+        late.cancel()
+        process.kill()
+        process.wait()
