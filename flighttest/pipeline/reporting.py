@@ -123,7 +123,7 @@ def run_document(
 
 
 def report(folder: Path, output: Path | None = None, progress: Progress = SILENT) -> Result:
-    """Write the page of a run folder, of a log, or of what `diagnose -o` wrote."""
+    """Write the page of a run folder, of a log, or of what `diagnose -o` wrote. With `output` the folder itself stays as it is."""
     if not folder.exists():
         raise InputError(
             f"{folder}: there is no such run or folder", "`flighttest runs` lists the runs on this machine"
@@ -148,7 +148,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
         verdict=f"No model could be fitted: {reason}." if reason else "",
     )
     target = output or (folder / REPORT_NAME if folder.is_dir() else Path(REPORT_NAME))
-    if folder.is_dir():
+    if folder.is_dir() and output is None:
         keep_segments(folder, [s for s in segments if s.run == recordings[-1].name])
         if found is not None and not (folder / FIT_NAME).exists():
             model_file.write(folder / FIT_NAME, model_data(found, recordings, None))

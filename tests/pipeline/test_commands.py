@@ -77,6 +77,9 @@ def test_a_run_folder_is_not_overwritten_by_another_recording(call, tmp_path):
 def test_report_of_a_run_and_the_history(call, flight_csv, tmp_path):
     run = tmp_path / "runs" / "2026-01-02T03-04-05-thrust"
     call("import", flight_csv, "-o", run)
+    before = sorted(run.rglob("*"))
+    assert call("report", run, "-o", tmp_path / "page.html")[0] == 0
+    assert sorted(run.rglob("*")) == before, "a run that is only read may be read-only"
     code, out, _ = call("report", run)
     assert code == 0
     assert (run / "report.html").stat().st_size > 1_000_000
