@@ -347,6 +347,11 @@ def fetch_log(url: str, output: Path, number: int | None = None, progress: Progr
     """Download an onboard log: into a file named so, or as onboard.bin into a run folder (made where there is none)."""
     is_file = output.suffix.lower() in (".bin", ".ulg", ".log")
     path = output if is_file else output / "onboard.bin"
+    if url == BUILTIN:
+        raise InputError(
+            "the built-in vehicle keeps no onboard log: what it sends is in its run's raw.tlog",
+            "name a vehicle that keeps one, as tcp:HOST:PORT; `flighttest sim --backend sitl` starts an ArduPilot that does",
+        )
     progress.stage(f"connecting to {url}")
     told = -1
 

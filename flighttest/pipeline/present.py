@@ -61,10 +61,11 @@ def _built_in() -> Iterator[str]:
 
 
 def hello(url: str) -> str:
-    """What answers at a URL, in words. LinkError when nothing does."""
-    session = Session(Port(open_transport(url)))
-    try:
-        beat = session.connect()
-        return f"{url}: {_NAMES.get(beat.autopilot, 'autopilot')} {ArduPilot(session).firmware()}".strip()
-    finally:
-        session.port.close()
+    """What answers at a URL, in words. `sim` is the built-in vehicle, started for it. LinkError when nothing does."""
+    with _built_in() if url == BUILTIN else nullcontext(url) as where:
+        session = Session(Port(open_transport(where)))
+        try:
+            beat = session.connect()
+            return f"{url}: {_NAMES.get(beat.autopilot, 'autopilot')} {ArduPilot(session).firmware()}".strip()
+        finally:
+            session.port.close()

@@ -77,3 +77,18 @@ def test_parameters_alone_do_not_tell_of_components(status):
 
 def test_what_every_flight_sets_is_no_change(seen):
     assert int(seen[0].parameters["GUID_OPTIONS"]) & 8
+
+
+def test_doctor_reaches_the_built_in_vehicle(capsys):
+    cli_main.call(["doctor", "--connect", "sim", "--json"])
+    (vehicle,) = [c for c in json.loads(capsys.readouterr().out)["checks"] if c["what"] == "vehicle"]
+    assert vehicle["ok"], vehicle
+    assert vehicle["found"].startswith("sim: ArduCopter")
+
+
+def test_the_built_in_vehicle_has_no_log_to_fetch(capsys, tmp_path):
+    assert cli_main.call(["fetch-log", "--connect", "sim", "-o", str(tmp_path / "run"), "--json"]) == 2
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert "keeps no onboard log" in error["message"]
+    assert "--backend sitl" in error["hint"]
+    assert not (tmp_path / "run").exists()
