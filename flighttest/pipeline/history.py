@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile, StoredParameter
 from flighttest.identify.student import quantile
 from flighttest.pipeline.results import Result
-from flighttest.recording.store import MANIFEST_NAME, read_manifest
+from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest
 from flighttest.report import html
 from flighttest.report.currency_page import HistoryPoint, history_document
 from flighttest.report.document import Document
@@ -177,27 +178,46 @@ def history(folder: Path, *, page: bool = False) -> Result:
         raise InputError(
             f"{folder}: there is no such folder", "name the folder that holds the runs, as `run --out` had it"
         )
-    points, units, broken = [], {}, []
+    points, units, broken = [], {}, _without_manifest(folder)
     for run in run_folders(folder):
         try:
             manifest = read_manifest(run)
         except FlighttestError as error:
-            broken.append(f"{run}: {error.message}")
+            broken.append(_reason(run, error))
             continue
         stored = None
         if (run / FIT_NAME).is_file():
             try:
                 stored = model_file.read(run / FIT_NAME)
             except FlighttestError as error:
-                broken.append(f"{run / FIT_NAME}: {error.message}")
+                broken.append(_reason(run / FIT_NAME, error))
         points.append(_point(run, manifest, stored))
         if stored is not None:
             units.update({n: p.unit for n, p in stored.parameters.items()})
-    document = history_document(points, units)
+    document = history_document(points, units, [line.replace(f"{folder}{os.sep}", "") for line in broken])
     if page and points:
         document = _written(document, folder / "history.html")
     data = {"runs": [_data(p) for p in points], "broken": broken}
     return Result(document, data)
+
+
+def _reason(path: Path, error: FlighttestError) -> str:
+    """Why a file cannot be read, in one line that names it once."""
+    first, *others = str(error).splitlines()
+    words = first if first.startswith(str(path)) else f"{path}: {first}"
+    return f"{words} (and {len(others)} more)" if others else words
+
+
+def _without_manifest(folder: Path) -> list[str]:
+    """What was a run, by what else it holds, and has lost its manifest."""
+    found = sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
+    return [
+        f"{run}: it has no {MANIFEST_NAME}; rebuild the run from its raw.tlog (`flighttest import`)"
+        if (run / RAW_NAME).is_file()
+        else f"{run}: it has no {MANIFEST_NAME}; import its log again"
+        for run in found
+        if not (run / MANIFEST_NAME).is_file() and ((run / RAW_NAME).is_file() or (run / CHANNELS_DIR).is_dir())
+    ]
 
 
 def _written(document: Document, path: Path) -> Document:

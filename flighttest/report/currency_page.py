@@ -206,8 +206,11 @@ class HistoryPoint:
     campaign: tuple[str, ...] = ()
 
 
-def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str]) -> Document:
-    """Each parameter over runs, with the changes of components marked."""
+def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str], broken: Sequence[str] = ()) -> Document:
+    """Each parameter over runs, with the changes of components marked. broken: what could not be read, and why."""
+    damage = (Section("broken", "What cannot be read", (Bullets(tuple(broken)),)),) if broken else ()
+    if not points and broken:
+        return Document("Runs on this machine", "None of the runs here can be read.", "bad", damage)
     if not points:
         return Document(
             "Runs on this machine", "There are no runs here yet; `flighttest run thrust` makes one.", "warn"
@@ -249,7 +252,11 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str]) -
     fitted = sum(1 for p in points if p.parameters)
     of = f" of {vehicles[0]}" if len(vehicles) == 1 else ""
     verdict = f"{len(points)} run{'s' if len(points) != 1 else ''}{of}, {fitted} with a fit."
-    return Document("Runs on this machine", verdict, "plain", tuple(sections))
+    if broken:
+        verdict += f" {len(broken)} cannot be read: see below."
+    return Document(
+        "Runs on this machine", verdict, "warn" if broken else "plain", (*sections[:1], *damage, *sections[1:])
+    )
 
 
 def _latest(name: str, numbered: Sequence[tuple[int, HistoryPoint]], unit_text: str) -> tuple[Cell | str, ...]:

@@ -93,6 +93,35 @@ def test_report_of_a_run_and_the_history(call, flight_csv, tmp_path):
     assert (tmp_path / "runs" / "history.html").is_file()
 
 
+def test_damaged_runs_are_named_beside_the_others(call, tmp_path):
+    runs, rows = tmp_path / "runs", "\n".join(f"{0.02 * k},0.1" for k in range(50))
+    (tmp_path / "a.csv").write_text(f"t_s,roll_rad\n{rows}\n1.0,0.1\n")
+    for name in ("good", "garbled", "lost", "bad_fit"):
+        assert call("import", tmp_path / "a.csv", "-o", runs / name)[0] == 0
+    (runs / "garbled" / "manifest.yaml").write_text("{[")
+    (runs / "lost" / "manifest.yaml").unlink()
+    (runs / "bad_fit" / "fit.yaml").write_text("format: other/1")
+    code, out, _ = call("runs", runs, "--json")
+    assert code == 0
+    listed = json.loads(out)
+    assert [r["run"] for r in listed["runs"]] == ["bad_fit", "good"]
+    for name, reason in (
+        ("lost", "no manifest.yaml"),
+        ("garbled", "cannot be read"),
+        ("bad_fit", "expected `model/1`"),
+    ):
+        (line,) = [b for b in listed["broken"] if b.startswith(str(runs / name))]
+        assert reason in line
+        assert line.count(str(runs / name)) == 1
+    code, out, _ = call("runs", runs)
+    words = "".join(out.split())
+    for line in listed["broken"]:
+        assert "".join(line.removeprefix(f"{runs}/").split()) in words
+    for name in ("good", "bad_fit"):
+        (runs / name / "manifest.yaml").unlink()
+    assert "None of the runs here can be read" in call("runs", runs)[1]
+
+
 def test_validate_export_and_compare(call, model, worn_csv, tmp_path):
     code, out, _ = call("validate", model, worn_csv, "-o", tmp_path / "v.html", "--json")
     assert code == 0
