@@ -189,4 +189,7 @@ def _summary(
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         facts["fly next"] = f"flighttest run {folders[-1] / 'next.yaml'}"
+        reason = found.diagnosis.get("next_reason") or {}
+        if reason.get("zone") and not reason.get("fits_zone"):
+            facts["fly next"] += f" ({reason['zone']})"
     return Document("flight", page.verdict, page.tone, tuple(sections), facts)

@@ -19,6 +19,7 @@ from flighttest.physics.body import DELAY_PARAM
 from flighttest.pipeline.analysis import cut_all, model_data, nominal_voltage
 from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
+from flighttest.pipeline.next_in_zone import held_against_zone
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import losses_of, open_recordings
@@ -43,12 +44,12 @@ def run_diagnosis(
     vehicle: Vehicle | None,
     progress: Progress = SILENT,
 ) -> Diagnosis:
-    """The diagnosis of segments, from the stored model's physics or the paper's."""
+    """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone."""
     previous = None
     if stored is not None:
         previous = {name: (p.value, p.std) for name, p in stored.parameters.items()}
     progress.stage("looking for what the model leaves out")
-    return search(
+    found = search(
         segments,
         stored.model if stored is not None else None,
         previous=previous,
@@ -56,6 +57,7 @@ def run_diagnosis(
         progress=progress.stage,
         side_by_side=in_halves,
     )
+    return held_against_zone(found, recordings, vehicle)
 
 
 def diagnose(

@@ -216,6 +216,9 @@ def _next(data: Data, script: str) -> Section | None:
         return None
     said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
     blocks: list[Block] = [Code(str(said or f"flighttest run {data.get('next_path', name)}"))]
+    reason = data.get("next_reason") or {}
+    if reason.get("zone"):
+        blocks.append(Paragraph(str(reason["zone"]), "plain" if reason.get("fits_zone") else "warn"))
     if script:
         blocks.append(Code(script, "the script"))
     return Section("next", "Fly this next", tuple(blocks))
