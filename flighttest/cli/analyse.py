@@ -45,7 +45,9 @@ def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> i
 @COLUMNS
 @click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
 @click.option("--term", "terms", multiple=True, metavar="ID", help="Terms beside body and linear_drag (see `terms`).")
-@click.option("--freeze", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value.")
+@click.option(
+    "--freeze", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value; T_d holds every delay."
+)
 @click.option("--tie", multiple=True, metavar="A=B", help="Tie a parameter to another (omega_theta=omega_phi).")
 @click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for reading recordings."

@@ -294,6 +294,8 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
     if not names:
         held = [n for n in DELAY_PARAM.values() if n in found]
         value = float(np.mean([found[n].value for n in held])) if held else DELAY.nominal
+        if held and all(found[n].source == "frozen" for n in held):
+            return Estimate("T_d", DELAY.symbol, "s", value, None, None, "frozen", False, found[held[0]].why)
         return Estimate(
             "T_d",
             DELAY.symbol,

@@ -16,6 +16,7 @@ from flighttest.identify import model_file
 from flighttest.identify.alternation import cross_checked
 from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
+from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
 from flighttest.pipeline.batteries import battery_data
@@ -150,8 +151,18 @@ def _terms(ids: Sequence[str]) -> tuple[str, ...]:
 
 
 def _held(words: Sequence[str], model: Model) -> dict[str, float]:
-    """What --freeze holds, where a model can be simulated with it."""
+    """What --freeze holds, where a model can be simulated with it. T_d, the paper's one delay, holds that of every channel."""
     found = _pairs(words, "--freeze")
+    if DELAY.name in found:
+        delays = [name for name in DELAY_PARAM.values() if name in model.param]
+        both = [name for name in delays if name in found]
+        if both:
+            raise InputError(
+                f"--freeze {DELAY.name} holds {', '.join(delays)}, and {join(both)} is given too",
+                "give one or the other",
+            )
+        value = found.pop(DELAY.name)
+        found |= dict.fromkeys(delays, value)
     for name, value in found.items():
         known = model.param.get(name)
         if known is not None and not known.lower <= value <= known.upper:

@@ -225,6 +225,18 @@ def test_bad_fit_options_are_bad_input(call, flight_csv):
         assert "error:" in err
 
 
+def test_the_papers_one_delay_can_be_held(call, flight_csv):
+    delays = ("T_d_attitude", "T_d_yaw_rate", "T_d_thrust", "T_d")
+    code, out, _ = call("fit", flight_csv, "--freeze", "T_d=0.11", "--json")
+    assert code == 0
+    found = json.loads(out)["parameters"]
+    assert [found[name]["value"] for name in delays] == [0.11] * 4
+    assert {found[name]["source"] for name in delays} == {"frozen"}
+    code, _, err = call("fit", flight_csv, "--freeze", "T_d=0.11", "--freeze", "T_d_thrust=0.1")
+    assert code == 2
+    assert "T_d_thrust is given too" in " ".join(err.split())
+
+
 def test_a_misspelt_column_is_told_by_every_command_that_reads_the_table(call, flight_csv, tmp_path):
     names, rows = flight_csv.read_text().split("\n", 1)
     path = tmp_path / "a.csv"
