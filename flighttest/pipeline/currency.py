@@ -286,5 +286,9 @@ def finish(
     data["verdict"] = found.verdict.name
     data["repeats"] = {name: need.repeats for name, need in repeats.items()}
     data["minutes"] = minutes
+    shown = rows if found.fly or found.verdict is Verdict.UNKNOWN else ()
+    data["reflights"] = [plain(row) for row in shown]
+    data["compared"] = facts
+    data["page"] = str(output / "status.html") if output is not None else None
     status_of = {Verdict.CURRENT: Status.DONE, Verdict.STALE: Status.STALE, Verdict.UNKNOWN: Status.DONE}
     return Result(document, data, status_of[found.verdict], found)

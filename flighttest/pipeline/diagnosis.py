@@ -83,7 +83,7 @@ def diagnose(
     if output is not None:
         facts["written to"] = str(output)
         data = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
-    data |= {"losses": losses_of(recordings)}
+    data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:
         data |= {"next_path": str(output / "next.yaml")}

@@ -51,6 +51,7 @@ def validate(
         facts["left out"] = left_out
     verdict, tone = _verdict(found)
     sections, data = validation_sections(found), _data(found) | {"left_out": left_out, "losses": losses_of(recordings)}
+    data |= {name.replace(" ", "_"): facts.get(name, "") for name in ("careful", "another vehicle")}
     if beside is not None:
         on_steps, steps_tone = _verdict(beside)
         verdict = " ".join(

@@ -155,8 +155,17 @@ def free_csv(synthetic, tmp_path_factory):
     return synthetic.write_csv(tmp_path_factory.mktemp("free") / "free.csv", seed=2, until_s=9.4)
 
 
+def test_a_program_is_told_as_well_that_a_flight_was_fitted(call, model, flight_csv, tmp_path):
+    rows = flight_csv.read_text().splitlines()
+    (tmp_path / "flight.csv").write_text("\n".join(rows[:1000]))
+    code, out, _ = call("validate", model, tmp_path / "flight.csv", "--json")
+    assert code == 0
+    assert json.loads(out)["careful"].startswith("flight was used in the fit")
+
+
 def test_steps_beside_a_free_flight_are_validated_too(call, model, free_csv, worn_csv, tmp_path):
     alone = json.loads(call("validate", model, free_csv, "--json")[1])
+    assert alone["careful"] == alone["another_vehicle"] == ""
     assert "steps" not in alone
     assert alone["left_out"] == ""
     page = tmp_path / "v.html"
@@ -179,9 +188,17 @@ def test_status_sees_worn_propellers_and_not_the_same_vehicle(call, model, fligh
     assert "thrust per throttle fell" in found["sentence"]
     assert "UNTESTABLE" in found["battery"]["sentence"]
     assert (tmp_path / "status" / "thrust_again.yaml").is_file()
+    rows = {row["what"].split(" (")[0]: row for row in found["reflights"]}
+    assert list(rows) == ["at least", "all", "the shortest that serves"]
+    assert rows["at least"]["minutes"] == pytest.approx(found["minutes"]["thrust"])
+    assert 0 < rows["the shortest that serves"]["minutes"] < rows["at least"]["minutes"]
+    assert rows["the shortest that serves"]["command"].endswith("thrust_again.yaml")
+    assert found["page"] == str(tmp_path / "status" / "status.html")
+    assert found["compared"]["new flight"] == str(worn_csv)
     code, out, _ = call("status", "--model", model, flight_csv, "--out", tmp_path, "--json")
     assert code == 0
     assert json.loads(out)["verdict"] == "CURRENT"
+    assert json.loads(out)["reflights"] == []
 
 
 def test_the_scripts_status_writes_can_be_flown(call, model, worn_csv, tmp_path):
