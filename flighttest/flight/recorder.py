@@ -11,6 +11,7 @@ import json
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,7 @@ def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> d
             "hover_throttle": vehicle.hover_throttle,
             "mass_kg": vehicle.mass_kg,
             "rotor_height_m": vehicle.rotor_height_m,
+            "zone": asdict(vehicle.zone),
         },
         "components": {name: dict(fields) for name, fields in vehicle.components.items()},
         "parameters": {},

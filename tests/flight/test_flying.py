@@ -10,8 +10,10 @@ from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, fly, legs_flown
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
+from flighttest.pipeline.next_in_zone import flown_vehicle
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
+from flighttest.vehicle.default import DEFAULT_VEHICLE
 from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
 
 
@@ -55,6 +57,9 @@ def test_a_flight_as_planned(run_dir: Path) -> None:
     assert manifest["outcome"] == FlightOutcome.COMPLETED.value
     assert manifest["parameters"]["GUID_OPTIONS"] == 8.0
     assert link.sim.vehicle.store["GUID_OPTIONS"] == 0.0, "what was set must be restored"
+    known = flown_vehicle([recording])
+    assert known is not None
+    assert known.zone == DEFAULT_VEHICLE.zone, "a diagnosis asks what fits it"
     assert {p.leg for p in seen} >= {1, 2}
     assert any(p.zone_margin_m > 5 for p in seen)
 
