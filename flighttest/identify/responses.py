@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
 from flighttest.identify.sag import SAMPLES, between_samples
@@ -133,6 +132,8 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
     if name.endswith("_dot_rad_s2"):
         rate = filled(t, y.get(name.replace("_dot_rad_s2", "_rad_s")), 0.0)
+        from scipy.interpolate import CubicSpline  # a fifth of a second, which what only plans need not wait for
+
         # A spline: differences of neighbours blur an angular acceleration that jumps, as after a step, by several percent.
         return np.asarray(CubicSpline(t, rate)(t, 1)) if t.size > 1 else np.zeros_like(t)
     values = filled(t, y.get(name), 0.0)
