@@ -9,29 +9,38 @@ import casadi as ca
 from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
 
 Values = Mapping[str, Expr]
-LEAST_DOWN = 0.2  # of the cable: beyond 78 degrees the two coordinates no longer tell where the load is
 
 
 def _payload(s: Signals, p: Values, x: Values) -> Contribution:
-    """A point mass on a taut massless cable; n, from the vehicle to the load, turns as both of its ends are pulled."""
+    """A point mass on a massless cable; n, from the vehicle to the load, turns as both of its ends are pulled.
+
+    n is a point of a sphere, seen from its top: the coordinates a are about the shares of the cable that point north and west while it
+    hangs, 2 where it is level, and without end only where the load is above the vehicle.
+    """
     ratio, length = p["payload_ratio"], p["cable_m"]
     f = s.rotation @ s.force
-    north, west = x["swing_north"], x["swing_west"]
-    rate_north, rate_west = x["swing_north_rate_1_s"], x["swing_west_rate_1_s"]
-    down = ca.sqrt(ca.fmax(1 - north**2 - west**2, LEAST_DOWN**2))
-    n: Expr = ca.vertcat(north, west, -down)
-    rate: Expr = ca.vertcat(rate_north, rate_west, (north * rate_north + west * rate_west) / down)
-    drag: Expr = -2 * p["swing_damping"] * ca.sqrt(s.g * length) * rate
-    # Tension that keeps the length, per mass of the load.
-    tension = (length * ca.sumsqr(rate) + ca.dot(n, drag - f)) / (1 + ratio)
-    acceleration: Expr = (drag - f - (1 + ratio) * tension * n) / length
+    a: Expr = ca.vertcat(x["swing_north"], x["swing_west"])
+    a_dot: Expr = ca.vertcat(x["swing_north_rate_1_s"], x["swing_west_rate_1_s"])
+    share = 1 / (1 + ca.sumsqr(a) / 4)
+    slope = ca.dot(a, a_dot) / 2
+    share_dot = -(share**2) * slope
+    n: Expr = ca.vertcat(share * a, 1 - 2 * share)
+    n_dot: Expr = ca.vertcat(share * a_dot + share_dot * a, -2 * share_dot)
+    drag: Expr = -2 * p["swing_damping"] * ca.sqrt(s.g * length) * n_dot
+    # Tension that keeps the length, per mass of the load; a cable does not push.
+    tension = ca.fmax((length * ca.sumsqr(n_dot) + ca.dot(n, drag - f)) / (1 + ratio), 0)
+    # What of the acceleration of n is left beside that of coordinates that keep their rates, back in coordinates.
+    share_ddot = -2 * share * share_dot * slope - share**2 * ca.sumsqr(a_dot) / 2
+    kept: Expr = ca.vertcat(2 * share_dot * a_dot + share_ddot * a, -2 * share_ddot)
+    left: Expr = (drag - f - (1 + ratio) * tension * n) / length - kept
+    a_ddot = left[:2] / share + a * (left[2] - ca.dot(a, left[:2]) / 2)
     return Contribution(
         s.rotation.T @ (ratio * tension * n),
         {
-            "swing_north": rate_north,
-            "swing_west": rate_west,
-            "swing_north_rate_1_s": acceleration[0],
-            "swing_west_rate_1_s": acceleration[1],
+            "swing_north": a_dot[0],
+            "swing_west": a_dot[1],
+            "swing_north_rate_1_s": a_ddot[0],
+            "swing_west_rate_1_s": a_ddot[1],
         },
     )
 
@@ -58,7 +67,7 @@ slung_payload = Term(
     equation="f_world = mu t n,  t = (l |n_dot|^2 + n (d - f)) / (1 + mu),  l n_ddot = d - f - (1 + mu) t n,  d = -2 zeta sqrt(g l) n_dot",
     plain="a load swings on a cable below the vehicle and pulls it to and fro after every lateral move",
     source="pendulum below an accelerated pivot; Palunko, Fierro, Cruz, ICRA 2012",
-    doubt="taut massless cable, swings below 78 degrees, no downwash on the load; its "
+    doubt="massless cable that a slack moment leaves at its length, no downwash on the load; its "
     "weight is in K's thrust-to-mass ratio unless a former model says otherwise",
     hides_in=("a_d", "d_x", "d_y", "K"),
     told_apart_by="ringing after lateral steps",
@@ -66,9 +75,9 @@ slung_payload = Term(
     needs=("v_x_m_s",),
     # A load still swings from the flight to the start when a step begins.
     states=(
-        State("swing_north", "1", "share of the cable that points north", free=True, spread=0.15),
-        State("swing_west", "1", "share of the cable that points west", free=True, spread=0.15),
-        State("swing_north_rate_1_s", "1/s", "its rate towards north", free=True, spread=0.4),
-        State("swing_west_rate_1_s", "1/s", "its rate towards west", free=True, spread=0.4),
+        State("swing_north", "1", "swing towards north: twice the tangent of half its angle", free=True, spread=0.15),
+        State("swing_west", "1", "the same towards west", free=True, spread=0.15),
+        State("swing_north_rate_1_s", "1/s", "its rate towards north", free=True, spread=0.7),
+        State("swing_west_rate_1_s", "1/s", "its rate towards west", free=True, spread=0.7),
     ),
 )  # fmt: skip
