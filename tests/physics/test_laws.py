@@ -236,7 +236,7 @@ WITNESSES = {
     "accelerometer_bias": ({"bias_x": 0.1, "bias_y": 0.2, "bias_z": -0.3}, {}, [0.5, -0.1, 7.7]),
     # w x r and centripetal for an arm ahead, turning about z alone: -w^2 r ahead, w_dot r to the left.
     "imu_lever_arm": ({"arm_x": 0.1}, {"rates": [0, 0, 2.0], "angular_acceleration": [0, 0, 5.0]}, [0.0, 0.2, 8.0]),
-    "velocity_latency": ({"velocity_latency": 0.1}, {}, [1.9, 1.2, 0.45]),
+    "velocity_latency": ({"velocity_latency": 0.1}, {}, [1.99, 0.99, 0.49]),
     "attitude_offset": ({"offset_pitch": 0.1}, {}, [8 * np.sin(0.1), 0.0, 8 * (np.cos(0.1) - 1)]),
     "roll_pitch_coupling": ({"pitch_to_roll": 0.1, "roll_to_pitch": -0.2}, {}, [-0.26, 0.28]),
     "channel_delay": ({"delay_attitude": 0.01, "delay_yaw_rate": 0.03}, {}, [0.01, 0.03]),

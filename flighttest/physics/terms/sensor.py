@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, Term
+from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
 
 Values = Mapping[str, Expr]
 
@@ -102,8 +102,17 @@ imu_lever_arm = Term(
 )
 
 
-def _latency(s: Signals, p: Values, _x: Values) -> Contribution:
-    return Contribution({"v": s.measured["v"] - p["velocity_latency"] * s.v_dot_world})
+_LATE = ("late_north_m_s2", "late_west_m_s2", "late_up_m_s2")
+_LEAST_LAG_S = 0.02  # no latency, no lag: but no endless rate either
+
+
+def _latency(s: Signals, p: Values, x: Values) -> Contribution:
+    """v(t - tau) is v - tau times an acceleration that follows half of tau behind: a delay by Pade's first approximant."""
+    tau = p["velocity_latency"]
+    late: Expr = ca.vertcat(*(x[name] for name in _LATE))
+    lag = ca.sqrt((tau / 2) ** 2 + _LEAST_LAG_S**2)
+    rates = ca.vertsplit((s.v_dot_world - late) / lag)
+    return Contribution({"v": s.measured["v"] - tau * late}, dict(zip(_LATE, rates, strict=True)))
 
 
 velocity_latency = Term(
@@ -116,12 +125,13 @@ velocity_latency = Term(
               "satellite receivers and their filters: 0.05 to 0.25 s", one_sided=True),
     ),
     build=_latency,
-    equation="v_measured = v - tau_v v_dot",
+    equation="v_measured = v - tau_v a,  tau_v / 2 a_dot = v_dot - a",
     plain="the velocity estimate lags behind the motion, as a satellite receiver's does",
-    source="ArduPilot GPS_DELAY_MS; first order of a delay",
-    doubt="a pure delay in truth: first order in tau_v is good below 0.2 s",
+    source="ArduPilot GPS_DELAY_MS; Pade approximant of a delay",
+    doubt="a pure delay in truth: Pade's approximant is good for motion slower than tau_v",
     hides_in=("d_x", "d_y", "d_z"),
     told_apart_by="fast reversals",
     reveals="lateral_stop",
     needs=("v_x_m_s",),
+    states=tuple(State(name, "m/s^2", "acceleration half the latency ago", free=True, spread=1.0) for name in _LATE),
 )  # fmt: skip
