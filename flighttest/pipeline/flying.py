@@ -115,7 +115,8 @@ def connection(request: FlightRequest, flight: int = 0) -> Iterator[str]:
             )
         yield url
         return
-    made = options(request.airframe, request.hide, request.seed + flight, request.speed or BUILTIN_SPEED)
+    # In lock-step from the first moment: a seed gives the same flight again, whatever the host was doing meanwhile.
+    made = options(request.airframe, request.hide, request.seed + flight, request.speed or BUILTIN_SPEED, lockstep=True)
     with start_simulator(made) as simulation:
         yield simulation.url
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from flighttest.cli import main as cli_main
@@ -17,6 +18,7 @@ from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.pipeline import flying, resuming
 from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.recording.store import open_run
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SHORT = """
@@ -82,6 +84,19 @@ def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
     assert code == 0
     again = json.loads(call("segment", tmp_path / "again", "--json")[1])
     assert again["used"] == 4
+
+
+def test_a_seed_gives_the_same_flight_again(call, script, tmp_path):
+    """Over a real socket, whatever the host does meanwhile; another seed has other noise."""
+    flown = []
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        assert call("run", script, "--out", tmp_path / name, "--seed", seed, "--only", "fly")[0] == 0
+        (run,) = (tmp_path / name).iterdir()
+        flown.append(open_run(run).channel("r_rad_s"))
+    (t_a, r_a), (t_b, r_b), (_, r_c) = flown
+    assert np.array_equal(t_a, t_b)
+    assert np.array_equal(r_a, r_b)
+    assert not np.array_equal(r_a, r_c)
 
 
 def test_a_stopped_flight_is_resumed(call, script, tmp_path):
