@@ -18,7 +18,7 @@ from flighttest.diagnose.model import Verdict
 from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
 from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
-from flighttest.errors import FitError, FlighttestError
+from flighttest.errors import FitError, FlighttestError, RecordingError
 from flighttest.identify.fit import fit
 from flighttest.identify.onset import onset_delay, start_values
 from flighttest.identify.prediction import coverage
@@ -87,12 +87,12 @@ def run(case: Case) -> Outcome:
         frame = random_rotor(case.vehicle_seed)
         # Blind: recorded segments and what an operator knows of his vehicle.
         found = diagnose(segments, nominal_voltage_v=frame.nominal_voltage_v)
+        sizes, classes, forces = _measured(case, segments, found, frame.nominal_voltage_v)
     except FlighttestError as error:
         return Outcome(case.index, case.kind, sha, case.hide, error=error.message, truth=case.truth())
     ranked = [f.term for f in sorted(found.findings, key=lambda f: f.evidence["delta_bic"])]
     own = tuple(t for t in ranked if case.generator == "sitl" and catalogue()[t].family == "autopilot")
     named = tuple(t for t in ranked if t not in own)
-    sizes, classes, forces = _measured(case, segments, found, frame.nominal_voltage_v)
     return Outcome(
         index=case.index,
         kind=case.kind,
@@ -121,7 +121,13 @@ def _flown(case: Case, hide: Mapping[str, Mapping[str, float]]) -> tuple[Segment
         noise=case.noise, gust_rms_m_s=case.gust_rms_m_s,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        return tuple(s for s in fly_campaign(options, Path(folder), case.generator) if s.usable)
+        segments = tuple(s for s in fly_campaign(options, Path(folder), case.generator) if s.usable)
+    if all(s.kind == "free" for s in segments):
+        # Nothing has a twin in the flight without the effect, which its size is measured by.
+        raise RecordingError(
+            "no step of the campaign was flown to its end", "the vehicle does not settle with this in it"
+        )
+    return segments
 
 
 def _values(case: Case, found: Diagnosis) -> dict[str, dict[str, tuple[float, float, float]]]:

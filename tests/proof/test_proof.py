@@ -3,12 +3,13 @@
 import hashlib
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
-from flighttest.proof import proving
+from flighttest.proof import proving, trial
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.prove import prove
@@ -206,3 +207,12 @@ def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_bot
     assert found["values_inside"] == (2, 3)
     assert Outcome.from_json(json.loads(json.dumps(seen.to_json()))) == seen
     assert "worst parameter of a named effect: median error 10 % over 1 effects" in markdown([seen], seed=0)
+
+
+def test_a_campaign_without_a_step_is_no_trial(monkeypatch):
+    """A vehicle that does not settle flies on freely; what was hidden has then no twin to be measured by, and no size of nothing."""
+    free = SimpleNamespace(kind="free", usable=True)
+    monkeypatch.setattr("flighttest.proof.trial.fly_campaign", lambda *_: (free, free))
+    flown = trial.run(draw(5, 3))
+    assert flown.error.startswith("no step of the campaign was flown")
+    assert "1 trials, 0 flown" in markdown([flown], seed=5)
