@@ -127,7 +127,7 @@ class _Flight:
         self._parameters: dict[str, float] = {}
         self._left_behind = left_behind
         self._changes: ParameterChanges | None = None
-        self._unrestored: dict[str, float] = {}
+        self._unrestored: dict[str, float] = dict(left_behind)  # also where the vehicle is never reached
         self._meddling = Meddling({})
 
     def run(

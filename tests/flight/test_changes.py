@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from flighttest.errors import LinkError
 from flighttest.flight import FlightOutcome, FlightResult, fly
 from flighttest.flight.preflight import THRUST_AS_THRUST
 from flighttest.mavlink import CopterMode
@@ -102,3 +103,13 @@ def test_what_was_put_back_meanwhile_is_not_told(run_dir: Path) -> None:
     usual = link.sim.vehicle.store["WP_SPD_UP"]
     result = fly(make_plan(), "sim", run_dir, transport=link, left_behind={"WP_SPD_UP": usual, "GONE": 1.0})
     assert not any("an earlier flight left" in note for note in result.notes)
+
+
+def test_what_was_left_outlives_a_flight_that_never_reached_the_vehicle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flighttest.link.session.CONNECT_S", 0.05)
+    link = FaultyLink(options(), down=lambda _t: True)
+    with pytest.raises(LinkError):
+        fly(make_plan(), "sim", tmp_path / "run", transport=link, left_behind={"GUID_OPTIONS": 0.0})
+    assert left_behind(tmp_path, "paper") == {"GUID_OPTIONS": 0.0}
