@@ -277,6 +277,23 @@ def simulate(term_id, values, reference, duration_s, dt=0.001):
     return np.array(out)
 
 
+@pytest.mark.parametrize("cycle", [0.5, 1.0, 2.0])
+def test_a_late_velocity_is_that_of_so_long_ago(cycle):
+    term, tau, dt = TERMS["velocity_latency"], 0.2, 0.001
+    omega, x, found = cycle / tau, states(TERMS["velocity_latency"], 0.0), []
+    times = np.arange(0.0, 8 * np.pi / omega, dt)
+    for t in times:
+        s = signals(flight())
+        s.v_dot_world = ca.DM([omega * np.cos(omega * t), 0.0, 0.0])
+        s.measured["v"] = ca.DM([np.sin(omega * t), 0.0, 0.0])
+        made = term.build(s, params(term, velocity_latency=tau), x)
+        found.append(float(made.value["v"][0]))
+        x = {k: x[k] + dt * float(made.state_rates[k]) for k in x}
+    settled = times > 4 * np.pi / omega
+    error = np.array(found)[settled] - np.sin(omega * (times[settled] - tau))
+    assert np.abs(error).max() < 0.04
+
+
 def test_shaping_keeps_the_acceleration_limit_and_arrives():
     target = simulate("reference_shaping", {"shaping_accel": 10.0, "shaping_tc": 0.15, "shaping_ff": 0.0}, 0.5, 1.5)
     acceleration = np.gradient(np.gradient(target, 0.001), 0.001)
