@@ -42,7 +42,8 @@ def impossible(
         if model.term_of(name) != term:
             continue
         value = values[name]
-        at_bound = value <= p.lower or value >= p.upper
+        # Where the usual value is the bound, as of a pure pole, to be there is to be usual.
+        at_bound = (value <= p.lower or value >= p.upper) and value != p.nominal
         if at_bound and (p.kind == "amplitude" or len(p.screen) > 1):
             return f"{name} runs to its bound, {value:.3g} {p.unit}: it stands in for something else"
         if p.off is None or not wrong_side(p, value):

@@ -30,7 +30,7 @@ from flighttest.proof.cases import Case
 from flighttest.proof.flying import fly_campaign
 from flighttest.segments import Segment
 from flighttest.sim import SimOptions
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
 
 FloatArray = NDArray[np.float64]
 
@@ -133,14 +133,25 @@ def _flown(case: Case, hide: Mapping[str, Mapping[str, float]]) -> tuple[Segment
 def _values(case: Case, found: Diagnosis) -> dict[str, dict[str, tuple[float, float, float]]]:
     """Of every hidden effect that was named, the parameters that the hidden vehicle has under the same name: (true, found, error)."""
     named = {f.term: f.parameters for f in found.findings if f.term in case.hide}
+    truth = {term: dict(values) for term, values in case.hide.items()}
+    if "attitude_extra_pole" in truth:
+        # Hidden is a lag within the loops, declared the pole of the closed loop that comes of it.
+        hidden = truth["attitude_extra_pole"]
+        hidden["attitude_pole_tau"] = _closed_loop_pole_s(random_rotor(case.vehicle_seed), hidden["attitude_pole_tau"])
     return {
-        term: {
-            k: (case.hide[term][k], float(p["value"]), float(p["std"]))
-            for k, p in table.items()
-            if k in case.hide[term]
-        }
+        term: {k: (truth[term][k], float(p["value"]), float(p["std"])) for k, p in table.items() if k in truth[term]}
         for term, table in named.items()
     }
+
+
+def _closed_loop_pole_s(vehicle: RotorVehicle, lag_s: float) -> float:
+    """Time constant of the real pole that a lag of the moments, s, gives to loops of natural frequency omega and damping zeta: mean of
+    roll and pitch."""
+    poles = []
+    for omega, zeta in ((vehicle.omega_roll, vehicle.zeta_roll), (vehicle.omega_pitch, vehicle.zeta_pitch)):
+        roots = np.roots([lag_s + vehicle.rotor_lag_s, 1.0, 2.0 * zeta * omega, omega**2])
+        poles.append(float(-1.0 / roots[np.argmin(np.abs(roots.imag))].real))
+    return float(np.mean(poles))
 
 
 def _gain(found: Diagnosis) -> float:

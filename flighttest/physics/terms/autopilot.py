@@ -328,7 +328,8 @@ attitude_extra_pole = Term(
     equation="reference <- (1 - b) reference + b x, x_dot = (reference - x) / tau_3",
     plain="the attitude loop has more inside than a second order: filters and motors add a pole or a zero",
     source="ArduPilot rate PID filters, INS_GYRO_FILTER, motor lag",
-    doubt="close to a longer attitude delay (cosine 0.90 after the base refit)",
+    doubt="close to a longer attitude delay (cosine 0.90 after the base refit); tau_3 is a pole of the closed loop: a pure lag within the "
+    "loop has the time constant 1 / (2 zeta omega + 1 / tau_3)",
     hides_in=("T_d", "zeta_phi", "zeta_theta"),
     told_apart_by="shape",
     reveals="roll_pitch",
