@@ -12,6 +12,7 @@ from flighttest.diagnose.rows import Rows
 FloatArray = NDArray[np.float64]
 
 
+LEAST_LEFT = 0.1  # of the information on a parameter, without a group: with less, its value says nothing of the group
 AGREEMENT = 0.9  # of the responses' parts in a score, -1 to 1
 PLAIN = ((6.0, -50.0), (3.0, -200.0))  # (responses that carry an effect, fall of the criterion that is then asked for)
 
@@ -53,6 +54,40 @@ def standard_errors(rows: Rows, names: tuple[str, ...]) -> FloatArray:
     np.add.at(moments, which, a * rows.residual[:, None])
     meat = moments.T @ moments * (n / max(n - 1, 1))
     return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0)) / length)
+
+
+def disagreement(rows: Rows, names: tuple[str, ...]) -> FloatArray:
+    """(p,) how far parameters depend on which part of the recording is believed: the larger of the delete-a-group jackknife's standard
+    errors over channels, and over quarters of the responses (one linear step each).
+
+    An equation that is nearly right bends every response in the same way, so that responses never tell; but it bends the instruments,
+    and a response's beginning and end, in different ways. A group that alone knows a parameter cannot be left out for it.
+    """
+    a = rows.columns(names)
+    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-300)
+    a = a / length
+    longest = np.zeros(int(rows.segment.max()) + 1, dtype=np.intp)
+    np.maximum.at(longest, rows.segment, rows.sample + 1)
+    quarter = 4 * rows.sample // np.maximum(longest[rows.segment], 1)
+    measured = rows.sample >= 0
+    each = [_jackknife(a, rows.residual, np.where(measured, group, -1)) for group in (rows.channel, quarter)]
+    return np.asarray(np.max(each, axis=0) / length)
+
+
+def _jackknife(a: FloatArray, residual: FloatArray, group: NDArray[np.intp]) -> FloatArray:
+    """(p,) delete-a-group jackknife standard errors at an optimum of whitened rows a (n, p); rows of group -1 always stay."""
+    gram, moment = a.T @ a, a.T @ residual
+    variance = np.diag(np.linalg.pinv(gram, rcond=1e-10, hermitian=True))
+    shifts, told = [], []
+    for one in np.unique(group[group >= 0]):
+        own = a[group == one]
+        inverse = np.linalg.pinv(gram - own.T @ own, rcond=1e-10, hermitian=True)
+        shifts.append(inverse @ (moment - own.T @ residual[group == one]))
+        told.append(variance > LEAST_LEFT * np.diag(inverse))
+    shift, use = np.array(shifts), np.array(told)
+    count = np.maximum(use.sum(axis=0), 1)
+    mean = np.sum(shift * use, axis=0) / count
+    return np.asarray(np.sqrt((count - 1) / count * np.sum(use * (shift - mean) ** 2, axis=0)))
 
 
 def effective_size(rows: Rows) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.chance import standard_errors
+from flighttest.diagnose.chance import disagreement, standard_errors
 from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.judge import compare, held_out
 from flighttest.diagnose.model import Finding, Rival, brief, flown, short
@@ -18,16 +18,21 @@ IntArray = NDArray[np.intp]
 
 
 def parameter_table(fitted: Fitted) -> dict[str, dict[str, Any]]:
-    """Name to value, std, unit and 95 % interval (robust to correlation within responses)."""
-    std = standard_errors(fitted.rows, fitted.names)
+    """Name to value, std, unit and 95 % interval: by how responses scatter or parts of the recording disagree, whichever is more."""
+    param, values = fitted.model.param, fitted.state.values
+    inside = tuple(n for n in fitted.names if param[n].lower < values[n] < param[n].upper)
+    by_scatter, by_parts = standard_errors(fitted.rows, inside), disagreement(fitted.rows, inside)
+    std = dict(zip(inside, np.maximum(by_scatter, by_parts), strict=True))
+    # What ran to a bound is held there: of that no more is known than its range.
+    std |= {n: (param[n].upper - param[n].lower) / np.sqrt(12.0) for n in fitted.names if n not in std}
     found = {}
-    for name, s in zip(fitted.names, std, strict=True):
-        value = fitted.state.values[name]
+    for name in fitted.names:
+        value, error = values[name], float(std[name])
         found[name] = {
             "value": value,
-            "std": float(s),
-            "unit": fitted.model.param[name].unit,
-            "interval_95": [value - 1.96 * float(s), value + 1.96 * float(s)],
+            "std": error,
+            "unit": param[name].unit,
+            "interval_95": [value - 1.96 * error, value + 1.96 * error],
         }
     return found
 

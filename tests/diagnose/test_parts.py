@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import fitted, locate, pairs, rivals
-from flighttest.diagnose.chance import plain
+from flighttest.diagnose.chance import disagreement, plain, standard_errors
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
@@ -190,6 +190,40 @@ def test_an_effect_in_a_few_responses_is_believed_when_all_of_them_agree(rng):
     assert agreed.beyond_chance
     mixed = judged(np.repeat(np.where(np.arange(segments) % 2, 1.0, -1.0), n // segments))
     assert not mixed.beyond_chance
+
+
+def test_instruments_that_disagree_widen_an_interval_that_responses_would_leave_narrow(rng):
+    n = 4000
+    channel = np.repeat(np.tile([0, 1], 20), n // 40)
+    column = np.ones((n, 1))
+
+    def errors(apart):
+        y = np.where(channel == 0, apart, -apart) + 0.1 * rng.normal(size=n)
+        rows = rows_of(y - y.mean(), column, segments=20, channel=channel)
+        return float(standard_errors(rows, ("p0",))[0]), float(disagreement(rows, ("p0",))[0])
+
+    scatter, parts = errors(0.0)
+    assert parts < 3 * scatter
+    scatter, parts = errors(0.05)  # each channel alone: half of the data, 0.05 away
+    assert scatter < 0.005
+    assert parts == pytest.approx(0.05, rel=0.1)
+
+
+def test_the_only_channel_that_knows_a_parameter_is_not_left_out_for_it(rng):
+    n = 2000
+    channel = np.repeat(np.tile([0, 1], 20), n // 40)
+    columns = np.stack([np.where(channel == 0, 1.0, 0.0), np.where(channel == 1, 1.0, 0.0)], axis=1)
+    rows = rows_of(0.1 * rng.normal(size=n), columns, segments=20, channel=channel)
+    assert np.all(disagreement(rows, ("p0", "p1")) < 3 * standard_errors(rows, ("p0", "p1")))
+
+
+def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
+    from flighttest.physics.model import Model
+
+    names, std = ("attitude_pole_share", "attitude_pole_tau"), np.array([0.1, 0.001])
+    judged = Model(("linear_drag", "attitude_extra_pole")), names
+    assert impossible("attitude_extra_pole", *judged, {names[0]: 1.0, names[1]: 0.05}, std) == ""
+    assert "bound" in impossible("attitude_extra_pole", *judged, {names[0]: -2.0, names[1]: 0.05}, std)
 
 
 def test_a_load_of_negative_mass_and_a_shape_at_its_bound_are_refused():
