@@ -10,7 +10,9 @@ from flighttest.diagnose import another_way as other
 from flighttest.diagnose import remainders
 from flighttest.diagnose import search as search_module
 from flighttest.diagnose.fitted import Judged
+from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.search import Search, silent
+from flighttest.physics.model import Model
 
 PLACE = ("roll_rad", "roll_step")
 
@@ -25,10 +27,11 @@ def ended(*terms):
     search = SimpleNamespace(
         judged={j.term: j for j in terms},
         refused={},
-        now=SimpleNamespace(rows=None),
-        bench=SimpleNamespace(segments=()),
+        now=SimpleNamespace(rows=SimpleNamespace(open_residual=np.zeros(20), segment=np.zeros(20, dtype=int))),
+        bench=SimpleNamespace(segments=(SimpleNamespace(kind="roll_step"),)),
+        floor=SimpleNamespace(at=lambda _channel, _kind: 1.0),
         progress=lambda _text: None,
-        without=lambda term: SimpleNamespace(rows=None, without=term),
+        without=lambda term: SimpleNamespace(rows=search.now.rows, without=term),
     )
     search.judge = lambda term, _before, _after, _p: search.judged[term]
     return search
@@ -71,6 +74,42 @@ def test_beside_a_copy_an_effect_is_judged_again_without_it():
     assert list(search.judged) == ["steady_wind"]
 
 
+@pytest.mark.parametrize(("by_the_others", "stays"), [(8.0, True), (1.5, False)])
+def test_what_only_steps_call_for_that_nobody_explains_is_no_name(monkeypatch, by_the_others, stays):
+    search = ended(judged("throttle_offset", 1.0))
+    left = np.r_[np.full(10, 0.1), np.full(10, 4.0)]  # four floors stay in throttle steps, where the term does nothing
+    search.now.rows = SimpleNamespace(open_residual=left, segment=np.repeat([0, 1], 10))
+    search.bench.segments = (SimpleNamespace(kind="roll_step"), SimpleNamespace(kind="throttle_step"))
+    search.floor = SimpleNamespace(at=lambda _channel, _kind: 1.0)
+    asked = []
+    monkeypatch.setattr(remainders, "size_without", lambda _now, _term, rest: asked.append(rest) or by_the_others)
+    remainders.drop_remainders(search)
+    assert ("throttle_offset" in search.judged) is stays
+    np.testing.assert_array_equal(asked[0], np.repeat([True, False], 10))
+    if not stays:
+        assert "only throttle steps call for it" in search.refused["throttle_offset"].reason
+
+
+def test_the_size_that_some_rows_alone_give_a_term():
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(800, 2))
+    rows = Rows(
+        residual=rng.normal(size=800), jacobian=columns, open_residual=np.zeros(800), open_jacobian=columns, scale=np.ones(800),
+        segment=np.repeat(np.arange(20), 40), sample=np.tile(np.arange(40), 20), channel=np.zeros(800, dtype=int),
+        channels=("f_z_m_s2",), names=("K", "T_min"),
+    )  # fmt: skip
+    fitted = SimpleNamespace(
+        model=Model(("throttle_offset",)),
+        names=rows.names,
+        state=SimpleNamespace(values={"K": 50.0, "T_min": 0.5}),
+        rows=rows,
+    )
+    some = rows.segment < 5
+    assert remainders.size_without(fitted, "throttle_offset", some) == pytest.approx(0.5 / (1 / np.sqrt(200)), rel=0.4)
+    rows.jacobian[some, 1] = 0.0
+    assert remainders.size_without(fitted, "throttle_offset", some) == 0.0
+
+
 @dataclass
 class Scripted(Search):
     """A search whose course is known: what is found depends on what the pool lacks."""
@@ -87,6 +126,7 @@ def searched(monkeypatch, worth, alternative):
     found = {"all": ["a", "b", "c"], "without a": alternative}
     pool = tuple(SimpleNamespace(id=t) for t in "abcde")
     monkeypatch.setattr(other, "explained", lambda s: worth[tuple(s.judged)])
+    monkeypatch.setattr(other, "drop_remainders", lambda _search: None)
     search = Scripted(SimpleNamespace(segments=()), pool, np.zeros(3, dtype=np.intp), course=found)
     search.base = search.now = SimpleNamespace(rows=None)
     search.go_on()
