@@ -147,12 +147,14 @@ class Search:
         kept: list[tuple[Judged, Fitted]] = []
         refused: list[tuple[Judged, Fitted]] = []
         wrong = not self.judged and self._worst() > 1 + LEAST_FLOORS**2
+        # Two effects at once can hide each other from every score at a base that is bent between them: then refits are asked.
+        unsure = wrong and not any(s.beyond_chance and s.bic <= -LEAST_BIC for s in ranked)
         for s in ranked:
             blunt = wrong and self.bench.block != "translation" and not s.variant.names
             if not blunt:
                 if tries >= TRIES or (best is not None and s.bic > 0.5 * best[0].bic):
                     break
-                if not s.beyond_chance or s.bic > -LEAST_BIC:
+                if not (s.beyond_chance or unsure) or s.bic > -LEAST_BIC:
                     continue
                 change = s.variant.open_columns @ s.estimate
                 linear, _ = size_in_floors(self.now.rows, change, self.bench.segments, self.floor)
@@ -162,7 +164,7 @@ class Search:
             self.progress(f"refitting with {s.variant.term.id}")
             fitted = self.refitted_with(s)
             judged = self.judge(s.variant.term.id, self.now, fitted, s.p_value)
-            if blunt:
+            if blunt or unsure:
                 # The secant's score means little; what the refit changed is tested in its place, one of as many as there are candidates.
                 parts = parts_of(self.now.rows, judged.own)
                 chance = consistency(parts) * len(ranked)

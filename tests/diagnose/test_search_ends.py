@@ -186,3 +186,25 @@ def test_what_is_refused_although_it_improves_more_is_looked_into_first(monkeypa
     )
     assert looked == ([["reference_shaping"]] if asked else [])
     assert taken == ([] if asked else ["rate_limit"])
+
+
+@pytest.mark.parametrize(
+    ("worst", "parts", "taken"),
+    [(50.0, np.ones(40), ["motor_saturation"]), (50.0, np.tile([1.0, -1.0], 20), []), (1.1, np.ones(40), [])],
+)
+def test_where_much_is_wrong_and_no_score_stands_out_refits_are_asked(monkeypatch, worst, parts, taken):
+    variant = SimpleNamespace(term=SimpleNamespace(id="motor_saturation"), names=("a",), open_columns=np.ones((4, 1)))
+    hidden = SimpleNamespace(variant=variant, bic=-195.0, beyond_chance=False, estimate=np.ones(1), p_value=0.5)
+    joined = []
+    search = SimpleNamespace(
+        now=SimpleNamespace(rows=None), floor=1.0, judged={}, refused={}, look_ahead=None, progress=silent, scores=[hidden],
+        bench=SimpleNamespace(block="translation", segments=()), _worst=lambda: worst, refitted_with=lambda s: s.variant.term.id,
+        judge=lambda term, _before, _after, _p: replace(judged(term, 1.0), bic=-900.0),
+        take=lambda fitted, *_judged: joined.append(fitted),
+    )  # fmt: skip
+    monkeypatch.setattr(search_module, "best_per_term", lambda scores: scores)
+    monkeypatch.setattr(search_module, "size_in_floors", lambda *_: (5.0, PLACE))
+    monkeypatch.setattr(search_module, "parts_of", lambda _rows, _own: parts)
+    monkeypatch.setattr(search_module, "plain", lambda _parts, _bic: False)
+    Search._forward(search)
+    assert joined == taken
