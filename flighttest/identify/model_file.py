@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from flighttest.documents import Document, Node, kind_of
 from flighttest.errors import ModelError
+from flighttest.frames import G_M_S2
 from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
 from flighttest.identify.model_blocks import (
@@ -207,7 +208,7 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
     model = Model(
         tuple(terms),
         constants.get("nominal_voltage_v", 22.2),
-        constants.get("g", 9.81),
+        constants.get("g", G_M_S2),
         channel_delays=bool(channel_delays),
         attitude_loops=bool(loops),
     )

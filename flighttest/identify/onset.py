@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.frames import G_M_S2
 from flighttest.identify.responses import held
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -165,9 +166,9 @@ def thrust_gain(segments: Sequence[Segment], nominal_voltage_v: float) -> float 
             continue
         f = s.y.get("f_z_m_s2")
         if f is None and "a_z_m_s2" in s.y:
-            f = s.y["a_z_m_s2"] + 9.81
+            f = s.y["a_z_m_s2"] + G_M_S2
         if f is None and "v_z_m_s" in s.y and s.t_s.size > 4:
-            f = np.gradient(s.y["v_z_m_s"], s.t_s) + 9.81
+            f = np.gradient(s.y["v_z_m_s"], s.t_s) + G_M_S2
         if f is None:
             continue
         throttle = held(s.u["throttle"], s.t_s - 0.15)

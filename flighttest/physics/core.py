@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Literal
 
+from flighttest.frames import G_M_S2
+
 Expr = Any  # casadi.SX or float; casadi carries no types
 
 Family = Literal["body", "aerodynamics", "propulsion", "payload", "autopilot", "sensor", "link"]
@@ -132,7 +134,7 @@ class Signals:
     pitch_acceleration: Expr = 0.0
     yaw_acceleration: Expr = 0.0
     force: Expr = None
-    g: Expr = 9.81
+    g: Expr = G_M_S2
     measured: dict[str, Expr] = field(default_factory=dict)
     base: Mapping[str, Expr] = field(default_factory=dict)
 

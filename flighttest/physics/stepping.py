@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.frames import G_M_S2
 from flighttest.physics.simulate import Step
 from flighttest.physics.system import System
 
@@ -62,7 +63,7 @@ class Forms:
 
     def parts(self, u: FloatArray, dt_s: float) -> int:
         """Into how many a step of dt_s has to fall for the fastest mode about level flight with inputs u (m, 1): 1 for usual vehicles."""
-        begun = {"a_t_m_s2": 9.81, "p_z_m": 5.0, **self.system.initial}
+        begun = {"a_t_m_s2": G_M_S2, "p_z_m": 5.0, **self.system.initial}
         x = np.array([[begun.get(n, 0.0)] for n in self.system.states])
         slope = np.nan_to_num(np.asarray(self._slope(x, u)), posinf=0.0, neginf=0.0)
         fastest = float(np.abs(np.linalg.eigvals(slope)).max())

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
+from flighttest.frames import G_M_S2
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.identify.problem import Part, PartEvaluation
 from flighttest.physics.model import Model
@@ -169,8 +170,8 @@ def _vertical(part: Part, made: PartEvaluation, j: int, segment: Segment) -> tup
     index = [part.outputs.index(c) for c in _SPECIFIC_FORCE]
     up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
     f = np.where(part.mask[j, :n][:, index], part.y[j, :n][:, index], np.nan)
-    measured = (up * f).sum(axis=1) - 9.81
-    simulated = (up * (f - made.residual[j, :n][:, index])).sum(axis=1) - 9.81
+    measured = (up * f).sum(axis=1) - G_M_S2
+    simulated = (up * (f - made.residual[j, :n][:, index])).sum(axis=1) - G_M_S2
     return measured, simulated
 
 

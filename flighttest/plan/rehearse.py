@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.frames import G_M_S2
 from flighttest.plan.model import FloatArray, Motion, Predictor, Snapshot
 from flighttest.plan.outer_loop import OuterLoop, all_along
 from flighttest.script.profiles import Piece, Timeline
@@ -266,7 +267,7 @@ def levelled(climb_m_s: FloatArray, hover_throttle: FloatArray) -> FloatArray:
     """Targets (n, 4) of an autopilot that has given up waiting: level, and no more climbing or falling."""
     wanted = np.clip(-LEVEL_OUT_GAIN_1_S * climb_m_s, -LEVEL_OUT_MAX_M_S2, LEVEL_OUT_MAX_M_S2)
     targets = np.zeros((climb_m_s.size, 4))
-    targets[:, 3] = hover_throttle * (1.0 + wanted / 9.81)
+    targets[:, 3] = hover_throttle * (1.0 + wanted / G_M_S2)
     return targets
 
 
@@ -305,10 +306,10 @@ def reach(motion: Motion, throttle: FloatArray, hover: FloatArray, reaction: flo
     low, high = z, z
     # A step ends between two samples: at each, what was asked until now counts as well as what is asked from now on.
     for throttles in (asked, np.column_stack([asked[:, :1], asked[:, :-1]])):
-        push = 9.81 * (throttles / hover[:, None] - 1.0)
+        push = G_M_S2 * (throttles / hover[:, None] - 1.0)
         then = v + push * reaction
         h = z + v * reaction + 0.5 * push * reaction**2
-        stop_m_s2 = 9.81 * np.where(then > 0.0, 1.0 - STOP_SHARES[0], STOP_SHARES[1] - 1.0)
+        stop_m_s2 = G_M_S2 * np.where(then > 0.0, 1.0 - STOP_SHARES[0], STOP_SHARES[1] - 1.0)
         end = h + then * np.abs(then) / (2.0 * stop_m_s2)
         low, high = np.minimum(low, np.minimum(h, end)), np.maximum(high, np.maximum(h, end))
     return low, high

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import HELD_GROUPS, names
-from flighttest.frames import rotation_from_euler
+from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.recording import Recording, Series
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +25,6 @@ _ABOUT_S = 1.0
 _FEW_GAPS = 4
 _OWN_TIMES_BELOW = 0.6
 _FAST = ("attitude", "rates", "specific_force")
-_G = 9.81
 
 
 @dataclass(frozen=True)
@@ -198,5 +197,5 @@ def _world_acceleration(aligned: Aligned, t: FloatArray, y: dict[str, FloatArray
     attitude = _linear(aligned.groups["attitude"], aligned.rates_hz["attitude"], t) if "attitude" in aligned.own else y
     rotation = rotation_from_euler(np.stack([attitude[n] for n in names("attitude")], axis=-1))
     f = np.stack([y[n] for n in names("specific_force")], axis=-1)
-    a = np.einsum("nij,nj->ni", rotation, f) - [0.0, 0.0, _G]
+    a = np.einsum("nij,nj->ni", rotation, f) - [0.0, 0.0, G_M_S2]
     return {name: a[:, i] for i, name in enumerate(names("acceleration"))}
