@@ -21,7 +21,7 @@ from flighttest.currency.model import FloatArray
 from flighttest.identify.covariance import cluster_covariance, correlation_inflation
 from flighttest.identify.held import normal_at
 from flighttest.identify.problem import Noise, Problem
-from flighttest.identify.solve import Normal
+from flighttest.identify.weighing import Normal
 from flighttest.segments import Segment
 
 MIN_STEPS = 2  # kinds of step that must tell of a parameter

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from flighttest.identify.covariance import FloatArray
-from flighttest.identify.solve import Normal
+from flighttest.identify.weighing import Normal
 
 DRAWS = 400
 

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.identify.problem import Noise, PartEvaluation, Problem
-from flighttest.identify.solve import Normal, Solution
+from flighttest.identify.solve import Solution
 from flighttest.identify.student import quantile
+from flighttest.identify.weighing import Normal
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest.identify.feeding import able, feeding
 from flighttest.identify.problem import Noise, Problem
-from flighttest.identify.solve import State, normal_equations
+from flighttest.identify.weighing import State, Weighing
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.physics.simulate import Run, simulate_many
@@ -136,13 +136,13 @@ def _information(problem: Problem, noise: Noise) -> dict[str, FloatArray]:
         for part in problem.parts
     }
     theta = np.array([problem.values[n] for n in problem.names])
-    weight = np.ones(len(problem.segments))
     for part in problem.parts:
         for alike in part.by_length():
             one = replace(problem, parts=(alike,))
             local = [alike.start_local()]
             at = State(theta, local, one.evaluate(problem.values, local, problem.names))
-            found[part.block.name] += normal_equations(one, at, noise, weight, local, problem.names, robust=False)[0]
+            normal, _ = Weighing.even(one, noise, robust=False).normal_equations(at, problem.names)
+            found[part.block.name] += normal.hessian
     return found
 
 

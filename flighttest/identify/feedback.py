@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.identify.problem import Part, PartEvaluation, Problem, prior_std
-from flighttest.identify.solve import Solution, sample_weights
+from flighttest.identify.solve import Solution
+from flighttest.identify.weighing import sample_weights
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

@@ -37,8 +37,9 @@ from flighttest.identify.optima import rivals
 from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.responses import dead_channels, never_changing
-from flighttest.identify.solve import FitStatus, Solution, solve, start_noise
+from flighttest.identify.solve import FitStatus, Solution, solve
 from flighttest.identify.ties import TieTest, tie_tests
+from flighttest.identify.weighing import start_noise
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
 from flighttest.segments.model import Segment

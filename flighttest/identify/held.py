@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.identify.problem import Noise, PartEvaluation, Problem
-from flighttest.identify.solve import Normal, State, normal_equations, response_weights, start_noise
+from flighttest.identify.weighing import Normal, State, Weighing, start_noise
 
 FloatArray = NDArray[np.float64]
 
@@ -40,9 +40,7 @@ def normal_at(
     """Normal equations by `free` at given parameters and noise. local: measured initial states and no disturbances where None."""
     known = start_noise(problem)
     noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
-    centres = [part.start_local() for part in problem.parts]
-    at = State(np.zeros(0), list(centres if local is None else local), [])
+    at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
-    weight = response_weights(problem, at.made, noise)
-    hessian, score, backs = normal_equations(problem, at, noise, weight, centres, free, True)
-    return Held(Normal(tuple(free), hessian, score), tuple(at.made), noise, tuple(at.local), tuple(backs))
+    normal, backs = Weighing.even(problem, noise, True).by_response(at.made).normal_equations(at, free)
+    return Held(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))

@@ -13,7 +13,7 @@ from flighttest.identify.covariance import (
     interval_factor,
     with_clock_error,
 )
-from flighttest.identify.solve import Normal
+from flighttest.identify.weighing import Normal
 
 
 def linear(rng, clusters, size, effect, names=("a", "b")):

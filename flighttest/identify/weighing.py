@@ -1,0 +1,187 @@
+"""What a residual counts: over its channel's noise, less where a response or a sample is far out; the normal equations made of it, with
+each response's own unknowns eliminated; and the noise learned from the residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.identify.problem import Noise, PartEvaluation, Problem, prior_std
+
+FloatArray = NDArray[np.float64]
+
+OUTLIER_RATIO = 2.5  # a response whose residual is this many times the median response's is weighted down
+SPIKE_STDS = 5.0  # a sample further out than this is weighted down
+_START_NOISE = {"m/s^2": 0.3, "m/s": 0.1, "rad": 0.01, "rad/s": 0.05}
+_STD_FLOOR = {"m/s^2": 1e-3, "m/s": 5e-4, "rad": 5e-5, "rad/s": 2e-4}
+_START_DISTURBANCE = {"m_s2": 0.1, "rad": 0.01, "rad_s": 0.02}
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of every response with its locals eliminated, at the solution.
+
+    hessian: (n_clusters, p, p), score: (n_clusters, p), a cluster being a segment; p as `names`.
+    """
+
+    names: tuple[str, ...]
+    hessian: FloatArray
+    score: FloatArray
+
+
+@dataclass
+class State:
+    """Where a solver stands: parameters, the responses' own unknowns, and what was evaluated there."""
+
+    theta: FloatArray
+    local: list[FloatArray]
+    made: list[PartEvaluation]
+    stale: bool = False  # whether the Jacobian is that of a point close by
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """How a problem's residuals are weighed. response (n_segments,): weight of each; robust: whether single samples far out count less."""
+
+    problem: Problem
+    noise: Noise
+    response: FloatArray
+    robust: bool
+
+    @classmethod
+    def even(cls, problem: Problem, noise: Noise | None, robust: bool) -> Weighing:
+        """Every response alike. noise: None for what is assumed before anything is known."""
+        return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust)
+
+    def by_response(self, made: Sequence[PartEvaluation]) -> Weighing:
+        """The same with responses that are far worse than their like weighted down."""
+        return replace(self, response=response_weights(self.problem, made, self.noise))
+
+    def cost(self, at: State) -> float:
+        """Penalised cost; single samples count by Huber's rho, so that it is what the weights descend on."""
+        total = 0.0
+        for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
+            std = np.array([self.noise.channel[c] for c in part.outputs])
+            with np.errstate(
+                over="ignore", invalid="ignore"
+            ):  # a trial step may diverge: its cost is then infinite, and it is refused
+                z = np.abs(made.residual) / std
+                rho = np.where(z > SPIKE_STDS, 2 * SPIKE_STDS * z - SPIKE_STDS**2, z**2) if self.robust else z**2
+            w = self.response[[r.index for r in part.responses]]
+            total += float((rho * part.mask * w[:, None, None]).sum())
+            total += float((((local - part.start_local()) / prior_std(part, self.noise)) ** 2).sum())
+        return total
+
+    def normal_equations(self, at: State, free: Sequence[str]) -> tuple[Normal, list[tuple[FloatArray, FloatArray]]]:
+        """Per segment by `free`, locals eliminated; and per part what takes a step of the parameters back to the locals."""
+        n = len(self.problem.segments)
+        hessian, score = np.zeros((n, len(free), len(free))), np.zeros((n, len(free)))
+        backs = []
+        position = {name: k for k, name in enumerate(free)}
+        for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
+            m, _, _, n_c = made.jacobian.shape
+            n_p = n_c - len(part.locals)
+            std = np.array([self.noise.channel[c] for c in part.outputs])
+            w = self.response[[r.index for r in part.responses]]
+            root = np.sqrt(sample_weights(made.residual, std, self.robust) * part.mask * w[:, None, None] / std**2)
+            a = (made.jacobian * root[..., None]).reshape(m, -1, n_c)
+            r = (made.residual * root).reshape(m, -1, 1)
+            full = a.swapaxes(1, 2) @ a
+            grad = (a.swapaxes(1, 2) @ r)[..., 0]
+            prior = 1.0 / prior_std(part, self.noise) ** 2
+            h_ll = full[:, n_p:, n_p:] + np.einsum("ml,lk->mlk", prior, np.eye(prior.shape[1]))
+            g_l = grad[:, n_p:] + prior * (part.start_local() - local)
+            solved = np.linalg.solve(h_ll, np.concatenate([g_l[..., None], full[:, n_p:, :n_p]], axis=2))
+            back_g, back_h = solved[..., 0], solved[..., 1:]
+            h_pl = full[:, :n_p, n_p:]
+            columns = np.array([position[c] for c in made.columns[:n_p]], dtype=np.intp)
+            placed = np.zeros((m, prior.shape[1], len(free)))
+            placed[:, :, columns] = back_h
+            backs.append((back_g, placed))
+            index = np.array([response.index for response in part.responses])
+            hessian[np.ix_(index, columns, columns)] += full[:, :n_p, :n_p] - h_pl @ back_h
+            score[np.ix_(index, columns)] += grad[:, :n_p] - np.einsum("mpl,ml->mp", h_pl, back_g)
+        return Normal(tuple(free), hessian, score), backs
+
+    def with_noise_of(self, at: State, free: Sequence[str]) -> Weighing:
+        """Channel noise from the residuals, disturbance variances from the locals (MacKay's fixed point)."""
+        channel, disturbance = dict(self.noise.channel), dict(self.noise.disturbance)
+        for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
+            std = np.array([self.noise.channel[c] for c in part.outputs])
+            w = (
+                sample_weights(made.residual, std, True)
+                * part.mask
+                * self.response[[r.index for r in part.responses]][:, None, None]
+            )
+            total = w.sum(axis=(0, 1))
+            squares = (w * made.residual**2).sum(axis=(0, 1))
+            spent = (len(free) + len(part.locals) * len(part.responses)) / max(float(part.mask.sum()), 1.0)
+            for k, c in enumerate(part.outputs):
+                found = np.sqrt(squares[k] / max(total[k], 1.0) / max(1.0 - spent, 0.2))
+                channel[c] = max(float(found), _STD_FLOOR[_unit(c)])
+            n_l, n_d = len(part.locals), len(part.block.disturbances)
+            if not n_d or len(part.responses) < 3:
+                continue
+            w_full = part.mask / np.array([channel[c] for c in part.outputs]) ** 2
+            j_l = made.jacobian[..., -n_l:] * np.sqrt(w_full)[..., None]
+            j_l = j_l.reshape(len(part.responses), -1, n_l)
+            prior = 1.0 / prior_std(part, self.noise) ** 2
+            posterior = np.linalg.inv(j_l.swapaxes(1, 2) @ j_l + np.einsum("ml,lk->mlk", prior, np.eye(n_l)))
+            for k, name in enumerate(part.block.disturbances):
+                at_k = n_l - n_d + k
+                known = 1.0 - posterior[:, at_k, at_k] * prior[:, at_k]
+                found = np.sum(local[:, at_k] ** 2) / max(float(known.sum()), 1e-3 * len(known))
+                low = 1e-2 * next(v for tail, v in _START_DISTURBANCE.items() if name.endswith(f"_{tail}"))
+                disturbance[name] = float(
+                    np.clip(np.sqrt(found), max(low, 0.2 * disturbance[name]), 5.0 * disturbance[name])
+                )
+        return replace(self, noise=Noise(channel, disturbance))
+
+
+def start_noise(problem: Problem) -> Noise:
+    """Noise before anything is known about it."""
+    units = {c: _unit(c) for part in problem.parts for c in part.outputs}
+    names = [n for part in problem.parts for n in part.block.disturbances]
+    return Noise(
+        {c: _START_NOISE[u] for c, u in units.items()},
+        {n: next(v for k, v in _START_DISTURBANCE.items() if n.endswith(f"_{k}")) for n in names},
+    )
+
+
+def _unit(channel: str) -> str:
+    for tail, unit in (("_m_s2", "m/s^2"), ("_m_s", "m/s"), ("_rad_s", "rad/s")):
+        if channel.endswith(tail):
+            return unit
+    return "rad"
+
+
+def sample_weights(residual: FloatArray, std: FloatArray, robust: bool) -> FloatArray:
+    """Huber weights of single samples, same shape as the residual."""
+    if not robust:
+        return np.ones_like(residual)
+    z = np.abs(residual) / std
+    return np.minimum(1.0, SPIKE_STDS / np.maximum(z, SPIKE_STDS))
+
+
+def response_weights(problem: Problem, made: Sequence[PartEvaluation], noise: Noise) -> FloatArray:
+    """(n_segments,): below 1 for responses whose residuals are far larger than their like's (same kind)."""
+    weight = np.ones(len(problem.segments))
+    for part, evaluation in zip(problem.parts, made, strict=True):
+        std = np.array([noise.channel[c] for c in part.outputs])
+        count = part.mask.sum(axis=(1, 2))
+        size = np.sqrt(((evaluation.residual / std) ** 2).sum(axis=(1, 2)) / np.maximum(count, 1))
+        kinds = np.array([problem.segments[r.index].kind for r in part.responses])
+        for kind in np.unique(kinds):
+            mine = kinds == kind
+            if mine.sum() < 4:
+                continue
+            ratio = size[mine] / max(float(np.median(size[mine])), 0.3)
+            for j, w in zip(
+                np.flatnonzero(mine), np.minimum(1.0, (OUTLIER_RATIO / np.maximum(ratio, 1e-9)) ** 2), strict=True
+            ):
+                index = part.responses[j].index
+                weight[index] = min(weight[index], float(w))
+    return weight
