@@ -18,10 +18,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from flighttest.frames import G_M_S2
 from flighttest.identify.fit import fit
 from flighttest.identify.problem import Problem, prior_std
 from flighttest.identify.responses import held, nodes_of
-from flighttest.identify.solve import solve, start_noise
+from flighttest.identify.solve import solve
+from flighttest.identify.weighing import start_noise
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import rk4_stages
@@ -116,7 +118,7 @@ def scipy_finite_differences(problem: Problem) -> tuple[float, dict[str, float]]
 
             def rate(t: float, x: np.ndarray, s=s, full=full) -> list[float]:
                 throttle = float(held(s.u["throttle"], np.array([t - delay]))[0])
-                return [x[1] - drag * x[0] - 9.81, sigma * (full * throttle - x[1])]
+                return [x[1] - drag * x[0] - G_M_S2, sigma * (full * throttle - x[1])]
 
             start = [float(s.y["v_z_m_s"][0]), float(np.mean(s.y["f_z_m_s2"][:4]))]
             made = solve_ivp(rate, (s.t_s[0], s.t_s[-1]), start, t_eval=s.t_s, rtol=1e-4, atol=1e-4, max_step=0.05)

@@ -42,5 +42,5 @@ def normal_at(
     noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
     at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
-    normal, backs = Weighing.even(problem, noise, True).by_response(at.made).normal_equations(at, free)
+    normal, backs = Weighing.even(problem, noise, robust=True).by_response(at.made).normal_equations(at, free)
     return Held(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))

@@ -157,7 +157,7 @@ def solve(
     space = _Space.of(problem, problem.names if free is None else free, start or {})
     warm = noise is not None
     least = 2 if warm or not robust else 4
-    weighing = Weighing.even(problem, noise, robust)
+    weighing = Weighing.even(problem, noise, robust=robust)
     begun = [np.array(x) for x in local] if local is not None else [part.start_local() for part in problem.parts]
     now = State(space.start, begun, problem.evaluate(space.values(space.start), begun, space.names))
     damping, status, iteration, flat = 1e-3, FitStatus.MAX_ITERATIONS, 0, 0

@@ -52,7 +52,7 @@ class Weighing:
     robust: bool
 
     @classmethod
-    def even(cls, problem: Problem, noise: Noise | None, robust: bool) -> Weighing:
+    def even(cls, problem: Problem, noise: Noise | None, *, robust: bool) -> Weighing:
         """Every response alike. noise: None for what is assumed before anything is known."""
         return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust)
 

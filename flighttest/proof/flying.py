@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flighttest.flight.fly import fly
+from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.sources import open_recordings
@@ -81,7 +82,13 @@ def fly_campaign(
     )  # fmt: skip
     prior = ModelPredictor(
         Model(nominal_voltage_v=frame.nominal_voltage_v),
-        {"K": 9.81 / frame.hover_throttle, "omega_phi": 12.0, "omega_theta": 12.0, "zeta_phi": 0.7, "zeta_theta": 0.7},
+        {
+            "K": G_M_S2 / frame.hover_throttle,
+            "omega_phi": 12.0,
+            "omega_theta": 12.0,
+            "zeta_phi": 0.7,
+            "zeta_theta": 0.7,
+        },
     )
     plan = compile_plan(parse_script(script), vehicle, prior)
     recordings = _fly_firmware(plan, options, folder) if generator == "sitl" else _fly_built_in(plan, options, folder)
