@@ -145,12 +145,13 @@ def _values(case: Case, found: Diagnosis) -> dict[str, dict[str, tuple[float, fl
 
 
 def _closed_loop_pole_s(vehicle: RotorVehicle, lag_s: float) -> float:
-    """Time constant of the real pole that a lag of the moments, s, gives to loops of natural frequency omega and damping zeta: mean of
-    roll and pitch."""
+    """Time constant of the slowest real pole that a lag of the moments, s, gives to loops of natural frequency omega and damping zeta, the
+    rotors' own lag behind it: mean of roll and pitch."""
     poles = []
     for omega, zeta in ((vehicle.omega_roll, vehicle.zeta_roll), (vehicle.omega_pitch, vehicle.zeta_pitch)):
-        roots = np.roots([lag_s + vehicle.rotor_lag_s, 1.0, 2.0 * zeta * omega, omega**2])
-        poles.append(float(-1.0 / roots[np.argmin(np.abs(roots.imag))].real))
+        rotor_s = vehicle.rotor_lag_s
+        roots = np.roots([lag_s * rotor_s, lag_s + rotor_s, 1.0, 2.0 * zeta * omega, omega**2])
+        poles.append(float(-1.0 / np.max(roots[np.abs(roots.imag) < 1e-6 * np.abs(roots)].real)))
     return float(np.mean(poles))
 
 
