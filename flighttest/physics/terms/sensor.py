@@ -108,8 +108,10 @@ _LEAST_LAG_S = 0.012  # no latency, no lag: but no endless rate either
 
 
 def _latency(s: Signals, p: Values, x: Values) -> Contribution:
-    """v(t - tau) is v - tau times the mean acceleration of the last tau, by Pade's second approximant of a delay: right in phase to 2 % for
-    motion of 2 / tau rad/s, where the first is 20 % off."""
+    """v(t - tau) is v - tau times the mean acceleration of the last tau, by Pade's second approximant of a delay.
+
+    For tau of 0.1 s and more its phase is right to 2 % up to 2 / tau rad/s, where the first is 20 % off; below, the least lag smooths too.
+    """
     tau = p["velocity_latency"]
     late: Expr = ca.vertcat(*(x[name] for name in _LATE))
     late_rate: Expr = ca.vertcat(*(x[name] for name in _LATE_RATE))
@@ -134,7 +136,7 @@ velocity_latency = Term(
     equation="v_measured = v - tau_v a,  tau_v^2 / 12 a_ddot + tau_v / 2 a_dot + a = v_dot",
     plain="the velocity estimate lags behind the motion, as a satellite receiver's does",
     source="ArduPilot GPS_DELAY_MS; Pade approximant of a delay",
-    doubt="a pure delay in truth: Pade's approximant is good for motion slower than tau_v",
+    doubt="a pure delay in truth: the approximant is good up to 2 / tau_v rad/s; below 0.1 s it smooths as well",
     hides_in=("d_x", "d_y", "d_z"),
     told_apart_by="fast reversals",
     reveals="lateral_stop",
