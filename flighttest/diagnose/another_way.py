@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flighttest.diagnose.judge import information
+from flighttest.diagnose.fitted import explained
 from flighttest.diagnose.remainders import drop_remainders
 from flighttest.diagnose.search import Search
 
@@ -32,23 +32,22 @@ def another_way(search: Search) -> tuple[Search, str]:
     drop_remainders(other)
     if set(other.judged) <= set(search.judged):
         return search, ""
-    by_worth = sorted((search, other), key=explained)
+    by_worth = sorted((search, other), key=worth)
     lesser, best = by_worth
-    if explained(lesser) < NEARLY * explained(best):
+    if worth(lesser) < NEARLY * worth(best):
         return best, ""
-    kept, given_up = sorted(by_worth, key=lambda s: (len(s.judged), -explained(s)))
+    kept, given_up = sorted(by_worth, key=lambda s: (len(s.judged), -worth(s)))
     return kept, (
         f"{_listed(given_up)} together would explain these flights as well as {_listed(kept)}: "
         + ("the fewer are named" if len(kept.judged) < len(given_up.judged) else "the slightly better set is named")
     )
 
 
-def explained(search: Search) -> float:
-    """How far the information criterion fell from the base to where a search ended."""
-    base, now = search.base, search.now
-    assert base is not None
-    assert now is not None
-    return -information(base.rows, base.state, now.rows, now.state, len(now.names) - len(base.names))
+def worth(search: Search) -> float:
+    """What a search came to explain."""
+    assert search.base is not None
+    assert search.now is not None
+    return explained(search.base, search.now)
 
 
 def _listed(search: Search) -> str:

@@ -58,6 +58,11 @@ class Judged:
         return self.bic < -LEAST_BIC and self.floors >= LEAST_FLOORS and self.gain >= LEAST_GAIN and not self.reason
 
 
+def explained(base: Fitted, now: Fitted) -> float:
+    """How far the information criterion fell from one model to another."""
+    return -information(base.rows, base.state, now.rows, now.state, len(now.names) - len(base.names))
+
+
 def preferred(a: Fitted, b: Fitted) -> bool:
     """Whether a fits better than b by the information criterion, the samples counted as each of the two would have them: the one with
     the whiter residual must not win by counting more."""

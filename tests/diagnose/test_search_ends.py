@@ -29,7 +29,7 @@ def ended(*terms):
         refused={},
         now=SimpleNamespace(rows=SimpleNamespace(open_residual=np.zeros(20), segment=np.zeros(20, dtype=int))),
         bench=SimpleNamespace(segments=(SimpleNamespace(kind="roll_step"),)),
-        floor=SimpleNamespace(at=lambda _channel, _kind: 1.0),
+        floor=SimpleNamespace(at=lambda _channel, _kind: 1.0, of=lambda _channel: 1.0),
         progress=lambda _text: None,
         without=lambda term: SimpleNamespace(rows=search.now.rows, without=term),
     )
@@ -76,18 +76,34 @@ def test_beside_a_copy_an_effect_is_judged_again_without_it():
 
 @pytest.mark.parametrize(("by_the_others", "stays"), [(8.0, True), (1.5, False)])
 def test_what_only_steps_call_for_that_nobody_explains_is_no_name(monkeypatch, by_the_others, stays):
-    search = ended(judged("throttle_offset", 1.0))
-    left = np.r_[np.full(10, 0.1), np.full(10, 4.0)]  # four floors stay in throttle steps, where the term does nothing
+    term = replace(judged("throttle_offset", 1.0), effect=np.r_[np.full(10, 1.0), np.full(10, 0.8)])
+    search = ended(term)
+    left = np.r_[
+        np.full(10, 0.1), np.full(10, 4.0)
+    ]  # four floors stay in throttle steps, where the term does 0.8 of one
     search.now.rows = SimpleNamespace(open_residual=left, segment=np.repeat([0, 1], 10))
     search.bench.segments = (SimpleNamespace(kind="roll_step"), SimpleNamespace(kind="throttle_step"))
-    search.floor = SimpleNamespace(at=lambda _channel, _kind: 1.0)
     asked = []
     monkeypatch.setattr(remainders, "size_without", lambda _now, _term, rest: asked.append(rest) or by_the_others)
     remainders.drop_remainders(search)
     assert ("throttle_offset" in search.judged) is stays
     np.testing.assert_array_equal(asked[0], np.repeat([True, False], 10))
     if not stays:
-        assert "only throttle steps call for it" in search.refused["throttle_offset"].reason
+        assert "only throttle steps show it" in search.refused["throttle_offset"].reason
+
+
+def test_what_stays_in_a_channel_that_a_term_does_not_touch_is_none_of_its_business(monkeypatch):
+    search = ended(judged("throttle_offset", 1.0))
+    search.now.rows = SimpleNamespace(
+        open_residual=np.r_[np.zeros(10), np.full(10, 4.0)], segment=np.repeat([0, 1], 10)
+    )
+    search.bench.segments = (SimpleNamespace(kind="roll_step"), SimpleNamespace(kind="throttle_step"))
+    monkeypatch.setattr(
+        remainders, "places", lambda _r, _s: {PLACE: np.arange(10), ("v_y_m_s", "throttle_step"): np.arange(10, 20)}
+    )
+    monkeypatch.setattr(remainders, "size_without", lambda *_: pytest.fail("nothing stays where the term acts"))
+    remainders.drop_remainders(search)
+    assert list(search.judged) == ["throttle_offset"]
 
 
 def test_the_size_that_some_rows_alone_give_a_term():
@@ -104,8 +120,11 @@ def test_the_size_that_some_rows_alone_give_a_term():
         state=SimpleNamespace(values={"K": 50.0, "T_min": 0.5}),
         rows=rows,
     )
-    some = rows.segment < 5
-    assert remainders.size_without(fitted, "throttle_offset", some) == pytest.approx(0.5 / (1 / np.sqrt(200)), rel=0.4)
+    some = rows.segment < 10
+    assert remainders.size_without(fitted, "throttle_offset", some) == pytest.approx(0.5 / (1 / np.sqrt(400)), rel=0.4)
+    assert (
+        remainders.size_without(fitted, "throttle_offset", rows.segment < 3) == np.inf
+    )  # three say nothing of their scatter
     rows.jacobian[some, 1] = 0.0
     assert remainders.size_without(fitted, "throttle_offset", some) == 0.0
 
@@ -125,7 +144,7 @@ class Scripted(Search):
 def searched(monkeypatch, worth, alternative):
     found = {"all": ["a", "b", "c"], "without a": alternative}
     pool = tuple(SimpleNamespace(id=t) for t in "abcde")
-    monkeypatch.setattr(other, "explained", lambda s: worth[tuple(s.judged)])
+    monkeypatch.setattr(other, "worth", lambda s: worth[tuple(s.judged)])
     monkeypatch.setattr(other, "drop_remainders", lambda _search: None)
     search = Scripted(SimpleNamespace(segments=()), pool, np.zeros(3, dtype=np.intp), course=found)
     search.base = search.now = SimpleNamespace(rows=None)
@@ -155,7 +174,7 @@ def test_what_only_lacks_a_term_is_no_other_course(monkeypatch):
 
 
 def test_a_second_course_is_not_tried_for_two_terms(monkeypatch):
-    monkeypatch.setattr(other, "explained", lambda _s: pytest.fail("no second search was due"))
+    monkeypatch.setattr(other, "worth", lambda _s: pytest.fail("no second search was due"))
     search = Scripted(SimpleNamespace(segments=()), (), np.zeros(3, dtype=np.intp), judged={"a": 1, "b": 2})
     assert other.another_way(search) == (search, "")
 
@@ -197,10 +216,11 @@ def test_where_much_is_wrong_and_no_score_stands_out_refits_are_asked(monkeypatc
     hidden = SimpleNamespace(variant=variant, bic=-195.0, beyond_chance=False, estimate=np.ones(1), p_value=0.5)
     joined = []
     search = SimpleNamespace(
-        now=SimpleNamespace(rows=None), floor=1.0, judged={}, refused={}, look_ahead=None, progress=silent, scores=[hidden],
-        bench=SimpleNamespace(block="translation", segments=()), _worst=lambda: worst, refitted_with=lambda s: s.variant.term.id,
+        now=SimpleNamespace(rows=None, names=("K",)), floor=1.0, judged={}, refused={}, look_ahead=None, progress=silent, scores=[hidden],
+        bench=SimpleNamespace(block="translation", segments=()), _worst=lambda: worst,
+        refitted_with=lambda _s: SimpleNamespace(names=("K", "T_max")),
         judge=lambda term, _before, _after, _p: replace(judged(term, 1.0), bic=-900.0),
-        take=lambda fitted, *_judged: joined.append(fitted),
+        take=lambda _fitted, judged: joined.append(judged.term),
     )  # fmt: skip
     monkeypatch.setattr(search_module, "best_per_term", lambda scores: scores)
     monkeypatch.setattr(search_module, "size_in_floors", lambda *_: (5.0, PLACE))
