@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.chance import disagreement, standard_errors
+from flighttest.diagnose.chance import standard_errors, standard_errors_of_equations
 from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.judge import compare, held_out
 from flighttest.diagnose.model import Finding, Rival, brief, flown, short
@@ -18,21 +18,24 @@ IntArray = NDArray[np.intp]
 
 
 def parameter_table(fitted: Fitted) -> dict[str, dict[str, Any]]:
-    """Name to value, std, unit and 95 % interval: by how responses scatter or parts of the recording disagree, whichever is more."""
-    param, values = fitted.model.param, fitted.state.values
-    inside = tuple(n for n in fitted.names if param[n].lower < values[n] < param[n].upper)
-    by_scatter, by_parts = standard_errors(fitted.rows, inside), disagreement(fitted.rows, inside)
-    std = dict(zip(inside, np.maximum(by_scatter, by_parts), strict=True))
-    # What ran to a bound is held there: of that no more is known than its range.
-    std |= {n: (param[n].upper - param[n].lower) / np.sqrt(12.0) for n in fitted.names if n not in std}
+    """Name to value, std and 95 % interval (scatter of responses, and what parts of the recording disagree on), unit, and scatter: the
+    standard error of the first alone, which is what two fits of one model differ by."""
+    param, values, names = fitted.model.param, fitted.state.values, fitted.names
+    scatter = dict(zip(names, standard_errors(fitted.rows, names), strict=True))
+    inside = tuple(n for n in names if param[n].lower < values[n] < param[n].upper)
+    # Beside a parameter that its bound holds the others are known as if it were.
+    std = scatter | dict(zip(inside, standard_errors_of_equations(fitted.rows, inside), strict=True))
     found = {}
-    for name in fitted.names:
-        value, error = values[name], float(std[name])
+    for name in names:
+        p, value = param[name], values[name]
+        error = min(float(std[name]), (p.upper - p.lower) / float(np.sqrt(12.0)))  # an even spread over its range
+        interval = [max(value - 1.96 * error, p.lower), min(value + 1.96 * error, p.upper)]
         found[name] = {
             "value": value,
             "std": error,
-            "unit": param[name].unit,
-            "interval_95": [value - 1.96 * error, value + 1.96 * error],
+            "unit": p.unit,
+            "interval_95": interval,
+            "scatter": float(scatter[name]),
         }
     return found
 

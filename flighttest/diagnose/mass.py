@@ -20,7 +20,7 @@ def mass_test(
         if name not in previous or name not in after:
             continue
         old, old_std = previous[name]
-        new, new_std = float(after[name]["value"]), float(after[name]["std"])
+        new, new_std = float(after[name]["value"]), float(after[name]["scatter"])
         if old > 0 and new > 0:
             changes[name] = change(old, old_std or 0.0, new, new_std)
     if "K" not in changes:

@@ -8,32 +8,33 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.chance import standard_errors
-from flighttest.diagnose.fitted import Fitted, Judged
+from flighttest.diagnose.chance import estimate_from
+from flighttest.diagnose.fitted import LEAST_FLOORS, Fitted, Judged
 from flighttest.diagnose.judge import places
 from flighttest.diagnose.model import flown
 from flighttest.diagnose.plausible import LEAST_SIZE, is_amplitude
 from flighttest.diagnose.search import Search
 
 REMAINDER = 0.05  # of what another term does at the same place: an equation's own error may be as large
+FEWEST = 5  # responses that must be left for their scatter to be an error
 STANDS_IN = 0.25  # of the held-out excess where it shows: what leaves more than three quarters of it, beside all others, is a copy
 
 
 def drop_remainders(search: Search) -> None:
-    """Take out, the smallest first, what is dwarfed by another accepted term, then what takes little of an excess that stays, then what
-    only steps call for that nobody explains."""
-    for doubt in (_mends, _stands_in, _leans):
-        while search.judged and search.now is not None:
-            term, reason = doubt(search)
-            if not reason:
-                break
-            now = search.without(term)
-            search.refused[term] = replace(search.judged.pop(term), reason=reason)
-            search.now = now
-            search.judged |= {
-                t: search.judge(t, search.without(t), now, judged.p_value) for t, judged in search.judged.items()
-            }
-            search.progress(f"{term} leaves the model: {reason}")
+    """Take out, one by one and the most doubtful first, what is dwarfed by another accepted term, what takes little of an excess that
+    stays, and what only steps call for that nobody explains; all are judged anew after each."""
+    while search.judged and search.now is not None:
+        doubted = (doubt(search) for doubt in (_mends, _stands_in, _leans))
+        term, reason = next((found for found in doubted if found[1]), ("", ""))
+        if not reason:
+            return
+        now = search.without(term)
+        search.refused[term] = replace(search.judged.pop(term), reason=reason)
+        search.now = now
+        search.judged |= {
+            t: search.judge(t, search.without(t), now, judged.p_value) for t, judged in search.judged.items()
+        }
+        search.progress(f"{term} leaves the model: {reason}")
 
 
 def _mends(search: Search) -> tuple[str, str]:
@@ -61,48 +62,53 @@ def _stands_in(search: Search) -> tuple[str, str]:
 
 
 def _leans(search: Search) -> tuple[str, str]:
-    """A term that shows most in one kind of maneuver and is called for by others, in which more stays unexplained than it explains; and
+    """A term that shows most in one kind of maneuver and is called for by others, in which more stays unexplained than it takes away; and
     why it is no name ('': it is). Physics without a name bends the base, and some term bends it back where the steps were well fitted."""
     assert search.now is not None
-    rows, segments = search.now.rows, search.bench.segments
-    kinds = np.array([s.kind for s in segments])[rows.segment]
+    kinds = np.array([s.kind for s in search.bench.segments])[search.now.rows.segment]
+    found = []
     for term, judged in search.judged.items():
         strange = _unexplained_kinds(search, judged) - {judged.place[1]}
-        rest = ~np.isin(kinds, list(strange))
-        if not strange or size_without(search.now, term, rest) >= LEAST_SIZE:
-            continue
-        listed = " and ".join(flown(kind) for kind in sorted(strange))
-        return term, f"only {listed} call for it, of which more stays unexplained than it explains"
-    return "", ""
+        size = size_without(search.now, term, ~np.isin(kinds, list(strange))) if strange else np.inf
+        if size < LEAST_SIZE:
+            listed = " and ".join(flown(kind) for kind in sorted(strange))
+            found.append((size, term, f"only {listed} show it, and more error stays in those than it takes away"))
+    return min(found)[1:] if found else ("", "")
 
 
 def _unexplained_kinds(search: Search, judged: Judged) -> set[str]:
-    """Kinds of maneuver where, in some channel, more stays above the noise floor than a term's effect is there, and than the floor."""
+    """Kinds of maneuver where, in some channel in which a term shows at all or in the force on a velocity that shows it, more stays above
+    the noise floor than its effect is there, and than the floor."""
     assert search.now is not None
     assert search.floor is not None
+    rows, floor = search.now.rows, search.floor
+    table = places(rows, search.bench.segments)
+    power = {place: float(np.mean(judged.effect[at] ** 2)) for place, at in table.items()}
+    shows = {place[0] for place in table if power[place] >= (LEAST_FLOORS * floor.of(place[0])) ** 2}
+    shows |= {f"{force}{c[1:]}2" for c in shows if c.startswith("v_") for force in "fa"}
     found = set()
-    for (channel, kind), at in places(search.now.rows, search.bench.segments).items():
-        floor = search.floor.at(channel, kind) ** 2
-        left = float(np.mean(search.now.rows.open_residual[at] ** 2)) - floor
-        if left > max(floor, float(np.mean(judged.effect[at] ** 2))):
+    for (channel, kind), at in table.items():
+        usual = floor.at(channel, kind) ** 2
+        left = float(np.mean(rows.open_residual[at] ** 2)) - usual
+        if channel in shows and left > max(usual, power[channel, kind]):
             found.add(kind)
     return found
 
 
 def size_without(fitted: Fitted, term: str, rest: NDArray[np.bool_]) -> float:
-    """Largest amplitude of a term in standard errors (clustered by response), estimated anew from some rows alone by one linear step.
+    """Largest amplitude of a term in standard errors (clustered by response), estimated anew from some rows alone by one linear step;
+    infinite where nothing can be said: too few responses are left, or a term has no amplitude.
 
-    rest: (n,) which rows. A term without amplitudes stands for itself: infinite.
+    rest: (n,) which rows.
     """
-    rows = fitted.rows
-    columns, residual = rows.columns(fitted.names)[rest], rows.residual[rest]
-    step = np.linalg.lstsq(columns, residual, rcond=1e-9)[0]
-    moved = replace(rows, jacobian=rows.jacobian[rest], residual=residual - columns @ step, segment=rows.segment[rest])
+    if np.unique(fitted.rows.segment[rest]).size < FEWEST:
+        return np.inf
+    step, std = estimate_from(fitted.rows, fitted.names, rest)
     sizes = [
-        abs(fitted.state.values[name] + float(by) - float(fitted.model.param[name].off or 0.0)) / error
+        abs(fitted.state.values[name] + float(by) - float(fitted.model.param[name].off or 0.0)) / float(error)
         if error > 0
         else 0.0
-        for name, by, error in zip(fitted.names, step, standard_errors(moved, fitted.names), strict=True)
+        for name, by, error in zip(fitted.names, step, std, strict=True)
         if is_amplitude(term, name, fitted.model)
     ]
     return max(sizes, default=np.inf)

@@ -277,7 +277,7 @@ def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[st
     for name in (n for n in previous if n in after and not n.startswith("T_d")):
         old, std = previous[name]
         difference = float(after[name]["value"]) - old
-        error = float(np.hypot(float(after[name]["std"]), std or 0.0))
+        error = float(np.hypot(float(after[name]["scatter"]), std or 0.0))
         if old and abs(difference) > max(MOVED * abs(old), MOVED_ERRORS * error):
             changes[name] = difference / abs(old)
     if not changes:
@@ -290,7 +290,7 @@ def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[st
 
 def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Channel delays that differ: the model has one per channel, so this needs no term."""
-    known = {n: (float(table[n]["value"]), float(table[n]["std"])) for n in DELAY_PARAM.values() if n in table}
+    known = {n: (float(table[n]["value"]), float(table[n]["scatter"])) for n in DELAY_PARAM.values() if n in table}
     if len(known) < 2:
         return []
     (late, (most, most_std)), (early, (least, least_std)) = (

@@ -1,7 +1,8 @@
 """Which physics joins the model: forward and backward steps, every step a joint refit, judged on groups not used.
 
 A step forward takes the candidate with the best information criterion among those whose score is beyond chance for the whole catalogue
-(sign flips, 1 %), refits it jointly with everything, and keeps it when all of these hold:
+(sign flips, 1 %; where much is wrong and no score is, what a refit changes is tested instead), refits it jointly with everything, and
+keeps it when all of these hold:
 - the information criterion with the effective sample size falls by 10 or more (odds of 150 to 1);
 - somewhere (a channel in a kind of maneuver) the effect has at least half the power of the noise floor (0.7 of its amplitude);
 - over all places where it shows so, it takes away at least 5 % of the held-out excess over the floor;
@@ -167,7 +168,8 @@ class Search:
             if blunt or unsure:
                 # The secant's score means little; what the refit changed is tested in its place, one of as many as there are candidates.
                 parts = parts_of(self.now.rows, judged.own)
-                chance = consistency(parts) * len(ranked)
+                added = len(fitted.names) - len(self.now.names)
+                chance = consistency(parts, max(added, 1)) * len(ranked)
                 judged = replace(judged, p_value=min(chance, 1.0))
                 if chance > FALSE_ALARM_RATE and not plain(parts, judged.bic) and not judged.reason:
                     judged = replace(judged, reason="what it improves is no more consistent over responses than chance")

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import fitted, locate, pairs, rivals
-from flighttest.diagnose.chance import disagreement, plain, standard_errors
+from flighttest.diagnose.chance import plain, standard_errors, standard_errors_of_equations
+from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
@@ -16,6 +17,7 @@ from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
 from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
 
 
 def rows_of(residual, columns, segments=20, channel=None):
@@ -24,7 +26,7 @@ def rows_of(residual, columns, segments=20, channel=None):
     return Rows(
         residual=residual, jacobian=columns, open_residual=residual, open_jacobian=columns, scale=np.ones(n),
         segment=np.repeat(np.arange(segments), each), sample=np.tile(np.arange(each), segments),
-        channel=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2",),
+        channel=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2", "v_z_m_s"),
         names=tuple(f"p{k}" for k in range(columns.shape[1])),
     )  # fmt: skip
 
@@ -143,7 +145,7 @@ def test_explained_variance_sees_a_regime_and_nothing_in_noise(rng):
 )
 def test_thrust_or_mass(ratio, drag_ratio, drag_std, answer):
     old = {"K": (50.0, 0.05), "d_x": (0.4, drag_std * 0.4)}
-    new = {"K": {"value": 50.0 * ratio, "std": 0.05}, "d_x": {"value": 0.4 * drag_ratio, "std": drag_std * 0.4}}
+    new = {"K": {"value": 50.0 * ratio, "scatter": 0.05}, "d_x": {"value": 0.4 * drag_ratio, "scatter": drag_std * 0.4}}
     found = mass_test(old, new)
     assert found.get("answer") == answer
     assert found["thrust_changed"] == (answer is not None)
@@ -192,34 +194,65 @@ def test_an_effect_in_a_few_responses_is_believed_when_all_of_them_agree(rng):
     assert not mixed.beyond_chance
 
 
+def told_by(channel, columns, y, names):
+    """Rows at the optimum of y (n,), and the standard errors: by scatter alone, and with what parts disagree on."""
+    rows = rows_of(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0], columns, segments=40, channel=channel)
+    return standard_errors(rows, names), standard_errors_of_equations(rows, names)
+
+
 def test_instruments_that_disagree_widen_an_interval_that_responses_would_leave_narrow(rng):
     n = 4000
-    channel = np.repeat(np.tile([0, 1], 20), n // 40)
-    column = np.ones((n, 1))
-
-    def errors(apart):
-        y = np.where(channel == 0, apart, -apart) + 0.1 * rng.normal(size=n)
-        rows = rows_of(y - y.mean(), column, segments=20, channel=channel)
-        return float(standard_errors(rows, ("p0",))[0]), float(disagreement(rows, ("p0",))[0])
-
-    scatter, parts = errors(0.0)
-    assert parts < 3 * scatter
-    scatter, parts = errors(0.05)  # each channel alone: half of the data, 0.05 away
-    assert scatter < 0.005
-    assert parts == pytest.approx(0.05, rel=0.1)
+    channel, column = np.tile([0, 1], n // 2), np.ones((n, 1))
+    noise = 0.1 * rng.normal(size=n)
+    scatter, wide = told_by(channel, column, noise, ("p0",))
+    assert wide[0] < 2 * scatter[0]
+    scatter, wide = told_by(channel, column, noise + np.where(channel == 0, 0.05, -0.05), ("p0",))
+    assert scatter[0] < 0.005
+    assert wide[0] == pytest.approx(0.05, rel=0.15)  # each channel alone is half of the data, 0.05 away
 
 
-def test_the_only_channel_that_knows_a_parameter_is_not_left_out_for_it(rng):
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.89, 0.97])
+def test_noise_alone_widens_little_however_unevenly_parts_tell(rng, share):
+    n, ratios = 2000, []
+    channel = np.tile([0, 1], n // 2)
+    column = np.where(channel == 0, np.sqrt(share), np.sqrt(1 - share))[:, None]
+    for _ in range(60):
+        scatter, wide = told_by(channel, column, rng.normal(size=n), ("p0",))
+        ratios.append(wide[0] / scatter[0])
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.7
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-6, 1e-3])
+def test_a_channel_that_alone_tells_two_parameters_apart_is_not_left_out_whatever_rounding_makes_of_the_rest(
+    rng, apart
+):
     n = 2000
-    channel = np.repeat(np.tile([0, 1], 20), n // 40)
-    columns = np.stack([np.where(channel == 0, 1.0, 0.0), np.where(channel == 1, 1.0, 0.0)], axis=1)
-    rows = rows_of(0.1 * rng.normal(size=n), columns, segments=20, channel=channel)
-    assert np.all(disagreement(rows, ("p0", "p1")) < 3 * standard_errors(rows, ("p0", "p1")))
+    channel = np.tile([0, 1], n // 2)
+    first = rng.normal(size=n)
+    second = np.where(channel == 0, rng.normal(size=n), (1 + apart * rng.normal(size=n)) * first)
+    y = 0.01 * rng.normal(size=n) + np.where(channel == 1, 0.05 * first, 0.0)
+    _, wide = told_by(channel, np.stack([first, second], axis=1), y, ("p0", "p1"))
+    assert wide == pytest.approx([0.0122, 0.0121], rel=0.02)
+
+
+def test_a_parameter_at_its_bound_is_told_by_its_range_and_does_not_widen_the_others(rng):
+    model = Model(("linear_drag", "attitude_extra_pole"))
+    names = ("attitude_pole_share", "attitude_pole_tau")
+    column = rng.normal(size=2000)
+    columns = np.stack([column, column + 1e-4 * rng.normal(size=2000)], axis=1)  # told from each other by nothing
+    rows = replace(rows_of(rng.normal(size=2000), columns), names=names)
+    at_bound = {"attitude_pole_share": 1.0, "attitude_pole_tau": 0.2}
+    table = parameter_table(
+        SimpleNamespace(model=model, names=names, rows=rows, state=SimpleNamespace(values=at_bound))
+    )
+    share, tau = table["attitude_pole_share"], table["attitude_pole_tau"]
+    assert share["std"] == pytest.approx(3.0 / np.sqrt(12))
+    assert share["interval_95"][1] == 1.0
+    assert tau["std"] < 0.04
+    assert tau["scatter"] > 1.0
 
 
 def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
-    from flighttest.physics.model import Model
-
     names, std = ("attitude_pole_share", "attitude_pole_tau"), np.array([0.1, 0.001])
     judged = Model(("linear_drag", "attitude_extra_pole")), names
     assert impossible("attitude_extra_pole", *judged, {names[0]: 1.0, names[1]: 0.05}, std) == ""
@@ -227,8 +260,6 @@ def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
 
 
 def test_a_load_of_negative_mass_and_a_shape_at_its_bound_are_refused():
-    from flighttest.physics.model import Model
-
     model = Model(("linear_drag", "slung_payload", "quadratic_drag"))
     names = ("payload_ratio", "cable_m", "k_x", "k_y", "k_z")
     std = np.array([0.01, 0.1, 0.01, 0.01, 0.01])
@@ -257,9 +288,6 @@ def test_a_response_that_goes_astray_as_a_whole_is_one_observation(rng):
 
 
 def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng):
-    from flighttest.physics.catalogue import catalogue
-    from flighttest.physics.model import Model
-
     model, term = Model(("slung_payload",)), catalogue()["slung_payload"]
     names = ("payload_ratio",)
     column = rng.normal(size=(4000, 1))
@@ -273,17 +301,12 @@ def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng)
 
 
 def test_a_wind_that_only_rises_is_refused():
-    from flighttest.physics.model import Model
-
     model, values = Model(("steady_wind",)), {"w_up": 0.5, "w_north": 1.0}
     assert "without the rest" in impossible("steady_wind", model, ("w_up",), values, np.array([0.01]))
     assert impossible("steady_wind", model, ("w_up", "w_north"), values, np.array([0.01, 0.01])) == ""
 
 
 def test_a_size_within_its_error_is_believed_only_where_much_else_speaks_for_it(rng):
-    from flighttest.physics.catalogue import catalogue
-    from flighttest.physics.model import Model
-
     model, names = Model(("steady_wind",)), ("w_north",)
     rows = replace(rows_of(rng.normal(size=4000), rng.normal(size=(4000, 1))), names=names)  # a standard error of 0.016
     asked = (catalogue()["steady_wind"], model, names)
@@ -411,11 +434,12 @@ def test_a_look_ahead_in_vain_leaves_the_search_as_it_was():
         beyond_chance=True, bic=-100.0, p_value=0.001, variant=SimpleNamespace(term=SimpleNamespace(id="steady_wind"))
     )
     search = SimpleNamespace(
-        now=now, pinned={"w_up": 0.1}, scores=[candidate], held_columns=lambda: "columns", hold_columns=lambda _found: None,
+        base=now, now=now, pinned={"w_up": 0.1}, scores=[candidate], held_columns=lambda: "columns", hold_columns=lambda _found: None,
         linearise=lambda: None, progress=lambda _text: None, refitted_with=refit, judge=lambda *_: SimpleNamespace(kept=False),
     )  # fmt: skip
     bent = SimpleNamespace(term="rate_limit", bic=-1000.0, p_value=0.001)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pairs, "best_per_term", lambda scores: scores)
+        patch.setattr(pairs, "explained", lambda _base, _now: 0.0)
         assert not pairs.look_ahead(search, [(bent, other)])
     assert (search.now, search.pinned) == (now, {"w_up": 0.1})
