@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -36,7 +37,7 @@ def parameter_table(fitted: Fitted) -> dict[str, dict[str, Any]]:
             "unit": p.unit,
             "interval_95": interval,
             "scatter": float(scatter[name]),
-        }
+        } | ({} if name in inside else {"at_bound": True})
     return found
 
 
@@ -63,11 +64,7 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
         }  # fmt: skip
     confusable = [r.term for r in rivals if r.verdict == "CONFUSABLE"]
     force = _rms_force(search, judged.effect)
-    numbers = ", ".join(
-        f"{n} {v['value']:.3g} ± {brief(1.96 * v['std'])}{'' if v['unit'] == '1' else ' ' + v['unit']}"
-        + (" (held: the recording does not ask for more)" if v.get("held") else "")
-        for n, v in parameters.items()
-    )
+    numbers = ", ".join(_told(n, v) for n, v in parameters.items())
     sentence = f"{term.plain} ({numbers}); {brief(judged.floors)} noise floors in {short(judged.place[0])} of {flown(judged.place[1])}"
     if term.family in ("autopilot", "sensor", "link"):
         sentence = f"This is your {term.family}'s {term.title.lower()}: {sentence}"
@@ -98,6 +95,15 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
         source=term.source,
         doubt=term.doubt,
     )
+
+
+def _told(name: str, v: Mapping[str, Any]) -> str:
+    """A parameter in words."""
+    unit = "" if v["unit"] == "1" else f" {v['unit']}"
+    if v.get("at_bound"):
+        return f"{name} {v['value']:.3g}{unit}, its bound"
+    held = " (held: the recording does not ask for more)" if v.get("held") else ""
+    return f"{name} {v['value']:.3g} ± {brief(1.96 * v['std'])}{unit}{held}"
 
 
 def _rms_force(search: Search, effect: Any) -> float | None:

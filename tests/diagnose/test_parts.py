@@ -248,6 +248,7 @@ def test_a_parameter_at_its_bound_is_told_by_its_range_and_does_not_widen_the_ot
     share, tau = table["attitude_pole_share"], table["attitude_pole_tau"]
     assert share["std"] == pytest.approx(3.0 / np.sqrt(12))
     assert share["interval_95"][1] == 1.0
+    assert (share.get("at_bound"), tau.get("at_bound")) == (True, None)
     assert tau["std"] < 0.04
     assert tau["scatter"] > 1.0
 
