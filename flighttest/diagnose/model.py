@@ -98,8 +98,8 @@ class Diagnosis:
     """Everything the terminal, the JSON and the report show. No reader of it computes a number.
 
     model, values: the accepted model; accepted: its new terms; before: base parameters of the model without them, after: of the
-    accepted model, name to {value, std, unit}; heldout: channel to horizon or 'all' to {rmse_before, rmse_after, floor, gain_95};
-    set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
+    accepted model, name to {value, std, unit, interval_95, scatter}; heldout: channel to horizon or 'all' to {rmse_before, rmse_after,
+    floor, gain_95}; set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
     residual_map: cells of the heat map; regimes: residual against the variable that explains it; overlays: worst responses,
     measured, before, after; complete: False when it was interrupted.
     """

@@ -135,12 +135,13 @@ def fit(
     ties: Mapping[str, str] | None = None,
     robust: bool = True,
     noise: Noise | None = None,
+    doubt: Mapping[str, float] | None = None,
 ) -> Fit:
     """Estimate the model's parameters from usable segments of one or several recordings, jointly.
 
     filters: known measurement filters (channel group to Hz); start: values to start from; frozen: held there; ties: name to the
-    name it equals (each tie is tested); noise: of an earlier fit whose estimates are `start`, to stay with its optimum. FitError where
-    nothing can be estimated.
+    name it equals (each tie is tested); noise: of an earlier fit whose estimates are `start`, to stay with its optimum; doubt: further
+    standard errors by name, known from elsewhere. FitError where nothing can be estimated.
     """
     segments = tuple(s for s in segments if s.usable)
     if not segments:
@@ -165,7 +166,9 @@ def fit(
     solution, others = rivals(problem, solution, robust)
     moved = answered(problem, solution)
     apart = {n: r.away(solution.values[n]) for n, r in others.items()}
-    covariance = widened(widened(covariance_of(problem, solution), apart), moved)
+    covariance = covariance_of(problem, solution)
+    for extra in (apart, moved, doubt or {}):
+        covariance = widened(covariance, extra)
     quality = channel_quality(problem, solution)
     doubts = doubts_of(problem, solution, covariance, quality, others, moved)
     if "alpha" not in (*covariance.names, *(frozen or {})):

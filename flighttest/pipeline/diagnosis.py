@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -104,11 +105,14 @@ def refit(
     # Delays begin where the responses set in, as in any fit: from the diagnosis' own, just across a sample, the way is longer.
     start = {name: value for name, value in found.values.items() if name not in DELAY_PARAM.values()}
     usable = [s for s in segments if s.usable]
-    fitted = identify(usable, found.model, start=start)
+    # A fit knows how responses scatter; what parts of the recording disagree on beyond that, only the diagnosis has looked at.
+    doubt = {n: math.sqrt(max(p["std"] ** 2 - p["scatter"] ** 2, 0.0)) for n, p in found.after.items()}
+    fitted = identify(usable, found.model, start=start, doubt=doubt)
     known = known_before(fitted, base)
     if not known:
         return fitted, ()
-    return identify(usable, found.model, start=fitted.values, frozen=known, noise=fitted.noise), tuple(known)
+    again = identify(usable, found.model, start=fitted.values, frozen=known, noise=fitted.noise, doubt=doubt)
+    return again, tuple(known)
 
 
 def write_diagnosis(
