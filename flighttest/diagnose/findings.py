@@ -67,7 +67,8 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
     numbers = ", ".join(_told(n, v) for n, v in parameters.items())
     sentence = f"{term.plain} ({numbers}); {brief(judged.floors)} noise floors in {short(judged.place[0])} of {flown(judged.place[1])}"
     if term.family in ("autopilot", "sensor", "link"):
-        sentence = f"This is your {term.family}'s {term.title.lower()}: {sentence}"
+        title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
+        sentence = f"This is your {term.family} ({title}): {sentence}"
     if confusable:
         sentence += (
             f"; {', '.join(confusable)} would explain it as well, fly {rivals[0].separated_by} to tell them apart"
