@@ -26,6 +26,8 @@ def another_way(search: Search) -> tuple[Search, str]:
     pool = tuple(t for t in search.pool if t.id != first)
     other = replace(search, pool=pool, now=search.base, judged={}, refused={}, pinned={})
     other.go_on()
+    if not other.judged:
+        return search, ""  # nothing is found without it, and with it the search would go the same way again
     # Beside what was found without it, it may still be needed.
     other.pool = search.pool
     other.go_on()

@@ -129,19 +129,17 @@ class Bench:
             linear = self._linear(model, state, names)
             taken = 0
             for _ in range(10):
-                step = self._step(model, state, names, linear, damping)
-                if step.objective < state.objective:
-                    gain = state.objective - step.objective
+                step = self._step(model, state, names, linear, damping, 0 if taken else LOCAL_STEPS)
+                gain, flat = state.objective - step.objective, tolerance * state.objective / 10
+                if gain > 0:
                     state, damping, taken = step, max(damping / 10, 1e-7), taken + 1
-                    if taken == 3 or gain < tolerance * state.objective / 10:
+                    if taken == 3 or gain < flat:
                         break
                     linear = self._residuals_anew(model, state, linear)
-                elif taken:
-                    break  # the Jacobian has grown old
-                elif damping > 1e5:
-                    break
+                elif taken or damping > 1e5 or -gain < flat:
+                    break  # the Jacobian has grown old, or there is no lower place near
                 else:
-                    damping *= 10
+                    damping = max(10 * damping, 1e-3)
             old = state.objective
             if reweigh:
                 state = self._reweighed(model, state)
@@ -290,7 +288,9 @@ class Bench:
             )
         return found
 
-    def _step(self, model: Model, state: State, names: Sequence[str], linear: list[_Piece], damping: float) -> State:
+    def _step(
+        self, model: Model, state: State, names: Sequence[str], linear: list[_Piece], damping: float, local_steps: int
+    ) -> State:
         problem = self.problem(model)
         n_p = len(names)
         h, g = np.zeros((n_p, n_p)), np.zeros(n_p)
@@ -332,7 +332,7 @@ class Bench:
         values = {**state.values, **dict(zip(names, new.tolist(), strict=True))}
         made = State(values, local, state.noise, np.inf)
         made = replace(made, objective=self.objective(model, made))
-        for _ in range(LOCAL_STEPS):
+        for _ in range(local_steps):
             if made.objective < state.objective:
                 break
             # Where parameters make up for each other (gain, voltage, heat), what is left of second order is mostly a constant

@@ -152,6 +152,15 @@ def searched(monkeypatch, worth, alternative):
     return other.another_way(search)
 
 
+def test_where_nothing_is_found_without_the_first_name_the_search_is_not_repeated(monkeypatch):
+    walked = []
+    usual = Scripted.go_on
+    monkeypatch.setattr(Scripted, "go_on", lambda self: walked.append(len(self.pool)) or usual(self))
+    search, said = searched(monkeypatch, {}, [])
+    assert (list(search.judged), said) == (["a", "b", "c"], "")
+    assert walked == [5, 4]  # the search itself, and once without its first name
+
+
 def test_fewer_names_that_explain_nearly_as_much_are_believed(monkeypatch):
     search, said = searched(monkeypatch, {("a", "b", "c"): 1000.0, ("d", "e"): 970.0}, ["d", "e"])
     assert list(search.judged) == ["d", "e"]
