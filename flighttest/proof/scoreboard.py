@@ -70,6 +70,8 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     values = [v for o in single + pairs for e, v in o.values.items() if o.sizes.get(e, 0.0) >= COUNTS]
     misses = [_relative(v) for v in values if any(true for true, _, _ in v.values())]
     spans = [abs(found - true) <= 1.96 * std for v in values for true, found, std in v.values() if np.isfinite(std)]
+    # Wide intervals hold anything: how wide they are belongs beside how many hold.
+    widths = [std / abs(true) for v in values for true, _, std in v.values() if true and np.isfinite(std)]
     gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
     covered = [o.coverage for o in flown if np.isfinite(o.coverage)]
     # Of whatever size: a wrong name is wrong beside a small effect, too.
@@ -91,6 +93,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "value_median_error": float(np.median(misses)) if misses else None,
         "values": len(misses),
         "values_inside": (sum(spans), len(spans)),
+        "value_median_std": float(np.median(widths)) if widths else None,
         "coverage_mean": float(np.mean(covered)) if covered else None,
         "coverage_within": (sum(LEAST_COVERED <= c <= MOST_COVERED for c in covered), len(covered)),
         "gain_median": float(np.median(gains)) if gains else None,
@@ -194,7 +197,9 @@ def _rates(s: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if s["values"]:
         error = _percent(s["value_median_error"])
         yield "worst parameter of a named effect", f"median error {error} over {s['values']} effects"
-        yield "parameters of named effects inside their 95 % intervals", share(*s["values_inside"])
+        width = _percent(s["value_median_std"])
+        inside = f"{share(*s['values_inside'])}; standard error {width} of the value in the median"
+        yield "parameters of named effects inside their 95 % intervals", inside
     if s["gain_median"] is not None:
         yield "of the error above the noise floor on held-out steps, gone", f"median {_percent(s['gain_median'])}"
     if s["coverage_mean"] is not None:

@@ -205,6 +205,7 @@ def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_bot
     assert found["force_ratio_median_error"] == pytest.approx(0.1)
     assert (found["value_median_error"], found["values"]) == (pytest.approx(0.1), 1)
     assert found["values_inside"] == (2, 3)
+    assert found["value_median_std"] == pytest.approx(0.1)
     assert Outcome.from_json(json.loads(json.dumps(seen.to_json()))) == seen
     assert "worst parameter of a named effect: median error 10 % over 1 effects" in markdown([seen], seed=0)
 
