@@ -62,13 +62,13 @@ def _stands_in(search: Search) -> tuple[str, str]:
 
 
 def _leans(search: Search) -> tuple[str, str]:
-    """A term that shows most in one kind of maneuver and is called for by others, in which more stays unexplained than it takes away; and
-    why it is no name ('': it is). Physics without a name bends the base, and some term bends it back where the steps were well fitted."""
+    """A term that is called for only by kinds of maneuver in which more stays unexplained than it takes away, and why it is no name ('': it
+    is). Physics without a name bends the base there, and some term bends it back where the steps were well fitted, or copies a part."""
     assert search.now is not None
     kinds = np.array([s.kind for s in search.bench.segments])[search.now.rows.segment]
     found = []
     for term, judged in search.judged.items():
-        strange = _unexplained_kinds(search, judged) - {judged.place[1]}
+        strange = _unexplained_kinds(search, judged)
         size = size_without(search.now, term, ~np.isin(kinds, list(strange))) if strange else np.inf
         if size < LEAST_SIZE:
             listed = " and ".join(flown(kind) for kind in sorted(strange))
