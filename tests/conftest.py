@@ -1,6 +1,7 @@
 """What every test may ask for: the real recordings beside the repository, and a real ArduPilot SITL. Both skip with a reason."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,11 @@ from flighttest.errors import FlighttestError
 from flighttest.sim.sitl_launcher import find_arducopter
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def pytest_sessionstart() -> None:
+    """Ctrl-C is tested: where the suite runs in the background of a shell, that signal is ignored by it and all it starts."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def find_shared_data() -> Path | None:
