@@ -35,6 +35,7 @@ SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 # Start delays never fall on a sample: there the derivative by the delay is one-sided.
 OFF_GRID_S = 1.7e-4
 DELAYS_DIFFER_S = 0.01
+COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 SHAPE_ALONE = "times its usual self"
 UNMOVED = "these flights do not move what it acts on"
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is told.
@@ -211,7 +212,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         next_flight="next.yaml" if proposal else None,
         next_script=proposal.get("script"),
         next_reason={k: v for k, v in proposal.items() if k != "script"},
-        notes=(*_all(answers, "notes"), *cut_short, *_delays(after)),
+        notes=(*_all(answers, "notes"), *cut_short, *_delays(after), *_compensation(after)),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
@@ -301,6 +302,17 @@ def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [
         f"channel_delay: {late} is {1000 * (most - least):.0f} ms longer than {early}; the model has a delay for each channel, "
         "so that no further term is needed"
+    ]
+
+
+def _compensation(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Thrust that does not follow the voltage: somebody makes up for it, and it is no physics of the vehicle."""
+    alpha = table.get("alpha")
+    if alpha is None or float(alpha["value"]) + 2 * float(alpha["std"]) > COMPENSATED:
+        return []
+    return [
+        f"battery compensation: alpha is {float(alpha['value']):.2f} ± {1.96 * float(alpha['std']):.2f}, where motors on a battery have 1 "
+        "to 2: the autopilot makes up for the voltage (ArduPilot MOT_BAT_VOLT_MAX), or the ESCs hold the rotor speed"
     ]
 
 

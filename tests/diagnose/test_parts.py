@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose import fitted, locate, pairs, rivals
+from flighttest.diagnose import fitted, locate, pairs, rivals, run
 from flighttest.diagnose.chance import plain, standard_errors, standard_errors_of_equations
 from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.judge import held_out, held_out_groups
@@ -444,3 +444,12 @@ def test_a_look_ahead_in_vain_leaves_the_search_as_it_was():
         patch.setattr(pairs, "explained", lambda _base, _now: 0.0)
         assert not pairs.look_ahead(search, [(bent, other)])
     assert (search.now, search.pinned) == (now, {"w_up": 0.1})
+
+
+@pytest.mark.parametrize(("alpha", "std", "told"), [(0.03, 0.05, True), (1.7, 0.03, False), (0.1, 0.4, False)])
+def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, std, told):
+    notes = run._compensation({"alpha": {"value": alpha, "std": std}})
+    assert bool(notes) is told
+    assert run._compensation({}) == []
+    if told:
+        assert "MOT_BAT_VOLT_MAX" in notes[0]
