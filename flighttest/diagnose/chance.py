@@ -35,7 +35,7 @@ def parts_of(rows: Rows, own: FloatArray) -> FloatArray:
     )
 
 
-def consistency(parts: FloatArray, freedom: int = 1) -> float:
+def consistency(parts: FloatArray, freedom: int) -> float:
     """Probability that an effect would go along with the residual as well as it does if responses had random signs. freedom: parameters
     that were fitted to that residual, which find the direction that goes along best."""
     spread = float(np.sqrt(np.sum(parts**2)))

@@ -1,39 +1,17 @@
 """The parts of a diagnosis against answers known without it."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_rows import rows_of
 
 from flighttest.diagnose import fitted, locate, pairs, rivals, run
-from flighttest.diagnose.chance import plain, standard_errors, standard_errors_of_equations
-from flighttest.diagnose.findings import parameter_table
 from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
-from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
-from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
-from flighttest.physics.catalogue import catalogue
-from flighttest.physics.model import Model
-
-
-def rows_of(residual, columns, segments=20, channel=None):
-    n = residual.size
-    each = n // segments
-    return Rows(
-        residual=residual, jacobian=columns, open_residual=residual, open_jacobian=columns, scale=np.ones(n),
-        segment=np.repeat(np.arange(segments), each), sample=np.tile(np.arange(each), segments),
-        channel=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2", "v_z_m_s"),
-        names=tuple(f"p{k}" for k in range(columns.shape[1])),
-    )  # fmt: skip
-
-
-@pytest.fixture
-def rng():
-    return np.random.default_rng(1)
 
 
 def test_inflation_of_a_first_order_process(rng):
@@ -194,84 +172,6 @@ def test_an_effect_in_a_few_responses_is_believed_when_all_of_them_agree(rng):
     assert not mixed.beyond_chance
 
 
-def told_by(channel, columns, y, names):
-    """Rows at the optimum of y (n,), and the standard errors: by scatter alone, and with what parts disagree on."""
-    rows = rows_of(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0], columns, segments=40, channel=channel)
-    return standard_errors(rows, names), standard_errors_of_equations(rows, names)
-
-
-def test_instruments_that_disagree_widen_an_interval_that_responses_would_leave_narrow(rng):
-    n = 4000
-    channel, column = np.tile([0, 1], n // 2), np.ones((n, 1))
-    noise = 0.1 * rng.normal(size=n)
-    scatter, wide = told_by(channel, column, noise, ("p0",))
-    assert wide[0] < 2 * scatter[0]
-    scatter, wide = told_by(channel, column, noise + np.where(channel == 0, 0.05, -0.05), ("p0",))
-    assert scatter[0] < 0.005
-    assert wide[0] == pytest.approx(0.05, rel=0.15)  # each channel alone is half of the data, 0.05 away
-
-
-@pytest.mark.parametrize("share", [0.5, 0.7, 0.89, 0.97])
-def test_noise_alone_widens_little_however_unevenly_parts_tell(rng, share):
-    n, ratios = 2000, []
-    channel = np.tile([0, 1], n // 2)
-    column = np.where(channel == 0, np.sqrt(share), np.sqrt(1 - share))[:, None]
-    for _ in range(60):
-        scatter, wide = told_by(channel, column, rng.normal(size=n), ("p0",))
-        ratios.append(wide[0] / scatter[0])
-    assert np.sqrt(np.mean(np.square(ratios))) < 1.7
-
-
-@pytest.mark.parametrize("apart", [0.0, 1e-6, 1e-3])
-def test_a_channel_that_alone_tells_two_parameters_apart_is_not_left_out_whatever_rounding_makes_of_the_rest(
-    rng, apart
-):
-    n = 2000
-    channel = np.tile([0, 1], n // 2)
-    first = rng.normal(size=n)
-    second = np.where(channel == 0, rng.normal(size=n), (1 + apart * rng.normal(size=n)) * first)
-    y = 0.01 * rng.normal(size=n) + np.where(channel == 1, 0.05 * first, 0.0)
-    _, wide = told_by(channel, np.stack([first, second], axis=1), y, ("p0", "p1"))
-    assert wide == pytest.approx([0.0122, 0.0121], rel=0.02)
-
-
-def test_a_parameter_at_its_bound_is_told_by_its_range_and_does_not_widen_the_others(rng):
-    model = Model(("linear_drag", "attitude_extra_pole"))
-    names = ("attitude_pole_share", "attitude_pole_tau")
-    column = rng.normal(size=2000)
-    columns = np.stack([column, column + 1e-4 * rng.normal(size=2000)], axis=1)  # told from each other by nothing
-    rows = replace(rows_of(rng.normal(size=2000), columns), names=names)
-    at_bound = {"attitude_pole_share": 1.0, "attitude_pole_tau": 0.2}
-    table = parameter_table(
-        SimpleNamespace(model=model, names=names, rows=rows, state=SimpleNamespace(values=at_bound))
-    )
-    share, tau = table["attitude_pole_share"], table["attitude_pole_tau"]
-    assert share["std"] == pytest.approx(3.0 / np.sqrt(12))
-    assert share["interval_95"][1] == 1.0
-    assert (share.get("at_bound"), tau.get("at_bound")) == (True, None)
-    assert tau["std"] < 0.04
-    assert tau["scatter"] > 1.0
-
-
-def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
-    names, std = ("attitude_pole_share", "attitude_pole_tau"), np.array([0.1, 0.001])
-    judged = Model(("linear_drag", "attitude_extra_pole")), names
-    assert impossible("attitude_extra_pole", *judged, {names[0]: 1.0, names[1]: 0.05}, std) == ""
-    assert "bound" in impossible("attitude_extra_pole", *judged, {names[0]: -2.0, names[1]: 0.05}, std)
-
-
-def test_a_load_of_negative_mass_and_a_shape_at_its_bound_are_refused():
-    model = Model(("linear_drag", "slung_payload", "quadratic_drag"))
-    names = ("payload_ratio", "cable_m", "k_x", "k_y", "k_z")
-    std = np.array([0.01, 0.1, 0.01, 0.01, 0.01])
-    good = {"payload_ratio": 0.1, "cable_m": 1.0, "k_x": 0.02, "k_y": 0.02, "k_z": -0.005}
-    assert impossible("slung_payload", model, names, good, std) == ""
-    assert impossible("quadratic_drag", model, names, good, std) == ""  # one of three, by chance
-    assert "does not allow" in impossible("slung_payload", model, names, good | {"payload_ratio": -0.03}, std)
-    assert "bound" in impossible("slung_payload", model, names, good | {"cable_m": 15.0}, std)
-    assert "does not allow" in impossible("quadratic_drag", model, names, good | {"k_z": -0.1}, std)
-
-
 def test_what_repeats_share_is_compared_with_their_spread_at_the_same_times():
     at_time = {0: (1.0, 10.0), 1: (90.0, 10.0)}  # late times scatter 90 times as much
     ratio, repeats = _shared([(0, 0.1), (1, 9.0)], at_time)
@@ -286,45 +186,6 @@ def test_a_response_that_goes_astray_as_a_whole_is_one_observation(rng):
     assert _independent_times(gust, at_time) == pytest.approx(1.0, abs=0.05)
     white = [list(enumerate(rng.normal(size=20).tolist())) for _ in range(40)]
     assert _independent_times(white, at_time) == pytest.approx(20, rel=0.2)
-
-
-def test_a_load_of_no_weight_is_what_its_free_start_states_make_of_a_wander(rng):
-    model, term = Model(("slung_payload",)), catalogue()["slung_payload"]
-    names = ("payload_ratio",)
-    column = rng.normal(size=(4000, 1))
-
-    def refused(size):
-        rows = replace(rows_of(rng.normal(size=4000), column * 100), names=names)  # a standard error of 0.00016
-        return does_not_stand_out(term, model, names, {"payload_ratio": size}, rows, -500.0)
-
-    assert "start states are free" in refused(0.003)
-    assert refused(0.05) == ""
-
-
-def test_a_wind_that_only_rises_is_refused():
-    model, values = Model(("steady_wind",)), {"w_up": 0.5, "w_north": 1.0}
-    assert "without the rest" in impossible("steady_wind", model, ("w_up",), values, np.array([0.01]))
-    assert impossible("steady_wind", model, ("w_up", "w_north"), values, np.array([0.01, 0.01])) == ""
-
-
-def test_a_size_within_its_error_is_believed_only_where_much_else_speaks_for_it(rng):
-    model, names = Model(("steady_wind",)), ("w_north",)
-    rows = replace(rows_of(rng.normal(size=4000), rng.normal(size=(4000, 1))), names=names)  # a standard error of 0.016
-    asked = (catalogue()["steady_wind"], model, names)
-    assert "stand out" in does_not_stand_out(*asked, {"w_north": 0.04}, rows, -30.0)
-    assert does_not_stand_out(*asked, {"w_north": 0.1}, rows, -30.0) == ""
-    assert does_not_stand_out(*asked, {"w_north": 0.04}, rows, -300.0) == ""
-
-
-@pytest.mark.parametrize(
-    ("carriers", "bic", "believed"), [(8, -60, True), (4, -60, False), (4, -400, True), (2, -4000, False)]
-)
-def test_few_responses_are_believed_when_they_agree_and_much_speaks_for_them(carriers, bic, believed):
-    parts = np.zeros(40)
-    parts[:carriers] = 1.0
-    assert plain(parts, bic) is believed
-    parts[0] = -1.0
-    assert not plain(parts, bic)
 
 
 @pytest.mark.parametrize(("amplitude", "ordered"), [(1e-3, False), (6e-3, True)])
@@ -362,26 +223,6 @@ def test_the_gain_is_over_all_places_where_an_effect_would_be_seen(monkeypatch, 
     largest = ("v", "abc"[int(np.argmax(effects))])
     floor = SimpleNamespace(of=lambda _channel: 1.0)
     assert fitted._gain(before, after, effect, None, (), floor, largest) == pytest.approx(gain)
-
-
-@pytest.mark.parametrize(
-    ("term", "limit", "reached"),
-    [
-        ("motor_saturation", {"T_max": 0.45}, True),
-        ("motor_saturation", {"T_max": 0.55}, False),
-        # A step of 0.4 rad asks for 20 / (2 0.5) 0.4 = 8 rad/s.
-        ("rate_limit", {"rate_max": 7.0}, True),
-        ("rate_limit", {"rate_max": 9.0}, False),
-        ("reference_shaping", {}, True),
-    ],
-)
-def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
-    t = np.linspace(0.0, 1.0, 21)
-    roll = np.where(t < 0.5, 0.0, 0.4 * (1 - np.exp(-(t - 0.5) / 0.1)))
-    references = {"roll_ref_rad": (np.array([0.0, 0.5]), np.array([0.0, 0.4])), "throttle": (t[:1], np.array([0.5]))}
-    step = SimpleNamespace(t_s=t, y={"roll_rad": roll}, u=references)
-    values = {"omega_phi": 20.0, "zeta_phi": 0.5, **limit}
-    assert (never_reached(catalogue()[term], values, [step]) == "") is reached
 
 
 @pytest.mark.parametrize(("carriers", "asked"), [(2, np.inf), (4, 14.4), (8, 7.6), (11, 7.6), (20, 5.7), (200, 4.1)])
@@ -444,6 +285,30 @@ def test_a_look_ahead_in_vain_leaves_the_search_as_it_was():
         patch.setattr(pairs, "explained", lambda _base, _now: 0.0)
         assert not pairs.look_ahead(search, [(bent, other)])
     assert (search.now, search.pinned) == (now, {"w_up": 0.1})
+
+
+@pytest.mark.parametrize(("named", "together"), [(0.0, 1), (1e5, 0)])
+def test_two_that_point_at_each_other_are_tried_once_and_not_beside_what_dwarfs_them(named, together):
+    def refused(term):
+        return SimpleNamespace(term=term, bic=-1000.0, p_value=0.001), SimpleNamespace(other={"a": "b", "b": "a"}[term])
+
+    def candidate(term):
+        return SimpleNamespace(
+            beyond_chance=True, bic=-100.0, p_value=0.001, variant=SimpleNamespace(term=SimpleNamespace(id=term))
+        )
+
+    now, tried = SimpleNamespace(), []
+    search = SimpleNamespace(
+        base=now, now=now, pinned={}, scores=[], held_columns=lambda: None, hold_columns=lambda _found: None,
+        progress=lambda _text: None, refitted_with=lambda _s, fitted: tried.append(fitted),
+        judge=lambda *_: SimpleNamespace(kept=False),
+    )  # fmt: skip
+    search.linearise = lambda: setattr(search, "scores", [candidate(search.now.other)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pairs, "best_per_term", lambda scores: scores)
+        patch.setattr(pairs, "explained", lambda _base, _now: named)
+        assert not pairs.look_ahead(search, [refused("a"), refused("b")])
+    assert len(tried) == together
 
 
 @pytest.mark.parametrize(("alpha", "std", "told"), [(0.03, 0.05, True), (1.7, 0.03, False), (0.1, 0.4, False)])

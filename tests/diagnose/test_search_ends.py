@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_rows import rows_of
 
 from flighttest.diagnose import another_way as other
 from flighttest.diagnose import remainders
 from flighttest.diagnose import search as search_module
 from flighttest.diagnose.fitted import Judged
-from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.search import Search, silent
 from flighttest.physics.model import Model
 
@@ -78,9 +78,8 @@ def test_beside_a_copy_an_effect_is_judged_again_without_it():
 def test_what_only_steps_call_for_that_nobody_explains_is_no_name(monkeypatch, by_the_others, stays):
     term = replace(judged("throttle_offset", 1.0), effect=np.r_[np.full(10, 1.0), np.full(10, 0.8)])
     search = ended(term)
-    left = np.r_[
-        np.full(10, 0.1), np.full(10, 4.0)
-    ]  # four floors stay in throttle steps, where the term does 0.8 of one
+    # Four floors stay in throttle steps, where the term does 0.8 of one.
+    left = np.r_[np.full(10, 0.1), np.full(10, 4.0)]
     search.now.rows = SimpleNamespace(open_residual=left, segment=np.repeat([0, 1], 10))
     search.bench.segments = (SimpleNamespace(kind="roll_step"), SimpleNamespace(kind="throttle_step"))
     asked = []
@@ -106,14 +105,29 @@ def test_what_stays_in_a_channel_that_a_term_does_not_touch_is_none_of_its_busin
     assert list(search.judged) == ["throttle_offset"]
 
 
-def test_the_size_that_some_rows_alone_give_a_term():
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize(
+    ("shown", "left_in"), [("v_z_m_s", "f_z_m_s2"), ("v_z_m_s", "a_z_m_s2"), ("v_z_m_s", "v_z_m_s")]
+)
+@pytest.mark.parametrize(("takes", "asked"), [(0.3, True), (6.0, False)])
+def test_what_stays_counts_in_a_velocity_and_in_the_force_on_it_unless_the_term_takes_more(
+    monkeypatch, shown, left_in, takes, asked
+):
+    first, second = (shown, "roll_step"), (left_in, "throttle_step")
+    term = judged("throttle_offset", 1.0, first)
+    search = ended(replace(term, effect=np.r_[np.full(10, 1.0), np.full(10, takes)]))
+    search.now.rows = SimpleNamespace(
+        open_residual=np.r_[np.full(10, 0.1), np.full(10, 4.0)], segment=np.repeat([0, 1], 10)
+    )
+    search.bench.segments = (SimpleNamespace(kind="roll_step"), SimpleNamespace(kind="throttle_step"))
+    monkeypatch.setattr(remainders, "places", lambda _r, _s: {first: np.arange(10), second: np.arange(10, 20)})
+    monkeypatch.setattr(remainders, "size_without", lambda *_: 1.5)
+    remainders.drop_remainders(search)
+    assert ("throttle_offset" not in search.judged) is asked
+
+
+def test_the_size_that_some_rows_alone_give_a_term(rng):
     columns = rng.normal(size=(800, 2))
-    rows = Rows(
-        residual=rng.normal(size=800), jacobian=columns, open_residual=np.zeros(800), open_jacobian=columns, scale=np.ones(800),
-        segment=np.repeat(np.arange(20), 40), sample=np.tile(np.arange(40), 20), channel=np.zeros(800, dtype=int),
-        channels=("f_z_m_s2",), names=("K", "T_min"),
-    )  # fmt: skip
+    rows = replace(rows_of(rng.normal(size=800), columns), names=("K", "T_min"))
     fitted = SimpleNamespace(
         model=Model(("throttle_offset",)),
         names=rows.names,
@@ -122,9 +136,8 @@ def test_the_size_that_some_rows_alone_give_a_term():
     )
     some = rows.segment < 10
     assert remainders.size_without(fitted, "throttle_offset", some) == pytest.approx(0.5 / (1 / np.sqrt(400)), rel=0.4)
-    assert (
-        remainders.size_without(fitted, "throttle_offset", rows.segment < 3) == np.inf
-    )  # three say nothing of their scatter
+    # Three responses say nothing of how responses scatter.
+    assert remainders.size_without(fitted, "throttle_offset", rows.segment < 3) == np.inf
     rows.jacobian[some, 1] = 0.0
     assert remainders.size_without(fitted, "throttle_offset", some) == 0.0
 

@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from flighttest.errors import InputError
@@ -17,6 +18,7 @@ from flighttest.proof.scoreboard import interval, markdown, score
 from flighttest.proof.trial import Outcome
 from flighttest.sim.options import SimOptions
 from flighttest.sim.rotor_effects import EFFECTS
+from flighttest.sim.rotor_vehicle import random_rotor
 
 
 def test_a_case_is_its_seed_and_the_seal_is_its_truth():
@@ -208,6 +210,23 @@ def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_bot
     assert found["value_median_std"] == pytest.approx(0.1)
     assert Outcome.from_json(json.loads(json.dumps(seen.to_json()))) == seen
     assert "worst parameter of a named effect: median error 10 % over 1 effects" in markdown([seen], seed=0)
+
+
+@pytest.mark.parametrize("lag_s", [0.0175, 0.03, 0.06])
+def test_a_lag_within_the_hidden_loops_is_compared_as_the_pole_it_makes_of_them(lag_s):
+    """Against the eigenvalues of the loop's own states: angle, rate, moment of the rotors, moment asked for."""
+    vehicle, taus = random_rotor(7), []
+    for omega, zeta in ((vehicle.omega_roll, vehicle.zeta_roll), (vehicle.omega_pitch, vehicle.zeta_pitch)):
+        rotor = 1.0 / vehicle.rotor_lag_s
+        a = [
+            [0, 1, 0, 0],
+            [0, 0, 1, 0],
+            [0, 0, -rotor, rotor],
+            [-(omega**2) / lag_s, -2 * zeta * omega / lag_s, 0, -1 / lag_s],
+        ]
+        poles = np.linalg.eigvals(np.array(a))
+        taus.append(-1.0 / max(p.real for p in poles if abs(p.imag) < 1e-6))
+    assert trial._closed_loop_pole_s(vehicle, lag_s) == pytest.approx(np.mean(taus), rel=1e-6)
 
 
 def test_a_campaign_without_a_step_is_no_trial(monkeypatch):
