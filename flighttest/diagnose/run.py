@@ -57,7 +57,6 @@ def diagnose(
     model: Model | None = None,
     *,
     previous: Mapping[str, tuple[float, float | None]] | None = None,
-    nominal_voltage_v: float | None = None,
     filters: Mapping[str, float] | None = None,
     only: Sequence[str] | None = None,
     seed: int = 0,
@@ -80,12 +79,8 @@ def diagnose(
         )
     if model is None:
         model = default_model(usable)
-        if nominal_voltage_v:
-            model = Model(model.terms, nominal_voltage_v, attitude_loops=model.attitude_loops)
     if model.attitude_loops and not has_attitude_references(usable):
-        model = Model(
-            model.terms, model.nominal_voltage_v, model.g_m_s2, model.channel_delays, False, dict(model.extra)
-        )
+        model = replace(model, attitude_loops=False)
     known = catalogue()
     pool = tuple(
         t

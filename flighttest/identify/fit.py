@@ -41,7 +41,7 @@ from flighttest.identify.solve import FitStatus, Solution, solve
 from flighttest.identify.ties import TieTest, tie_tests
 from flighttest.identify.weighing import start_noise
 from flighttest.physics.body import DELAY, DELAY_PARAM
-from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
+from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -117,11 +117,9 @@ def has_attitude_references(segments: Sequence[Segment]) -> bool:
     return any("roll_ref_rad" in s.u or "pitch_ref_rad" in s.u for s in segments if s.usable)
 
 
-def default_model(
-    segments: Sequence[Segment], terms: Sequence[str] = PAPER_TERMS, nominal_voltage_v: float = NOMINAL_VOLTAGE_V
-) -> Model:
+def default_model(segments: Sequence[Segment]) -> Model:
     """The model the paper would fit to these segments."""
-    return Model(tuple(terms), nominal_voltage_v, attitude_loops=has_attitude_references(segments))
+    return Model(attitude_loops=has_attitude_references(segments))
 
 
 def fit(

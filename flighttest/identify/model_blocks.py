@@ -8,12 +8,12 @@ from typing import Any
 from flighttest.documents import Document, Node, kind_of
 from flighttest.physics.catalogue import catalogue
 
-_CONSTANTS = {"g": (0.1, 100.0, "m/s^2"), "nominal_voltage_v": (0.1, 2000.0, "V")}
+_CONSTANTS = {"g": (0.1, 100.0, "m/s^2"), "nominal_voltage_v": (0.1, 2000.0, "V"), "rotor_height_m": (0.0, 5.0, "m")}
 _VALID = {"voltage_v": (0.1, 2000.0)}
 
 
 def constants_of(document: Document, node: Node | None) -> dict[str, float]:
-    """Gravity and nominal voltage, as far as they are stated."""
+    """Gravity, nominal voltage and height of the rotors, as far as they are stated."""
     if node is None:
         return {}
     children = document.mapping(node, _CONSTANTS)

@@ -29,7 +29,7 @@ from flighttest.identify.model_blocks import (
     terms_of,
 )
 from flighttest.physics.body import ATTITUDE_PARAMS, CHANNEL_DELAYS, DELAY, DELAY_PARAM
-from flighttest.physics.model import Model
+from flighttest.physics.model import NOMINAL_VOLTAGE_V, ROTOR_HEIGHT_M, Model
 
 FloatArray = NDArray[np.float64]
 
@@ -207,10 +207,11 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
     channel_delays = plain.get("channel_delays", any(n in parameters for n in DELAY_PARAM.values()))
     model = Model(
         tuple(terms),
-        constants.get("nominal_voltage_v", 22.2),
+        constants.get("nominal_voltage_v", NOMINAL_VOLTAGE_V),
         constants.get("g", G_M_S2),
         channel_delays=bool(channel_delays),
         attitude_loops=bool(loops),
+        rotor_height_m=constants.get("rotor_height_m", ROTOR_HEIGHT_M),
     )
     for name, node in children_of(document, root["parameters"]).items():
         _check_parameter(document, node, name, parameters[name], model)

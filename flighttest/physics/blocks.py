@@ -115,7 +115,7 @@ def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Ma
         roll=e["roll_rad"], pitch=e["pitch_rad"], yaw=e["yaw_rad"],
         target_roll=e["target_roll_rad"], target_pitch=e["target_pitch_rad"],
         voltage=e["voltage_v"], height_m=e["height_m"], time_s=e["time_s"],
-        nominal_voltage=constants["nominal_voltage_v"], g=constants["g"], base=dict(p),
+        nominal_voltage=constants["nominal_voltage_v"], rotor_height=constants["rotor_height_m"], g=constants["g"], base=dict(p),
     )  # fmt: skip
     s.rates = ca.vertcat(e["p_rad_s"], e["q_rad_s"], e["r_rad_s"])
     s.angular_acceleration = ca.vertcat(e["p_dot_rad_s2"], e["q_dot_rad_s2"], e["r_dot_rad_s2"])

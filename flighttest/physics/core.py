@@ -95,11 +95,12 @@ class Signals:
     """What a term may read, as CasADi expressions; `physics.model` fills it port by port.
 
     References are the delayed ones. v_air_body: (3,) air-relative velocity in body axes; rates, angular_acceleration: (3,)
-    body; rotation: (3, 3) body to world; height_m: above ground; time_s: since take-off; a_t: thrust acceleration after
-    the lag (before aero gain), a_t_total after it; command: commanded thrust acceleration K (U/U_n)^alpha T times motor
-    gains; a_t_dot: rate of a_t so far (what THRUST_LAG maps); force: (3,) specific force so far; v_dot_world: (3,) once all
-    forces are known (MEASUREMENT only); target_roll/target_pitch: the attitude target (shaped where recorded, else the reference).
-    roll_acceleration, pitch_acceleration, yaw_acceleration: second Euler derivatives and r_dot so far (what ANGULAR adds to).
+    body; rotation: (3, 3) body to world; height_m: of the feet above ground; rotor_height: of the rotors above the feet, m;
+    time_s: since take-off; a_t: thrust acceleration after the lag (before aero gain), a_t_total after it; command: commanded
+    thrust acceleration K (U/U_n)^alpha T times motor gains; a_t_dot: rate of a_t so far (what THRUST_LAG maps); force: (3,)
+    specific force so far; v_dot_world: (3,) once all forces are known (MEASUREMENT only); target_roll/target_pitch: the attitude target
+    (shaped where recorded, else the reference). roll_acceleration, pitch_acceleration, yaw_acceleration: second Euler
+    derivatives and r_dot so far (what ANGULAR adds to).
     measured: what the sensors report so far, keys 'f' (3,) 'v' (3,) 'roll' 'pitch' 'r'. base: the body's own parameters by name.
     """
 
@@ -124,6 +125,7 @@ class Signals:
     v_dot_world: Expr = None
     v_air_body: Expr = None
     height_m: Expr = 0.0
+    rotor_height: Expr = 0.0
     time_s: Expr = 0.0
     a_t: Expr = 0.0
     a_t_total: Expr = 0.0

@@ -29,6 +29,7 @@ from flighttest.physics.core import Param, Term
 from flighttest.physics.system import System, build_system
 
 NOMINAL_VOLTAGE_V = 22.2
+ROTOR_HEIGHT_M = 0.2
 PAPER_TERMS = ("body", "linear_drag")
 
 
@@ -37,7 +38,8 @@ class Model:
     """Physics to be fitted, simulated or exported.
 
     terms: ids, 'body' first; ids not in the catalogue come with their `Term` in `extra`. channel_delays: each channel (attitude, yaw
-    rate, thrust) has a delay of its own (T_d_attitude, T_d_yaw_rate, T_d_thrust; T_d is their mean), else one T_d.
+    rate, thrust) has a delay of its own (T_d_attitude, T_d_yaw_rate, T_d_thrust; T_d is their mean), else one T_d. rotor_height_m: of the
+    rotors above the landing gear's feet.
     Equal models compare equal and share their compiled functions only when they are the same object: keep it.
     """
 
@@ -47,6 +49,7 @@ class Model:
     channel_delays: bool = True
     attitude_loops: bool = True
     extra: Mapping[str, Term] = field(default_factory=dict, hash=False)
+    rotor_height_m: float = ROTOR_HEIGHT_M
 
     def __post_init__(self) -> None:
         ids = tuple(dict.fromkeys(("body", *self.terms)))
@@ -147,5 +150,5 @@ class Model:
 
     @property
     def constants(self) -> dict[str, Any]:
-        """As in model.yaml: g m/s^2, nominal_voltage_v."""
-        return {"g": self.g_m_s2, "nominal_voltage_v": self.nominal_voltage_v}
+        """As in model.yaml: g m/s^2, nominal_voltage_v, rotor_height_m."""
+        return {"g": self.g_m_s2, "nominal_voltage_v": self.nominal_voltage_v, "rotor_height_m": self.rotor_height_m}

@@ -63,7 +63,8 @@ def build_system(
 
     s = Signals(
         throttle=u["throttle"], voltage=u["voltage_v"], time_s=u["time_s"], height_m=x["p_z_m"], a_t=x["a_t_m_s2"],
-        nominal_voltage=constants["nominal_voltage_v"], g=constants["g"], base=p, sigma_t=p["sigma_t"],
+        nominal_voltage=constants["nominal_voltage_v"], rotor_height=constants["rotor_height_m"],
+        g=constants["g"], base=p, sigma_t=p["sigma_t"],
     )  # fmt: skip
     s.v_world = ca.vertcat(*(x[n] for n in VELOCITY))
     term_states = {n.name: x[n.name] for n in own}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
-from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model
+from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, ROTOR_HEIGHT_M, Model
 from flighttest.pipeline.batteries import battery_data
 from flighttest.pipeline.fingerprints import conflicts, of_recordings, repeated
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
@@ -96,15 +96,20 @@ def _segment_data(s: Segment) -> dict[str, Any]:
     }
 
 
-def nominal_voltage(recordings: Sequence[Recording], vehicle: Vehicle | None) -> float:
-    """U_n: the vehicle file's, else what the recordings carry, else the paper's."""
-    if vehicle is not None:
-        return vehicle.nominal_voltage_v
-    for recording in recordings:
-        stored = recording.provenance.vehicle.get("nominal_voltage_v")
-        if isinstance(stored, int | float) and stored > 0:
-            return float(stored)
-    return NOMINAL_VOLTAGE_V
+def base_model(recordings: Sequence[Recording], vehicle: Vehicle | None, terms: Sequence[str] = ()) -> Model:
+    """The paper's model and further terms, with U_n and the height of the rotors: the vehicle file's, else what the recordings carry."""
+    stated = [r.provenance.vehicle for r in recordings] if vehicle is None else [asdict(vehicle)]
+
+    def said(key: str, least: float, otherwise: float) -> float:
+        return next(
+            (float(s[key]) for s in stated if isinstance(s.get(key), int | float) and s[key] >= least), otherwise
+        )
+
+    return Model(
+        (*PAPER_TERMS, *terms),
+        nominal_voltage_v=said("nominal_voltage_v", 0.1, NOMINAL_VOLTAGE_V),
+        rotor_height_m=said("rotor_height_m", 0.0, ROTOR_HEIGHT_M),
+    )
 
 
 def fit_segments(
@@ -119,11 +124,8 @@ def fit_segments(
     usable = [s for s in segments if s.usable]
     if not usable:
         raise FitError("no response can be used", "see `flighttest segment` for why each was rejected")
-    model = Model(
-        (*PAPER_TERMS, *_terms(options.terms)),
-        nominal_voltage(recordings, vehicle),
-        attitude_loops=has_attitude_references(usable),
-    )
+    known = base_model(recordings, vehicle, _terms(options.terms))
+    model = replace(known, attitude_loops=has_attitude_references(usable))
     progress.stage(f"fitting {len(usable)} responses")
     held, ties = _held(options.freeze, model), _ties(options.tie)
     both = sorted(set(held) & set(ties))

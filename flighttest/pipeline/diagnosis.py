@@ -17,7 +17,7 @@ from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
 from flighttest.physics.body import DELAY_PARAM
-from flighttest.pipeline.analysis import cut_all, model_data, nominal_voltage
+from flighttest.pipeline.analysis import base_model, cut_all, model_data
 from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.next_in_zone import held_against_zone
@@ -52,9 +52,8 @@ def run_diagnosis(
     progress.stage("looking for what the model leaves out")
     found = search(
         segments,
-        stored.model if stored is not None else None,
+        stored.model if stored is not None else base_model(recordings, vehicle),
         previous=previous,
-        nominal_voltage_v=nominal_voltage(recordings, vehicle),
         progress=progress.stage,
         side_by_side=in_halves,
     )

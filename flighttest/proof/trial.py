@@ -86,7 +86,7 @@ def run(case: Case) -> Outcome:
         segments = _flown(case, case.hide)
         frame = random_rotor(case.vehicle_seed)
         # Blind: recorded segments and what an operator knows of his vehicle.
-        found = diagnose(segments, nominal_voltage_v=frame.nominal_voltage_v)
+        found = diagnose(segments, Model(nominal_voltage_v=frame.nominal_voltage_v))
         sizes, classes, forces = _measured(case, segments, found, frame.nominal_voltage_v)
     except FlighttestError as error:
         return Outcome(case.index, case.kind, sha, case.hide, error=error.message, truth=case.truth())

@@ -40,10 +40,12 @@ def test_a_file_with_the_papers_twelve_is_enough(tmp_path):
     path = tmp_path / "paper.yaml"
     rows = "\n".join(f"  {n}: {{value: {v}}}" for n, v in TRUTH.items())
     path.write_text(
-        f"format: model/1\nterms: [body, linear_drag]\nparameters:\n{rows}\nconstants: {{g: 9.81, nominal_voltage_v: 22.2}}\n"
+        f"format: model/1\nterms: [body, linear_drag]\nparameters:\n{rows}\n"
+        "constants: {g: 9.81, nominal_voltage_v: 22.2, rotor_height_m: 0.4}\n"
     )
     stored = model_file.read(path)
     assert not stored.model.channel_delays
+    assert stored.model.constants == {"g": 9.81, "nominal_voltage_v": 22.2, "rotor_height_m": 0.4}
     assert stored.delays_s == pytest.approx({"attitude": 0.1037, "yaw_rate": 0.1037, "thrust": 0.1037})
 
 
@@ -90,6 +92,7 @@ def test_a_model_does_not_differ_from_itself_and_does_from_another(found, writte
         ("valid: {voltage_v: [0, 0]}", "outside 0.1 to 2000"),
         ("constants: {g: heavy}", "constants.g"),
         ("constants: {nominal_voltage_v: 1e300}", "outside 0.1 to 2000"),
+        ("constants: {rotor_height_m: -1}", "outside 0 to 5"),
         ("noise: {channels: {roll_rad: loud}}", "noise.channels.roll_rad"),
         ("noise: [1, 2]", "expected a block of keys"),
         ("runs: 5", "expected a list"),

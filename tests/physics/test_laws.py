@@ -52,7 +52,7 @@ def flight(**changes):
         "roll_ref": 0.3, "pitch_ref": -0.2, "yaw_rate_ref": 0.8, "throttle": 0.25, "target_roll": 0.3, "target_pitch": -0.2,
         "voltage": 23.0, "nominal_voltage": 22.2, "roll": 0.2, "pitch": -0.1, "yaw": 0.7, "roll_rate": 0.9, "pitch_rate": -0.6,
         "yaw_rate": 0.5, "rates": [0.9, -0.6, 0.5], "angular_acceleration": [4.0, -3.0, 1.0], "v_world": [2.0, 1.0, 0.5],
-        "v_dot_world": [1.0, -2.0, 0.5], "v_air_body": [3.0, -2.0, -1.5], "height_m": 0.6, "time_s": 60.0, "a_t": 8.0,
+        "v_dot_world": [1.0, -2.0, 0.5], "v_air_body": [3.0, -2.0, -1.5], "height_m": 0.6, "rotor_height": 0.2, "time_s": 60.0, "a_t": 8.0,
         "a_t_total": 8.0, "command": 14.0, "sigma_t": 20.0, "a_t_dot": 120.0, "force": [0.4, -0.3, 8.0], "g": 9.81,
     }  # fmt: skip
     return values | changes

@@ -12,7 +12,6 @@ Values = Mapping[str, Expr]
 
 # Keeps square roots of thrust differentiable where the rotors stand still, (m/s^2)^2.
 _SMALL_THRUST_2 = 0.05**2
-_ROTOR_HEIGHT_M = 0.2
 
 
 def _thrust(a_t: Expr) -> Expr:
@@ -167,7 +166,7 @@ vortex_ring = Term(
 
 
 def _ground(s: Signals, p: Values, _x: Values) -> Contribution:
-    z2 = (s.height_m + _ROTOR_HEIGHT_M) ** 2 + 0.05**2
+    z2 = (s.height_m + s.rotor_height) ** 2 + 0.05**2
     return Contribution(1 / (1 - 0.5 * ca.tanh(2 * p["R2_m2"] / (16 * z2))))
 
 
@@ -182,11 +181,11 @@ ground_effect = Term(
             "Cheeseman and Bennett, ARC R&M 3021, 1955; Sanchez-Cuevas et al. 2017 for several rotors", one_sided=True),
     ),
     build=_ground,
-    equation="a_t <- a_t / (1 - R^2 / (16 z^2)), z = height + rotor height; smoothly limited to a factor of 2",
+    equation="a_t <- a_t / (1 - R^2 / (16 z^2)), z = height + rotor_height_m; smoothly limited to a factor of 2",
     plain="near the ground the downwash is held up and the same throttle gives more thrust",
     source="Cheeseman and Bennett, The effect of the ground on a helicopter rotor, ARC R&M 3021, 1955",
-    doubt="found for one rotor in hover; several rotors and the fuselage make it stronger and reach higher. The rotor plane is taken "
-    "as 0.2 m above the height that is measured",
+    doubt="found for one rotor in hover; several rotors and the fuselage make it stronger and reach higher. R^2 is "
+    "only as good as rotor_height_m, of the vehicle file, 0.2 m where nobody said",
     hides_in=("K", "alpha"),
     told_apart_by="same step at two heights",
     reveals="two_heights",
