@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from itertools import groupby
 from pathlib import Path
 
 import click
@@ -59,6 +60,28 @@ def terms() -> str:
     return "\n".join([*head, *rows]) + "\n"
 
 
+def term_pages() -> str:
+    """Every term in full, by family."""
+    parts: list[str] = []
+    terms = sorted(catalogue().values(), key=lambda t: (t.family, t.title))
+    for family, members in groupby(terms, key=lambda t: t.family):
+        parts += [f"## {family.capitalize()}", ""]
+        for t in members:
+            where = f"{t.port.name.lower().replace('_', ' ')}: {t.port.value[1]}"
+            facts = {"acts at": where, "needs": ", ".join(t.needs), "source": t.source, "doubt": t.doubt}
+            rows = [
+                f"| `{p.name}` | {p.unit} | {p.kind} | {p.nominal:g} | {p.lower:g} to {p.upper:g} | {p.doc} | {p.source} |"
+                for p in t.params
+            ]
+            parts += [
+                f"### `{t.id}`: {t.title}", "", f"{t.plain[0].upper()}{t.plain[1:]}.", "", "```text", t.equation, "```", "",
+                *(f"- {name}: {text}" for name, text in facts.items() if text), "",
+                "| parameter | unit | kind | nominal | bounds | meaning | where the size is from |",
+                "|---|---|---|---|---|---|---|", *rows, "",
+            ]  # fmt: skip
+    return "\n".join(parts)
+
+
 def maneuvers() -> str:
     """The shipped maneuvers."""
     rows = []
@@ -105,6 +128,7 @@ def _default(field: Field) -> str:
 BLOCKS: dict[str, Callable[[], str]] = {
     "channels": channels,
     "terms": terms,
+    "term_pages": term_pages,
     "maneuvers": maneuvers,
     "profiles": profiles,
 }
