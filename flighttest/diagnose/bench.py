@@ -48,7 +48,7 @@ class Bench:
     segments: tuple[Segment, ...]
     block: str
     filters_hz: Mapping[str, float] | None = None
-    _problems: dict[Any, Problem] = field(default_factory=dict, repr=False)
+    _problems: dict[Model, Problem] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """What goes to another process: not what was compiled here."""
@@ -56,11 +56,10 @@ class Bench:
 
     def problem(self, model: Model) -> Problem:
         """The problem of one model, parts of this block only (none where nothing moves it); kept."""
-        key = (model.terms, tuple(model.extra))
-        if key not in self._problems:
+        if model not in self._problems:
             fed = {b.name: able(self.segments, b) for b in model.blocks if part_of(b.name) == self.block}
-            self._problems[key] = Problem.build(self.segments, model, filters=self.filters_hz, fed=fed)
-        return self._problems[key]
+            self._problems[model] = Problem.build(self.segments, model, filters=self.filters_hz, fed=fed)
+        return self._problems[model]
 
     def start(self, model: Model, values: Mapping[str, float] | None = None) -> State:
         """Where a first fit begins."""

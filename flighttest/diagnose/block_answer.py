@@ -151,6 +151,8 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
     for name in search.judged:
         made.findings.append(finding(search, name, rivals_of(search, name), asked.groups, asked.seed))
     if search.ground is not None:
+        if search.ground.rows is not now.rows:  # terms have left since the last screening
+            search.linearise()
         seen = detectable(search)
         made.levels |= seen
         made.unseen += untestable(search, seen)

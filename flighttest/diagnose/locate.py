@@ -14,7 +14,7 @@ from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.noise import WANDER, Floor, inflation
 from flighttest.diagnose.rows import Rows
-from flighttest.frames import compass_from_yaw, rotation_from_euler
+from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +46,7 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
         rpy = np.stack([np.asarray(a) for a in angles], axis=1)
         rotation = rotation_from_euler(np.nan_to_num(rpy))
         found["tilt_rad"] = np.arccos(np.clip(rotation[:, 2, 2], -1, 1))
-        found["heading_rad"] = np.asarray(angles[2])
+        found["heading_rad"] = wrap_angle(np.asarray(angles[2]))
         if all(v is not None for v in velocity):
             body = np.einsum("nji,nj->ni", rotation, np.stack([np.asarray(v) for v in velocity], axis=1))
             found["speed_forward_m_s"], found["speed_left_m_s"] = body[:, 0], body[:, 1]
@@ -67,7 +67,7 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
         last = edges_all[np.clip(np.searchsorted(edges_all, t, side="right") - 1, 0, None)]
         found["time_since_command_s"] = np.clip(t - last, 0.0, 10.0)
     if np.isfinite(segment.time_since_takeoff_s):
-        found["time_since_takeoff_s"] = t - t[0] + segment.time_since_takeoff_s
+        found["time_since_takeoff_s"] = segment.since_takeoff_s
     return found
 
 
@@ -128,11 +128,12 @@ def residual_map(before: Rows, after: Rows, segments: Sequence[Segment], floor: 
 def explained_by(
     residual: FloatArray, variable: FloatArray, response: NDArray[np.intp], seed: int
 ) -> tuple[float, float]:
-    """(share of the variance between bins of a variable, probability of as much by chance: signs of whole responses flipped)."""
+    """(share of the variance between bins of a variable, less what chance makes of it; probability of as much by chance: signs of whole
+    responses flipped). What is the same in every bin is explained by nothing."""
     good = np.isfinite(variable)
     if good.sum() < 10 * BINS or np.ptp(variable[good]) <= 0:
         return 0.0, 1.0
-    r, x, group = residual[good], variable[good], response[good]
+    r, x, group = residual[good] - np.mean(residual[good]), variable[good], response[good]
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1]))
     which = np.searchsorted(edges, x, side="right")
     n_bins = edges.size + 1
@@ -214,7 +215,7 @@ def _ordered(
     least = max(0.5 * floor, WANDER.get(channel, 0.0))
     for x in variables.values():
         share, p_value = explained_by(r, x, response, seed)
-        if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.mean(r**2)) >= least**2:
+        if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.var(r)) >= least**2:
             return True
     return False
 
@@ -264,7 +265,7 @@ def _located(
         where = f", {_where(variable, best[1], best[2])}" if best[1] else f", along {label}"
         head += (
             f"{where}, up to {peak:+.2g} {unit}; {100 * excess_share:.0f} % of the {error} lies in {100 * sample_share:.0f} % of the "
-            f"samples; {label} explains {100 * share:.0f} % of the residual"
+            f"samples; {label} explains {100 * share:.0f} % of the residual's variance"
         )
     return Located(
         short(name), maneuver, kind, regime, excess_share, sample_share, head, rmse, floor, unit, peak, share, p_value

@@ -168,7 +168,7 @@ def shape_settings(term: Term) -> list[dict[str, float]]:
             setting = {**nominal, p.name: value}
             if setting not in found:
                 found.append(setting)
-    return found
+    return found or [nominal]
 
 
 def shape_variants(bench: Bench, model: Model, state: State, terms: Sequence[Term], rows: Rows) -> list[Variant]:

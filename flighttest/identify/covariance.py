@@ -104,7 +104,7 @@ def correlation_inflation(problem: Problem, evaluations: Sequence[PartEvaluation
     """`inflation_of` all residuals of a problem."""
     return inflation_of(
         [
-            made.residual[j, :, k] / noise.channel[c]
+            made.residual[j, part.mask[j, :, k], k] / noise.channel[c]
             for part, made in zip(problem.parts, evaluations, strict=True)
             for k, c in enumerate(part.outputs)
             for j in range(len(part.responses))

@@ -120,8 +120,7 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
     if name == "height_m":
         return filled(t, y.get("height_m", y.get("p_z_m")), NO_GROUND_M)
     if name == "time_s":
-        since = segment.time_since_takeoff_s
-        return np.asarray(t - t[0] + (since if np.isfinite(since) else 0.0))
+        return segment.since_takeoff_s
     if name.startswith("target_"):
         axis = name.split("_")[1]
         shaped = y.get(f"{axis}_shaped_rad")

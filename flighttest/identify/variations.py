@@ -112,10 +112,9 @@ def _grid_of(model: Model, values: Mapping[str, float], segment: Segment) -> Gri
             column = filled(t, segment.y.get(name), 0.0)
             signals[name] = (t, np.unwrap(column) if name == "yaw_rad" else column)
     references = {n: segment.u[n] for n in system.input_delay if n in segment.u}
-    since = segment.time_since_takeoff_s
     made = grid(system, dict(zip(system.delay_channels, delays, strict=True)), t, references, signals)
     if "time_s" in system.inputs:
-        made.u[:, list(system.inputs).index("time_s")] += (since if np.isfinite(since) else 0.0) - t[0]
+        made.u[:, list(system.inputs).index("time_s")] += segment.since_takeoff_s[0] - t[0]
     return made
 
 

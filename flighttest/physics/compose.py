@@ -14,7 +14,9 @@ from flighttest.errors import ModelError
 from flighttest.physics import body
 from flighttest.physics.core import Expr, Port, Signals, Term
 
-ATTITUDE_KEYS = frozenset({"roll_ref", "pitch_ref", "yaw_rate_ref", "roll", "pitch", "r"})
+ATTITUDE_KEYS = frozenset(
+    {"roll_ref", "pitch_ref", "target_roll", "target_pitch", "yaw_rate_ref", "roll", "pitch", "r"}
+)
 TRANSLATION_KEYS = frozenset({"throttle", "f", "v"})
 
 
@@ -75,10 +77,10 @@ def attitude(terms: Iterable[Term], s: Signals, p: Mapping[str, Expr], states: M
     """
     terms = [t for t in terms if block_of(t) == "attitude"]
     rates: dict[str, Expr] = {}
+    s.target_roll, s.target_pitch = s.roll_ref, s.pitch_ref
     for term in _at(terms, Port.REFERENCE):
         for key, value in _build(term, s, p, states, rates).items():
             setattr(s, key, value)
-    s.target_roll, s.target_pitch = s.roll_ref, s.pitch_ref
     s.roll_acceleration = body.roll_acceleration(s)
     s.pitch_acceleration = body.pitch_acceleration(s)
     s.yaw_acceleration = body.yaw_acceleration(s)

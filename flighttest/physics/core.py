@@ -146,7 +146,8 @@ class Contribution:
     """What a term adds at its port, and the rates of the states it owns.
 
     value by port: WIND (3,) world m/s; DELAY a mapping of 'attitude', 'yaw_rate', 'thrust' to added seconds; REFERENCE a mapping
-    of 'roll_ref', 'pitch_ref', 'yaw_rate_ref', 'throttle' to their new expression (name only what changes; all of one block);
+    of 'roll_ref', 'pitch_ref', 'target_roll', 'target_pitch', 'yaw_rate_ref', 'throttle' to their new expression (name only what changes;
+    all of one block; the target is the attitude asked for, the reference what the loop is given, which may run ahead of it);
     VOLTAGE added volts; MOTOR_GAIN and AERO_GAIN a factor; THRUST_LAG the new a_t_dot; FORCE (3,) m/s^2 in body axes; ANGULAR (3,)
     added roll, pitch and yaw acceleration; MEASUREMENT a mapping of keys of `Signals.measured` to their new expression.
     """

@@ -40,7 +40,7 @@ class Segment:
     t_s: (n,) s, vehicle clock, the sample times. y: channel name to (n,) samples at t_s; NaN where missing. References
     are not sampled but kept as they changed: `u` maps each of `channels.INPUTS` that was recorded to (t_edge_s (m,), value (m,)), held from
     each edge to the next; the first edge lies at or before t_s[0] - 0.5 s where the recording allows, so that delays can
-    reach back. flaws: empty when the segment may be fitted.
+    reach back. time_since_takeoff_s: at the step. flaws: empty when the segment may be fitted.
     """
 
     name: str
@@ -63,6 +63,12 @@ class Segment:
     def usable(self) -> bool:
         """True when nothing speaks against fitting this segment."""
         return not self.flaws
+
+    @property
+    def since_takeoff_s(self) -> FloatArray:
+        """(n,) s since take-off at each sample; since the first sample where the take-off is not known."""
+        known = np.isfinite(self.time_since_takeoff_s)
+        return self.t_s - (self.t_step_s - self.time_since_takeoff_s if known else self.t_s[0])
 
     @property
     def cell_key(self) -> tuple[str, tuple[tuple[str, float], ...]]:

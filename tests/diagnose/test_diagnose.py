@@ -67,6 +67,20 @@ def test_two_effects_are_both_named():
     assert set(names(found)) == {"thrust_asymmetry", "throttle_curve"}
 
 
+def test_what_leaves_after_the_last_screening_is_not_unseen(monkeypatch):
+    def leave(search):
+        for term in list(search.judged):
+            now = search.without(term)
+            search.refused[term] = search.judged.pop(term)
+            search.now = now
+
+    monkeypatch.setattr(block_answer, "drop_remainders", leave)
+    found = diagnose(tilts(latency=0.12), only=("velocity_latency",))
+    assert found.findings == ()
+    assert not found.untestable
+    assert 0 < found.smallest_detectable["velocity_latency"] < 0.12
+
+
 def test_nothing_is_missing_where_nothing_is_hidden(calm):
     found = calm
     assert found.verdict is Verdict.NOTHING_MISSING

@@ -1,5 +1,6 @@
 """The parts of a diagnosis against answers known without it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,9 @@ from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
-from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, with_chance
+from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, shape_settings, with_chance
+from flighttest.physics.catalogue import catalogue
+from flighttest.segments.model import Segment
 
 
 def test_inflation_of_a_first_order_process(rng):
@@ -44,6 +47,12 @@ def test_screening_ranks_the_true_column_and_says_what_is_chance(rng):
     assert best.p_value < 0.01
     assert best.estimate[0] == pytest.approx(0.5, abs=0.06)
     assert all(s.bic > best.bic + 100 for s in scores if s is not best)
+
+
+def test_a_shape_that_declares_no_values_to_try_is_tried_at_its_usual_one():
+    sag = catalogue()["voltage_sag"]
+    bare = replace(sag, params=tuple(replace(p, screen=()) for p in sag.params))
+    assert shape_settings(bare) == [{p.name: p.nominal for p in sag.shapes}]
 
 
 def _variant(name, k, columns):
@@ -110,6 +119,26 @@ def test_explained_variance_sees_a_regime_and_nothing_in_noise(rng):
     share, p = explained_by(rng.normal(size=1500), height, response, 0)
     assert share < 0.05
     assert p > 0.01
+
+
+def test_what_is_the_same_everywhere_is_explained_by_no_variable(rng):
+    response = np.repeat(np.arange(30), 50)
+    share, p = explained_by(0.5 + rng.normal(0, 0.3, 1500), rng.normal(size=1500), response, 0)
+    assert share < 0.05
+    assert p > 0.01
+
+
+def test_a_heading_is_the_same_after_a_turn_all_around(rng):
+    t, level = np.arange(50) / 50, np.zeros(50)
+    yaws = [2 * np.pi * k + np.linspace(-3, 3, 50) for k in range(12)]
+    flown = [
+        Segment("s", "r", "free", {}, 0, 0.0, t, {"roll_rad": level, "pitch_rad": level, "yaw_rad": yaw}, {})
+        for yaw in yaws
+    ]
+    headings = [locate.regime_variables(s)["heading_rad"] for s in flown]
+    np.testing.assert_allclose(headings, np.tile(np.linspace(-3, 3, 50), (12, 1)), atol=1e-9)
+    residual = np.sin(np.concatenate(headings)) + rng.normal(0, 0.3, 600)
+    assert explained_by(residual, np.concatenate(headings), np.repeat(np.arange(12), 50), 0)[0] > 0.6
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Cluster-robust covariance against textbook formulas, and against repeated draws."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.covariance import (
     clock_std_s,
     cluster_covariance,
+    correlation_inflation,
     inflation_of,
     interval_factor,
     with_clock_error,
@@ -75,6 +77,15 @@ def test_inflation_of_an_autoregressive_residual():
         e[k] = 0.8 * e[k - 1] + rng.standard_normal()
     assert inflation_of([e]) == pytest.approx(9.0, rel=0.1)
     assert inflation_of([rng.standard_normal(20000)]) < 1.1
+
+
+def test_samples_that_are_missing_do_not_hide_correlation():
+    e = np.zeros((1, 4000, 1))
+    e[0, ::2, 0] = np.repeat(np.random.default_rng(3).standard_normal(200), 10)
+    part = SimpleNamespace(outputs=("v_x_m_s",), responses=(0,), mask=e != 0.0)
+    problem, noise = SimpleNamespace(parts=[part]), SimpleNamespace(channel={"v_x_m_s": 1.0})
+    found = correlation_inflation(problem, [SimpleNamespace(residual=e)], noise)
+    assert found == pytest.approx(19.0, rel=0.2), "ten alike in a row: rho is 0.9"
 
 
 def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):

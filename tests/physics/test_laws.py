@@ -246,7 +246,8 @@ WITNESSES = {
         {"roll_ref": 1.2, "roll": 0.2, "pitch_ref": -0.1, "pitch": -0.1},
         [2 * 0.44 * 25.43 * (1.0 - 25.43 / 0.88), 0.0, 0.0],
     ),
-    "reference_shaping": ({"shaping_ff": 0.0}, {}, [0.0, 0.3]),
+    # pitch_ref, roll_ref, target_pitch, target_roll: what the loop is told runs ahead of the target.
+    "reference_shaping": ({"shaping_ff": 1.0}, {}, [0.1 * 2 * 0.39 / 23.4, 0.3 + 0.1 * 2 * 0.44 / 25.43, 0.0, 0.3]),
     "yaw_rate_shaping": ({}, {}, [0.6]),
     "heading_hold": ({"heading_gain": 2.0}, {}, [0.0, 0.0, 21.54 * 2.0 * 0.1]),
     # r = cos(roll) cos(pitch) yaw_dot - sin(roll) pitch_dot, half of the way there

@@ -111,7 +111,7 @@ def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
         rates[f"{axis}_target_rate_rad_s"] = _within(asked, acceleration)
         # What the rate loop is told beforehand: the second order then follows the target's angle and rate.
         ahead = 2 * s.base[f"zeta_{greek}"] / s.base[f"omega_{greek}"] * target_rate
-        targets[f"{axis}_ref"] = target + p["shaping_ff"] * ahead
+        targets |= {f"target_{axis}": target, f"{axis}_ref": target + p["shaping_ff"] * ahead}
     return Contribution(targets, rates)
 
 
