@@ -17,6 +17,7 @@ from flighttest.diagnose.search import Search
 
 REMAINDER = 0.05  # of what another term does at the same place: an equation's own error may be as large
 FEWEST = 5  # responses that must be left for their scatter to be an error
+MOSTLY = 0.5  # of its noise floors where a term shows most: what it does to other channels by the way says little of it
 STANDS_IN = 0.25  # of the held-out excess where it shows: what leaves more than three quarters of it, beside all others, is a copy
 
 
@@ -77,14 +78,15 @@ def _leans(search: Search) -> tuple[str, str]:
 
 
 def _unexplained_kinds(search: Search, judged: Judged) -> set[str]:
-    """Kinds of maneuver where, in some channel in which a term shows at all or in the force on a velocity that shows it, more stays above
-    the noise floor than its effect is there, and than the floor."""
+    """Kinds of maneuver where, in some channel that mostly shows a term or in the force on a velocity that does, more stays above the noise
+    floor than its effect is there, and than the floor."""
     assert search.now is not None
     assert search.floor is not None
     rows, floor = search.now.rows, search.floor
     table = places(rows, search.bench.segments)
     power = {place: float(np.mean(judged.effect[at] ** 2)) for place, at in table.items()}
-    shows = {place[0] for place in table if power[place] >= (LEAST_FLOORS * floor.of(place[0])) ** 2}
+    size = {c: max(power[p] for p in table if p[0] == c) ** 0.5 / floor.of(c) for c, _ in table}
+    shows = {c for c, floors in size.items() if floors >= max(LEAST_FLOORS, MOSTLY * max(size.values()))}
     shows |= {f"{force}{c[1:]}2" for c in shows if c.startswith("v_") for force in "fa"}
     found = set()
     for (channel, kind), at in table.items():

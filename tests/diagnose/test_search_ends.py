@@ -91,8 +91,10 @@ def test_what_only_steps_call_for_that_nobody_explains_is_no_name(monkeypatch, b
         assert "only throttle steps show it" in search.refused["throttle_offset"].reason
 
 
-def test_what_stays_in_a_channel_that_a_term_does_not_touch_is_none_of_its_business(monkeypatch):
-    search = ended(judged("throttle_offset", 1.0))
+@pytest.mark.parametrize("by_the_way", [0.0, 0.6, 1.4])
+def test_what_stays_in_a_channel_that_hardly_shows_a_term_is_none_of_its_business(monkeypatch, by_the_way):
+    term = judged("throttle_offset", 3.0)
+    search = ended(replace(term, effect=np.r_[np.full(10, 3.0), np.full(10, by_the_way)]))
     search.now.rows = SimpleNamespace(
         open_residual=np.r_[np.zeros(10), np.full(10, 4.0)], segment=np.repeat([0, 1], 10)
     )

@@ -97,7 +97,7 @@ def _square_root(error: Expr, p: Expr, acceleration: Expr) -> tuple[Expr, Expr]:
 def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
     acceleration, tc = p["shaping_accel"], p["shaping_tc"]
     rates: dict[str, Expr] = {}
-    targets = {}
+    targets: dict[str, Expr] = {}
     for axis, greek, reference, angle, rate in (
         ("roll", "phi", s.roll_ref, s.roll, s.roll_rate),
         ("pitch", "theta", s.pitch_ref, s.pitch, s.pitch_rate),
@@ -298,7 +298,7 @@ heading_rate_reference = Term(
 def _extra_pole(s: Signals, p: Values, x: Values) -> Contribution:
     tau, share = p["attitude_pole_tau"], p["attitude_pole_share"]
     rates: dict[str, Expr] = {}
-    targets = {}
+    targets: dict[str, Expr] = {}
     for axis, reference, angle, rate in (
         ("roll", s.roll_ref, s.roll, s.roll_rate),
         ("pitch", s.pitch_ref, s.pitch, s.pitch_rate),
