@@ -10,6 +10,7 @@ import numpy as np
 
 from flighttest.currency.model import FloatArray, SubsetTest
 from flighttest.frames import G_M_S2
+from flighttest.identify.responses import held
 from flighttest.identify.student import beyond, quantile
 from flighttest.segments import Segment
 
@@ -60,9 +61,7 @@ def _window(s: Segment) -> tuple[float, float] | None:
     duration = float(s.t_s[known][-1] - s.t_s[known][0]) if known.sum() > 1 else 0.0
     if duration < MIN_WINDOW_S:
         return None
-    edges, values = s.u["throttle"]
-    at = np.clip(np.searchsorted(edges, s.t_s, side="right") - 1, 0, values.size - 1)
-    up = np.cos(roll) * np.cos(pitch) * values[at]
+    up = np.cos(roll) * np.cos(pitch) * held(s.u["throttle"], s.t_s)
     a_z = float(climb[known][-1] - climb[known][0]) / duration
     volts = s.y.get("voltage_v", np.full(1, np.nan))
     lift = float(np.nanmean(up)) / (1.0 + a_z / G_M_S2)

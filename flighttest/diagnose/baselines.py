@@ -11,6 +11,7 @@ from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.model import short
 from flighttest.diagnose.rows import Rows
+from flighttest.identify.responses import held
 from flighttest.segments.model import Segment
 
 REFERENCE = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}
@@ -35,17 +36,15 @@ def baselines(
         at = np.flatnonzero(rows.channel == c)
         if not at.size:
             continue
-        held, late = [], []
+        standing, late = [], []
         for i in np.unique(rows.segment[at]):
             segment = segments[int(i)]
             sample = rows.sample[at][rows.segment[at] == i]
             y = np.asarray(segment.y[name])[sample]
-            held.append(y - y[: min(4, y.size)].mean())
+            standing.append(y - y[: min(4, y.size)].mean())
             if name in REFERENCE and REFERENCE[name] in segment.u:
-                edges, values = segment.u[REFERENCE[name]]
-                when = segment.t_s[sample] - delay[name]
-                late.append(y - values[np.clip(np.searchsorted(edges, when, side="right") - 1, 0, None)])
-        entry = {"hold the first value": _rmse(np.concatenate(held))}
+                late.append(y - held(segment.u[REFERENCE[name]], segment.t_s[sample] - delay[name]))
+        entry = {"hold the first value": _rmse(np.concatenate(standing))}
         if late:
             entry["only the delay"] = _rmse(np.concatenate(late))
         entry["base model, refitted"] = _rmse(rows.open_residual[at])

@@ -17,15 +17,16 @@ from flighttest.diagnose.baselines import baselines
 from flighttest.diagnose.bench import Bench, part_of
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.fitted import LEAST_BIC
-from flighttest.diagnose.judge import compare, excess_share, held_out, horizon_rmse
+from flighttest.diagnose.judge import compare, excess, held_out, horizon_rmse
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
-from flighttest.diagnose.model import Finding, Located, Untestable, brief, flown, short
+from flighttest.diagnose.model import Finding, Located, TermVerdict, Untestable, brief, flown, short
 from flighttest.diagnose.noise import floor_of
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.pairs import look_ahead
 from flighttest.diagnose.remainders import drop_remainders
 from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
 from flighttest.diagnose.rows import RESOLUTION
+from flighttest.diagnose.screen import best_per_term
 from flighttest.diagnose.search import Search, silent
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -136,7 +137,7 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
             if name in floor.from_repeats
             else "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)",
         }
-    first, last = excess_share(base.rows, floor), excess_share(now.rows, floor)
+    first, last = excess(base.rows, floor), excess(now.rows, floor)
     places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), asked.seed)
     made.located += places
     above = {place.channel for place in places}
@@ -177,24 +178,20 @@ def _candidates(search: Search) -> list[dict[str, Any]]:
     """Every candidate's score, for the table of what was ruled out and why."""
     found = [
         {
-            "term": j.term, "verdict": "SUPPORTED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
+            "term": j.term, "verdict": TermVerdict.SUPPORTED, "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
             "why": f"{brief(j.floors)} noise floors in {short(j.place[0])} of {flown(j.place[1])}",
         }
         for j in search.judged.values()
     ]  # fmt: skip
     found += [
         {
-            "term": j.term, "verdict": "NOT_NEEDED", "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
+            "term": j.term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
             "why": j.reason or "refitted: too small, or no better on what it has not seen",
         }
         for j in search.refused.values()
     ]  # fmt: skip
     done = {f["term"] for f in found}
-    best: dict[str, Any] = {}
-    for s in search.scores:
-        if s.variant.term.id not in done and (s.variant.term.id not in best or s.bic < best[s.variant.term.id].bic):
-            best[s.variant.term.id] = s
-    for term, s in best.items():
+    for s in best_per_term([s for s in search.scores if s.variant.term.id not in done]):
         if not s.beyond_chance:
             why = "no more than chance"
         elif s.bic > -LEAST_BIC:
@@ -203,7 +200,8 @@ def _candidates(search: Search) -> list[dict[str, Any]]:
             why = "not refitted: others explain more, or it is too small to be seen"
         found.append(
             {
-                "term": term, "verdict": "NOT_NEEDED", "delta_bic": s.bic, "floors": None, "gain": None, "p_value": s.p_value, "why": why,
+                "term": s.variant.term.id, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": s.bic, "floors": None, "gain": None,
+                "p_value": s.p_value, "why": why,
             }
         )  # fmt: skip
     return found

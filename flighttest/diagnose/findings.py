@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.chance import standard_errors, standard_errors_of_equations
 from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.judge import compare, held_out
-from flighttest.diagnose.model import Finding, Rival, brief, flown, short
+from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.search import Search
 
 IntArray = NDArray[np.intp]
@@ -62,7 +62,7 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
         parameters[name] = {
             "value": value, "std": std, "unit": unit, "interval_95": [value - 1.96 * std, value + 1.96 * std], "held": True,
         }  # fmt: skip
-    confusable = [r.term for r in rivals if r.verdict == "CONFUSABLE"]
+    confusable = [r.term for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
     force = _rms_force(search, judged.effect)
     numbers = ", ".join(_told(n, v) for n, v in parameters.items())
     sentence = f"{term.plain} ({numbers}); {brief(judged.floors)} noise floors in {short(judged.place[0])} of {flown(judged.place[1])}"
@@ -77,7 +77,7 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
         term=term_id,
         title=term.title,
         family=term.family,
-        verdict="CONFUSABLE" if confusable else "SUPPORTED",
+        verdict=TermVerdict.CONFUSABLE if confusable else TermVerdict.SUPPORTED,
         equation=term.equation,
         plain=term.plain,
         parameters=parameters,

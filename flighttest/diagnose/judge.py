@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.noise import Floor, inflation
 from flighttest.diagnose.rows import Rows, State
+from flighttest.identify.validate import HORIZONS_S
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -18,7 +19,6 @@ IntArray = NDArray[np.intp]
 FOLDS = 5
 BOOTSTRAPS = 400
 LEAST_ROWS = 60  # samples a place (channel and kind of maneuver) needs before its RMS means something
-HORIZONS_S = (0.1, 0.5, 1.0, 1.5, 3.0)
 
 
 def held_out_groups(segments: Sequence[Segment]) -> tuple[IntArray, str]:
@@ -185,12 +185,11 @@ def horizon_rmse(rows: Rows, residual: FloatArray, segments: Sequence[Segment]) 
     return found
 
 
-def excess_share(rows: Rows, floor: Floor, reference: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Channel to what of its mean square lies above the floor, as a share of `reference` (a mean square above the floor) or absolute."""
+def excess(rows: Rows, floor: Floor) -> dict[str, float]:
+    """Channel to what of its mean square lies above the floor, in the channel's unit squared."""
     raw = rows.open_residual
     found = {}
     for c, name in enumerate(rows.channels):
         at = rows.channel == c
-        excess = max(float(np.mean(raw[at] ** 2)) - floor.whole(name) ** 2, 0.0) if at.any() else 0.0
-        found[name] = excess if reference is None else excess / max(reference.get(name, 0.0), 1e-300)
+        found[name] = max(float(np.mean(raw[at] ** 2)) - floor.whole(name) ** 2, 0.0) if at.any() else 0.0
     return found

@@ -15,6 +15,7 @@ from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.noise import WANDER, Floor, inflation
 from flighttest.diagnose.rows import Rows
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
+from flighttest.identify.responses import held
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -57,11 +58,9 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
     if "voltage_v" in y:
         found["voltage_v"] = np.asarray(y["voltage_v"])
     if "throttle" in segment.u:
-        edges, values = segment.u["throttle"]
-        at = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, None)
-        found["throttle"] = values[at]
-        before = values[np.clip(np.searchsorted(edges, t - 0.1, side="right") - 1, 0, None)]
-        found["throttle_rate_1_s"] = (values[at] - before) / 0.1
+        throttle = segment.u["throttle"]
+        found["throttle"] = held(throttle, t)
+        found["throttle_rate_1_s"] = (found["throttle"] - held(throttle, t - 0.1)) / 0.1
     edges_all = np.unique(np.concatenate([e for e, _ in segment.u.values()])) if segment.u else np.empty(0)
     if edges_all.size:
         last = edges_all[np.clip(np.searchsorted(edges_all, t, side="right") - 1, 0, None)]
@@ -317,8 +316,3 @@ def regime_curves(
             }
         )  # fmt: skip
     return found
-
-
-def flat(mapping: Mapping[str, Any]) -> str:
-    """A cell in words."""
-    return ", ".join(f"{k} {v:g}" for k, v in mapping.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 from typing import Any
 
 from flighttest.physics.model import Model
@@ -24,13 +24,18 @@ class Verdict(Enum):
     )
 
 
-class TermVerdict(Enum):
-    """The answer about one candidate. The value is the sentence shown to the reader."""
+class TermVerdict(StrEnum):
+    """The answer about one candidate, as it stands in diagnosis.json.
 
-    SUPPORTED = "the recording needs it: held-out predictions improve, and no rival does the same"
-    NOT_NEEDED = "the recording would have shown it and does not"
-    CONFUSABLE = "it explains the recording, and so does another candidate: a further flight must tell them apart"
-    UNTESTABLE = "this recording could not have shown it"
+    SUPPORTED: the recording needs it, since held-out predictions improve and no rival does the same. NOT_NEEDED: the recording would
+    have shown it and does not. CONFUSABLE: it explains the recording, and so does another candidate; a further flight must tell them
+    apart. UNTESTABLE: this recording could not have shown it.
+    """
+
+    SUPPORTED = "SUPPORTED"
+    NOT_NEEDED = "NOT_NEEDED"
+    CONFUSABLE = "CONFUSABLE"
+    UNTESTABLE = "UNTESTABLE"
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,7 @@ class Rival:
     """A candidate that looks like another one. cosine: of what is left of both beside the rest of the model."""
 
     term: str
-    verdict: str
+    verdict: TermVerdict
     cosine: float
     separated_by: str
 
@@ -72,7 +77,7 @@ class Finding:
     term: str
     title: str
     family: str
-    verdict: str
+    verdict: TermVerdict
     equation: str
     plain: str
     parameters: Mapping[str, Mapping[str, Any]]

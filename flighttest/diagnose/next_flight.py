@@ -43,7 +43,7 @@ TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop
 
 @dataclass(frozen=True)
 class Question:
-    """What the next flight is for: a term, and the rival it must be told from ('' to see the term at all)."""
+    """What the next flight is for: a term, and the rival it must be told from (None: to see the term at all)."""
 
     term: Term
     rival: Term | None
@@ -104,7 +104,7 @@ def rehearsed(
     script: Script, model: Model, values: Mapping[str, float], flown: Sequence[Segment]
 ) -> tuple[Segment, ...]:
     """What the script's steps would record, as the model has it; voltage as in the segments already flown."""
-    hover = model.g_m_s2 / values["K"]
+    hover = float(model.hover_throttle(values, model.nominal_voltage_v))
     volts = [float(np.nanmean(s.y["voltage_v"])) for s in flown if "voltage_v" in s.y] or [model.nominal_voltage_v]
     headings = script.reset.heading_rad or (0.0,)
     unit = hover if script.throttle_unit == "hover" else 1.0
@@ -112,9 +112,7 @@ def rehearsed(
     for repeat in range(min(script.repeat.each, MOST_REPEATS)):
         for k, cell in enumerate(cells_of(script, unit)):
             voltage = float(np.quantile(volts, (repeat + 0.5) / max(script.repeat.each, 1)))
-            found.append(
-                _segment(cell, model, values, hover, headings[repeat % len(headings)], voltage, script, repeat, k)
-            )
+            found.append(_segment(cell, model, values, headings[repeat % len(headings)], voltage, script, repeat, k))
     return tuple(found)
 
 
@@ -122,14 +120,13 @@ def _segment(
     cell: Cell,
     model: Model,
     values: Mapping[str, float],
-    hover: float,
     heading: float,
     voltage: float,
     script: Script,
     repeat: int,
     k: int,
 ) -> Segment:
-    level = hover * (model.nominal_voltage_v / voltage) ** values["alpha"]
+    level = float(model.hover_throttle(values, voltage))
     pieces: list[Piece] = list(cell.lead)
     if cell.counter is not None:
         c = cell.counter
@@ -146,12 +143,14 @@ def _segment(
     u = {n: (begin, np.array([v[0], *v])) for n, v in table.items()}
     height = cell.height_m if cell.height_m is not None else script.reset.to_m[2]
     start = {"p_z_m": height, "yaw_rad": heading, "a_t_m_s2": model.g_m_s2 * targets[0].throttle / level}
-    y = simulate(model, values, t, start, u, {"voltage_v": (t[[0, -1]], np.array([voltage, voltage]))})
-    y |= {"voltage_v": np.full(t.size, voltage), "height_m": y["p_z_m"]}
     step = float(next((sum(q.duration_s for q in pieces[:i]) for i, q in enumerate(pieces) if q.record), 0.0))
+    at_step, ends = 30.0 + 8.0 * k + 120.0 * repeat, t[[0, -1]]
+    signals = {"voltage_v": (ends, np.full(2, voltage)), "time_s": (ends, at_step + ends - step)}
+    y = simulate(model, values, t, start, u, signals)
+    y |= {"voltage_v": np.full(t.size, voltage), "height_m": y["p_z_m"]}
     return Segment(
         name=f"{script.name}-{k}-{repeat}", run="rehearsal", kind=cell.kind, cell=cell.values, repeat=repeat, t_step_s=step,
-        t_s=t, y=y, u=u, maneuver=script.name, heading_rad=heading, time_since_takeoff_s=30.0 + 8.0 * k + 120.0 * repeat,
+        t_s=t, y=y, u=u, maneuver=script.name, heading_rad=heading, time_since_takeoff_s=at_step,
     )  # fmt: skip
 
 

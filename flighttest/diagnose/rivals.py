@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flighttest.diagnose.chance import PLAIN
 from flighttest.diagnose.fitted import LEAST_FLOORS
 from flighttest.diagnose.judge import places
-from flighttest.diagnose.model import Rival, Untestable
+from flighttest.diagnose.model import Rival, TermVerdict, Untestable
 from flighttest.diagnose.rows import Rows
 from flighttest.diagnose.screen import ABSORBED, Variant, orthonormal
 from flighttest.diagnose.search import Search
@@ -74,7 +74,7 @@ def rivals_of(search: Search, term: str) -> tuple[Rival, ...]:
         found[v.term.id] = max(found.get(v.term.id, 0.0), cosine)
     by_id = {t.id: t for t in search.pool}
     return tuple(
-        Rival(i, "CONFUSABLE" if c > CONFUSABLE else "NOT_NEEDED", c, by_id[i].reveals)
+        Rival(i, TermVerdict.CONFUSABLE if c > CONFUSABLE else TermVerdict.NOT_NEEDED, c, by_id[i].reveals)
         for i, c in sorted(found.items(), key=lambda kv: -kv[1])[:3]
         if c > 0.6
     )

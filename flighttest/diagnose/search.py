@@ -252,17 +252,17 @@ class Search:
             rivals = best_per_term(
                 [s for v in self.variants(without) if v.term.id != term and (s := score(ground, v)) is not None]
             )
-            for rival in rivals[:1]:
-                if rival.bic > SAME * self.judged[term].bic:
-                    break
-                self.progress(f"trying {rival.variant.term.id} in place of {term}")
-                fitted = self.refitted_with(rival, without)
-                other = self.judge(rival.variant.term.id, without, fitted, FALSE_ALARM_RATE)
-                if other.kept and other.bic < self.judged[term].bic - LEAST_BIC:
-                    self.now = fitted
-                    del self.judged[term]
-                    self.judged[other.term] = other
-                    self.progress(f"{other.term} replaces {term}")
+            rival = next(iter(rivals), None)
+            if rival is None or rival.bic > SAME * judged.bic:
+                continue
+            self.progress(f"trying {rival.variant.term.id} in place of {term}")
+            fitted = self.refitted_with(rival, without)
+            other = self.judge(rival.variant.term.id, without, fitted, FALSE_ALARM_RATE)
+            if other.kept and other.bic < judged.bic - LEAST_BIC:
+                self.now = fitted
+                del self.judged[term]
+                self.judged[other.term] = other
+                self.progress(f"{other.term} replaces {term}")
 
     def _pin(self) -> None:
         """Hold at off what a term of several amplitudes does not need (an upward wind beside a wind from the side): each has to earn

@@ -163,7 +163,7 @@ class _Flight:
             self.recorder.manifest["outcome"] = str(error)
             raise
         finally:
-            left = self._close(scheduler)
+            left = self._close()
         if why:
             self.notes.append(why)
         self.recorder.manifest.update(
@@ -372,7 +372,7 @@ class _Flight:
             return ended.outcome
         return FlightOutcome.VEHICLE_REFUSED
 
-    def _close(self, scheduler: Scheduler | None) -> dict[str, float]:
+    def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         self._meddling.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}

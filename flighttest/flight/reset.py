@@ -175,7 +175,7 @@ def attitude(cockpit: Cockpit, start: Start, angle_boost: bool) -> Arrived:
     return Arrived(False, why="the vehicle did not settle at the start")
 
 
-def by_pilot(cockpit: Cockpit, start: Start, timeout_s: float = 300.0) -> Arrived:
+def by_pilot(cockpit: Cockpit, timeout_s: float = 300.0) -> Arrived:
     """The pilot flies to the start and switches to GUIDED_NOGPS when ready; until then nothing is sent but heartbeats.
 
     The pilot is told by the live view. Never re-enters the mode by itself.

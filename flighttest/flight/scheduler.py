@@ -310,7 +310,7 @@ class Scheduler:
             return reset.guided(self.cockpit, start)
         if self.plan.reset.by == "attitude":
             return reset.attitude(self.cockpit, start, self.airframe.angle_boost)
-        return reset.by_pilot(self.cockpit, start)
+        return reset.by_pilot(self.cockpit)
 
     def _use_hover(self, measured: float | None) -> None:
         stated = self.plan.vehicle.hover_throttle

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.channels import INPUTS
 from flighttest.identify.feeding import able, feeding
 from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.weighing import State, Weighing
@@ -25,7 +26,6 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-_TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
 BEFORE_S = 0.4
 # Steps in which a planned response is flown: what it would measure need not be known to a hair.
 PLANNED_STEP_S = 0.0201
@@ -285,14 +285,14 @@ def _run(plan: Plan, leg: Leg, model: Model, values: Mapping[str, float]) -> Run
         return None
     voltage = leg.voltage_v or plan.vehicle.nominal_voltage_v
     level = leg.flown_with(float(model.hover_throttle(values, voltage)), angle_boost=False)
-    columns = dict(zip(_TARGETS, _targets(level.profile or leg.profile, t).T, strict=True))
+    columns = dict(zip(INPUTS, _targets(level.profile or leg.profile, t).T, strict=True))
     u = {n: _edges(t, v) for n, v in columns.items()}
     began = {"p_z_m": leg.start_m[2], "yaw_rad": leg.heading_rad}
     return Run(t, began, u, {"voltage_v": (t[:1], np.array([voltage]))})
 
 
 def _targets(profile: Callable[[float], AttitudeTarget], t: FloatArray) -> FloatArray:
-    """(n, 4) in the order of `_TARGETS`."""
+    """(n, 4) in the order of `INPUTS`."""
     if isinstance(profile, Timeline):
         return profile.table(t)
     asked = [profile(float(x)) for x in t]

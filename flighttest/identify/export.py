@@ -69,10 +69,8 @@ def hover_state(stored: ModelFile) -> Any:
 def hover_input(stored: ModelFile) -> Any:
     """Inputs that hold it, at the middle of the voltage range seen (nominal where none was)."""
     valid = stored.valid.get("voltage_v")
-    nominal = stored.model.nominal_voltage_v
-    voltage = float(np.mean(valid)) if valid else nominal
-    gain = stored.values["K"] * (voltage / nominal) ** stored.values["alpha"]
-    level = {"voltage_v": voltage, "throttle": stored.model.g_m_s2 / gain}
+    voltage = float(np.mean(valid)) if valid else stored.model.nominal_voltage_v
+    level = {"voltage_v": voltage, "throttle": float(stored.model.hover_throttle(stored.values, voltage))}
     return np.array([level.get(n, 0.0) for n in stored.model.system.inputs])
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flighttest.frames import G_M_S2
 from flighttest.identify.responses import held
 from flighttest.physics.model import Model
+from flighttest.segments.metrics import crossing
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -86,10 +87,10 @@ def onset(segment: Segment) -> Onset | None:
         return None
     moved = (y[active] - base) * np.sign(change)
     ta = t[active]
-    seen = _crossing(ta, moved, threshold)
+    seen = crossing(ta, moved, threshold)
     if seen is None:
         return None
-    t10, t63, t90 = (_crossing(ta, moved, share * abs(change)) for share in (0.1, 0.632, 0.9))
+    t10, t63, t90 = (crossing(ta, moved, share * abs(change)) for share in (0.1, 0.632, 0.9))
     return Onset(
         channel,
         segment.kind,
@@ -99,17 +100,6 @@ def onset(segment: Segment) -> Onset | None:
         max(0.0, peak / abs(change) - 1.0) if segment.kind in ("roll_step", "pitch_step") else None,
         None if name == "r_rad_s" or after == before else change / (after - before),
     )
-
-
-def _crossing(t: FloatArray, y: FloatArray, level: float) -> float | None:
-    """First time y reaches a level, linear between samples."""
-    above = np.flatnonzero(y >= level)
-    if not above.size:
-        return None
-    k = int(above[0])
-    if k == 0:
-        return float(t[0])
-    return float(t[k - 1] + (level - y[k - 1]) / (y[k] - y[k - 1]) * (t[k] - t[k - 1]))
 
 
 def onset_delay(segments: Sequence[Segment]) -> OnsetDelay | None:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.identify.model_file import ModelFile
-from flighttest.identify.responses import filled
+from flighttest.identify.responses import exogenous, filled, held
 from flighttest.identify.sag import SAMPLES
+from flighttest.physics import body
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Grid, Stepper, grid, rk4, rk4_step
 from flighttest.segments.model import Segment
@@ -80,9 +81,10 @@ def _start_state(model: Model, values: Mapping[str, float], segment: Segment, k:
 
     roll, pitch = at("roll_rad"), at("pitch_rad")
     p, q, r = at("p_rad_s"), at("q_rad_s"), at("r_rad_s")
+    roll_rate, pitch_rate = body.euler_rates(roll, pitch, (p, q, r))
     known = {
-        "roll_rate_rad_s": p + np.tan(pitch) * (np.sin(roll) * q + np.cos(roll) * r),
-        "pitch_rate_rad_s": np.cos(roll) * q - np.sin(roll) * r,
+        "roll_rate_rad_s": roll_rate,
+        "pitch_rate_rad_s": pitch_rate,
         "a_t_m_s2": _thrust_at(values, segment, k, model.g_m_s2),
         **model.system.initial,
     }
@@ -108,14 +110,10 @@ def _grid_of(model: Model, values: Mapping[str, float], segment: Segment) -> Gri
     voltage = filled(t, segment.y.get("voltage_v"), model.nominal_voltage_v)
     signals = {"voltage_v": (t, voltage)}
     for name in system.inputs:
-        if name not in segment.u and name not in ("voltage_v", "time_s"):
-            column = filled(t, segment.y.get(name), 0.0)
-            signals[name] = (t, np.unwrap(column) if name == "yaw_rad" else column)
+        if name not in segment.u and name != "voltage_v":
+            signals[name] = (t, exogenous(segment, name, model.nominal_voltage_v, 0.0))
     references = {n: segment.u[n] for n in system.input_delay if n in segment.u}
-    made = grid(system, dict(zip(system.delay_channels, delays, strict=True)), t, references, signals)
-    if "time_s" in system.inputs:
-        made.u[:, list(system.inputs).index("time_s")] += segment.since_takeoff_s[0] - t[0]
-    return made
+    return grid(system, dict(zip(system.delay_channels, delays, strict=True)), t, references, signals)
 
 
 Predicted = list[dict[str, FloatArray]]
@@ -239,8 +237,7 @@ class _ModelRun:
         inputs, states = list(system.inputs), list(system.states)
         yaw = x0[:, states.index("yaw_rad")] if "yaw_rad" in states else u[:, 0, inputs.index("yaw_rad")]
         voltage = u[:, 0, inputs.index("voltage_v")]
-        gain = self.values["K"] * (voltage / model.nominal_voltage_v) ** self.values["alpha"]
-        return step, output, np.stack([yaw, voltage, model.g_m_s2 / gain], axis=1)
+        return step, output, np.stack([yaw, voltage, model.hover_throttle(self.values, voltage)], axis=1)
 
 
 class _OnlyDelay(_ModelRun):
@@ -268,8 +265,7 @@ class _OnlyDelay(_ModelRun):
             ):
                 if reference in segment.u:
                     edges, values = segment.u[reference]
-                    late = edges + channel[system.input_delay[reference]]
-                    u[i, :, inputs.index(name)] = values[np.clip(np.searchsorted(late, t, side="right") - 1, 0, None)]
+                    u[i, :, inputs.index(name)] = held((edges + channel[system.input_delay[reference]], values), t)
             column = segment.y.get("yaw_rad")
             yaw = float(np.unwrap(filled(segment.t_s, column, 0.0))[s.first]) if column is not None else 0.0
             u[i, :, inputs.index("yaw_rad")] = yaw + np.cumsum(u[i, :, inputs.index("r_rad_s")] * dt[i])

@@ -18,7 +18,7 @@ EXOGENOUS = (
     "target_roll_rad", "target_pitch_rad", "voltage_v", "height_m", "time_s",
 )  # fmt: skip
 AXES = (("roll", ("roll_rad", "roll_rate_rad_s")), ("pitch", ("pitch_rad", "pitch_rate_rad_s")), ("yaw", ("r_rad_s",)))
-_REFERENCE = {"roll_ref_rad": "roll_ref", "pitch_ref_rad": "pitch_ref", "yaw_rate_ref_rad_s": "yaw_rate_ref"}
+_REFERENCES = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
 TRANSLATION_OUTPUTS = (
     "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s", "a_x_m_s2", "a_y_m_s2", "a_z_m_s2",
 )  # fmt: skip
@@ -120,10 +120,8 @@ def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Ma
     s.rates = ca.vertcat(e["p_rad_s"], e["q_rad_s"], e["r_rad_s"])
     s.angular_acceleration = ca.vertcat(e["p_dot_rad_s2"], e["q_dot_rad_s2"], e["r_dot_rad_s2"])
     s.rotation = body.rotation(s.roll, s.pitch, s.yaw)
-    q, r = s.rates[1], s.rates[2]
-    s.roll_rate = s.rates[0] + ca.tan(s.pitch) * (ca.sin(s.roll) * q + ca.cos(s.roll) * r)
-    s.pitch_rate = ca.cos(s.roll) * q - ca.sin(s.roll) * r
-    s.yaw_rate = r
+    s.roll_rate, s.pitch_rate = body.euler_rates(s.roll, s.pitch, s.rates)
+    s.yaw_rate = s.rates[2]
     return s
 
 
@@ -152,7 +150,7 @@ def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: M
     p, e = _symbols([q.name for q in params]), _symbols(EXOGENOUS)
     own, initial, spread = _term_states(terms, "attitude")
     x = _symbols([n for _, names in AXES for n in names]) | own
-    u = _symbols(list(_REFERENCE))
+    u = _symbols(_REFERENCES)
     d = _symbols(["roll_d_rad", "pitch_d_rad", "yaw_rate_d_rad_s"])
     s = measured_signals(e, p, constants)
     s.roll_ref = u["roll_ref_rad"] + d["roll_d_rad"]

@@ -56,6 +56,12 @@ def rotation(roll: Expr, pitch: Expr, yaw: Expr) -> Expr:
     )
 
 
+def euler_rates(roll: Expr, pitch: Expr, rates: Expr) -> tuple[Expr, Expr]:
+    """Rates of roll and pitch, rad/s, from body rates p, q, r, rad/s; numbers or expressions."""
+    p, q, r = (rates[k] for k in range(3))
+    return p + ca.tan(pitch) * (ca.sin(roll) * q + ca.cos(roll) * r), ca.cos(roll) * q - ca.sin(roll) * r
+
+
 def yaw_kinematics(s: Signals) -> Expr:
     """psi_dot, rad/s (Eq. 3 with q eliminated)."""
     return (s.yaw_rate / ca.cos(s.roll) + ca.tan(s.roll) * s.pitch_rate) / ca.cos(s.pitch)

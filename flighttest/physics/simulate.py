@@ -129,7 +129,7 @@ def grid(
     """Merge output times and delayed edges.
 
     t_s: (n,) increasing, the run starts at t_s[0]; references: held inputs, as sent (delays are added here); signals: inputs interpolated
-    linearly (voltage_v, attitude where the model has no loops). Inputs named in neither are 0 (voltage_v must be given).
+    linearly (voltage_v, attitude where the model has no loops). Inputs named in neither are 0 (voltage_v must be given), time_s is t_s.
     """
     moved = {n: (e[0] + delays_s.get(system.input_delay.get(n, ""), 0.0), e[1]) for n, e in references.items()}
     inside = [e[0][(e[0] > t_s[0]) & (e[0] < t_s[-1])] for e in moved.values()]

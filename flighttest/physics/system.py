@@ -16,7 +16,7 @@ POSITION = ("p_x_m", "p_y_m", "p_z_m")
 VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 LOOPS = ("roll_rad", "roll_rate_rad_s", "pitch_rad", "pitch_rate_rad_s", "r_rad_s", "yaw_rad")
 RATES = ("p_rad_s", "q_rad_s", "r_rad_s")
-UNITS = {"p": "m", "v": "m/s", "a": "m/s^2", "f": "m/s^2"}
+ACCELERATIONS = ("p_dot_rad_s2", "q_dot_rad_s2", "r_dot_rad_s2")
 OUTPUTS = (
     *POSITION, *VELOCITY, "roll_rad", "pitch_rad", "yaw_rad", *RATES,
     "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "a_x_m_s2", "a_y_m_s2", "a_z_m_s2",
@@ -29,7 +29,8 @@ class System:
 
     states, inputs: name to unit, in order; outputs: channel names, as measured but before known filters; params: names. initial: of term
     states (others start where the caller says). input_delay: input to its delay channel ('' where it has none);
-    delays_s(p): s, one per entry of `delay_channels`. Height above ground is p_z_m.
+    delays_s(p): s, one per entry of `delay_channels`. Height above ground is p_z_m. time_s, and without attitude loops angular
+    accelerations, are inputs where a term asks for them.
     """
 
     states: Mapping[str, str]
@@ -58,7 +59,8 @@ def build_system(
         input_units = {"roll_ref_rad": "rad", "pitch_ref_rad": "rad", "yaw_rate_ref_rad_s": "rad/s"}
     else:
         input_units = dict.fromkeys(("roll_rad", "pitch_rad", "yaw_rad"), "rad") | dict.fromkeys(RATES, "rad/s")
-    input_units |= {"throttle": "1", "voltage_v": "V", "time_s": "s"}
+    asked_for = {"time_s": "s"} | ({} if attitude_loops else dict.fromkeys(ACCELERATIONS, "rad/s^2"))
+    input_units |= {"throttle": "1", "voltage_v": "V"} | asked_for
     u = {n: ca.SX.sym(n) for n in input_units}
 
     s = Signals(
@@ -85,9 +87,8 @@ def build_system(
         s.rotation = body.rotation(s.roll, s.pitch, s.yaw)
         s.rates = ca.vertcat(*(u[n] for n in RATES))
         s.yaw_rate = s.rates[2]
-        s.roll_rate = s.rates[0] + ca.tan(s.pitch) * (ca.sin(s.roll) * s.rates[1] + ca.cos(s.roll) * s.rates[2])
-        s.pitch_rate = ca.cos(s.roll) * s.rates[1] - ca.sin(s.roll) * s.rates[2]
-        s.angular_acceleration = ca.SX.zeros(3)
+        s.roll_rate, s.pitch_rate = body.euler_rates(s.roll, s.pitch, s.rates)
+        s.angular_acceleration = ca.vertcat(*(u[n] for n in ACCELERATIONS))
         s.measured.update(roll=s.roll, pitch=s.pitch, r=s.yaw_rate)
     rates |= translation(terms, s, p, term_states, ca.SX.zeros(3))
     rates |= dict(zip(POSITION, (x[n] for n in VELOCITY), strict=True))
@@ -100,8 +101,9 @@ def build_system(
         *(x[n] for n in POSITION), s.measured["v"], s.measured["roll"], s.measured["pitch"], s.yaw, s.rates[:2],
         s.measured["r"], f, s.rotation @ f - ca.vertcat(0, 0, s.g),
     )  # fmt: skip
-    if not ca.depends_on(ca.vertcat(x_dot, y), u["time_s"]):
-        del input_units["time_s"]
+    for name in asked_for:
+        if not ca.depends_on(ca.vertcat(x_dot, y), u[name]):
+            del input_units[name]
     channels = delays(terms, p)
     by_input = {
         "throttle": "thrust",

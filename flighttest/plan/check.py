@@ -101,7 +101,7 @@ def check(plan: Plan) -> CheckResult:
         if not leg.motors_off:
             now += reset_s(plan, leg, where)
             where = leg.start_m
-        timeline.append(_row(plan, leg, now))
+        timeline.append(_row(leg, now))
         now += leg.duration_s
     on_ground = sum(leg.duration_s for leg in plan.legs if leg.motors_off)
     total = now + (LANDING_S if any(not leg.motors_off for leg in plan.legs) else 0.0)
@@ -125,7 +125,7 @@ def reset_s(plan: Plan, leg: Leg, where_m: tuple[float, float, float]) -> float:
     return 2.0 * MODE_CHANGE_S + math.dist(where_m, leg.start_m) / TRANSIT_M_S + plan.reset.settle_s
 
 
-def _row(plan: Plan, leg: Leg, now: float) -> TimelineRow:
+def _row(leg: Leg, now: float) -> TimelineRow:
     rate = leg.cell.get("rate_rad_s", 0.0) if leg.kind == "yaw_rate_step" else 0.0
     return TimelineRow(
         start_s=now,

@@ -82,7 +82,7 @@ def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost
     for i, f in zip(paths, (yield from fly_waypoints([fitted[i] for i in paths], setting)), strict=True):
         fitted[i] = f
     slots = _order(len(cells), script, span)
-    places = [_places(f, i, script, setting, zone.heading_rad) for i, f in enumerate(fitted)]
+    places = [_places(f, i, script, setting) for i, f in enumerate(fitted)]
     refusals = yield from _refusals(script, fitted, places, setting)
     refused = {label for label, _, _ in refusals}
     slots = [slot for slot in slots if _leg_id(script, cells[slot.cell], slot.repeat) not in refused]
@@ -133,7 +133,7 @@ def _order(count: int, script: Script, span: tuple[float, float]) -> list[_Slot]
     return [_Slot(cell, repeat, span[0] + (span[1] - span[0]) * k / last) for k, (cell, repeat) in enumerate(pairs)]
 
 
-def _places(f: Fitted, index: int, script: Script, setting: Setting, zone_heading: float) -> list[Placement]:
+def _places(f: Fitted, index: int, script: Script, setting: Setting) -> list[Placement]:
     """A placement for each repeat. Headings rotate over repeats; cells start the rotation at different ones, so that heading and
     voltage are not collinear either. A heading under which the step does not fit gives way to the next that does."""
     headings = script.reset.heading_rad

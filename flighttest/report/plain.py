@@ -1,4 +1,4 @@
-"""Any result as plain JSON types: dataclasses to objects, enums to their sentences, arrays to lists, non-finite numbers to null."""
+"""Any result as plain JSON types: dataclasses to objects, enums to their names, arrays to lists, non-finite numbers to null."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ from rich.text import Text
 from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Figure, Paragraph, Section, Table
 
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
-MARK = {"plain": "", "good": "OK", "warn": "!", "bad": "X", "quiet": ""}
 FOLDED_ROWS = 12
 LABEL_WIDTH = 28  # first columns up to this wide are never folded
 ROOMY_WIDTH = 110  # columns of a terminal that has room for everything

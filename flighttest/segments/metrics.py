@@ -70,12 +70,12 @@ def metrics_of(segment: Segment) -> Metrics | None:
     threshold = max(_ONSET, _NOISE_SIGMAS * noise / abs(change))
     reached = (final - start) / change
     settled = bool(np.all(np.abs((tail - final) / change) <= _BAND))
-    low, high = _crossing(after_t, part, 0.1), _crossing(after_t, part, 0.9)
+    low, high = crossing(after_t, part, 0.1), crossing(after_t, part, 0.9)
     peak = float(np.max(part))
     return Metrics(
         channel,
         change=final - start,
-        delay_s=_crossing(after_t, part, threshold) if threshold < 0.5 else None,
+        delay_s=crossing(after_t, part, threshold) if threshold < 0.5 else None,
         rise_s=high - low if low is not None and high is not None and high > low else None,
         overshoot=max(peak - reached, 0.0) if settled else None,
         settling_s=_settling(after_t, part, reached) if settled else None,
@@ -90,8 +90,8 @@ def _wanted(segment: Segment, reference: str | None) -> float | None:
     return next((v for k, v in segment.cell.items() if k in ("amplitude_rad", "rate_rad_s")), None)
 
 
-def _crossing(t: FloatArray, part: FloatArray, level: float) -> float | None:
-    """First time at which part rises through level, read off linearly."""
+def crossing(t: FloatArray, part: FloatArray, level: float) -> float | None:
+    """First of the times t (n,) at which part (n,) has risen to a level, linear between samples; None where it never does."""
     above = np.flatnonzero(part >= level)
     if above.size == 0:
         return None

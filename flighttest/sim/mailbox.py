@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from flighttest.sim.autopilot import Autopilot
 
 _NO_INDEX = 0xFFFF
-_PARAMETERS_PER_TICK = 4
 
 
 class Mailbox:

@@ -168,7 +168,7 @@ class RotorPlant:
         ax, ay, az = vx - wx, vy - wy, vz - wz
         bx, by, bz = r00 * ax + r10 * ay + r20 * az, r01 * ax + r11 * ay + r21 * az, r02 * ax + r12 * ay + r22 * az
         if self._aero:
-            rotors, hx, hy = self._rotor_air(rotors, bx, by, bz, r20, r21, r22)
+            rotors, hx, hy = self._rotor_air(rotors, bx, by, bz, r20, r21)
         else:
             hx = hy = 0.0
         mass = v.mass_kg
@@ -181,7 +181,7 @@ class RotorPlant:
         if self._swirl or self._tether:
             gx, gy, gz = self._odd_forces(gx, gy, gz, ax, ay)
         if self._load:
-            gx, gy, gz = self._load.pull(h, (vx, vy, vz), (gx, gy, gz))
+            gx, gy, gz = self._load.pull(h, (gx, gy, gz))
         # rigid body
         mx = my = mz = 0.0
         arm = v.yaw_arm_m
@@ -221,7 +221,7 @@ class RotorPlant:
         self._report(h, f)
 
     def _rotor_air(
-        self, rotors: list[float], bx: float, by: float, bz: float, r20: float, r21: float, r22: float
+        self, rotors: list[float], bx: float, by: float, bz: float, r20: float, r21: float
     ) -> tuple[list[float], float, float]:
         """Thrust of each rotor in its own air, N, and the sum of their in-plane forces, N."""
         v, mixer = self.vehicle, self._mixer

@@ -24,7 +24,7 @@ class SlungLoad:
         self._n: Vector = (0.0, 0.0, -1.0)
         self._rate: Vector = (0.0, 0.0, 0.0)
 
-    def pull(self, h: float, velocity: Vector, force: Vector) -> Vector:
+    def pull(self, h: float, force: Vector) -> Vector:
         """The vehicle's specific force (world, m/s^2) with the line's pull, given that without it; the load moves on by h."""
         length, m, load = self._length, self._vehicle_kg, self.mass_kg
         nx, ny, nz = self._n

@@ -11,8 +11,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
-_HEADER = 0xFD
-
 
 def _crc(data: bytes) -> int:
     return int(book.x25crc(data).crc)

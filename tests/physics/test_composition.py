@@ -74,6 +74,17 @@ def test_without_attitude_loops_the_attitude_is_an_input():
     assert "roll_rad" not in model.system.states
 
 
+def test_a_lever_arm_needs_the_angular_acceleration_that_no_loop_tells():
+    model = Model(("imu_lever_arm",), attitude_loops=False)
+    inputs = list(model.system.inputs)
+    assert "r_dot_rad_s2" in inputs
+    assert "r_dot_rad_s2" not in Model(attitude_loops=False).system.inputs
+    values = model.start({"arm_x": 0.1})
+    u = [{"voltage_v": 22.2, "r_dot_rad_s2": 5.0}.get(n, 0.0) for n in inputs]
+    _, y = model.system.function(np.zeros(len(model.system.states)), u, [values[n] for n in model.names])
+    assert float(y[list(model.system.outputs).index("f_y_m_s2")]) == pytest.approx(0.5)
+
+
 def test_the_order_of_ports_is_kept():
     """Motor gain acts before the lag, aero gain after it; the force term sees the product of both."""
     seen = {}
