@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 @click.option("--trials", type=click.IntRange(min=1), default=20, show_default=True)
 @click.option("--generator", type=click.Choice(["rotor", "sitl"]), default="rotor", show_default=True)
 @click.option("--kind", type=click.Choice(["clean", "single", "pair", "outside"]), help="Only such trials.")
+@click.option(
+    "--clean", type=click.IntRange(min=0), default=0, help="Draw on until so many trials have nothing hidden."
+)
 @click.option("--seed", type=int, help="First seed; otherwise new ones are drawn and printed.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
@@ -33,6 +36,7 @@ def prove(
     trials: int,
     generator: Generator,
     kind: Kind | None,
+    clean: int,
     seed: int | None,
     workers: int,
     scheduler: str | None,
@@ -42,7 +46,7 @@ def prove(
     from flighttest.proof import proving
 
     with LiveProgress(context.show) as progress:
-        result = proving.prove(trials, generator, seed, workers, scheduler, output, kind, progress)
+        result = proving.prove(trials, generator, seed, workers, scheduler, output, kind, clean, progress)
     return context.finish(result)
 
 

@@ -50,10 +50,14 @@ class Case:
         return hashlib.sha256(self.truth().encode()).hexdigest()
 
 
-def cases_of(seed: int, trials: int, generator: Generator = "rotor", kind: Kind | None = None) -> list[Case]:
-    """The first trials of a seed, of every kind or of one."""
+def cases_of(
+    seed: int, trials: int, generator: Generator = "rotor", kind: Kind | None = None, clean: int = 0
+) -> list[Case]:
+    """The first trials of a seed, of every kind or of one, and its next ones with nothing hidden until there are `clean` of these."""
     drawn = (draw(seed, k, generator) for k in count())
-    return list(islice((case for case in drawn if kind in (None, case.kind)), trials))
+    first = list(islice((case for case in drawn if kind in (None, case.kind)), trials))
+    lacking = max(clean - sum(case.kind == "clean" for case in first), 0)
+    return first + list(islice((case for case in drawn if case.kind == "clean"), lacking))
 
 
 def draw(seed: int, index: int, generator: Generator = "rotor") -> Case:

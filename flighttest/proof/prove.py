@@ -26,6 +26,7 @@ def prove(
     scheduler: str | None = None,
     generator: Generator = "rotor",
     kind: Kind | None = None,
+    clean: int = 0,
     tell: Tell = lambda _text: None,
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
     code: str = "",
@@ -34,15 +35,15 @@ def prove(
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
 
-    kind: only such trials. keep: given the outcomes so far, and the seed, whenever a trial is opened. scheduler: address of a Dask
-    scheduler instead of processes of this machine. code: as `Outcome.code`. before: outcomes of an earlier part of the same proof,
-    which are not flown again. seal: given all cases before the first is flown. Every seal is told before its trial starts. An interrupt
-    ends the proof and keeps the trials that are done.
+    kind: only such trials. clean: at least so many with nothing hidden, as `cases_of`. keep: given the outcomes so far, and the seed,
+    whenever a trial is opened. scheduler: address of a Dask scheduler instead of processes of this machine. code: as `Outcome.code`.
+    before: outcomes of an earlier part of the same proof, which are not flown again. seal: given all cases before the first is flown.
+    Every seal is told before its trial starts. An interrupt ends the proof and keeps the trials that are done.
     """
     if trials < 1:
         raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    cases = cases_of(seed, trials, generator, kind)
+    cases = cases_of(seed, trials, generator, kind, clean)
     seals = {case.index: case.sha256() for case in cases}
     done = list(before)
     if any(seals.get(outcome.index) != outcome.sha256 for outcome in done):
@@ -58,7 +59,7 @@ def prove(
         for outcome in _outcomes(left, workers, scheduler):
             done.append(replace(outcome, code=code))
             keep(in_order(done), seed)
-            tell(f"trial {outcome.index} opened ({len(done)} of {trials})")
+            tell(f"trial {outcome.index} opened ({len(done)} of {len(cases)})")
     except KeyboardInterrupt:
         tell(f"interrupted: {len(done)} trials are done")
     return in_order(done), seed

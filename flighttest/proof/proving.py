@@ -25,6 +25,7 @@ def prove(
     scheduler: str | None = None,
     output: Path | None = None,
     kind: Kind | None = None,
+    clean: int = 0,
     progress: Progress = SILENT,
 ) -> Result:
     """Sealed trials and their scoreboard; with `output` the truths are written there before the first flight (truths.jsonl), and proof.json
@@ -56,7 +57,7 @@ def prove(
     commit = commit_of(Path(flighttest.__file__).parent)
     before = begun[1] if begun is not None else ()
     outcomes, used = run_trials(
-        trials, seed, workers, scheduler, generator, kind, progress.stage, keep, commit, before, seal
+        trials, seed, workers, scheduler, generator, kind, clean, progress.stage, keep, commit, before, seal
     )
     code = code_of(outcomes)
     found = score(outcomes)

@@ -84,6 +84,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "first": (len(first), len(single)),
         "absorbed": (sum(first_right(o, next(iter(o.hide))) for o in absorbed), len(absorbed)),
         "false_alarms": (sum(bool(set(o.named) - _hidden(o)) for o in clean), len(clean)),
+        "nothing_hidden": sum(o.kind == "clean" for o in clean),
         "pairs": (sum(all(right(o, e) for e in o.hide) for o in pairs), len(pairs)),
         "outside_misnamed": (sum(bool(o.named) for o in outside), len(outside)),
         "outside_located": (sum(o.located for o in outside), len(outside)),
@@ -186,7 +187,8 @@ def code_of(outcomes: Sequence[Outcome]) -> str:
 def _rates(s: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield f"right class first (effect at least {COUNTS:g} noise floors after the refit)", share(*s["first"])
     yield f"the same where the base fit alone has R2 above {HIGH_R2}", share(*s["absorbed"])
-    yield "false alarms on clean trials", share(*s["false_alarms"])
+    clean = f"false alarms on clean trials (nothing hidden in {s['nothing_hidden']}, else less than {ABSENT:g} noise floors)"
+    yield clean, share(*s["false_alarms"])
     yield "two effects, both named", share(*s["pairs"])
     yield "physics outside the catalogue, wrongly named", share(*s["outside_misnamed"])
     yield "physics outside the catalogue, located", share(*s["outside_located"])

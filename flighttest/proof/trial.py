@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from flighttest.diagnose import Diagnosis, diagnose
 from flighttest.diagnose.bench import BLOCKS, Bench
 from flighttest.diagnose.judge import size_in_floors
-from flighttest.diagnose.model import Verdict
+from flighttest.diagnose.model import TermVerdict, Verdict
 from flighttest.diagnose.noise import Floor, floor_of
 from flighttest.diagnose.rows import RESOLUTION, Rows, State
+from flighttest.diagnose.run import OFF_GRID_S
 from flighttest.diagnose.screen import amplitude_variants, orthonormal, shape_variants
 from flighttest.errors import FitError, FlighttestError, RecordingError
 from flighttest.identify.fit import fit
@@ -110,7 +111,9 @@ def run(case: Case) -> Outcome:
         coverage=_coverage(segments, found),
         # A firmware that adds something of its own is always located: what counts is what stays after that.
         located=found.verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY) if own else bool(found.located),
-        confusable={f.term: tuple(r.term for r in f.rivals if r.verdict == "CONFUSABLE") for f in found.findings},
+        confusable={
+            f.term: tuple(r.term for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE) for f in found.findings
+        },
         truth=case.truth(),
     )
 
@@ -176,7 +179,7 @@ def _coverage(segments: Sequence[Segment], found: Diagnosis) -> float:
 
 
 def _r2(found: Diagnosis) -> float:
-    """Of the base fit alone, the mean over channels of 1 - (RMSE / RMS about the first value)^2, over what moves."""
+    """Of the base fit alone, the median over channels of 1 - (RMSE / RMS about the first value)^2, over what moves."""
     values = []
     for entry in found.baselines.values():
         hold, base = entry.get("hold the first value"), entry.get("base model, refitted")
@@ -227,7 +230,9 @@ class _Oracle:
             ("linear_drag", "roll_pitch_coupling") if block == "roll_pitch" else ("linear_drag",), nominal_voltage_v
         )
         values = start_values(self.segments, self.model, onset_delay(self.segments))
-        start = self.bench.start(self.model, {k: v + 1.7e-4 if k.startswith("T_d") else v for k, v in values.items()})
+        start = self.bench.start(
+            self.model, {k: v + OFF_GRID_S if k.startswith("T_d") else v for k, v in values.items()}
+        )
         names = tuple(n for n in self.bench.problem(self.model).names if self.model.term_of(n) != "roll_pitch_coupling")
         self.state: State = self.bench.fit(self.model, start, names, iterations=15)
         self.rows: Rows = self.bench.rows(self.model, self.state, names)

@@ -137,6 +137,15 @@ def test_trials_of_one_kind_are_the_first_such_of_the_seed():
     assert cases_of(7, 3) == every[:3]
 
 
+def test_a_seed_is_drawn_on_until_enough_trials_are_clean():
+    cases = cases_of(7, 6, clean=5)
+    assert cases[:6] == cases_of(7, 6)
+    last = cases[-1].index
+    assert [c.index for c in cases[6:]] == [k for k in range(6, last + 1) if draw(7, k).kind == "clean"]
+    assert sum(c.kind == "clean" for c in cases) == 5
+    assert cases_of(7, 6, clean=1) == cases_of(7, 6)
+
+
 def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
     def flown(case):
         if case.index == 2:
