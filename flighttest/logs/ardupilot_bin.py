@@ -118,7 +118,7 @@ class _Importer:
         self._put(series, "specific_force", self._specific_force())
         targets = Targets(self.tables, angles, self.derived, self.losses)
         self._put(series, "shaped", targets.shaped())
-        marks = markers(self.tables, self.losses)
+        marks = markers(self.tables)
         self._put(series, "state", state(self.tables))
         self._put(series, "reference", targets.reference(series.get("state")))
         self._put(series, "output", targets.output())

@@ -103,7 +103,7 @@ def _modes(tables: Mapping[str, Stamped]) -> list[tuple[float, float]]:
     return sorted((float(t), float(m)) for t, m in zip(t_s, table.raw[field], strict=True))
 
 
-def markers(tables: Mapping[str, Stamped], losses: list[str]) -> list[Marker]:
+def markers(tables: Mapping[str, Stamped]) -> list[Marker]:
     """Marks and texts (MSG), mode changes, take-off and landing, and the errors the autopilot logged."""
     found: list[Marker] = []
     if "MSG" in tables and "Message" in tables["MSG"][0]:

@@ -17,12 +17,15 @@ from flighttest import frames
 from flighttest.channels import CHANNELS, GROUPS, HELD_GROUPS, names
 from flighttest.documents import nearest
 from flighttest.errors import RecordingError
+from flighttest.logs.agreement import disagreements
 from flighttest.logs.columns import STEP, TIME, ColumnMap, load_columns, plain_map
 from flighttest.logs.crazyflie import crazyflie_map
 from flighttest.logs.gravity import gravity_doubts
 from flighttest.logs.opening import LogFile
 from flighttest.logs.sheet import Sheet, read_sheet
 from flighttest.logs.timing import ordered, outliers
+from flighttest.mavlink.decode import mode_markers
+from flighttest.mavlink.telemetry import LEAST_BATTERY_V
 from flighttest.recording import Marker, Provenance, Recording, Series
 
 FloatArray = NDArray[np.float64]
@@ -65,6 +68,9 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     t_s, pieces = _one_after_another(_tame(_time(path, sheet, plan), losses), losses)
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
+    _without_battery(found, losses)
+    order = np.flatnonzero(np.isfinite(t_s) & np.concatenate([[True], np.diff(t_s) > 0]))
+    losses += disagreements(t_s[order], {name: values[order] for name, values in found.items()})
     _derive(t_s, found, derived)
     series = _grouped(t_s, found, losses)
     if not {"attitude", "specific_force", "acceleration", "velocity"} & set(series):
@@ -80,6 +86,8 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     losses += gravity_doubts(found, plan.body, mapped=given is not None)
     step = sheet.column(plan.columns[STEP].columns[0]) if STEP in plan.columns else pieces
     markers = _steps(t_s, step) if step is not None else []
+    if "mode" in found:
+        markers = sorted([*markers, *mode_markers(series["state"])], key=lambda m: m.t_s)
     return Recording(
         name=path.name.split(".")[0],
         series=series,
@@ -260,6 +268,19 @@ def _derive(t_s: FloatArray, found: Columns, derived: dict[str, str]) -> None:
         derived["height_m"] = "p_z_m: the ground is taken to lie at the origin's height"
 
 
+def _without_battery(found: Columns, losses: list[str]) -> None:
+    """Voltages that no flying battery has are missing ones."""
+    volts = found.get("voltage_v")
+    if volts is None:
+        return
+    dead = np.isfinite(volts) & ~(volts > LEAST_BATTERY_V)
+    if dead.any():
+        found["voltage_v"] = np.where(dead, np.nan, volts)
+        losses.append(
+            f"voltage_v: {np.count_nonzero(dead)} values of {LEAST_BATTERY_V:g} V or less are taken as missing"
+        )
+
+
 def _difference(t_s: FloatArray, values: FloatArray) -> FloatArray:
     """Derivative at every finite sample, from its finite neighbours; NaN where neighbours are missing."""
     out = np.full(values.size, np.nan)
@@ -310,9 +331,10 @@ def _fresh(columns: Columns) -> NDArray[np.bool_]:
 
 
 def _check_throttle(path: Path, throttle: FloatArray) -> None:
-    if float(np.nanmax(throttle)) > 1.5:
+    low, high = float(np.nanmin(throttle)), float(np.nanmax(throttle))
+    if high > 1.5 or low < -0.1:
         raise RecordingError(
-            f"{path}: throttle goes up to {float(np.nanmax(throttle)):g}; it must run from 0 to 1",
+            f"{path}: throttle goes from {low:g} to {high:g}; it must run from 0 to 1",
             "give `scale:` in the column map",
         )
 

@@ -243,7 +243,7 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
         series["state"] = _ordered(
             times["HEARTBEAT"], {"mode": beats["custom_mode"], "armed": armed.astype(float)}, "HEARTBEAT", losses
         )
-        markers += _mode_markers(series["state"])
+        markers += mode_markers(series["state"])
     return Decoded(
         series=series,
         markers=tuple(sorted(markers, key=lambda m: m.t_s)),
@@ -370,7 +370,8 @@ def _clock_of_stamps(ground_s: FloatArray, stamp_s: FloatArray, clock: ClockEsti
     return ClockEstimate(g[rising], v[rising], 1.0, clock.error_s, "target stamps")
 
 
-def _mode_markers(state: Series) -> list[Marker]:
+def mode_markers(state: Series) -> list[Marker]:
+    """One marker at the first mode (ArduCopter's number) and at each change of it."""
     modes = state.columns["mode"]
     changed = np.flatnonzero(np.diff(modes, prepend=np.nan) != 0)
     return [Marker(float(state.t_s[i]), "mode", mode_name(int(modes[i])), {"mode": int(modes[i])}) for i in changed]

@@ -40,6 +40,7 @@ _FREE_STRETCH_S = 15.0
 _FREE_MARGIN_S = 1.0
 _PAUSE_S = 1.0
 _IDLE = 0.02
+_MANY = 2  # times as many steps by hand's tolerance as by a script's: then no script was flown
 _FEW_STEPS = 3  # a flight with fewer steps than this is a free flight that happens to hold still
 
 
@@ -59,13 +60,17 @@ def _responses(references: References | None, exact: Tolerance = EXACT) -> list[
     if references is None or references.t_s.size < 2:
         return []
     found = ed.chains(ed.plateaus(references, exact), exact, references.period_s)
-    if found:
-        return found
     by_hand = ed.chains(ed.plateaus(references, BY_HAND), BY_HAND, references.period_s)
     # Sticks are moved on the ground too, before take-off and between flights: there throttle comes up from nothing.
-    return [
+    by_hand = [
         (row, edges) for row, edges in by_hand if not any(row[e.before].values[ed.THROTTLE] <= _IDLE for e in edges)
     ]
+    # A target that holds still by the way makes no script: steps beside a throttle that drifts are found by hand's tolerance only.
+    return found if _MANY * _steps_of(found) > _steps_of(by_hand) else by_hand
+
+
+def _steps_of(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]]) -> int:
+    return sum(len(edges) for _, edges in rows)
 
 
 def _by_marks(
@@ -77,7 +82,7 @@ def _by_marks(
     for mark in marks:
         if mark.t_step_s is not None:
             response = _at_step(rows, mark)
-            found.append((response or _missed(references, mark, mark.t_step_s), mark))
+            found.append((response or _missed(mark, mark.t_step_s), mark))
             continue
         late = min(mark.start_s + _MARK_LATE_S, mark.end_s)
         near = [
@@ -92,7 +97,7 @@ def _by_marks(
             spans = _recorded(aligned, references, *mark.record_s)
             found += [(window, mark) for span in spans for window in windows(*span)]
         elif mark.kinds:
-            found.append((_missed(references, mark, mark.start_s), mark))
+            found.append((_missed(mark, mark.start_s), mark))
     return found
 
 
@@ -130,7 +135,7 @@ def _in_piece(references: References | None, mark: Marked) -> list[Response]:
     return [replace(r, end_s=min(r.end_s, mark.end_s)) for r in found]
 
 
-def _missed(references: References | None, mark: Marked, t_s: float) -> Response:
+def _missed(mark: Marked, t_s: float) -> Response:
     """A marked step of which the references show nothing clean: kept, so that its absence is seen."""
     end = min(mark.end_s, t_s + 1.5)
     kind = mark.kinds[0] if mark.kinds else "free"

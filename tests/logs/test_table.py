@@ -52,6 +52,25 @@ def test_other_containers(tmp_path, t, name):
     assert "central differences" in r.provenance.derived["a_x_m_s2"]
 
 
+def test_a_voltage_that_no_battery_has_is_missing(tmp_path, t):
+    volts = np.where(np.arange(N) % 50 == 0, 0.0, 22.0)
+    r = import_log(save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, voltage_v=volts))
+    assert np.nanmin(r.channel("voltage_v")[1]) == 22.0
+    assert any("4 values of 1 V or less are taken as missing" in loss for loss in r.provenance.losses)
+    dead = import_log(save(tmp_path / "b.csv", t_s=t, roll_rad=0 * t, voltage_v=-1.0))
+    assert not dead.has("voltage_v")
+
+
+def test_a_change_of_mode_is_marked(tmp_path, t):
+    r = import_log(save(tmp_path / "a.csv", t_s=t, mode=np.where(t < 2.0, 20, 4), roll_rad=0 * t))
+    assert [(m.t_s, m.data["mode"]) for m in r.markers if m.kind == "mode"] == [(0.0, 20), (2.0, 4)]
+
+
+def test_a_throttle_below_zero_is_refused(tmp_path, t):
+    with pytest.raises(RecordingError, match="from -1 to"):
+        import_log(save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, throttle=np.where(t < 1.0, -1.0, 0.3)))
+
+
 def test_a_misspelt_column_is_told(tmp_path, t):
     path = save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, picth_rad=0 * t)
     losses = import_log(path).provenance.losses

@@ -237,6 +237,16 @@ def test_steps_by_hand_take_time_and_are_found(fly):
     assert steps[0].cell["amplitude_rad"] == pytest.approx(0.3, abs=0.02)
 
 
+def test_a_throttle_that_drifts_does_not_hide_the_steps_beside_it(fly):
+    """Somebody else holds the height meanwhile; one pair of targets that happen to hold still makes no script of it."""
+    rng = np.random.default_rng(1)
+    pieces = [(1.0, 0.0, 0.0, 0.0, 0.25), (1.0, 0.2, 0.0, 0.0, 0.25)]
+    for roll in (0.0, 0.3, 0.0, -0.3, 0.0):
+        pieces += [(0.1, roll, 0.0, 0.0, 0.25 + 0.004 * rng.standard_normal()) for _ in range(20)]
+    steps = [s for s in cut(fly(pieces).recording()) if s.kind == "roll_step"]
+    assert [s.cell["amplitude_rad"] for s in steps] == pytest.approx([0.2, 0.3, -0.3], abs=0.02)
+
+
 def test_a_recording_without_references_becomes_windows(campaign):
     recording = campaign.recording()
     series = {g: s for g, s in recording.series.items() if g != "reference"}

@@ -1,0 +1,98 @@
+"""Whether columns of a table agree: a rate is the rate of its angle, a velocity that of its position, and an acceleration what attitude
+and specific force make it. What does not agree has another unit or another frame than its name says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.frames import G_M_S2, rotation_from_euler
+
+FloatArray = NDArray[np.float64]
+
+_RATES = {
+    "p_rad_s": "roll_rad", "q_rad_s": "pitch_rad", "r_rad_s": "yaw_rad",
+    "v_x_m_s": "p_x_m", "v_y_m_s": "p_y_m", "v_z_m_s": "p_z_m",
+}  # fmt: skip
+_ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
+_FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+_SAID = "what attitude and specific force make of it"
+_SMOOTH_S = 0.3  # both sides are smoothed over it: sensors' noise is not what is compared
+_CERTAIN = 0.9  # correlation from which a ratio is no accident
+_FACTOR = 3.0  # filters, tilt and delays change a ratio by less
+_FEWEST = 100
+
+
+def disagreements(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[str]:
+    """Channels whose size or sign others contradict, each in a sentence with a remedy.
+
+    t_s: (n,) s, increasing; columns: channel to (n,), NaN where missing, in the units and frames of their names.
+    """
+    found = []
+    for rate, of in _RATES.items():
+        if rate in columns and of in columns:
+            whole = columns[of] if of.endswith("_m") else _unwrapped(columns[of])
+            found.append((rate, f"the rate of {of}", columns[rate], _slope(t_s, whole)))
+    if all(n in columns for n in (*_ATTITUDE, *_FORCE)):
+        roll, pitch, yaw = (columns[n] for n in _ATTITUDE)
+        # As the heading sees it: forward goes with pitch and left with roll, whatever the compass says.
+        level = rotation_from_euler(np.stack([roll, pitch, 0.0 * yaw], axis=1))
+        said = np.einsum("nij,nj->ni", level, np.stack([columns[n] for n in _FORCE], axis=1))
+        if "v_z_m_s" in columns:
+            found.append(("the rate of v_z_m_s", _SAID, _slope(t_s, columns["v_z_m_s"]), said[:, 2] - G_M_S2))
+        if "v_x_m_s" in columns and "v_y_m_s" in columns:
+            x, y = _slope(t_s, columns["v_x_m_s"]), _slope(t_s, columns["v_y_m_s"])
+            found += [
+                (
+                    "the forward acceleration of v_x_m_s and v_y_m_s",
+                    _SAID,
+                    np.cos(yaw) * x + np.sin(yaw) * y,
+                    said[:, 0],
+                ),
+                (
+                    "the acceleration to the left of v_x_m_s and v_y_m_s",
+                    _SAID,
+                    np.cos(yaw) * y - np.sin(yaw) * x,
+                    said[:, 1],
+                ),
+            ]
+    ratios = [(name, said, _ratio(t_s, values, reference)) for name, said, values, reference in found]
+    return [
+        f"{name} is {ratio:.3g} times {said}: one of them has another unit or frame than its name says; state it in a column map "
+        "(--columns)"
+        for name, said, ratio in ratios
+        if ratio is not None and not 1.0 / _FACTOR < ratio < _FACTOR
+    ]
+
+
+def _unwrapped(angle: FloatArray) -> FloatArray:
+    out = angle.copy()
+    good = np.isfinite(angle)
+    out[good] = np.unwrap(angle[good])
+    return out
+
+
+def _slope(t_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Derivative at every finite sample, NaN elsewhere."""
+    out = np.full(values.size, np.nan)
+    good = np.flatnonzero(np.isfinite(values))
+    if good.size > 2:
+        out[good] = np.gradient(values[good], t_s[good])
+    return out
+
+
+def _ratio(t_s: FloatArray, values: FloatArray, reference: FloatArray) -> float | None:
+    """Of two signals that go together, how much the first is of the second; None where they do not."""
+    good = np.flatnonzero(np.isfinite(values) & np.isfinite(reference))
+    if good.size < _FEWEST:
+        return None
+    width = max(int(_SMOOTH_S / max(float(np.median(np.diff(t_s[good]))), 1e-6)), 1)
+    kernel = np.ones(width) / width
+    a, b = (np.convolve(x[good], kernel, mode="valid") for x in (values, reference))
+    a, b = a - a.mean(), b - b.mean()
+    power = float(np.sqrt((a @ a) * (b @ b)))
+    if power <= 0.0 or abs(float(a @ b)) < _CERTAIN * power:
+        return None
+    return float(a @ b) / float(b @ b)
