@@ -16,6 +16,7 @@ NEXT_MODE_AFTER_S = 1.5
 _ENTRY_S = 3.0
 # Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
 UNSEEN_S = 1.5
+UNHEARD_S = 0.7  # a silent link hides what a pilot chooses: asked once when it falls silent, and again when it is heard
 GIVE_UP_AFTER_S = 30.0  # without one: the vehicle's own failsafes have long acted
 LET_GO_AFTER_S = 5.0  # of insisting after the operator wanted to let go at once
 REST_PATIENCE_S = 6.0
@@ -83,7 +84,7 @@ def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[
             let_go_s = min(let_go_s, now + LET_GO_AFTER_S)
             if now > let_go_s:
                 raise FlightEnded(FlightOutcome.OPERATOR_ABORT)
-        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
+        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S and cockpit.state.silence_s < UNHEARD_S:
             if cockpit.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
                 index = min(index + 1, len(modes) - 1)
                 asked = modes[: index + 1]

@@ -91,10 +91,11 @@ class FollowedClock:
         self._heard.append((host, vehicle_s))
         while host - self._heard[0][0] > _PACE_WINDOW_S:
             self._heard.popleft()
-        span = host - self._heard[0][0]
-        if span > 0.5 * _PACE_WINDOW_S and not self._real:
-            pace = (vehicle_s - self._heard[0][1]) / span
-            self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else max(pace, 0.0)
+        span, passed = host - self._heard[0][0], vehicle_s - self._heard[0][1]
+        # Stamps that stand still (a simulator that waits for us) are no pace: at none, no wait would end.
+        if span > 0.5 * _PACE_WINDOW_S and passed > 0.0 and not self._real:
+            pace = passed / span
+            self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else pace
         period = _PERIOD_S if self._pace == 1.0 else 0.1 * _PERIOD_S
         if host >= self._period_end_s:
             self._best = (None, self._best[0])

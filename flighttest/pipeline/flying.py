@@ -213,7 +213,8 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         notes += _unflown(ended)
         if ended.outcome is not FlightOutcome.COMPLETED:
             break
-    usable = len(ends) == len(compiled) and all(e.outcome.usable for e in ends)
+    flown = any(leg.outcome is LegOutcome.FLOWN for e in ends for leg in e.legs)
+    usable = flown and len(ends) == len(compiled) and all(e.outcome.usable for e in ends)
     # Each step once, to compare with a model: too little to look for unnamed physics in.
     wanted = False if all(plan.script.name == SPOT_CHECK for plan in compiled) else None
     if request.fly_only:

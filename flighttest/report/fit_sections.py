@@ -215,7 +215,8 @@ def segments(views: Sequence[SegmentView]) -> Section:
     if outliers:
         blocks.append(Bullets(tuple(outliers)))
     if rows:
-        blocks.append(Table(columns, rows, align, fold=len(rows) > 12))  # type: ignore[arg-type]
+        roomy = tuple(range(5, len(columns) - 1))  # of the metrics, the delay is what every step is looked at for
+        blocks.append(Table(columns, rows, align, fold=len(rows) > 12, roomy=roomy))  # type: ignore[arg-type]
     return Section("segments", "Responses", tuple(blocks), lead)
 
 

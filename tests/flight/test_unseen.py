@@ -51,8 +51,8 @@ def asked(link: FaultyLink) -> list[tuple[float, int]]:
 
 
 @pytest.mark.usefixtures("soon")
-@pytest.mark.parametrize("lost", ["everything", "heartbeats"])
-def test_a_pilot_who_is_not_seen_keeps_the_vehicle(run_dir: Path, lost: str) -> None:
+@pytest.mark.parametrize(("lost", "after_s"), [("everything", 3.0), ("everything", 1.0), ("heartbeats", 3.0)])
+def test_a_pilot_who_is_not_seen_keeps_the_vehicle(run_dir: Path, lost: str, after_s: float) -> None:
     link = FaultyLink(options())
     began = marked(link, " step")
     modes = asked(link)
@@ -60,7 +60,7 @@ def test_a_pilot_who_is_not_seen_keeps_the_vehicle(run_dir: Path, lost: str) -> 
 
     def unheard(t_s: float) -> bool:
         gone = bool(began) and t_s > began[0] + 0.1
-        if gone and not switched and t_s > began[0] + 3.0:
+        if gone and not switched and t_s > began[0] + after_s:
             switched.append(t_s)
             link.set_parameter("SIM_PILOT_MODE", float(CopterMode.LOITER))
         return gone

@@ -238,6 +238,18 @@ def test_silence_is_measured_and_a_fast_simulator_keeps_its_pace() -> None:
     assert clock.now_s() == pytest.approx(50.0, rel=0.05)
 
 
+def test_stamps_that_stand_still_stop_no_wait() -> None:
+    """A simulator that waits for our clock answers again and again with one time."""
+    host = Host()
+    clock = FollowedClock(host, host)
+    for k in range(300):
+        host.now = 1000.0 + 0.01 * k
+        clock.heard(7.0)
+    before = clock.now_s()
+    host.now += 5.0
+    assert clock.now_s() == pytest.approx(before + 5.0)
+
+
 def test_the_clock_of_a_real_vehicle_stands_still_for_no_link() -> None:
     host = Host()
     clock = FollowedClock(host, host)

@@ -18,6 +18,7 @@ from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.pipeline import flying, resuming
 from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.pipeline.results import Status
 from flighttest.recording.store import open_run
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
@@ -133,6 +134,23 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     code, out, err = call("report", data["runs"][0], "--json")
     assert code == 0, err
     assert json.loads(out)["verdict"].startswith("4 responses fitted")
+
+
+def test_a_flight_that_was_stopped_before_its_first_step_exits_1(script, tmp_path):
+    class Stopper:
+        stopped = False
+
+        def stage(self, text):
+            pass
+
+        def flight(self, progress):
+            if not self.stopped and progress.height_m > 0.5:  # on its way up
+                self.stopped = True
+                signal.raise_signal(signal.SIGINT)
+
+    ended = flying.run(flying.FlightRequest(scripts=(str(script),), out=tmp_path / "runs", fly_only=True), Stopper())
+    assert not any(leg.outcome.name == "FLOWN" for leg in ended.value[0].legs)
+    assert ended.status is Status.UNUSABLE
 
 
 def test_a_dead_link_is_said_and_exits_1(call, script, tmp_path):

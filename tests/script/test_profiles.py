@@ -111,3 +111,10 @@ def test_sweeps_need_the_size_of_their_input():
 
     with pytest.raises(ScriptError, match="needs `rate_rad_s`"):
         cells("chirp: {input: yaw_rate, amplitude_rad: 0.1}")
+
+
+@pytest.mark.parametrize("profile", ["throttle_pair", "tilt_throttle"])
+def test_a_throttle_step_between_equal_throttles_is_none(profile):
+    same = {"throttle_0": (0.18,), "throttle_1": (0.18,)}
+    assert "no step" in PROFILES[profile].check(same)
+    assert PROFILES[profile].check(same | {"throttle_1": (0.18, 0.3)}) is None

@@ -27,6 +27,12 @@ HOLD_0 = Field("hold_0_s", "duration", "how long throttle_0 is held", "s", 0.1, 
 RECORD_1 = Field("record_1_s", "duration", "how long throttle_1 is held", "s", 0.1, 20.0, default=Duration(1.5, True))
 
 
+def _no_step(settings: Settings) -> str | None:
+    if any(first != second for first, second in product(settings["throttle_0"], settings["throttle_1"])):
+        return None
+    return "throttle_0 and throttle_1 are the same: there is no step"
+
+
 def _pairs(settings: Settings, throttle_unit: float) -> list[Cell]:
     hold, record = settings["hold_0_s"], settings["record_1_s"]
     cells = []
@@ -70,6 +76,7 @@ THROTTLE_PAIR = Profile(
         Field("settle_s", "number", "level flight after the stop", "s", 0.0, 20.0, default=0.3),
     ),
     _pairs,
+    check=_no_step,
 )
 
 
@@ -110,4 +117,5 @@ TILT_THROTTLE = Profile(
         COAST,
     ),
     _tilted,
+    check=_no_step,
 )
