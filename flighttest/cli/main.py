@@ -59,7 +59,12 @@ def call(argv: Sequence[str]) -> int:
         show.usage(error.format_message(), hint)
         return 2
     except (click.Abort, KeyboardInterrupt):
-        show.say("stopped", style="warn")
+        if show.as_json and not show.lines:
+            show.json(
+                {"error": {"kind": "stopped", "message": "stopped before it was done", "hint": "", "exit_code": 1}}
+            )
+        else:
+            show.say("stopped", style="warn")
         return 1
     except FlighttestError as error:
         show.error(error)

@@ -45,6 +45,7 @@ class Show:
         colour: bool | None = None,
     ) -> None:
         self.as_json = as_json
+        self.lines = 0  # sent by `line`
         options: dict[str, Any] = {"theme": THEME, "highlight": False, "soft_wrap": False, "width": width}
         if colour is False:
             options["no_color"] = True
@@ -85,6 +86,7 @@ class Show:
     def line(self, data: Mapping[str, Any]) -> None:
         """With --json one line, sent at once: what a program needs of something that goes on. Otherwise nothing."""
         if self.as_json:
+            self.lines += 1
             self.out.file.write(json.dumps(plain(data), ensure_ascii=False, allow_nan=False) + "\n")
             self.out.file.flush()
 
@@ -93,7 +95,7 @@ class Show:
         if self.as_json:
             self.json(error_data(error))
             return
-        self.err.print(error_text(error))
+        self.err.print(error_text(error), soft_wrap=not self.err.is_terminal)  # a path in a file or pipe stays whole
 
     def usage(self, message: str, help_line: str) -> None:
         """A mistake in the command line itself."""

@@ -12,7 +12,7 @@ from flighttest.diagnose.bench import BLOCKS, Bench
 from flighttest.diagnose.block_answer import Answer, Asked, answer
 from flighttest.diagnose.judge import held_out_groups
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, Untestable, Verdict
+from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Question, propose
 from flighttest.diagnose.rivals import UNSEEN, missing_channels
 from flighttest.diagnose.search import Search, silent
@@ -38,6 +38,7 @@ DELAYS_DIFFER_S = 0.01
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 SHAPE_ALONE = "times its usual self"
 UNMOVED = "these flights do not move what it acts on"
+UNTRIED = "not looked for: the search was interrupted"
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is told.
 MOVED, MOVED_ERRORS = 0.05, 4.0
 
@@ -155,20 +156,19 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         missing = missing_channels(term, segments)
         if missing and term.id not in {u.term for u in unseen}:
             unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
-    tried = {t.id for s in searches for t in s.pool}
-    if complete:
-        told = tried | {u.term for u in unseen}
-        unseen += [Untestable(t.id, UNMOVED, t.reveals) for t in pool if t.id not in told]
+    tried = {t.id for a in answers if a.complete and a.search for t in a.search.pool}
+    told = tried | {u.term for u in unseen} | {f.term for f in findings}
+    unseen += [Untestable(t.id, UNMOVED if complete else UNTRIED, t.reveals) for t in pool if t.id not in told]
     hidden = {u.term: u.why for u in unseen}
     units = {p.name: p.unit for t in pool for p in t.params}
     named = {f.term for f in findings} | set(hidden)
     shares = _all(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else 0.0
     staying = {c for a in answers for c in a.staying}
-    verdict = _verdict(bool(findings), share, bool(located), bool(staying))
+    so_far = _verdict(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     formulas: list[dict[str, Any]] = []
-    if verdict in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
+    if so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
         asked.tell("describing what has no name")
         for search in searches:
             formulas += describe(search, segments, asked.groups, _with_forces(staying))
@@ -176,8 +176,8 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}) if complete else {}
     final = model.with_terms(*accepted)
     return Diagnosis(
-        verdict=verdict,
-        sentence=_sentence(verdict, findings, share, located, complete) + _moved(asked.previous, after),
+        verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
+        sentence=_sentence(so_far, findings, share, located, complete) + _moved(asked.previous, after),
         located=tuple(located),
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - named)),
@@ -198,7 +198,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         overlays=tuple(_all(answers, "overlaid")),
         # What these flights could not have shown was not ruled out by them.
         candidates=tuple(
-            {**c, "verdict": "UNTESTABLE", "why": hidden[c["term"]]} if c["term"] in hidden else c
+            {**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]} if c["term"] in hidden else c
             for c in _all(answers, "candidates")
         ),
         cost={"added_parameters": len(after) - len(_merged(answers, "before")), "held_out_groups": group_name},
@@ -239,7 +239,7 @@ def _next(
         }
         asked = []
         for f in (f for f in findings if f.term in search.judged):
-            for r in (r for r in f.rivals if r.verdict == "CONFUSABLE"):
+            for r in (r for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE):
                 size = {n: search.now.state.values[n] for n in f.parameters}
                 asked.append(Question(terms[f.term], terms[r.term], size))
         if asked and (made := propose(search, asked[:2], values)):

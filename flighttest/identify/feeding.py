@@ -12,6 +12,7 @@ from flighttest.segments.model import Segment
 
 Select = Literal["paper", "all"]
 
+LEVEL_STEPS = ("throttle_step", "yaw_rate_step")
 STEP_KIND = {"roll": "roll_step", "pitch": "pitch_step", "yaw": "yaw_rate_step"}
 ATTITUDE_STEP_MAX_RAD = 0.35  # larger steps may saturate the rate: the paper's Pi_1 uses 0.2 and 0.3 rad
 FEW_STEPS = 6  # fewer steps than this of a block, beside free flight, are no campaign
@@ -46,8 +47,18 @@ def _moves(segment: Segment, name: str) -> float:
 
 def _can_feed(segment: Segment, block: Block) -> bool:
     if block.name == "translation":
-        return "throttle" in segment.u
-    return all(n in segment.u for n in block.inputs) and any(_moves(segment, n) > 0.02 for n in block.inputs)
+        return "throttle" in segment.u and (segment.kind in LEVEL_STEPS or knows_attitude(segment))
+    return all(n in segment.u for n in block.inputs) and moves(segment, block)
+
+
+def moves(segment: Segment, block: Block) -> bool:
+    """Whether any reference of a block changes in a segment."""
+    return any(_moves(segment, n) > 0.02 for n in block.inputs)
+
+
+def knows_attitude(segment: Segment) -> bool:
+    """Whether roll and pitch were measured: without them nobody knows where a tilted vehicle's thrust points."""
+    return all(np.isfinite(segment.y.get(name, np.nan)).any() for name in ("roll_rad", "pitch_rad"))
 
 
 def outputs_of(

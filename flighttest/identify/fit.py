@@ -19,7 +19,7 @@ from flighttest.errors import FitError, InputError
 from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
 from flighttest.identify.feedback import answered
-from flighttest.identify.feeding import Select
+from flighttest.identify.feeding import Select, knows_attitude, moves
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
@@ -369,15 +369,17 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
             )
         if not any(c.startswith("f_") for c in outputs):
             notes.append("specific force was not recorded: thrust and drag rest on velocity and its derivative")
-        if not any("voltage_v" in s.y for s in problem.segments):
+        if not any(np.isfinite(s.y.get("voltage_v", np.nan)).any() for s in problem.segments):
             notes.append(
                 "battery voltage was not recorded: alpha cannot be identified, and K is the gain at the voltage flown"
             )
+    if not all(knows_attitude(s) for s in problem.segments):
+        notes.append("attitude was not recorded throughout: where it was not, only level steps tell of thrust and drag")
     for block in model.blocks:
         if block.name not in fed:
-            notes.append(
-                f"no segment moves the {block.name.replace('_', ' ')} reference: its parameters stay as assumed"
-            )
+            moved = any(moves(s, block) for s in problem.segments)
+            why = "what answers it was not recorded" if moved else "no segment moves it"
+            notes.append(f"{block.name.replace('_', ' ')} reference: {why}, and its parameters stay as assumed")
     return tuple(notes)
 
 

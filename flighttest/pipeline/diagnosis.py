@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.pipeline.analysis import base_model, cut_all, model_data
-from flighttest.pipeline.fingerprints import differences
+from flighttest.pipeline.fingerprints import conflicts, differences, once, repeated, unfiltered
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.next_in_zone import held_against_zone
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
-from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.pipeline.views import fit_view
 from flighttest.recording import Recording
@@ -35,6 +36,7 @@ from flighttest.segments import Segment
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
+NEXT_NAME = "next.yaml"
 UNFINISHED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
 
 
@@ -70,11 +72,15 @@ def diagnose(
     progress: Progress = SILENT,
 ) -> Result:
     """Diagnose recordings; with `output` write diagnosis.json, model.yaml, report.html and, where one is due, next.yaml."""
+    check_writable(output)
     declared = load_vehicle(vehicle) if vehicle is not None else None
     stored = model_file.read(model) if model is not None else None
     recordings = open_recordings(runs, columns, workers, progress)
+    doubts = (repeated(recordings), conflicts(recordings), unfiltered(recordings))
+    recordings = once(recordings)  # a recording given twice would repeat its noise, too
     segments = cut_all(recordings, progress)
     found = run_diagnosis(segments, recordings, stored, declared, progress)
+    found = replace(found, notes=(*found.notes, *(doubt for doubt in doubts if doubt)))
     data = found.to_json()
     facts = {"recordings": join([str(r) for r in runs]), "base": ", ".join(_base_terms(found))}
     other = differences(stored.fingerprint, recordings) if stored is not None else ""
@@ -86,7 +92,7 @@ def diagnose(
     data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:
-        data |= {"next_path": str(output / "next.yaml")}
+        data |= {"next_path": str(output / NEXT_NAME)}
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
@@ -125,12 +131,13 @@ def write_diagnosis(
 ) -> dict[str, Any]:
     """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written. base: the model given."""
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / NEXT_NAME).unlink(missing_ok=True)  # of an earlier diagnosis
     data = found.to_json()
     script = ""
     if found.next_script:
         script = write_text(found.next_script)
-        (folder / "next.yaml").write_text(script, encoding="utf-8")
-        data["next_flight"] = "next.yaml"
+        (folder / NEXT_NAME).write_text(script, encoding="utf-8")
+        data["next_flight"] = NEXT_NAME
     (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
     fitted, kept = refit(found, segments, base, progress)
     model = model_data(fitted, recordings, vehicle)

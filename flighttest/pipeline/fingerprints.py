@@ -8,6 +8,7 @@ from typing import Any
 
 from flighttest.currency.declared import declared_changes
 from flighttest.recording import Recording
+from flighttest.report.numbers import join
 from flighttest.vehicle.fingerprint import fingerprint
 from flighttest.vehicle.model import Vehicle
 
@@ -56,6 +57,23 @@ def repeated(recordings: Sequence[Recording]) -> str:
         if first != recording.name:
             return f"{first} and {recording.name} are one recording: it counts twice, and all intervals are too narrow"
     return ""
+
+
+def unfiltered(recordings: Sequence[Recording]) -> str:
+    """Whose accelerometer may have a filter that nobody stated, in one sentence; empty where none has."""
+    names = [r.name for r in recordings if r.has("f_z_m_s2") and "specific_force" not in r.provenance.filters]
+    if not names:
+        return ""
+    return (
+        f"the accelerometer's filter is not stated for {join(names)}: none is assumed, and one reads as a slower thrust "
+        "(filters_hz: {specific_force: Hz} in a column map)"
+    )
+
+
+def once(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Each recording the first time it was given."""
+    first = {r.provenance.sha256 or r.name: r for r in reversed(recordings)}
+    return tuple(r for r in recordings if first[r.provenance.sha256 or r.name] is r)
 
 
 def differences(stored: Mapping[str, Any], recordings: Sequence[Recording]) -> str:

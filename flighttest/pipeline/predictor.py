@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.channels import INPUTS
 from flighttest.physics.model import Model
 from flighttest.physics.stepping import SIDEWAYS, Forms, Stepping
 from flighttest.plan.model import Motion, Policy, Snapshot, Trail
@@ -24,7 +25,6 @@ SHORTEST_LAG_S = 0.025
 _POSITION = ("p_x_m", "p_y_m", "p_z_m")
 _VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
-_TARGETS = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")
 _CHANNEL = {
     "roll_ref_rad": "attitude",
     "pitch_ref_rad": "attitude",
@@ -142,10 +142,10 @@ class ModelPredictor:
         system, inputs, (total, n) = self.model.system, self._inputs, (int(steps[0]), x.shape[1])
         place, speed, angle = self._at(_POSITION), self._at(_VELOCITY), self._at(_ATTITUDE)
         # A delay between two steps is the mean of both, weighted: what is held is then delayed by it on the mean.
-        lag = [divmod(self._delays_s[_CHANNEL[t]] / dt_s + 1e-9, 1.0) for t in _TARGETS]
+        lag = [divmod(self._delays_s[_CHANNEL[t]] / dt_s + 1e-9, 1.0) for t in INPUTS]
         u = np.zeros((len(inputs), n))
         u[inputs.index("voltage_v")] = volts
-        rows = [inputs.index(t) for t in _TARGETS]
+        rows = [inputs.index(t) for t in INPUTS]
         record, asked = np.empty((total + 1, len(system.states), n)), np.zeros((total, 4, n))
         record[0] = x
         history = list(past)

@@ -129,7 +129,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
             f"{folder}: there is no such run or folder", "`flighttest runs` lists the runs on this machine"
         )
     if folder.is_dir() and not (folder / MANIFEST_NAME).exists() and (folder / DIAGNOSIS_NAME).exists():
-        return _report_diagnosis(folder, output, progress)
+        return _report_diagnosis(folder, output)
     recordings = open_recordings(campaign_of(folder), progress=progress)
     segments = cut_all(recordings, progress)
     found: Fit | None = None
@@ -186,7 +186,7 @@ def read_diagnosis(path: Path) -> dict[str, Any] | None:
     return data
 
 
-def _report_diagnosis(folder: Path, output: Path | None, progress: Progress) -> Result:
+def _report_diagnosis(folder: Path, output: Path | None) -> Result:
     """The page of a diagnosis, from its files alone."""
     data = read_diagnosis(folder / DIAGNOSIS_NAME) or {}
     script = ""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import Any, Protocol
 
 from flighttest.report.document import Document
@@ -28,6 +30,14 @@ class Result:
     data: Mapping[str, Any]
     status: Status = Status.DONE
     value: Any = field(default=None, repr=False)
+
+
+def check_writable(output: Path | None) -> None:
+    """Raises OSError before any work where a folder or file could not be written after it."""
+    if output is None:
+        return
+    nearest = next((p for p in (output, *output.parents) if p.is_dir()), Path())
+    tempfile.TemporaryFile(dir=nearest).close()
 
 
 class Progress(Protocol):

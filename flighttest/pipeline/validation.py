@@ -11,7 +11,7 @@ from flighttest.identify.validate import Validation, Variation, comparable
 from flighttest.identify.validate import validate as compare_models
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.fingerprints import differences
-from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.report import html
 from flighttest.report.document import Document, Tone
@@ -30,6 +30,7 @@ def validate(
 ) -> Result:
     """Paper section 4; `output`: also write the page. Free flight and steps, where both are given, are compared apart: they ask
     different things of a model, and an error over both together would say little of either."""
+    check_writable(output)
     stored = model_file.read(model, whole=True)
     earlier = model_file.read(previous) if previous is not None else None
     recordings = open_recordings(runs, columns, progress=progress)

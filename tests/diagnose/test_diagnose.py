@@ -176,6 +176,10 @@ def test_an_interrupt_keeps_what_is_done():
     found = diagnose(fly(campaign(1, tilts=False, yaws=False)), only=RIVALS, progress=interrupt)
     assert not found.complete
     assert found.sentence.startswith("Interrupted: nothing was found missing until then")
+    assert found.verdict is Verdict.PARTLY
+    assert found.not_needed == ()
+    assert {u.term: "interrupted" in u.why for u in found.untestable}["steady_wind"]
+    assert {u.term for u in found.untestable} == set(RIVALS)
     assert any("interrupted" in n for n in found.notes)
     assert "v_x" in found.heldout
 

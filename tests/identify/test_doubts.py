@@ -105,6 +105,17 @@ def test_one_filled_in_column_is_left_out_and_said(flown):
     assert abs(found.values["K"] / TRUTH["K"] - 1) < 0.02
 
 
+def test_without_attitude_only_level_steps_tell_of_thrust(flown):
+    blind = [replace(s, y={c: v for c, v in s.y.items() if c not in ("roll_rad", "pitch_rad")}) for s in flown]
+    found = fit(blind)
+    assert any("attitude was not recorded" in note for note in found.notes)
+    assert any("roll reference: what answers it was not recorded" in note for note in found.notes)
+    assert not found.estimates["d_x"].identifiable
+    assert abs(found.values["K"] / TRUTH["K"] - 1) < 0.02
+    (part,) = (p for p in found.problem.parts if p.block.name == "translation")
+    assert {found.problem.segments[r.index].kind for r in part.responses} <= {"throttle_step", "yaw_rate_step"}
+
+
 def test_a_model_no_better_than_the_mean_makes_nothing_known(flown):
     rng = np.random.default_rng(3)
     free = [replace(s, kind="free", cell={}) for s in flown if s.kind == "throttle_step"]

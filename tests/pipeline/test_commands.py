@@ -2,13 +2,17 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 
 from flighttest.cli import main as cli_main
-from flighttest.pipeline.fingerprints import conflicts, differences, repeated
-from flighttest.recording import Provenance, Recording
+from flighttest.errors import FitError
+from flighttest.pipeline import diagnosis
+from flighttest.pipeline.fingerprints import conflicts, differences, once, repeated, unfiltered
+from flighttest.recording import Provenance, Recording, Series
 
 TRUTH = {
     "omega_phi": 25.43,
@@ -325,6 +329,64 @@ def test_a_recording_that_is_given_twice_is_told():
     again = Recording("a-2", {}, (), a.provenance)
     assert "a and a-2 are one recording" in repeated([a, b, again])
     assert repeated([a, b]) == ""
+
+
+def test_a_diagnosis_counts_a_recording_once(monkeypatch, flight_csv):
+    given = []
+
+    def search(segments, *_args, **_more):
+        given.append(len(segments))
+        raise FitError("enough", "")
+
+    monkeypatch.setattr(diagnosis, "search", search)
+    for runs in ([flight_csv], [flight_csv, flight_csv]):
+        with pytest.raises(FitError):
+            diagnosis.diagnose(runs)
+    assert given[0] == given[1] > 0
+    assert [r.name for r in once([Recording(n, {}, (), Provenance("", "table", sha256=n)) for n in "aba"])] == [
+        "a",
+        "b",
+    ]
+
+
+def test_a_filter_that_nobody_stated_is_a_doubt():
+    t = np.arange(5.0)
+    series = {"specific_force": Series(t, {f"f_{a}_m_s2": t for a in "xyz"})}
+    bare = Recording("bare", series, (), Provenance("", "table"))
+    stated = Recording("stated", series, (), Provenance("", "table", filters={"specific_force": 20.0}))
+    assert "not stated for bare:" in unfiltered([stated, bare, Recording("still", {}, (), Provenance("", "table"))])
+    assert unfiltered([stated]) == ""
+
+
+def test_a_proposal_of_an_earlier_diagnosis_does_not_stay(monkeypatch, tmp_path):
+    def interrupt(*_args, **_more):
+        raise KeyboardInterrupt
+
+    (tmp_path / "next.yaml").write_text("format: maneuver/1")
+    monkeypatch.setattr(diagnosis, "refit", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        diagnosis.write_diagnosis(SimpleNamespace(to_json=dict, next_script=None), [], [], None, None, tmp_path)
+    assert not (tmp_path / "next.yaml").exists()
+    assert (tmp_path / "diagnosis.json").exists()
+
+
+@pytest.mark.parametrize("command", ["fit", "diagnose", "validate"])
+def test_where_nothing_can_be_written_nothing_is_computed(call, model, flight_csv, monkeypatch, command):
+    monkeypatch.setattr("flighttest.pipeline.sources.read_log", lambda *_: pytest.fail("read before it was refused"))
+    given = (model, flight_csv) if command == "validate" else (flight_csv,)
+    code, _, err = call(command, *given, "-o", "/proc/nowhere/out")
+    assert code == 2
+    assert "/proc" in err
+
+
+def test_a_program_hears_of_an_interrupt(call, monkeypatch, flight_csv):
+    def interrupt(*_args, **_more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("flighttest.pipeline.analysis.fit_segments", interrupt)
+    code, out, _ = call("fit", flight_csv, "--json")
+    assert code == 1
+    assert "stopped" in json.loads(out)["error"]["message"]
 
 
 def test_what_to_fly_takes_time_also_where_the_model_finds_no_room(call, model, tmp_path):
