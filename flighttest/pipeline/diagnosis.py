@@ -83,6 +83,9 @@ def diagnose(
     found = replace(found, notes=(*found.notes, *(doubt for doubt in doubts if doubt)))
     data = found.to_json()
     facts = {"recordings": join([str(r) for r in runs]), "base": ", ".join(_base_terms(found))}
+    careful = "; ".join(doubt for doubt in doubts[:2] if doubt)
+    if careful:
+        facts["careful"] = careful
     other = differences(stored.fingerprint, recordings) if stored is not None else ""
     if other:
         facts["another vehicle"] = f"the model's has {other}; see `flighttest status`"

@@ -55,7 +55,7 @@ def repeated(recordings: Sequence[Recording]) -> str:
     for recording in recordings:
         first = seen.setdefault(recording.provenance.sha256 or recording.name, recording.name)
         if first != recording.name:
-            return f"{first} and {recording.name} are one recording: it counts twice, and all intervals are too narrow"
+            return f"{first} and {recording.name} are one recording: it is counted once"
     return ""
 
 

@@ -10,7 +10,7 @@ import yaml
 
 from flighttest.cli import main as cli_main
 from flighttest.errors import FitError
-from flighttest.pipeline import diagnosis
+from flighttest.pipeline import analysis, diagnosis
 from flighttest.pipeline.fingerprints import conflicts, differences, once, repeated, unfiltered
 from flighttest.recording import Provenance, Recording, Series
 
@@ -331,7 +331,7 @@ def test_a_recording_that_is_given_twice_is_told():
     assert repeated([a, b]) == ""
 
 
-def test_a_diagnosis_counts_a_recording_once(monkeypatch, flight_csv):
+def test_fit_and_diagnosis_count_a_recording_once(monkeypatch, flight_csv):
     given = []
 
     def search(segments, *_args, **_more):
@@ -339,10 +339,13 @@ def test_a_diagnosis_counts_a_recording_once(monkeypatch, flight_csv):
         raise FitError("enough", "")
 
     monkeypatch.setattr(diagnosis, "search", search)
-    for runs in ([flight_csv], [flight_csv, flight_csv]):
-        with pytest.raises(FitError):
-            diagnosis.diagnose(runs)
-    assert given[0] == given[1] > 0
+    monkeypatch.setattr(analysis, "fit_segments", search)
+    for work in (diagnosis.diagnose, analysis.fit):
+        for runs in ([flight_csv], [flight_csv, flight_csv]):
+            with pytest.raises(FitError):
+                work(runs)
+    assert given[0] > 0
+    assert len(set(given)) == 1
     assert [r.name for r in once([Recording(n, {}, (), Provenance("", "table", sha256=n)) for n in "aba"])] == [
         "a",
         "b",
