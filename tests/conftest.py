@@ -13,8 +13,11 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def pytest_sessionstart() -> None:
-    """Ctrl-C is tested: where the suite runs in the background of a shell, that signal is ignored by it and all it starts."""
+    """Ctrl-C and a closed terminal are tested: where a shell runs the suite in its background, or `nohup` does, their signals are
+    ignored by it and all it starts."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def find_shared_data() -> Path | None:
