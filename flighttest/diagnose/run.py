@@ -38,7 +38,7 @@ DELAYS_DIFFER_S = 0.01
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 SHAPE_ALONE = "times its usual self"
 UNMOVED = "these flights do not move what it acts on"
-UNTRIED = "not looked for: the search was interrupted"
+UNTRIED = "not looked for to the end: the search was interrupted"
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is told.
 MOVED, MOVED_ERRORS = 0.05, 4.0
 

@@ -34,7 +34,7 @@ def feeding(segments: Sequence[Segment], block: Block, select: Select, among: Se
     return _as_in_the_paper(segments, members, block) if select == "paper" else members
 
 
-def _moves(segment: Segment, name: str) -> float:
+def _change(segment: Segment, name: str) -> float:
     """Largest change of a reference within what the segment's samples can show."""
     if name not in segment.u:
         return 0.0
@@ -53,7 +53,7 @@ def _can_feed(segment: Segment, block: Block) -> bool:
 
 def moves(segment: Segment, block: Block) -> bool:
     """Whether any reference of a block changes in a segment."""
-    return any(_moves(segment, n) > 0.02 for n in block.inputs)
+    return any(_change(segment, n) > 0.02 for n in block.inputs)
 
 
 def knows_attitude(segment: Segment) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.frames import G_M_S2, rotation_from_euler
+from flighttest.logs.timing import difference
 
 FloatArray = NDArray[np.float64]
 
@@ -17,6 +18,7 @@ _RATES = {
     "v_x_m_s": "p_x_m", "v_y_m_s": "p_y_m", "v_z_m_s": "p_z_m",
 }  # fmt: skip
 _ATTITUDE = ("roll_rad", "pitch_rad", "yaw_rad")
+_VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
 _FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
 _SAID = "what attitude and specific force make of it"
 _SMOOTH_S = 0.3  # both sides are smoothed over it: sensors' noise is not what is compared
@@ -28,36 +30,28 @@ _FEWEST = 100
 def disagreements(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[str]:
     """Channels whose size or sign others contradict, each in a sentence with a remedy.
 
-    t_s: (n,) s, increasing; columns: channel to (n,), NaN where missing, in the units and frames of their names.
+    t_s: (n,) s; columns: channel to (n,), NaN where missing, in the units and frames of their names.
     """
+    order = np.argsort(t_s, kind="stable")
+    t_s, columns = t_s[order], {name: values[order] for name, values in columns.items()}
     found = []
     for rate, of in _RATES.items():
         if rate in columns and of in columns:
             whole = columns[of] if of.endswith("_m") else _unwrapped(columns[of])
-            found.append((rate, f"the rate of {of}", columns[rate], _slope(t_s, whole)))
+            found.append((rate, f"the rate of {of}", columns[rate], difference(t_s, whole)))
     if all(n in columns for n in (*_ATTITUDE, *_FORCE)):
         roll, pitch, yaw = (columns[n] for n in _ATTITUDE)
+        slope = {n: difference(t_s, columns[n]) for n in _VELOCITY if n in columns}
         # As the heading sees it: forward goes with pitch and left with roll, whatever the compass says.
-        level = rotation_from_euler(np.stack([roll, pitch, 0.0 * yaw], axis=1))
-        said = np.einsum("nij,nj->ni", level, np.stack([columns[n] for n in _FORCE], axis=1))
-        if "v_z_m_s" in columns:
-            found.append(("the rate of v_z_m_s", _SAID, _slope(t_s, columns["v_z_m_s"]), said[:, 2] - G_M_S2))
-        if "v_x_m_s" in columns and "v_y_m_s" in columns:
-            x, y = _slope(t_s, columns["v_x_m_s"]), _slope(t_s, columns["v_y_m_s"])
-            found += [
-                (
-                    "the forward acceleration of v_x_m_s and v_y_m_s",
-                    _SAID,
-                    np.cos(yaw) * x + np.sin(yaw) * y,
-                    said[:, 0],
-                ),
-                (
-                    "the acceleration to the left of v_x_m_s and v_y_m_s",
-                    _SAID,
-                    np.cos(yaw) * y - np.sin(yaw) * x,
-                    said[:, 1],
-                ),
-            ]
+        level = rotation_from_euler(np.stack([roll, pitch, np.zeros(yaw.size)], axis=1))
+        forward, left, up = np.einsum("nij,nj->in", level, np.stack([columns[n] for n in _FORCE], axis=1))
+        if slope.keys() >= {"v_x_m_s", "v_y_m_s"}:
+            x, y = slope["v_x_m_s"], slope["v_y_m_s"]
+            name = "the {} acceleration of v_x_m_s and v_y_m_s"
+            found.append((name.format("forward"), _SAID, np.cos(yaw) * x + np.sin(yaw) * y, forward))
+            found.append((name.format("leftward"), _SAID, np.cos(yaw) * y - np.sin(yaw) * x, left))
+        if "v_z_m_s" in slope:
+            found.append(("the rate of v_z_m_s", _SAID, slope["v_z_m_s"], up - G_M_S2))
     ratios = [(name, said, _ratio(t_s, values, reference)) for name, said, values, reference in found]
     return [
         f"{name} is {ratio:.3g} times {said}: one of them has another unit or frame than its name says; state it in a column map "
@@ -71,15 +65,6 @@ def _unwrapped(angle: FloatArray) -> FloatArray:
     out = angle.copy()
     good = np.isfinite(angle)
     out[good] = np.unwrap(angle[good])
-    return out
-
-
-def _slope(t_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Derivative at every finite sample, NaN elsewhere."""
-    out = np.full(values.size, np.nan)
-    good = np.flatnonzero(np.isfinite(values))
-    if good.size > 2:
-        out[good] = np.gradient(values[good], t_s[good])
     return out
 
 

@@ -23,7 +23,7 @@ from flighttest.logs.crazyflie import crazyflie_map
 from flighttest.logs.gravity import gravity_doubts
 from flighttest.logs.opening import LogFile
 from flighttest.logs.sheet import Sheet, read_sheet
-from flighttest.logs.timing import ordered, outliers
+from flighttest.logs.timing import difference, ordered, outliers
 from flighttest.mavlink.decode import mode_markers
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V
 from flighttest.recording import Marker, Provenance, Recording, Series
@@ -69,8 +69,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
     _without_battery(found, losses)
-    order = np.flatnonzero(np.isfinite(t_s) & np.concatenate([[True], np.diff(t_s) > 0]))
-    losses += disagreements(t_s[order], {name: values[order] for name, values in found.items()})
+    losses += disagreements(t_s, found)
     _derive(t_s, found, derived)
     series = _grouped(t_s, found, losses)
     if not {"attitude", "specific_force", "acceleration", "velocity"} & set(series):
@@ -86,7 +85,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     losses += gravity_doubts(found, plan.body, mapped=given is not None)
     step = sheet.column(plan.columns[STEP].columns[0]) if STEP in plan.columns else pieces
     markers = _steps(t_s, step) if step is not None else []
-    if "mode" in found:
+    if "state" in series:
         markers = sorted([*markers, *mode_markers(series["state"])], key=lambda m: m.t_s)
     return Recording(
         name=path.name.split(".")[0],
@@ -256,12 +255,12 @@ def _derive(t_s: FloatArray, found: Columns, derived: dict[str, str]) -> None:
     v, p, f, a = names("velocity"), names("position"), names("specific_force"), names("acceleration")
     for rate, place in zip(v, p, strict=True):
         if rate not in found and place in found:
-            found[rate] = _difference(t_s, found[place])
+            found[rate] = difference(t_s, found[place])
             derived[rate] = f"central differences of {place}"
     if not any(name in found for name in (*f, *a)):
         for acceleration, rate in zip(a, v, strict=True):
             if rate in found:
-                found[acceleration] = _difference(t_s, found[rate])
+                found[acceleration] = difference(t_s, found[rate])
                 derived[acceleration] = f"central differences of {rate}: there is no accelerometer"
     if "height_m" not in found and "p_z_m" in found:
         found["height_m"] = found["p_z_m"]
@@ -279,25 +278,6 @@ def _without_battery(found: Columns, losses: list[str]) -> None:
         losses.append(
             f"voltage_v: {np.count_nonzero(dead)} values of {LEAST_BATTERY_V:g} V or less are taken as missing"
         )
-
-
-def _difference(t_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Derivative at every finite sample, from its finite neighbours; NaN where neighbours are missing."""
-    out = np.full(values.size, np.nan)
-    order = np.argsort(t_s, kind="stable")
-    good = order[np.isfinite(values[order]) & np.isfinite(t_s[order])]
-    if good.size >= 3:
-        t, x = t_s[good], values[good]
-        keep = np.concatenate([[True], np.diff(t) > 0])
-        good, t, x = good[keep], t[keep], x[keep]
-        if good.size >= 3:
-            slope = np.gradient(x, t)
-            usual = float(np.median(np.diff(t)))
-            far = np.diff(t) > 3.5 * usual
-            slope[1:][far] = np.nan
-            slope[:-1][far] = np.nan
-            out[good] = slope
-    return out
 
 
 def _grouped(t_s: FloatArray, found: Columns, losses: list[str]) -> dict[str, Series]:

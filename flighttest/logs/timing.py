@@ -152,3 +152,23 @@ def outliers(t: FloatArray) -> NDArray[np.bool_]:
 def _stays_back(t: FloatArray, i: int) -> bool:
     """Whether the step back after sample i is a restart and not one late message."""
     return bool(np.median(t[i + 1 : i + 6]) < t[i] - _BACK_S)
+
+
+def difference(t_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Derivative by time at every finite sample, from its finite neighbours; NaN where neighbours are missing. t_s, values: (n,), in any
+    order."""
+    out = np.full(values.size, np.nan)
+    order = np.argsort(t_s, kind="stable")
+    good = order[np.isfinite(values[order]) & np.isfinite(t_s[order])]
+    if good.size >= 3:
+        t, x = t_s[good], values[good]
+        keep = np.concatenate([[True], np.diff(t) > 0])
+        good, t, x = good[keep], t[keep], x[keep]
+        if good.size >= 3:
+            slope = np.gradient(x, t)
+            usual = float(np.median(np.diff(t)))
+            far = np.diff(t) > 3.5 * usual
+            slope[1:][far] = np.nan
+            slope[:-1][far] = np.nan
+            out[good] = slope
+    return out

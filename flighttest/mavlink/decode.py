@@ -371,7 +371,9 @@ def _clock_of_stamps(ground_s: FloatArray, stamp_s: FloatArray, clock: ClockEsti
 
 
 def mode_markers(state: Series) -> list[Marker]:
-    """One marker at the first mode (ArduCopter's number) and at each change of it."""
-    modes = state.columns["mode"]
+    """One marker at the first mode (ArduCopter's number) and at each change of it; none where it was not recorded."""
+    modes = state.columns.get("mode", np.full(state.t_s.size, np.nan))
+    known = np.isfinite(modes)
+    t_s, modes = state.t_s[known], modes[known]
     changed = np.flatnonzero(np.diff(modes, prepend=np.nan) != 0)
-    return [Marker(float(state.t_s[i]), "mode", mode_name(int(modes[i])), {"mode": int(modes[i])}) for i in changed]
+    return [Marker(float(t_s[i]), "mode", mode_name(int(modes[i])), {"mode": int(modes[i])}) for i in changed]

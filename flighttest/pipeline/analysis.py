@@ -20,7 +20,8 @@ from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, ROTOR_HEIGHT_M, Model
 from flighttest.pipeline.batteries import battery_data
-from flighttest.pipeline.fingerprints import conflicts, of_recordings, once, repeated, unfiltered
+from flighttest.pipeline.doubts import doubts, once
+from flighttest.pipeline.fingerprints import of_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.pipeline.views import fit_view, metrics, segment_views
@@ -239,14 +240,14 @@ def fit(
 ) -> Result:
     """Estimate the parameters of one or several recordings, jointly; write model.yaml where `output` says."""
     options = options or FitOptions()
-    check_writable(output)
+    check_writable(None if output is None else output.parent)
     declared = load_vehicle(vehicle) if vehicle is not None else None
     recordings = open_recordings(runs, columns, options.workers, progress, options.scheduler)
-    notes = (repeated(recordings), conflicts(recordings), unfiltered(recordings))
-    recordings = once(recordings)  # a recording given twice would narrow every interval
+    doubtful = doubts(recordings)
+    recordings = once(recordings)
     segments = cut_all(recordings, progress)
     found = fit_segments(segments, recordings, declared, options, progress)
-    found = replace(found, notes=(*found.notes, *(note for note in notes if note)))
+    found = replace(found, notes=(*found.notes, *doubtful))
     return finish_fit(found, segments, recordings, declared, output, [str(r) for r in runs])
 
 

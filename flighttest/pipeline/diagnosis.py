@@ -19,7 +19,8 @@ from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.pipeline.analysis import base_model, cut_all, model_data
-from flighttest.pipeline.fingerprints import conflicts, differences, once, repeated, unfiltered
+from flighttest.pipeline.doubts import doubts, once
+from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.next_in_zone import held_against_zone
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
@@ -76,16 +77,15 @@ def diagnose(
     declared = load_vehicle(vehicle) if vehicle is not None else None
     stored = model_file.read(model) if model is not None else None
     recordings = open_recordings(runs, columns, workers, progress)
-    doubts = (repeated(recordings), conflicts(recordings), unfiltered(recordings))
-    recordings = once(recordings)  # a recording given twice would repeat its noise, too
+    doubtful = doubts(recordings)
+    recordings = once(recordings)
     segments = cut_all(recordings, progress)
     found = run_diagnosis(segments, recordings, stored, declared, progress)
-    found = replace(found, notes=(*found.notes, *(doubt for doubt in doubts if doubt)))
+    found = replace(found, notes=(*found.notes, *doubtful))
     data = found.to_json()
     facts = {"recordings": join([str(r) for r in runs]), "base": ", ".join(_base_terms(found))}
-    careful = "; ".join(doubt for doubt in doubts[:2] if doubt)
-    if careful:
-        facts["careful"] = careful
+    if doubtful:
+        facts["careful"] = "; ".join(doubtful)
     other = differences(stored.fingerprint, recordings) if stored is not None else ""
     if other:
         facts["another vehicle"] = f"the model's has {other}; see `flighttest status`"

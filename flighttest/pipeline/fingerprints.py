@@ -8,7 +8,6 @@ from typing import Any
 
 from flighttest.currency.declared import declared_changes
 from flighttest.recording import Recording
-from flighttest.report.numbers import join
 from flighttest.vehicle.fingerprint import fingerprint
 from flighttest.vehicle.model import Vehicle
 
@@ -38,42 +37,6 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
         mass = vehicle.mass_kg
     made = fingerprint(None, firmware, parameters)
     return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
-
-
-def conflicts(recordings: Sequence[Recording]) -> str:
-    """What says that recordings are not of one vehicle in one state, in one sentence; empty where nothing does."""
-    for recording in recordings[1:]:
-        said = differences(of_recordings(recordings[:1], None), [recording])
-        if said:
-            return f"{recordings[0].name} and {recording.name} are not of one vehicle: {said}; one model of both is a compromise"
-    return ""
-
-
-def repeated(recordings: Sequence[Recording]) -> str:
-    """Which recording was given twice, in one sentence; empty where none was."""
-    seen: dict[str, str] = {}
-    for recording in recordings:
-        first = seen.setdefault(recording.provenance.sha256 or recording.name, recording.name)
-        if first != recording.name:
-            return f"{first} and {recording.name} are one recording: it is counted once"
-    return ""
-
-
-def unfiltered(recordings: Sequence[Recording]) -> str:
-    """Whose accelerometer may have a filter that nobody stated, in one sentence; empty where none has."""
-    names = [r.name for r in recordings if r.has("f_z_m_s2") and "specific_force" not in r.provenance.filters]
-    if not names:
-        return ""
-    return (
-        f"the accelerometer's filter is not stated for {join(names)}: none is assumed, and one reads as a slower thrust "
-        "(filters_hz: {specific_force: Hz} in a column map)"
-    )
-
-
-def once(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Each recording the first time it was given."""
-    first = {r.provenance.sha256 or r.name: r for r in reversed(recordings)}
-    return tuple(r for r in recordings if first[r.provenance.sha256 or r.name] is r)
 
 
 def differences(stored: Mapping[str, Any], recordings: Sequence[Recording]) -> str:

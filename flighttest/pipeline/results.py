@@ -9,6 +9,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Protocol
 
+from flighttest.errors import InputError
 from flighttest.report.document import Document
 
 
@@ -32,12 +33,15 @@ class Result:
     value: Any = field(default=None, repr=False)
 
 
-def check_writable(output: Path | None) -> None:
-    """Raises OSError before any work where a folder or file could not be written after it."""
-    if output is None:
+def check_writable(folder: Path | None) -> None:
+    """InputError before any work where nothing could be written after it into a folder, which may have to be made then."""
+    if folder is None:
         return
-    nearest = next((p for p in (output, *output.parents) if p.is_dir()), Path())
-    tempfile.TemporaryFile(dir=nearest).close()
+    nearest = next(p for p in (folder, *folder.parents) if p.exists())
+    try:
+        tempfile.TemporaryFile(dir=nearest).close()
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})", "give another --output") from error
 
 
 class Progress(Protocol):

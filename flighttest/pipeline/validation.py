@@ -30,7 +30,7 @@ def validate(
 ) -> Result:
     """Paper section 4; `output`: also write the page. Free flight and steps, where both are given, are compared apart: they ask
     different things of a model, and an error over both together would say little of either."""
-    check_writable(output)
+    check_writable(None if output is None else output.parent)
     stored = model_file.read(model, whole=True)
     earlier = model_file.read(previous) if previous is not None else None
     recordings = open_recordings(runs, columns, progress=progress)

@@ -70,7 +70,7 @@ def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehic
     connect = text("connect", "") if "connect" in fields and fields["connect"].value is not None else ""
     voltage = number("nominal_voltage_v", 2.0, 120.0, "V", default.nominal_voltage_v)
     hover = number("hover_throttle", 0.02, 0.95, "", default.hover_throttle, "throttle runs from 0 to 1")
-    rotor = number("rotor_height_m", 0.0, 5.0, "m", 0.2)
+    rotor = number("rotor_height_m", 0.0, 5.0, "m", Vehicle.rotor_height_m)
     assert voltage is not None
     assert hover is not None
     assert rotor is not None

@@ -55,3 +55,9 @@ def test_what_hardly_moves_or_is_hardly_there_says_nothing():
     assert disagreements(T, still | {"f_z_m_s2": G_M_S2 + still["f_z_m_s2"]}) == []
     few = {n: np.where(np.arange(T.size) < 50, v, np.nan) for n, v in flown(rng).items()}
     assert disagreements(T, few | {"v_z_m_s": -few["v_z_m_s"]}) == []
+
+
+def test_rows_in_any_order_say_the_same():
+    table = flown(np.random.default_rng(4)) | {"v_z_m_s": -flown(np.random.default_rng(4))["v_z_m_s"]}
+    mixed = np.random.default_rng(5).permutation(T.size)
+    assert disagreements(T[mixed], {n: v[mixed] for n, v in table.items()}) == disagreements(T, table) != []

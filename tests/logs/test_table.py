@@ -8,18 +8,7 @@ from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
 from flighttest.logs.columns import parse_columns
-
-N = 200
-
-
-def save(path, **columns):
-    pd.DataFrame(columns).to_csv(path, index=False)
-    return path
-
-
-def mapped(tmp_path, text, **columns):
-    (tmp_path / "map.yaml").write_text("format: columns/1\n" + text)
-    return import_log(save(tmp_path / "a.csv", **columns), tmp_path / "map.yaml")
+from tests.logs.tables import N, mapped, save
 
 
 @pytest.fixture
@@ -64,6 +53,13 @@ def test_a_voltage_that_no_battery_has_is_missing(tmp_path, t):
 def test_a_change_of_mode_is_marked(tmp_path, t):
     r = import_log(save(tmp_path / "a.csv", t_s=t, mode=np.where(t < 2.0, 20, 4), roll_rad=0 * t))
     assert [(m.t_s, m.data["mode"]) for m in r.markers if m.kind == "mode"] == [(0.0, 20), (2.0, 4)]
+
+
+def test_rows_without_a_mode_change_none(tmp_path, t):
+    mode = np.where(np.arange(N) % 3 == 0, 20.0, np.nan)
+    r = import_log(save(tmp_path / "a.csv", t_s=t, mode=mode, armed=1, roll_rad=0 * t))
+    assert [m.data["mode"] for m in r.markers if m.kind == "mode"] == [20]
+    assert not import_log(save(tmp_path / "b.csv", t_s=t, mode=np.nan * t, roll_rad=0 * t)).markers
 
 
 def test_a_throttle_below_zero_is_refused(tmp_path, t):
@@ -356,34 +352,6 @@ def test_a_scale_of_zero_is_refused():
     assert (problem.line, problem.path) == (4, "columns.roll_rad.scale")
     assert "every value of roll_rad the same" in problem.what
     assert "`constants:`" in problem.hint
-
-
-@pytest.mark.parametrize(
-    ("frame", "factor", "words"),
-    [
-        ("", 1.0, ()),
-        ("", 1 / 9.81, ("`unit: g`",)),
-        ("", -1.0, ("say `frame: {body: FRD}`",)),
-        ("", -1 / 9.81, ("`unit: g`", "say `frame: {body: FRD}`")),
-        ("frame: {body: FRD}\n", -1.0, ()),
-        ("frame: {body: FRD}\n", 1.0, ("leave that out",)),
-    ],
-)
-def test_an_accelerometer_in_another_unit_or_frame_is_told(tmp_path, t, frame, factor, words):
-    columns = "columns: {t_s: t, roll_rad: r, f_x_m_s2: x, f_y_m_s2: y, f_z_m_s2: z}\n"
-    wave = np.sin(7 * t)
-    r = mapped(
-        tmp_path,
-        frame + columns,
-        t=t,
-        r=0.1 * wave,
-        x=factor * wave,
-        y=0.5 * factor * wave,
-        z=factor * (9.81 + 3 * wave),
-    )
-    assert len(r.provenance.losses) == len(words)
-    for loss, word in zip(r.provenance.losses, words, strict=True):
-        assert word in loss
 
 
 def test_a_channel_has_one_source_and_a_filter_lets_something_through():

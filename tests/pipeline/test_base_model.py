@@ -18,6 +18,7 @@ def test_the_vehicle_file_is_believed_before_the_recordings_and_these_before_the
     assert base_model(kept, declared) == Model(nominal_voltage_v=14.8, rotor_height_m=0.5)
     assert base_model(kept, None) == Model(nominal_voltage_v=25.2, rotor_height_m=0.0)
     assert base_model([recorded(nominal_voltage_v="?")], None) == Model()
+    assert base_model([], Vehicle("v", None, "ardupilot", 22.2, 0.3)) == Model(), "the usual is one and the same"
     assert base_model([], None, ["ground_effect"]).terms == ("body", "linear_drag", "ground_effect")
 
 

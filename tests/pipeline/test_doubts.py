@@ -1,0 +1,65 @@
+"""What is said of recordings before anything is computed of them."""
+
+import numpy as np
+import pytest
+
+from flighttest.errors import FitError
+from flighttest.pipeline import analysis, diagnosis
+from flighttest.pipeline.doubts import conflicts, doubts, once, repeated, unfiltered
+from flighttest.pipeline.fingerprints import differences
+from flighttest.recording import Provenance, Recording, Series
+
+
+def test_recordings_of_two_vehicles_are_called_so():
+    def recorded(name, part):
+        return Recording(name, {}, (), Provenance("", "table", components={"propellers": {"id": part}}))
+
+    a, b = recorded("a", "P1"), recorded("b", "P2")
+    assert "a and b are not of one vehicle: propellers P1, here P2" in conflicts([a, recorded("c", "P1"), b])
+    assert conflicts([a, recorded("c", "P1")]) == ""
+    assert conflicts([a, Recording("table", {}, (), Provenance("", "table"))]) == "", "not declared is not changed"
+    assert differences({"components": {"propellers": {"id": "P1"}}}, [b]) == "propellers P1, here P2"
+
+
+def test_a_recording_that_is_given_twice_is_told():
+    a, b = (Recording(name, {}, (), Provenance("", "table", sha256=sha)) for name, sha in (("a", "1"), ("b", "2")))
+    again = Recording("a-2", {}, (), a.provenance)
+    assert "a and a-2 are one recording" in repeated([a, b, again])
+    assert repeated([a, b]) == ""
+
+
+def test_fit_and_diagnosis_count_a_recording_once(monkeypatch, flight_csv):
+    given = []
+
+    def search(segments, *_args, **_more):
+        given.append(len(segments))
+        raise FitError("enough", "")
+
+    monkeypatch.setattr(diagnosis, "search", search)
+    monkeypatch.setattr(analysis, "fit_segments", search)
+    for work in (diagnosis.diagnose, analysis.fit):
+        for runs in ([flight_csv], [flight_csv, flight_csv]):
+            with pytest.raises(FitError):
+                work(runs)
+    assert given[0] > 0
+    assert len(set(given)) == 1
+    assert [r.name for r in once([Recording(n, {}, (), Provenance("", "table", sha256=n)) for n in "aba"])] == [
+        "a",
+        "b",
+    ]
+
+
+def test_a_filter_that_nobody_stated_is_a_doubt():
+    t = np.arange(5.0)
+    series = {"specific_force": Series(t, {f"f_{a}_m_s2": t for a in "xyz"})}
+    bare = Recording("bare", series, (), Provenance("", "table"))
+    stated = Recording("stated", series, (), Provenance("", "table", filters={"specific_force": 20.0}))
+    assert "not stated for bare:" in unfiltered([stated, bare, Recording("still", {}, (), Provenance("", "table"))])
+    assert unfiltered([stated]) == ""
+
+
+def test_every_doubt_is_told_and_the_gravest_first():
+    a, b = (Recording(n, {}, (), Provenance("", "table", sha256=n, components={"battery": {"id": n}})) for n in "ab")
+    said = doubts([a, b, a.__class__("a-2", {}, (), a.provenance)])
+    assert ["not of one vehicle" in said[0], "are one recording" in said[1], len(said)] == [True, True, 2]
+    assert doubts([a]) == ()
