@@ -18,12 +18,13 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from flighttest.estimation.problem import Problem, prior_std
+from flighttest.estimation.responses import nodes_of, zero_order_hold
+from flighttest.estimation.solver import solve
+from flighttest.estimation.weighing import start_noise
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import fit
-from flighttest.identify.problem import Problem, prior_std
-from flighttest.identify.responses import held, nodes_of
-from flighttest.identify.solve import solve
-from flighttest.identify.weighing import start_noise
+from flighttest.identify.selection import problem_of
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import rk4_stages
@@ -117,7 +118,7 @@ def scipy_finite_differences(problem: Problem) -> tuple[float, dict[str, float]]
             full = gain * (voltage / 22.2) ** alpha
 
             def rate(t: float, x: np.ndarray, s=s, full=full) -> list[float]:
-                throttle = float(held(s.u["throttle"], np.array([t - delay]))[0])
+                throttle = float(zero_order_hold(s.u["throttle"], np.array([t - delay]))[0])
                 return [x[1] - drag * x[0] - G_M_S2, sigma * (full * throttle - x[1])]
 
             start = [float(s.y["v_z_m_s"][0]), float(np.mean(s.y["f_z_m_s2"][:4]))]
@@ -152,7 +153,7 @@ def main() -> None:
     )
 
     begin = {**found.values, "sigma_t": 30.0, "K": 50.0, "alpha": 1.0, "d_x": 0.2, "d_y": 0.2, "d_z": 0.2}
-    translation = Problem.build(segments, model, values=begin, fixed=("T_d_thrust",))
+    translation = problem_of(segments, model, values=begin, fixed=("T_d_thrust",))
     parts = [p for p in translation.parts if p.block.name == "translation"]
     translation.parts = tuple(parts)
     free = [n for n in parts[0].block.params if n != "T_d_thrust"]
@@ -174,7 +175,7 @@ def main() -> None:
     for count in (1, 10, 100) if quick else (1, 10, 100, 1000):
         steps = [s for s in segments if s.kind == "throttle_step"]
         many = (steps * (-(-count // len(steps))))[:count]
-        problem = Problem.build(many, model, values=found.values)
+        problem = problem_of(many, model, values=found.values)
         problem.evaluate(problem.values, None, problem.names)
         seconds = min(timed(lambda p=problem: p.evaluate(p.values, None, p.names))[0] for _ in range(3))
         print(

@@ -18,10 +18,10 @@ import numpy as np
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import FloatArray
-from flighttest.identify.covariance import cluster_covariance, correlation_inflation
+from flighttest.estimation.covariance import cluster_covariance, variance_inflation_of
+from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.weighing import Normal
 from flighttest.identify.held import normal_at
-from flighttest.identify.problem import Noise, Problem
-from flighttest.identify.weighing import Normal
 from flighttest.segments import Segment
 
 MIN_STEPS = 2  # kinds of step that must tell of a parameter
@@ -113,7 +113,7 @@ def compare(
     held = normal_at(problem, values, names, noise)
     # The responses' own initial states first: the parameters answer to what they leave.
     held = normal_at(problem, values, names, noise, held.after(np.zeros(len(names))))
-    inflation = correlation_inflation(problem, held.made, held.noise)
+    inflation = variance_inflation_of(problem, held.made, held.noise)
     names = _told(_differences(held.normal, pairs), values, inflation)
     if not names:
         return None
@@ -131,7 +131,7 @@ def compare(
             now[n] = target
         held = normal_at(problem, now, held.normal.names, noise, held.after(taken))
     moved = _only(_differences(held.normal, pairs), names)
-    spread = cluster_covariance(moved, moved.names, correlation_inflation(problem, held.made, held.noise))
+    spread = cluster_covariance(moved, moved.names, variance_inflation_of(problem, held.made, held.noise))
     # What has not settled by now, or hangs at a bound, was not told after all.
     rest = np.abs(_inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0))
     settled = {

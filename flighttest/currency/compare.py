@@ -10,8 +10,8 @@ import numpy as np
 
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
+from flighttest.estimation.distributions import beyond, fisher_beyond, quantile
 from flighttest.identify import mass
-from flighttest.identify.student import beyond, fisher_beyond, quantile
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
 FALSE_ALARM = 0.01

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.currency.model import FloatArray
-from flighttest.identify.weighing import Normal
+from flighttest.estimation.weighing import Normal
 from flighttest.segments import Segment
 
 # What one flight after another differs by where nothing has been measured, relative, as one standard deviation: the stated fallback.

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.currency.model import FloatArray, SubsetTest
+from flighttest.estimation.distributions import beyond, quantile
+from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import G_M_S2
-from flighttest.identify.responses import held
-from flighttest.identify.student import beyond, quantile
 from flighttest.segments import Segment
 
 MIN_WINDOW_S = 1.0
@@ -61,7 +61,7 @@ def _window(s: Segment) -> tuple[float, float] | None:
     duration = float(s.t_s[known][-1] - s.t_s[known][0]) if known.sum() > 1 else 0.0
     if duration < MIN_WINDOW_S:
         return None
-    up = np.cos(roll) * np.cos(pitch) * held(s.u["throttle"], s.t_s)
+    up = np.cos(roll) * np.cos(pitch) * zero_order_hold(s.u["throttle"], s.t_s)
     a_z = float(climb[known][-1] - climb[known][0]) / duration
     volts = s.y.get("voltage_v", np.full(1, np.nan))
     lift = float(np.nanmean(up)) / (1.0 + a_z / G_M_S2)

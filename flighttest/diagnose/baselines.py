@@ -11,7 +11,7 @@ from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.fitted import Fitted
 from flighttest.diagnose.model import short
 from flighttest.diagnose.rows import Rows
-from flighttest.identify.responses import held
+from flighttest.estimation.responses import zero_order_hold as held
 from flighttest.segments.model import Segment
 
 REFERENCE = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}

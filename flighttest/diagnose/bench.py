@@ -27,8 +27,8 @@ from flighttest.diagnose.rows import (
     in_order,
     project,
 )
-from flighttest.identify.feeding import able
-from flighttest.identify.problem import Noise, Part, Problem, prior_std
+from flighttest.estimation.problem import Noise, Part, Problem, prior_std
+from flighttest.identify.selection import able
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 

@@ -14,8 +14,8 @@ from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.noise import WANDER, Floor, inflation
 from flighttest.diagnose.rows import Rows
+from flighttest.estimation.responses import zero_order_hold as held
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
-from flighttest.identify.responses import held
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.estimation.distributions import normal_beyond, normal_quantile
 from flighttest.identify.mass import FORCES, SIGNIFICANT, change, thrust_or_mass
-from flighttest.identify.student import normal_beyond, normal_quantile
 
 
 def mass_test(

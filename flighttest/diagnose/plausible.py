@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flighttest.diagnose.chance import standard_errors
 from flighttest.diagnose.rows import Rows
-from flighttest.identify.responses import held
+from flighttest.estimation.responses import zero_order_hold as held
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 from flighttest.segments import Segment

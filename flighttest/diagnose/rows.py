@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Noise, Part
+from flighttest.estimation.problem import Noise, Part
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]

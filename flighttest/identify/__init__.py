@@ -1,1 +1,1 @@
-"""From segments to parameters worth trusting: problem, solver, covariance, identifiability, validation, model file, export."""
+"""From segments to parameters worth trusting: data selection, start values, identifiability, validation, model file, export."""

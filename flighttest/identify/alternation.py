@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.identify.covariance import cluster_covariance, std_of
+from flighttest.estimation.covariance import cluster_covariance, std_of
+from flighttest.estimation.problem import Noise, Part, Problem
+from flighttest.estimation.solver import solve
 from flighttest.identify.fit import Fit
-from flighttest.identify.problem import Noise, Part, Problem
-from flighttest.identify.solve import solve
 
 PI_3 = ("sigma_t", "K", "alpha")
 PI_4 = ("d_x", "d_y", "d_z")
@@ -42,7 +42,7 @@ def alternation(found: Fit) -> Alternation | None:
     problem = found.problem
     thrust = _only(problem, ("throttle_step",))
     tilt = _only(problem, ("roll_step", "pitch_step"))
-    free_3 = tuple(n for n in PI_3 if n in problem.names and n not in found.solution.blind)
+    free_3 = tuple(n for n in PI_3 if n in problem.names and n not in found.solution.insensitive)
     free_4 = tuple(n for n in PI_4 if n in problem.names)
     if thrust is None or tilt is None or not free_3 or not free_4:
         return None

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from flighttest.identify.covariance import FloatArray
-from flighttest.identify.weighing import Normal
+from flighttest.estimation.covariance import FloatArray
+from flighttest.estimation.weighing import Normal
 
 DRAWS = 400
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from flighttest.estimation.distributions import normal_beyond
 from flighttest.identify.model_file import ModelFile
-from flighttest.identify.student import normal_beyond
 
 LEVEL = (
     0.05  # chance that any parameter of two equal vehicles is called different (Holm's correction over the parameters)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.covariance import Covariance, std_of
-from flighttest.identify.problem import Problem
-from flighttest.identify.solve import Solution
-from flighttest.identify.student import quantile
+from flighttest.estimation.covariance import Covariance, std_of
+from flighttest.estimation.distributions import quantile
+from flighttest.estimation.problem import Problem
+from flighttest.estimation.solver import Solution
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.estimation.covariance import Covariance, cluster_covariance, std_of
+from flighttest.estimation.problem import Problem
+from flighttest.estimation.solver import Solution
 from flighttest.identify.constancy import SETS, spreads
-from flighttest.identify.covariance import Covariance, cluster_covariance, std_of
 from flighttest.identify.identifiability import Doubts, allowance
 from flighttest.identify.optima import Rival
-from flighttest.identify.problem import Problem
 from flighttest.identify.quality import ChannelQuality
-from flighttest.identify.solve import Solution
 from flighttest.physics.model import Model
 
 MEETS = 0.1  # correlation of two parameters that are told by the same samples
@@ -118,7 +118,7 @@ def _leaning_on(others: Sequence[str], solution: Solution, correlation: float = 
 
 def _pushed_by_bounds(solution: Solution, covariance: Covariance) -> dict[str, str]:
     """Parameters that would move, or be known far worse, if those at their bounds were let go, by name: the bound they lean on."""
-    stuck = tuple(n for n in solution.at_bound if n not in solution.blind)
+    stuck = tuple(n for n in solution.at_bound if n not in solution.insensitive)
     if not stuck or not covariance.names:
         return {}
     every = (*covariance.names, *stuck)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
-from flighttest.identify.feeding import able, feeding
-from flighttest.identify.problem import Noise, Problem
-from flighttest.identify.weighing import State, Weighing
+from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.weighing import State, Weighing
+from flighttest.identify.selection import able, feeding, problem_of
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.physics.simulate import Run, simulate_many
@@ -150,7 +150,7 @@ def expected_of(
     segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> tuple[Expected, ...]:
     """The same for responses given as segments (measured or simulated)."""
-    problem = Problem.build(segments, model, values=values)
+    problem = problem_of(segments, model, values=values)
     hessian = np.sum(list(_information(problem, noise).values()), axis=0)
     return _expected(problem.names, hessian, problem.segments, model, values)
 

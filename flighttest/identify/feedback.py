@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Part, PartEvaluation, Problem, prior_std
-from flighttest.identify.solve import Solution
-from flighttest.identify.weighing import sample_weights
+from flighttest.estimation.problem import Part, PartEvaluation, Problem, prior_std
+from flighttest.estimation.solver import Solution
+from flighttest.estimation.weighing import sample_weights
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

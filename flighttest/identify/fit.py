@@ -16,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
-from flighttest.identify.covariance import Covariance, covariance_of, interval_factor, std_of, widened
+from flighttest.estimation.covariance import Covariance, covariance_of, interval_factor, std_of, widened
+from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.responses import dead_channels, never_changing
+from flighttest.estimation.solver import FitStatus, Solution, solve
+from flighttest.estimation.weighing import start_noise
 from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
 from flighttest.identify.feedback import answered
-from flighttest.identify.feeding import Select, knows_attitude, moves
 from flighttest.identify.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
@@ -34,12 +37,9 @@ from flighttest.identify.identifiability import (
 )
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
 from flighttest.identify.optima import rivals
-from flighttest.identify.problem import Noise, Problem
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
-from flighttest.identify.responses import dead_channels, never_changing
-from flighttest.identify.solve import FitStatus, Solution, solve
+from flighttest.identify.selection import Select, knows_attitude, moves, problem_of
 from flighttest.identify.ties import TieTest, tie_tests
-from flighttest.identify.weighing import start_noise
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -154,7 +154,7 @@ def fit(
         held = (*held, "sigma_t", "T_d_thrust")
     while True:
         fixed = (*(frozen or {}), *held)
-        problem = Problem.build(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
+        problem = problem_of(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
         solution = _best(problem, robust, model.start(start), noise)
         covariance = covariance_of(problem, solution)
         hopeless = _hopeless(solution, covariance)
@@ -276,7 +276,7 @@ def _estimates(
             if std.size > 1:
                 j = int(np.argmax(other))
                 partner = (covariance.names[j], float(correlation[i, j]))
-        blind = source_name in solution.blind or source_name not in solution.free
+        blind = source_name in solution.insensitive or source_name not in solution.free
         known = judge(
             param, value, known_std, blind, source_name in solution.at_bound, partner, spread, reveals.get(name, ""),
             doubts.get(source_name),
@@ -385,7 +385,7 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
 
 def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -> tuple[Problem, Solution]:
     """A fit's parameters on segments it has not seen: only initial states and disturbances are estimated there."""
-    problem = Problem.build(segments, found.model, filters=found.problem.filters_hz, select=select, values=found.values)
+    problem = problem_of(segments, found.model, filters=found.problem.filters_hz, select=select, values=found.values)
     noise = found.noise
     missing = {c for part in problem.parts for c in part.outputs} - set(noise.channel)
     if missing:

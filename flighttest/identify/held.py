@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Noise, PartEvaluation, Problem
-from flighttest.identify.weighing import Normal, State, Weighing, start_noise
+from flighttest.estimation.problem import Noise, PartEvaluation, Problem
+from flighttest.estimation.weighing import Normal, State, Weighing, start_noise
 
 FloatArray = NDArray[np.float64]
 

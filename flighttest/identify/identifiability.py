@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flighttest.estimation.responses import never_changing, zero_order_hold
 from flighttest.identify.constancy import Spread
 from flighttest.identify.optima import Rival
-from flighttest.identify.responses import held, never_changing
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -188,7 +188,9 @@ def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> lis
 
 def throttle_varies(segments: Sequence[Segment]) -> bool:
     """Whether any segment moves its throttle: without that, nothing tells the thrust lag or its delay."""
-    return any("throttle" in s.u and float(np.ptp(held(s.u["throttle"], s.t_s))) > THROTTLE_STEP for s in segments)
+    return any(
+        "throttle" in s.u and float(np.ptp(zero_order_hold(s.u["throttle"], s.t_s))) > THROTTLE_STEP for s in segments
+    )
 
 
 def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | None:
@@ -199,7 +201,7 @@ def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | Non
         u = s.y.get("voltage_v")
         if u is None or "throttle" not in s.u or not np.isfinite(u).any():
             continue
-        level = np.round(held(s.u["throttle"], s.t_s), 2)
+        level = np.round(zero_order_hold(s.u["throttle"], s.t_s), 2)
         for value in np.unique(level):
             some = (level == value) & np.isfinite(u)
             if some.sum() >= 3:

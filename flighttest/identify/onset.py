@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import G_M_S2
-from flighttest.identify.responses import held
 from flighttest.physics.model import Model
 from flighttest.segments.metrics import crossing
 from flighttest.segments.model import Segment
@@ -161,7 +161,7 @@ def thrust_gain(segments: Sequence[Segment], nominal_voltage_v: float) -> float 
             f = np.gradient(s.y["v_z_m_s"], s.t_s) + G_M_S2
         if f is None:
             continue
-        throttle = held(s.u["throttle"], s.t_s - 0.15)
+        throttle = zero_order_hold(s.u["throttle"], s.t_s - 0.15)
         voltage = s.y.get("voltage_v", np.full(s.t_s.size, np.nan))
         voltage = np.where(np.isfinite(voltage), voltage, nominal_voltage_v)
         good = np.isfinite(f) & (throttle > 0.03)

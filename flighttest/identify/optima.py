@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.covariance import Covariance, covariance_of, std_of
+from flighttest.estimation.covariance import Covariance, covariance_of, std_of
+from flighttest.estimation.problem import Part, Problem
+from flighttest.estimation.solver import Solution, solve
 from flighttest.identify.feedback import steered
-from flighttest.identify.problem import Part, Problem
 from flighttest.identify.quality import noise_floor
-from flighttest.identify.solve import Solution, solve
 
 FloatArray = NDArray[np.float64]
 

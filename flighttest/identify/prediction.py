@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flighttest.identify.feeding import Select
+from flighttest.estimation.distributions import normal_quantile
 from flighttest.identify.fit import Fit, heldout
-from flighttest.identify.student import normal_quantile
+from flighttest.identify.selection import Select
 from flighttest.segments.model import Segment
 
 

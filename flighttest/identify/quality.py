@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Problem
-from flighttest.identify.solve import Solution
+from flighttest.estimation.problem import Problem
+from flighttest.estimation.solver import Solution
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Problem
+from flighttest.estimation.problem import Problem
+from flighttest.estimation.responses import Response, zero_order_hold
+from flighttest.estimation.solver import Solution
 from flighttest.identify.quality import channel_quality
-from flighttest.identify.responses import Response, held
-from flighttest.identify.solve import Solution
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def _dependence(
         if reference not in segment.u or good.sum() < 10:
             continue
         r = residual[j, : segment.t_s.size][good]
-        x = np.stack([held(segment.u[reference], segment.t_s[good] - lag) for lag in LAGS_S], axis=1)
+        x = np.stack([zero_order_hold(segment.u[reference], segment.t_s[good] - lag) for lag in LAGS_S], axis=1)
         x, r = x - x.mean(axis=0), r - r.mean()
         gram += x.T @ x
         each.append(x.T @ r)

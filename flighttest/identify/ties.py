@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flighttest.identify.covariance import covariance_of
-from flighttest.identify.feeding import Select
-from flighttest.identify.problem import Problem
-from flighttest.identify.solve import Solution, solve
-from flighttest.identify.student import beyond
+from flighttest.estimation.covariance import covariance_of
+from flighttest.estimation.distributions import beyond
+from flighttest.estimation.solver import Solution, solve
+from flighttest.identify.selection import Select, problem_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -41,7 +40,7 @@ def tie_tests(
     """Fit once more without the ties and ask whether each pair differs."""
     if not ties:
         return ()
-    problem = Problem.build(segments, model, filters=filters, select=select, values=tied.values, fixed=frozen)
+    problem = problem_of(segments, model, filters=filters, select=select, values=tied.values, fixed=frozen)
     free = solve(problem, robust=robust)
     covariance = covariance_of(problem, free)
     tests = []

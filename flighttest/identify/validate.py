@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from flighttest.channels import WORDS
 from flighttest.errors import FitError
+from flighttest.estimation.solver import solve
 from flighttest.identify.model_file import ModelFile
-from flighttest.identify.problem import Problem
 from flighttest.identify.residuals import ResidualTest, residual_tests
-from flighttest.identify.solve import solve
+from flighttest.identify.selection import problem_of
 from flighttest.identify.variations import (
     GROUPS,
     UNITS,
@@ -157,7 +157,7 @@ def _residuals(stored: ModelFile, segments: Sequence[Segment]) -> tuple[Residual
     """Residual tests with the model's parameters, each segment's initial state and disturbance estimated on it."""
     windows = [voltage_for(stored, s) for s in [s for s in segments if s.kind == "free"] or segments]
     try:
-        problem = Problem.build(windows, stored.model, select="all", values=stored.values)
+        problem = problem_of(windows, stored.model, select="all", values=stored.values)
     except FitError:  # nothing moves any reference: there is nothing to be independent of
         return ()
     return residual_tests(problem, solve(problem, free=(), robust=False))

@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.responses import exogenous, filled, zero_order_hold
+from flighttest.estimation.voltage_interpolation import SAMPLES
 from flighttest.identify.model_file import ModelFile
-from flighttest.identify.responses import exogenous, filled, held
-from flighttest.identify.sag import SAMPLES
 from flighttest.physics import body
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Grid, Stepper, grid, rk4, rk4_step
@@ -265,7 +265,9 @@ class _OnlyDelay(_ModelRun):
             ):
                 if reference in segment.u:
                     edges, values = segment.u[reference]
-                    u[i, :, inputs.index(name)] = held((edges + channel[system.input_delay[reference]], values), t)
+                    u[i, :, inputs.index(name)] = zero_order_hold(
+                        (edges + channel[system.input_delay[reference]], values), t
+                    )
             column = segment.y.get("yaw_rad")
             yaw = float(np.unwrap(filled(segment.t_s, column, 0.0))[s.first]) if column is not None else 0.0
             u[i, :, inputs.index("yaw_rad")] = yaw + np.cumsum(u[i, :, inputs.index("r_rad_s")] * dt[i])

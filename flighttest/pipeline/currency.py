@@ -16,11 +16,12 @@ from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.hover import Hover, hover
 from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
 from flighttest.errors import FitError, InputError
+from flighttest.estimation.problem import Noise, Problem
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
-from flighttest.identify.problem import Noise, Problem
+from flighttest.identify.selection import problem_of
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
@@ -176,7 +177,7 @@ def reestimate(stored: ModelFile, usable: Sequence[Segment], name: str, progress
 
 def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: str) -> Estimates:
     """`reestimate` from segments that are already cut."""
-    noise = stored_noise(stored, Problem.build(segments, stored.model, values=stored.values))
+    noise = stored_noise(stored, problem_of(segments, stored.model, values=stored.values))
     found = identify(segments, stored.model, start=stored.values, noise=noise)
     weak = {n: stored.values[n] for n in TESTED if n in found.estimates and _tells_less(found, stored, n)}
     if weak:
@@ -190,7 +191,7 @@ def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segmen
     kept = alike.from_data(stored.fit_quality.get("steps"))
     if not kept:
         return None
-    problem = Problem.build(segments, stored.model, values=stored.values)
+    problem = problem_of(segments, stored.model, values=stored.values)
     noise = stored_noise(stored, problem)
     return alike.compare(kept, base, stored.values, noise, problem) if noise is not None else None
 

@@ -16,9 +16,9 @@ from flighttest.currency.compare import MANY, TOLD, Estimates
 from flighttest.currency.declared import declared_changes
 from flighttest.currency.model import SUBSETS
 from flighttest.errors import FlighttestError, InputError
+from flighttest.estimation.distributions import quantile
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile, StoredParameter
-from flighttest.identify.student import quantile
 from flighttest.pipeline.results import Result
 from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest
 from flighttest.report import html

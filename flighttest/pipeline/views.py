@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
+from flighttest.estimation.problem import Part, PartEvaluation
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import Estimate, Fit
-from flighttest.identify.problem import Part, PartEvaluation
 from flighttest.physics.model import Model
 from flighttest.report.numbers import join, number, percent
 from flighttest.report.views import FitView, Overlay, ParameterView, QualityView, SegmentView, ThrustPoint

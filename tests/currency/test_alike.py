@@ -10,7 +10,7 @@ from flighttest.currency import alike, compare
 from flighttest.currency.discrepancy import prior
 from flighttest.identify.fit import fit
 from flighttest.identify.model_file import from_fit
-from flighttest.identify.problem import Problem
+from flighttest.identify.selection import problem_of
 from flighttest.pipeline.history import watched
 from tests.identify import campaign
 
@@ -57,7 +57,7 @@ def compared(stored, segments):
         watched(model, "model"),
         found.values,
         found.noise,
-        Problem.build(segments, found.model, values=found.values),
+        problem_of(segments, found.model, values=found.values),
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.errors import FitError, InputError
 from flighttest.identify.fit import default_model, fit, heldout
-from flighttest.identify.problem import Problem
+from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Flaw, Segment
 from tests.identify.campaign import QUIET, TRUTH, campaign
@@ -162,7 +162,7 @@ def test_heldout_prediction_is_as_good_as_the_fit(flown, found):
 
 
 def test_the_papers_subsets_feed_the_papers_parameters(flown):
-    problem = Problem.build(flown, default_model(flown))
+    problem = problem_of(flown, default_model(flown))
     for part in problem.parts:
         used = [problem.segments[r.index] for r in part.responses]
         if part.block.name == "roll":

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flighttest.identify.covariance import covariance_of, std_of
+from flighttest.estimation.covariance import covariance_of, std_of
 from flighttest.identify.feedback import answered, steered
 from flighttest.identify.fit import fit
 from flighttest.physics.model import Model

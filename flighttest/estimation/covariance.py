@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Noise, PartEvaluation, Problem
-from flighttest.identify.solve import Solution
-from flighttest.identify.student import quantile
-from flighttest.identify.weighing import Normal
+from flighttest.estimation.distributions import quantile
+from flighttest.estimation.problem import Noise, PartEvaluation, Problem
+from flighttest.estimation.solver import Solution
+from flighttest.estimation.weighing import Normal
 
 FloatArray = NDArray[np.float64]
 
@@ -74,11 +74,11 @@ def cluster_covariance(normal: Normal, active: tuple[str, ...], inflation: float
     dof = np.array([_dof(leverage, blow, root[i]) for i in range(pick.size)])
     few = dof < MIN_DOF
     if few.any():
-        held = np.sqrt(np.where(few, np.maximum(np.diag(model) * inflation, np.diag(robust)), np.diag(robust)))
+        std = np.sqrt(np.where(few, np.maximum(np.diag(model) * inflation, np.diag(robust)), np.diag(robust)))
         now = np.sqrt(np.diag(robust))
-        ratio = np.where(now > 0, held / np.where(now > 0, now, 1.0), 1.0)
+        ratio = np.where(now > 0, std / np.where(now > 0, now, 1.0), 1.0)
         robust = robust * np.outer(ratio, ratio)
-        robust[np.diag_indices_from(robust)] = held**2
+        robust[np.diag_indices_from(robust)] = std**2
         dof = np.where(few, 10.0, dof)
     return Covariance(active, robust, model, dof)
 
@@ -92,7 +92,7 @@ def _dof(leverage: FloatArray, blow: FloatArray, direction: FloatArray) -> float
     return float(np.trace(omega)) ** 2 / squares if squares > 0 else 1.0
 
 
-def inflation_of(residuals: list[FloatArray]) -> float:
+def variance_inflation(residuals: list[FloatArray]) -> float:
     """Variance factor of a mean for first-order autocorrelated residuals: (1 + rho) / (1 - rho), at least one."""
     top = sum(float(r[1:] @ r[:-1]) for r in residuals if r.size > 3)
     bottom = sum(float(r @ r) for r in residuals if r.size > 3)
@@ -100,9 +100,9 @@ def inflation_of(residuals: list[FloatArray]) -> float:
     return (1 + rho) / (1 - rho)
 
 
-def correlation_inflation(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
-    """`inflation_of` all residuals of a problem."""
-    return inflation_of(
+def variance_inflation_of(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
+    """`variance_inflation` of all residuals of a problem."""
+    return variance_inflation(
         [
             made.residual[j, part.mask[j, :, k], k] / noise.channel[c]
             for part, made in zip(problem.parts, evaluations, strict=True)
@@ -114,9 +114,9 @@ def correlation_inflation(problem: Problem, evaluations: Sequence[PartEvaluation
 
 def covariance_of(problem: Problem, solution: Solution) -> Covariance:
     """Cluster-robust covariance of the free parameters that have an effect and are not at a bound."""
-    active = tuple(n for n in solution.free if n not in solution.blind and n not in solution.at_bound)
+    active = tuple(n for n in solution.free if n not in solution.insensitive and n not in solution.at_bound)
     covariance = cluster_covariance(
-        solution.normal, active, correlation_inflation(problem, solution.evaluations, solution.noise)
+        solution.normal, active, variance_inflation_of(problem, solution.evaluations, solution.noise)
     )
     return with_clock_error(covariance, clock_std_s(problem))
 

@@ -6,19 +6,19 @@ import sys
 import pytest
 from scipy import stats
 
-from flighttest.identify import student
+from flighttest.estimation import distributions
 
 
 @pytest.mark.parametrize("dof", [1.0, 2.5, 17.3, 1e4])
 @pytest.mark.parametrize("p", [1e-9, 0.025, 0.6, 0.975])
 def test_quantiles_and_tails_are_those_of_scipy_stats(dof, p):
     z = stats.t.ppf(p, dof)
-    assert student.quantile(p, dof) == pytest.approx(z, rel=1e-12)
-    assert student.beyond(z, dof) == pytest.approx(2.0 * stats.t.sf(abs(z), dof), rel=1e-12)
-    assert student.normal_quantile(p) == pytest.approx(stats.norm.ppf(p), rel=1e-12)
-    assert student.normal_beyond(z) == pytest.approx(2.0 * stats.norm.sf(abs(z)), rel=1e-12)
-    assert student.chi2_beyond(abs(z), dof) == pytest.approx(stats.chi2.sf(abs(z), dof), rel=1e-9)
-    assert student.fisher_beyond(abs(z), 3, dof) == pytest.approx(stats.f.sf(abs(z), 3, dof), rel=1e-12)
+    assert distributions.quantile(p, dof) == pytest.approx(z, rel=1e-12)
+    assert distributions.beyond(z, dof) == pytest.approx(2.0 * stats.t.sf(abs(z), dof), rel=1e-12)
+    assert distributions.normal_quantile(p) == pytest.approx(stats.norm.ppf(p), rel=1e-12)
+    assert distributions.normal_beyond(z) == pytest.approx(2.0 * stats.norm.sf(abs(z)), rel=1e-12)
+    assert distributions.chi2_beyond(abs(z), dof) == pytest.approx(stats.chi2.sf(abs(z), dof), rel=1e-9)
+    assert distributions.fisher_beyond(abs(z), 3, dof) == pytest.approx(stats.f.sf(abs(z), 3, dof), rel=1e-12)
 
 
 def test_fitting_loads_no_statistics_package():

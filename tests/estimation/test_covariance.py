@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.identify.bootstrap import bootstrap_std
-from flighttest.identify.covariance import (
+from flighttest.estimation.covariance import (
     clock_std_s,
     cluster_covariance,
-    correlation_inflation,
-    inflation_of,
     interval_factor,
+    variance_inflation,
+    variance_inflation_of,
     with_clock_error,
 )
-from flighttest.identify.weighing import Normal
+from flighttest.estimation.weighing import Normal
+from flighttest.identify.bootstrap import bootstrap_std
 
 
 def linear(rng, clusters, size, effect, names=("a", "b")):
@@ -70,13 +70,13 @@ def test_a_single_cluster_falls_back_on_the_inflated_model():
     assert covariance.matrix[0, 0] == pytest.approx(9.0 / 4.0)
 
 
-def test_inflation_of_an_autoregressive_residual():
+def test_variance_inflation_of_an_autoregressive_residual():
     rng = np.random.default_rng(3)
     e = np.zeros(20000)
     for k in range(1, e.size):
         e[k] = 0.8 * e[k - 1] + rng.standard_normal()
-    assert inflation_of([e]) == pytest.approx(9.0, rel=0.1)
-    assert inflation_of([rng.standard_normal(20000)]) < 1.1
+    assert variance_inflation([e]) == pytest.approx(9.0, rel=0.1)
+    assert variance_inflation([rng.standard_normal(20000)]) < 1.1
 
 
 def test_samples_that_are_missing_do_not_hide_correlation():
@@ -84,7 +84,7 @@ def test_samples_that_are_missing_do_not_hide_correlation():
     e[0, ::2, 0] = np.repeat(np.random.default_rng(3).standard_normal(200), 10)
     part = SimpleNamespace(outputs=("v_x_m_s",), responses=(0,), mask=e != 0.0)
     problem, noise = SimpleNamespace(parts=[part]), SimpleNamespace(channel={"v_x_m_s": 1.0})
-    found = correlation_inflation(problem, [SimpleNamespace(residual=e)], noise)
+    found = variance_inflation_of(problem, [SimpleNamespace(residual=e)], noise)
     assert found == pytest.approx(19.0, rel=0.2), "ten alike in a row: rho is 0.9"
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from flighttest.identify.filters import _forced, _free
-from flighttest.identify.kernel import Kernel
-from flighttest.identify.responses import Response, nodes_of
-from flighttest.identify.sag import between_samples
+from flighttest.estimation.filters import _forced, _free
+from flighttest.estimation.kernel import Kernel
+from flighttest.estimation.responses import Response, nodes_of
+from flighttest.estimation.voltage_interpolation import between_samples
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import rk4_stages

@@ -14,8 +14,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Noise, PartEvaluation, Problem, prior_std
-from flighttest.identify.weighing import Normal, State, Weighing
+from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_std
+from flighttest.estimation.weighing import Normal, State, Weighing
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ STEP_TOLERANCE = 0.05  # root mean square parameter step at the end, in standard
 LOCAL_TOLERANCE = 0.05  # the same for the locals, in prior standard deviations, where only they are estimated
 CHORD_TOLERANCE = 3.0  # steps smaller than this, in the same unit, keep the Jacobian
 COST_TOLERANCE = 1e-6  # or: relative decrease of the cost by the last step
-BLIND = 1e-4
+INSENSITIVE = 1e-4
 MAX_REJECTIONS = 9
 FLAT_STEPS = 4  # steps in a row that do not lower the cost: a kink (an edge passing a sample) or a flat direction
 
@@ -45,13 +45,13 @@ class FitStatus(Enum):
 
 @dataclass(frozen=True)
 class Solution:
-    """values: every parameter; free: those estimated; blind: free ones without any effect in this data, left at their start;
+    """values: every parameter; free: those estimated; insensitive: free ones without any effect in this data, left at their start;
     at_bound; local: per part (m, n_locals); response_weight: (n_segments,); iterations."""
 
     status: FitStatus
     values: dict[str, float]
     free: tuple[str, ...]
-    blind: tuple[str, ...]
+    insensitive: tuple[str, ...]
     at_bound: tuple[str, ...]
     local: tuple[FloatArray, ...]
     noise: Noise
@@ -101,25 +101,25 @@ class _Space:
 
 
 @dataclass(frozen=True)
-class _Valley:
-    """The cost's parabola at a state: h (p, p), g (p,), backs to the locals; blind (p,): without effect; active: free to move."""
+class _QuadraticModel:
+    """The cost's parabola at a state: h (p, p), g (p,), backs to the locals; insensitive (p,): without effect; active: free to move."""
 
     cost: float
     h: FloatArray
     g: FloatArray
     backs: list[tuple[FloatArray, FloatArray]]
-    blind: NDArray[np.bool_]
+    insensitive: NDArray[np.bool_]
     active: NDArray[np.intp]
 
     @classmethod
-    def at(cls, now: State, weighing: Weighing, space: _Space) -> _Valley:
+    def at(cls, now: State, weighing: Weighing, space: _Space) -> _QuadraticModel:
         normal, backs = weighing.normal_equations(now, space.names)
         h, g = normal.hessian.sum(axis=0), normal.score.sum(axis=0)
         sensed = np.diag(h) * space.scale**2
         # Information in units of the parameter's own scale: below this its standard error is a hundred scales.
-        blind = sensed < max(1e-14 * float(sensed.max(initial=0.0)), BLIND)
+        insensitive = sensed < max(1e-14 * float(sensed.max(initial=0.0)), INSENSITIVE)
         pushed = ((now.theta <= space.lower) & (g < 0)) | ((now.theta >= space.upper) & (g > 0))
-        return cls(weighing.cost(now), h, g, backs, blind, np.flatnonzero(~blind & ~pushed))
+        return cls(weighing.cost(now), h, g, backs, insensitive, np.flatnonzero(~insensitive & ~pushed))
 
     def step(self, damping: float) -> FloatArray:
         """Levenberg's step (p,), the Hessian scaled to a unit diagonal."""
@@ -161,28 +161,28 @@ def solve(
     begun = [np.array(x) for x in local] if local is not None else [part.start_local() for part in problem.parts]
     now = State(space.start, begun, problem.evaluate(space.values(space.start), begun, space.names))
     damping, status, iteration, flat = 1e-3, FitStatus.MAX_ITERATIONS, 0, 0
-    blind = np.zeros(len(space.names), dtype=bool)
+    insensitive = np.zeros(len(space.names), dtype=bool)
     for iteration in range(1, max_iterations + 1):
         previous = weighing.noise
         if estimate_noise:
             weighing = weighing.with_noise_of(now, space.names)
         if robust and (warm or iteration > 2):
             weighing = weighing.by_response(now.made)
-        valley = _Valley.at(now, weighing, space)
-        blind = valley.blind
-        full_step = space.moved(now.theta, valley.step(1e-9)) - now.theta
-        trial, new_cost, damping = _descend(now, valley, weighing, space, damping)
+        quadratic = _QuadraticModel.at(now, weighing, space)
+        insensitive = quadratic.insensitive
+        full_step = space.moved(now.theta, quadratic.step(1e-9)) - now.theta
+        trial, new_cost, damping = _descend(now, quadratic, weighing, space, damping)
         if trial is None and now.stale:
             now = State(now.theta, now.local, problem.evaluate(space.values(now.theta), now.local, space.names))
             continue
         if trial is None:
-            status = FitStatus.CONVERGED if valley.small(full_step, 0.2) else FitStatus.NO_DESCENT
+            status = FitStatus.CONVERGED if quadratic.small(full_step, 0.2) else FitStatus.NO_DESCENT
             break
-        flat = flat + 1 if valley.cost - new_cost <= max(COST_TOLERANCE * valley.cost, 0.01) else 0
-        still = bool(valley.active.size) or _locals_settled(problem, now.local, trial.local, weighing.noise)
+        flat = flat + 1 if quadratic.cost - new_cost <= max(COST_TOLERANCE * quadratic.cost, 0.01) else 0
+        still = bool(quadratic.active.size) or _locals_settled(problem, now.local, trial.local, weighing.noise)
         now = trial
         settled = _settled(previous, weighing.noise) or not estimate_noise
-        near = valley.small(full_step, STEP_TOLERANCE) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
+        near = quadratic.small(full_step, STEP_TOLERANCE) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
         if still and near and settled and iteration >= least:
             status = FitStatus.CONVERGED
             break
@@ -194,7 +194,7 @@ def solve(
         status=status,
         values=problem.full_values(space.values(now.theta)),
         free=space.names,
-        blind=tuple(n for n, b in zip(space.names, blind, strict=True) if b),
+        insensitive=tuple(n for n, b in zip(space.names, insensitive, strict=True) if b),
         at_bound=at_bound,
         local=tuple(now.local),
         noise=weighing.noise,
@@ -207,18 +207,18 @@ def solve(
 
 
 def _descend(
-    now: State, valley: _Valley, weighing: Weighing, space: _Space, damping: float
+    now: State, quadratic: _QuadraticModel, weighing: Weighing, space: _Space, damping: float
 ) -> tuple[State | None, float, float]:
     """A state of no higher cost, its cost, and the damping that led there; None where no step found one."""
     problem = weighing.problem
     for _ in range(MAX_REJECTIONS):
-        target = space.moved(now.theta, valley.step(damping))
+        target = space.moved(now.theta, quadratic.step(damping))
         moved = target - now.theta
         local = [
             x + back_g - np.einsum("mlp,p->ml", back_h, moved)
-            for x, (back_g, back_h) in zip(now.local, valley.backs, strict=True)
+            for x, (back_g, back_h) in zip(now.local, quadratic.backs, strict=True)
         ]
-        if valley.active.size and valley.small(moved, CHORD_TOLERANCE):
+        if quadratic.active.size and quadratic.small(moved, CHORD_TOLERANCE):
             # So near that the Jacobian is known: residuals alone cost a fifth.
             fresh = problem.evaluate(space.values(target), local)
             made = [replace(old, residual=new.residual) for old, new in zip(now.made, fresh, strict=True)]
@@ -226,7 +226,7 @@ def _descend(
         else:
             trial = State(target, local, problem.evaluate(space.values(target), local, space.names))
         cost = weighing.cost(trial)
-        if np.isfinite(cost) and cost <= valley.cost * (1 + 1e-9) + 1e-9:
+        if np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
             return trial, cost, damping
         if now.stale:
             break

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.problem import Noise, PartEvaluation, Problem, prior_std
+from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_std
 
 FloatArray = NDArray[np.float64]
 

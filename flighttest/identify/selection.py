@@ -1,13 +1,17 @@
-"""Which segments feed which block of the model, and which of their channels it is compared with."""
+"""Data selection: which segments feed which block of the model, and the estimation problem made of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 
+from flighttest.errors import FitError
+from flighttest.estimation.problem import Problem
+from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.physics.blocks import Block
+from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 Select = Literal["paper", "all"]
@@ -32,6 +36,33 @@ def feeding(segments: Sequence[Segment], block: Block, select: Select, among: Se
     """
     members = able(segments, block) if among is None else list(among)
     return _as_in_the_paper(segments, members, block) if select == "paper" else members
+
+
+def problem_of(
+    segments: Sequence[Segment],
+    model: Model,
+    *,
+    select: Select = "paper",
+    filters: Mapping[str, float] | None = None,
+    values: Mapping[str, float] | None = None,
+    fixed: Sequence[str] = (),
+    ties: Mapping[str, str] | None = None,
+) -> Problem:
+    """The estimation problem of the usable ones of these segments (`feeding` for select, `Problem.build` for the rest).
+
+    FitError when none of them feeds any block.
+    """
+    usable = tuple(s for s in segments if s.usable)
+    dead = dead_channels(usable)
+    fed = {block.name: feeding(usable, block, select) for block in model.blocks}
+    problem = Problem.build(usable, model, fed=fed, filters=filters, values=values, fixed=fixed, ties=ties, dead=dead)
+    if not problem.parts:
+        why = f"; {never_changing(dead)}" if dead else ""
+        raise FitError(
+            f"no usable segment excites any part of the model{why}",
+            "see `flighttest segment` for why each was rejected",
+        )
+    return problem
 
 
 def _change(segment: Segment, name: str) -> float:
@@ -59,19 +90,6 @@ def moves(segment: Segment, block: Block) -> bool:
 def knows_attitude(segment: Segment) -> bool:
     """Whether roll and pitch were measured: without them nobody knows where a tilted vehicle's thrust points."""
     return all(np.isfinite(segment.y.get(name, np.nan)).any() for name in ("roll_rad", "pitch_rad"))
-
-
-def outputs_of(
-    segments: Sequence[Segment], members: Sequence[int], block: Block, dead: Sequence[str]
-) -> tuple[str, ...]:
-    """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
-    alive = [c for c in block.outputs if c not in dead]
-    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= set(dead):
-        alive = [c for c in alive if not c.startswith("a_")]
-    seen = {c for i in members for c in alive if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
-    if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
-        seen = {c for c in seen if not c.startswith("a_")}
-    return tuple(c for c in block.outputs if c in seen)
 
 
 def _amplitude(segment: Segment) -> float:

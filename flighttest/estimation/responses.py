@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
-from flighttest.identify.sag import SAMPLES, between_samples
+from flighttest.estimation.voltage_interpolation import SAMPLES, between_samples
 from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
 
@@ -60,7 +60,7 @@ def filled(t: FloatArray, values: FloatArray | None, default: float) -> FloatArr
     return np.interp(t, t[good], values[good]) if good.any() else np.full(t.shape, default)
 
 
-def held(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: float = 0.0) -> FloatArray:
+def zero_order_hold(edges: tuple[FloatArray, FloatArray] | None, t: FloatArray, default: float = 0.0) -> FloatArray:
     """A reference at times `t`; its first value before its first edge."""
     if edges is None or not len(edges[0]):
         return np.full(t.shape, default)
@@ -85,6 +85,19 @@ def never_changing(channels: Sequence[str]) -> str:
     """Dead channels in words."""
     shown = ", ".join(channels[:6]) + (f" and {len(channels) - 6} more" if len(channels) > 6 else "")
     return f"{shown} never change{'s' if len(channels) == 1 else ''} in any sample, as no measurement does"
+
+
+def outputs_of(
+    segments: Sequence[Segment], members: Sequence[int], block: Block, dead: Sequence[str]
+) -> tuple[str, ...]:
+    """Channels of the block measured in any of its segments; world acceleration only where there is no accelerometer."""
+    alive = [c for c in block.outputs if c not in dead]
+    if {"f_x_m_s2", "f_y_m_s2", "f_z_m_s2"} <= set(dead):
+        alive = [c for c in alive if not c.startswith("a_")]
+    seen = {c for i in members for c in alive if c in segments[i].y and np.isfinite(segments[i].y[c]).any()}
+    if members and all(any(c in segments[i].y for c in ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")) for i in members):
+        seen = {c for c in seen if not c.startswith("a_")}
+    return tuple(c for c in block.outputs if c in seen)
 
 
 # What was worked out of a segment, for as long as it lives: a diagnosis prepares the same segments for dozens of models.
@@ -127,7 +140,7 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         if shaped is not None and np.isfinite(shaped).any():
             return filled(t, shaped, 0.0)
         if f"{axis}_ref_rad" in segment.u:
-            return held(segment.u[f"{axis}_ref_rad"], t - attitude_delay_s)
+            return zero_order_hold(segment.u[f"{axis}_ref_rad"], t - attitude_delay_s)
         return exogenous(segment, f"{axis}_rad", nominal_voltage_v, attitude_delay_s)
     if name.endswith("_dot_rad_s2"):
         rate = filled(t, y.get(name.replace("_dot_rad_s2", "_rad_s")), 0.0)
@@ -159,7 +172,11 @@ def merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, F
 def _merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     parts = [segment.u[n][0] for n in inputs if n in segment.u]
     times = np.unique(np.concatenate(parts)) if parts else np.array([segment.t_s[0] - 1.0])
-    values = np.stack([held(segment.u.get(n), times) for n in inputs], axis=1) if inputs else np.empty((times.size, 0))
+    values = (
+        np.stack([zero_order_hold(segment.u.get(n), times) for n in inputs], axis=1)
+        if inputs
+        else np.empty((times.size, 0))
+    )
     keep = np.ones(times.size, dtype=bool)
     keep[1:] = np.any(np.diff(values, axis=0) != 0.0, axis=1)
     return times[keep], values[keep]
@@ -201,7 +218,7 @@ def _start(segment: Segment, block: Block, gain: float) -> tuple[FloatArray, Flo
         if first.size:
             start[i], std[i] = float(first.mean()), known
         elif name == "a_t_m_s2":
-            start[i], std[i] = gain * float(held(segment.u.get("throttle"), segment.t_s[:1])[0]), unknown
+            start[i], std[i] = gain * float(zero_order_hold(segment.u.get("throttle"), segment.t_s[:1])[0]), unknown
         else:
             start[i], std[i] = 0.0, unknown
     return start, std

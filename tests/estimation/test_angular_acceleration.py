@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flighttest.identify.responses import exogenous
+from flighttest.estimation.responses import exogenous
 from flighttest.segments import Segment
 
 

@@ -1,7 +1,7 @@
 """`Problem`: segments x model to residuals and Jacobians.
 
-    problem = Problem.build(segments, model)                     # which data feeds what: as in the paper
-    fit = solve(problem)                                         # identify.solve
+    problem = Problem.build(segments, model, fed={"translation": [0, 1, 2]})     # block name: positions of its segments
+    solution = solve(problem)                                                    # estimation.solver
 
 A `Part` is one block of the model with the responses that feed it. Parameters not in `names` stay at their value.
 """
@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
-from flighttest.errors import FitError
-from flighttest.identify.feeding import Select, feeding, outputs_of
-from flighttest.identify.kernel import Kernel, node_bucket
-from flighttest.identify.responses import Response, dead_channels, max_step_s, never_changing, nodes_of, prepare
+from flighttest.estimation.kernel import Kernel, node_bucket
+from flighttest.estimation.responses import Response, dead_channels, max_step_s, nodes_of, outputs_of, prepare
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -121,42 +119,32 @@ class Problem:
         segments: Sequence[Segment],
         model: Model,
         *,
+        fed: Mapping[str, Collection[int]],
         filters: Mapping[str, float] | None = None,
-        select: Select = "paper",
         values: Mapping[str, float] | None = None,
         fixed: Sequence[str] = (),
         ties: Mapping[str, str] | None = None,
-        fed: Mapping[str, Collection[int]] | None = None,
         dead: Sequence[str] | None = None,
     ) -> Problem:
-        """Assign segments to blocks.
+        """The problem of these segments, all of them usable; without parts where no segment feeds any block.
 
-        filters: as `Provenance.filters`, channel group to cut-off in Hz, of all segments; None takes each one's context['filters'].
-        select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
-        'all' (every block on every segment in which its references move). values: start values by name; fixed: names that stay
-        there; ties: name to the name it equals; fed: block name to the positions of its segments, in place of `select`'s (all segments are
-        then usable, and there may be no parts). dead: channels that were not measured; None: those that never change.
-        FitError when no segment feeds any block.
+        fed: block name to the positions of its segments; filters: as `Provenance.filters`, channel group to cut-off in Hz, of all segments,
+        None takes each one's context['filters']; values: start values by name; fixed: names that stay there; ties: name to the name it
+        equals; dead: channels that were not measured, None: those that never change.
         """
-        usable = tuple(s for s in segments if s.usable)
+        segments = tuple(segments)
         start = model.start(values)
         found = []
-        still = dead_channels(usable) if dead is None else dead
+        still = dead_channels(segments) if dead is None else dead
         for block in model.blocks:
-            members = feeding(usable, block, select) if fed is None else sorted(fed.get(block.name, ()))
-            outputs = outputs_of(usable, members, block, still)
+            members = sorted(fed.get(block.name, ()))
+            outputs = outputs_of(segments, members, block, still)
             if members and outputs:
-                found.append(_part(usable, members, block, outputs, model, start))
-        if not found and fed is None:
-            why = f"; {never_changing(still)}" if still else ""
-            raise FitError(
-                f"no usable segment excites any part of the model{why}",
-                "see `flighttest segment` for why each was rejected",
-            )
+                found.append(_part(segments, members, block, outputs, model, start))
         tied = {k: v for k, v in (ties or {}).items() if k in start and v in start}
         reached = {n for part in found for n in part.block.params}
         names = tuple(n for n in model.names if n in reached and n not in fixed and n not in tied)
-        return cls(usable, model, tuple(found), names, start, tied, None if filters is None else dict(filters))
+        return cls(segments, model, tuple(found), names, start, tied, None if filters is None else dict(filters))
 
     def thinned(self, every: int) -> Problem:
         """The same problem on each `every`-th response of every kind of step, sharing what was compiled."""

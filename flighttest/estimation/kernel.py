@@ -1,12 +1,12 @@
 """One block of the model integrated over many responses at once, with exact derivatives of what is integrated.
 
-A response is a row of nodes: sample times and delayed input edges, merged (see `identify.responses`). Between nodes inputs are constant,
+A response is a row of nodes: sample times and delayed input edges, merged (see `estimation.responses`). Between nodes inputs are constant,
 so one RK4 step per node is smooth in the state, the parameters and the delay: h = h0 + hd * delay(p) is the piece's length, with hd = +1
 for a piece that ends at an edge, -1 for one that starts there.
 
 Three passes. The states are stepped through time by a compiled chain, one response after the other. Once they are known every piece can
 be differentiated by itself: the four stages of all pieces at once, in numpy (`physics.vectorised`), give A and B of S_next = A S + B. What
-is left in sequence is this product of small matrices. Known second-order filters of measured channels follow on top (`identify.filters`).
+is left in sequence is this product of small matrices. Known second-order filters of measured channels follow on top (`estimation.filters`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.compiled import CHAIN, Slopes, chain, differentiated, observed
-from flighttest.identify.filters import Butterworth
+from flighttest.estimation.compiled import CHAIN, Slopes, chain, differentiated, observed
+from flighttest.estimation.filters import Butterworth
 from flighttest.physics.blocks import Block
 
 FloatArray = NDArray[np.float64]
