@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
 from flighttest.estimation.covariance import Covariance, covariance_of, interval_factor, std_of, widened
+from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
-from flighttest.estimation.solver import FitStatus, Solution, solve
+from flighttest.estimation.solver import Solution, solve
 from flighttest.estimation.weighing import start_noise
 from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
 from flighttest.identify.feedback import answered

@@ -1,0 +1,216 @@
+"""Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) within bounds: the one step loop of every estimate.
+
+The loop works on an `Objective`: a sum of squares whose noise may be learned on the way and whose nuisance parameters are profiled out, so
+that only the parameters are seen here. Residuals are whitened: steps and tolerances are in standard errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+MAX_ITERATIONS = 40
+INSENSITIVE = 1e-4
+MAX_REJECTIONS = 9
+FLAT_STEPS = 4  # steps in a row that do not lower the cost: a kink (an edge passing a sample) or a flat direction
+
+
+class FitStatus(Enum):
+    """How the solver ended. The value is the sentence shown to the reader."""
+
+    CONVERGED = "the estimate converged"
+    AT_BOUND = "the estimate converged with a parameter at its bound; see which, and what would make it known"
+    NO_DESCENT = "no step lowers the error any further, though it is not small; treat the intervals with care"
+    MAX_ITERATIONS = "the solver stopped before it converged; check the segments and the start values"
+
+    @property
+    def good(self) -> bool:
+        """Whether the estimate is a minimum."""
+        return self in (FitStatus.CONVERGED, FitStatus.AT_BOUND)
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When the loop ends.
+
+    step: root mean square parameter step, in standard errors; end: the same where no step lowers the cost; cost: relative decrease of the
+    cost by the last step, or decrease, absolute; chord: steps smaller than this, in standard errors, keep the Jacobian.
+    """
+
+    step: float = 0.05
+    end: float = 0.2
+    cost: float = 1e-6
+    decrease: float = 0.01
+    chord: float = 3.0
+
+
+@dataclass(frozen=True)
+class Space:
+    """Bounds of the parameters, infinite where there are none, and the scale on which each is worth knowing; all (p,)."""
+
+    lower: FloatArray
+    upper: FloatArray
+    scale: FloatArray
+
+    def inside(self, theta: FloatArray) -> FloatArray:
+        """The nearest point within the bounds."""
+        return np.asarray(np.clip(theta, self.lower, self.upper), dtype=float)
+
+    def moved(self, theta: FloatArray, step: FloatArray) -> FloatArray:
+        """A step taken in the logarithm of parameters that are positive by nature (lags, gains), at most by a factor of two; in bounds."""
+        positive = (self.lower > 0) & (theta > 0)
+        ratio = np.exp(np.clip(step / np.where(positive, theta, 1.0), -0.7, 0.7))
+        return self.inside(np.where(positive, theta * ratio, theta + step))
+
+    def at_bound(self, theta: FloatArray) -> BoolArray:
+        """(p,): which lie on a bound."""
+        return np.asarray((theta <= self.lower) | (theta >= self.upper))
+
+
+class Point(Protocol):
+    """Where the loop stands. theta (p,); stale: whether the Jacobian is that of a point close by."""
+
+    @property
+    def theta(self) -> FloatArray:
+        """Parameters."""
+
+    @property
+    def stale(self) -> bool:
+        """Whether the Jacobian is another point's."""
+
+
+P = TypeVar("P", bound=Point)
+N = TypeVar("N")  # what takes a step of the parameters to the nuisance parameters
+
+
+class Objective(Protocol[P, N]):
+    """A sum of squares."""
+
+    def learn(self, at: P, iteration: int) -> bool:
+        """Learn noise and weights from the residuals, counted from iteration 1; whether they have settled."""
+
+    def cost(self, at: P) -> float:
+        """Penalised sum of squares, whitened."""
+
+    def normal_equations(self, at: P) -> tuple[FloatArray, FloatArray, N]:
+        """Gauss-Newton Hessian (p, p) and minus half the gradient (p,), nuisance parameters profiled out."""
+
+    def stepped(self, at: P, target: FloatArray, nuisance: N, *, jacobian: bool) -> P:
+        """At other parameters; with the Jacobian of `at` (stale) unless one is asked for."""
+
+    def refreshed(self, at: P) -> P:
+        """The same point with its own Jacobian."""
+
+    def nuisance_settled(self, before: P, after: P) -> bool:
+        """Whether the nuisance parameters have stopped moving."""
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[P]):
+    """Where the loop ended. insensitive, at_bound: (p,), parameters without effect in the data (left where they were), on a bound."""
+
+    point: P
+    status: FitStatus
+    insensitive: BoolArray
+    at_bound: BoolArray
+    iterations: int
+
+
+@dataclass(frozen=True)
+class _QuadraticModel(Generic[N]):
+    """The cost to second order at a point: h (p, p), g (p,); insensitive (p,): without effect; active: positions free to move."""
+
+    cost: float
+    h: FloatArray
+    g: FloatArray
+    nuisance: N
+    insensitive: BoolArray
+    active: NDArray[np.intp]
+
+    @classmethod
+    def at(cls, now: P, objective: Objective[P, N], space: Space) -> _QuadraticModel[N]:
+        h, g, nuisance = objective.normal_equations(now)
+        sensed = np.diag(h) * space.scale**2
+        # Information in units of the parameter's own scale: below this its standard error is a hundred scales.
+        insensitive = sensed < max(1e-14 * float(sensed.max(initial=0.0)), INSENSITIVE)
+        pushed = ((now.theta <= space.lower) & (g < 0)) | ((now.theta >= space.upper) & (g > 0))
+        return cls(objective.cost(now), h, g, nuisance, insensitive, np.flatnonzero(~insensitive & ~pushed))
+
+    def step(self, damping: float) -> FloatArray:
+        """Levenberg's step (p,), the Hessian scaled to a unit diagonal."""
+        found = np.zeros(self.g.size)
+        if self.active.size:
+            sub = self.h[np.ix_(self.active, self.active)]
+            root = np.sqrt(np.diag(sub))
+            scaled = sub / np.outer(root, root) + damping * np.eye(root.size)
+            found[self.active] = np.linalg.lstsq(scaled, self.g[self.active] / root, rcond=1e-13)[0] / root
+        return found
+
+    def small(self, step: FloatArray, tolerance: float) -> bool:
+        """Whether a step is small against what the data can resolve."""
+        sub = self.h[np.ix_(self.active, self.active)]
+        return bool(step[self.active] @ sub @ step[self.active] <= tolerance**2 * max(self.active.size, 1))
+
+
+def minimise(
+    objective: Objective[P, N],
+    start: P,
+    space: Space,
+    *,
+    tolerances: Tolerances | None = None,
+    least_iterations: int = 2,
+    max_iterations: int = MAX_ITERATIONS,
+) -> Minimum[P]:
+    """The minimum reached from `start`, which lies within the bounds."""
+    limits = tolerances or Tolerances()
+    now, damping, status, iteration, flat = start, 1e-3, FitStatus.MAX_ITERATIONS, 0, 0
+    insensitive = np.zeros(start.theta.size, dtype=bool)
+    for iteration in range(1, max_iterations + 1):
+        settled = objective.learn(now, iteration)
+        quadratic = _QuadraticModel.at(now, objective, space)
+        insensitive = quadratic.insensitive
+        full_step = space.moved(now.theta, quadratic.step(1e-9)) - now.theta
+        trial, new_cost, damping = _descend(now, quadratic, objective, space, damping, limits.chord)
+        if trial is None and now.stale:
+            now = objective.refreshed(now)
+            continue
+        if trial is None:
+            status = FitStatus.CONVERGED if quadratic.small(full_step, limits.end) else FitStatus.NO_DESCENT
+            break
+        flat = flat + 1 if quadratic.cost - new_cost <= max(limits.cost * quadratic.cost, limits.decrease) else 0
+        still = bool(quadratic.active.size) or objective.nuisance_settled(now, trial)
+        now = trial
+        near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
+        if still and near and settled and iteration >= least_iterations:
+            status = FitStatus.CONVERGED
+            break
+        damping = damping / 10.0 if damping > 1e-9 else 0.0
+    at_bound = space.at_bound(now.theta)
+    if status is FitStatus.CONVERGED and at_bound.any():
+        status = FitStatus.AT_BOUND
+    return Minimum(now, status, insensitive, at_bound, iteration)
+
+
+def _descend(
+    now: P, quadratic: _QuadraticModel[N], objective: Objective[P, N], space: Space, damping: float, chord: float
+) -> tuple[P | None, float, float]:
+    """A point of no higher cost, its cost, and the damping that led there; None where no step found one."""
+    for _ in range(MAX_REJECTIONS):
+        target = space.moved(now.theta, quadratic.step(damping))
+        # So near that the Jacobian is known: residuals alone cost a fifth.
+        near = bool(quadratic.active.size) and quadratic.small(target - now.theta, chord)
+        trial = objective.stepped(now, target, quadratic.nuisance, jacobian=not near)
+        cost = objective.cost(trial)
+        if np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
+            return trial, cost, damping
+        if now.stale:
+            break
+        damping = max(damping * 10.0, 1e-3)
+    return None, np.inf, damping
