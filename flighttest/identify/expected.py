@@ -195,7 +195,7 @@ def _sentence(name: str, unit: str, value: float, std: float) -> str:
 
 
 def _inverse(hessian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Covariance with blind parameters left out (their rows are zero), and which are not blind."""
+    """Covariance with insensitive parameters left out (their rows are zero), and which are not insensitive."""
     total = hessian.sum(axis=0)
     usable = np.diag(total) > 1e-9
     pick = np.flatnonzero(usable)

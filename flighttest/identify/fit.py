@@ -277,12 +277,12 @@ def _estimates(
             if std.size > 1:
                 j = int(np.argmax(other))
                 partner = (covariance.names[j], float(correlation[i, j]))
-        blind = source_name in solution.insensitive or source_name not in solution.free
+        insensitive = source_name in solution.insensitive or source_name not in solution.free
         known = judge(
-            param, value, known_std, blind, source_name in solution.at_bound, partner, spread, reveals.get(name, ""),
+            param, value, known_std, insensitive, source_name in solution.at_bound, partner, spread, reveals.get(name, ""),
             doubts.get(source_name),
         )  # fmt: skip
-        source = "assumed" if blind else "tied" if name in problem.ties else "fit"
+        source = "assumed" if insensitive else "tied" if name in problem.ties else "fit"
         found[name] = Estimate(
             name, param.symbol, param.unit, value, known_std, interval, source, known.identifiable, known.why, known.fly
         )

@@ -34,7 +34,7 @@ _FLY = {
     "sigma_r": "yaw_rate", "sigma_t": "thrust", "K": "thrust", "alpha": "thrust", "d_x": "roll_pitch", "d_y": "roll_pitch",
     "d_z": "thrust", "T_d_attitude": "roll_pitch", "T_d_yaw_rate": "yaw_rate", "T_d_thrust": "thrust", "T_d": "thrust",
 }  # fmt: skip
-_WHY_BLIND = {
+_WHY_INSENSITIVE = {
     "alpha": "the battery voltage was not recorded or hardly varied; it was held, and K is the gain at the voltage flown",
     "d_z": "the vehicle did not move along its vertical axis while velocity was recorded",
     "d_x": "the vehicle did not move along its forward axis while velocity was recorded",
@@ -81,7 +81,7 @@ def judge(
     param: Param,
     value: float,
     std: float | None,
-    blind: bool,
+    insensitive: bool,
     at_bound: bool,
     partner: tuple[str, float] | None,
     voltage_spread_v: float | None,
@@ -91,8 +91,8 @@ def judge(
     """Verdict on one parameter. std: None where none was estimated; partner: the parameter it is most correlated with."""
     doubts = doubts or Doubts()
     fly = maneuver_for(param, reveals)
-    if blind:
-        return Known(False, _WHY_BLIND.get(param.name, f"nothing in this data depends on {param.name}"), fly)
+    if insensitive:
+        return Known(False, _WHY_INSENSITIVE.get(param.name, f"nothing in this data depends on {param.name}"), fly)
     if at_bound:
         return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
     if std is None:
