@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.bench import Bench
-from flighttest.diagnose.fitted import Fitted
+from flighttest.diagnose.comparison import Fitted
 from flighttest.diagnose.model import short
-from flighttest.diagnose.rows import Rows
-from flighttest.estimation.responses import zero_order_hold as held
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.responses import zero_order_hold
 from flighttest.segments.model import Segment
 
 REFERENCE = {"roll_rad": "roll_ref_rad", "pitch_rad": "pitch_ref_rad", "r_rad_s": "yaw_rate_ref_rad_s"}
 
 
 def baselines(
-    bench: Bench,
+    estimator: Estimator,
     base: Fitted,
     now: Fitted,
     segments: Sequence[Segment],
@@ -27,8 +26,8 @@ def baselines(
     """Channel to baseline to RMSE in the channel's unit, all on the same samples."""
     found: dict[str, dict[str, float]] = {}
     delay = {
-        "roll_rad": base.state.values.get("T_d_attitude", base.state.values.get("T_d", 0.1)),
-        "r_rad_s": base.state.values.get("T_d_yaw_rate", base.state.values.get("T_d", 0.1)),
+        "roll_rad": base.at.values.get("T_d_attitude", base.at.values.get("T_d", 0.1)),
+        "r_rad_s": base.at.values.get("T_d_yaw_rate", base.at.values.get("T_d", 0.1)),
     }
     delay["pitch_rad"] = delay["roll_rad"]
     rows = base.rows
@@ -43,24 +42,23 @@ def baselines(
             y = np.asarray(segment.y[name])[sample]
             standing.append(y - y[: min(4, y.size)].mean())
             if name in REFERENCE and REFERENCE[name] in segment.u:
-                late.append(y - held(segment.u[REFERENCE[name]], segment.t_s[sample] - delay[name]))
+                late.append(y - zero_order_hold(segment.u[REFERENCE[name]], segment.t_s[sample] - delay[name]))
         entry = {"hold the first value": _rmse(np.concatenate(standing))}
         if late:
             entry["only the delay"] = _rmse(np.concatenate(late))
-        entry["base model, refitted"] = _rmse(rows.open_residual[at])
+        entry["base model, refitted"] = _rmse(rows.unprofiled_residual[at])
         entry["with what was left out"] = _rmse(
-            now.rows.open_residual[now.rows.channel == now.rows.channels.index(name)]
+            now.rows.unprofiled_residual[now.rows.channel == now.rows.channels.index(name)]
         )
         found[short(name)] = entry
     if previous:
-        known = {k: float(v[0]) for k, v in previous.items() if k in base.state.values}
-        old: Rows | Any = bench.rows(
-            base.model, bench.fit(base.model, bench.moved(base.model, base.state, known), (), iterations=3), ()
-        )
+        known = {k: float(v[0]) for k, v in previous.items() if k in base.at.values}
+        there = estimator.fit(base.model, estimator.moved(base.model, base.at, known), (), noise=False)
+        old = estimator.linearise(base.model, there, ())
         for c, name in enumerate(old.channels):
             at = np.flatnonzero(old.channel == c)
             if at.size:
-                found.setdefault(short(name), {})["previous model, as it was"] = _rmse(old.open_residual[at])
+                found.setdefault(short(name), {})["previous model, as it was"] = _rmse(old.unprofiled_residual[at])
     return found
 
 

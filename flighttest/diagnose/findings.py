@@ -1,4 +1,4 @@
-"""A term that joined the model, as a finding: parameters with intervals, what it gains on what it has not seen, rivals."""
+"""A term that joined the model, as a finding: parameters with intervals, what it gains on what it has not seen, what is confusable with it."""
 
 from __future__ import annotations
 
@@ -7,72 +7,75 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import stats
 
-from flighttest.diagnose.chance import standard_errors, standard_errors_of_equations
-from flighttest.diagnose.fitted import Fitted
-from flighttest.diagnose.judge import compare, held_out
+from flighttest.diagnose.comparison import Evidence
+from flighttest.diagnose.held_out import compare, held_out
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.search import Search
-
-IntArray = NDArray[np.intp]
-
-
-def parameter_table(fitted: Fitted) -> dict[str, dict[str, Any]]:
-    """Name to value, std and 95 % interval (scatter of responses, and what parts of the recording disagree on), unit, and scatter: the
-    standard error of the first alone, which is what two fits of one model differ by."""
-    param, values, names = fitted.model.param, fitted.state.values, fitted.names
-    scatter = dict(zip(names, standard_errors(fitted.rows, names), strict=True))
-    inside = tuple(n for n in names if param[n].lower < values[n] < param[n].upper)
-    # Beside a parameter that its bound holds the others are known as if it were.
-    std = scatter | dict(zip(inside, standard_errors_of_equations(fitted.rows, inside), strict=True))
-    found = {}
-    for name in names:
-        p, value = param[name], values[name]
-        error = min(float(std[name]), (p.upper - p.lower) / float(np.sqrt(12.0)))  # an even spread over its range
-        interval = [max(value - 1.96 * error, p.lower), min(value + 1.96 * error, p.upper)]
-        found[name] = {
-            "value": value,
-            "std": error,
-            "unit": p.unit,
-            "interval_95": interval,
-            "scatter": float(scatter[name]),
-        } | ({} if name in inside else {"at_bound": True})
-    return found
+from flighttest.estimation.linearisation import FloatArray, IntArray
+from flighttest.identify.fit import Fit
 
 
-def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: IntArray, seed: int) -> Finding:
-    """One accepted term against the same model without it."""
+def parameter_table(found: Fit) -> dict[str, dict[str, Any]]:
+    """Name to value, std, unit and 95 % interval of every estimated parameter, as in model.yaml; scatter: std, as comparisons of two fits
+    take it; at_bound where an estimate lies on its bound."""
+    table = {}
+    for name, e in found.estimates.items():
+        if e.std is None or e.interval_95 is None or name not in found.model.param:
+            continue
+        p = found.model.param[name]
+        table[name] = {
+            "value": e.value,
+            "std": e.std,
+            "unit": e.unit,
+            "interval_95": [max(e.interval_95[0], p.lower), min(e.interval_95[1], p.upper)],
+            "scatter": e.std,
+        } | ({"at_bound": True} if name in found.solution.at_bound else {})
+    for name in found.solution.at_bound:
+        p, value = found.model.param[name], found.solution.values[name]
+        spread = (p.upper - p.lower) / float(np.sqrt(12.0))  # all that is known of it is its range
+        table[name] = {
+            "value": value, "std": spread, "unit": p.unit, "interval_95": [p.lower, p.upper], "scatter": spread, "at_bound": True,
+        }  # fmt: skip
+    return table
+
+
+def finding(
+    search: Search, term_id: str, table: Mapping[str, Mapping[str, Any]], groups: IntArray, seed: int
+) -> Finding:
+    """One accepted term against the same model without it. table: parameters of the final model (`parameter_table`)."""
     assert search.now is not None
     assert search.floor is not None
-    term = next(t for t in search.pool if t.id == term_id)
-    judged = search.judged[term_id]
-    without = search.without(term_id)
+    term, evidence = search.terms[term_id], search.evidence[term_id]
+    without = evidence.without
     before, after = held_out(without.rows, without.names, groups), held_out(search.now.rows, search.now.names, groups)
     heldout = {
         short(name): {**asdict(h), "gain_95": list(h.gain_95)}
         for name, h in compare(without.rows, before, search.now.rows, after, groups, search.floor, seed).items()
     }
-    table = parameter_table(search.now)
     parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
-    own = {p.name for p in term.amplitudes}
-    held = {n: v for n, v in search.pinned.items() if n in own}
-    for name, std in held.items():
-        value, unit = search.now.state.values[name], search.now.model.param[name].unit
-        parameters[name] = {
-            "value": value, "std": std, "unit": unit, "interval_95": [value - 1.96 * std, value + 1.96 * std], "held": True,
-        }  # fmt: skip
-    confusable = [r.term for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
-    force = _rms_force(search, judged.effect)
+    rivals = tuple(
+        Rival(
+            a.term,
+            TermVerdict.CONFUSABLE if a.confusable else TermVerdict.NOT_NEEDED,
+            a.cosine,
+            search.terms[a.term].reveals,
+        )
+        for a in search.aliases(term_id)
+    )
+    confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
     numbers = ", ".join(_told(n, v) for n, v in parameters.items())
-    sentence = f"{term.plain} ({numbers}); {brief(judged.floors)} noise floors in {short(judged.place[0])} of {flown(judged.place[1])}"
+    sentence = (
+        f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
+        f"probability {_percent(evidence.probability)}"
+    )
     if term.family in ("autopilot", "sensor", "link"):
         title = term.title if term.title[:2].isupper() else term.title[:1].lower() + term.title[1:]
         sentence = f"This is your {term.family} ({title}): {sentence}"
     if confusable:
-        sentence += (
-            f"; {', '.join(confusable)} would explain it as well, fly {rivals[0].separated_by} to tell them apart"
-        )
+        others = ", ".join(r.term for r in confusable)
+        sentence += f"; {others} would explain it as well, fly {confusable[0].separated_by} to tell them apart"
     return Finding(
         term=term_id,
         title=term.title,
@@ -83,13 +86,15 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
         parameters=parameters,
         heldout=heldout,
         evidence={
-            "delta_bic": judged.bic,
-            "floors": judged.floors,
-            "where": {"channel": short(judged.place[0]), "kind": judged.place[1]},
-            "heldout_gain": judged.gain,
-            "p_value": judged.p_value,
-            "rms_force_m_s2": force,
-            "rms_force_left_m_s2": _rms_force(search, judged.own),
+            "delta_bic": -2.0 * evidence.nats,
+            "log_evidence": evidence.nats,
+            "probability": evidence.probability / (1 + len(confusable)),
+            "floors": evidence.floors,
+            "where": {"channel": short(evidence.place[0]), "kind": evidence.place[1]},
+            "heldout_gain": _gain(heldout, evidence),
+            "p_value": float(stats.chi2.sf(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1))),
+            "rms_force_m_s2": _rms_force(search, evidence.effect),
+            "rms_force_left_m_s2": _rms_force(search, evidence.profiled),
         },
         rivals=rivals,
         sentence=sentence,
@@ -98,23 +103,30 @@ def finding(search: Search, term_id: str, rivals: tuple[Rival, ...], groups: Int
     )
 
 
+def _gain(heldout: Mapping[str, Mapping[str, Any]], evidence: Evidence) -> float:
+    """Of the held-out mean square above the noise floor, in the channel where the term shows most, the share that is gone with it."""
+    h = heldout[short(evidence.place[0])]
+    above = h["rmse_before"] ** 2 - h["floor"] ** 2
+    return float((h["rmse_before"] ** 2 - h["rmse_after"] ** 2) / above) if above > 0 else 0.0
+
+
+def _percent(probability: float) -> str:
+    return "above 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
+
+
 def _told(name: str, v: Mapping[str, Any]) -> str:
     """A parameter in words."""
     unit = "" if v["unit"] == "1" else f" {v['unit']}"
     if v.get("at_bound"):
         return f"{name} {v['value']:.3g}{unit}, its bound"
-    held = " (held: the recording does not ask for more)" if v.get("held") else ""
-    return f"{name} {v['value']:.3g} ± {brief(1.96 * v['std'])}{unit}{held}"
+    half = 0.5 * (v["interval_95"][1] - v["interval_95"][0])
+    return f"{name} {v['value']:.3g} ± {brief(half)}{unit}"
 
 
-def _rms_force(search: Search, effect: Any) -> float | None:
+def _rms_force(search: Search, effect: FloatArray) -> float | None:
     """RMS over all samples of an effect on specific force (3 axes), m/s^2; None without that channel."""
     assert search.now is not None
     rows = search.now.rows
-    total, any_force = 0.0, False
-    for c, name in enumerate(rows.channels):
-        if name.startswith(("f_", "a_")):
-            at = np.flatnonzero(rows.channel == c)
-            total += float(np.mean(effect[at] ** 2)) if at.size else 0.0
-            any_force = True
-    return float(np.sqrt(total)) if any_force else None
+    forces = [c for c, name in enumerate(rows.channels) if name.startswith(("f_", "a_"))]
+    powers = [float(np.mean(effect[at] ** 2)) for c in forces if (at := np.flatnonzero(rows.channel == c)).size]
+    return float(np.sqrt(sum(powers))) if forces else None

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
+from flighttest.diagnose.discrepancy import correlation_times
+from flighttest.diagnose.lack_of_fit import DRIFT, NoiseFloor
 from flighttest.diagnose.model import Located, brief, flown, short
-from flighttest.diagnose.noise import WANDER, Floor, inflation
-from flighttest.diagnose.rows import Rows
-from flighttest.estimation.responses import zero_order_hold as held
+from flighttest.estimation.linearisation import Linearisation
+from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
 from flighttest.segments.model import Segment
 
@@ -59,8 +60,8 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
         found["voltage_v"] = np.asarray(y["voltage_v"])
     if "throttle" in segment.u:
         throttle = segment.u["throttle"]
-        found["throttle"] = held(throttle, t)
-        found["throttle_rate_1_s"] = (found["throttle"] - held(throttle, t - 0.1)) / 0.1
+        found["throttle"] = zero_order_hold(throttle, t)
+        found["throttle_rate_1_s"] = (found["throttle"] - zero_order_hold(throttle, t - 0.1)) / 0.1
     edges_all = np.unique(np.concatenate([e for e, _ in segment.u.values()])) if segment.u else np.empty(0)
     if edges_all.size:
         last = edges_all[np.clip(np.searchsorted(edges_all, t, side="right") - 1, 0, None)]
@@ -70,7 +71,7 @@ def regime_variables(segment: Segment) -> dict[str, FloatArray]:
     return found
 
 
-def sampled(rows: Rows, segments: Sequence[Segment]) -> dict[str, FloatArray]:
+def sampled(rows: Linearisation, segments: Sequence[Segment]) -> dict[str, FloatArray]:
     """Variables at every row; NaN for priors and where not recorded."""
     tables = [regime_variables(s) for s in segments]
     found = {name: np.full(rows.sample.size, np.nan) for name in VARIABLES}
@@ -84,7 +85,7 @@ def sampled(rows: Rows, segments: Sequence[Segment]) -> dict[str, FloatArray]:
     return {k: v for k, v in found.items() if np.isfinite(v).any()}
 
 
-def phase_of(rows: Rows, segments: Sequence[Segment]) -> NDArray[np.str_]:
+def phase_of(rows: Linearisation, segments: Sequence[Segment]) -> NDArray[np.str_]:
     """'before', 'transient' or 'steady' per row ('flight' in windows of free flight)."""
     found = np.full(rows.sample.size, "flight", dtype="<U9")
     for i, s in enumerate(segments):
@@ -95,7 +96,9 @@ def phase_of(rows: Rows, segments: Sequence[Segment]) -> NDArray[np.str_]:
     return found
 
 
-def residual_map(before: Rows, after: Rows, segments: Sequence[Segment], floor: Floor) -> list[dict[str, Any]]:
+def residual_map(
+    before: Linearisation, after: Linearisation, segments: Sequence[Segment], floor: NoiseFloor
+) -> list[dict[str, Any]]:
     """RMS over the noise floor by channel, kind, cell and phase, of both models."""
     phase = phase_of(before, segments)
     found = []
@@ -117,8 +120,8 @@ def residual_map(before: Rows, after: Rows, segments: Sequence[Segment], floor: 
                         "cell": dict(key[1]),
                         "phase": p,
                         "samples": int(at.size),
-                        "before_floors": float(np.sqrt(np.mean(before.open_residual[at] ** 2)) / floor.of(name)),
-                        "after_floors": float(np.sqrt(np.mean(after.open_residual[at] ** 2)) / floor.of(name)),
+                        "before_floors": float(np.sqrt(np.mean(before.unprofiled_residual[at] ** 2)) / floor.of(name)),
+                        "after_floors": float(np.sqrt(np.mean(after.unprofiled_residual[at] ** 2)) / floor.of(name)),
                     }
                 )
     return found
@@ -151,9 +154,9 @@ def explained_by(
     return value - float(np.mean(null)), float((1 + np.sum(null >= value)) / (FLIPS + 1))
 
 
-def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0) -> list[Located]:
-    """The places where the mismatch is, worst first: those above the floor beyond chance (`Floor.exceeded`), or ordered by a variable."""
-    tau = inflation(rows, rows.open_residual)
+def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
+    """The places where the mismatch is, worst first: those above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable."""
+    tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
     maneuvers = {
@@ -165,7 +168,7 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
             at = np.flatnonzero((rows.channel == c) & (kinds == kind))
             if at.size < 40:
                 continue
-            r = rows.open_residual[at]
+            r = rows.unprofiled_residual[at]
             least = floor.at(name, str(kind))
             excess = float(np.sum(r**2)) / least**2 - at.size
             here = {v: x[at] for v, x in variables.items()}
@@ -175,7 +178,7 @@ def locate(rows: Rows, segments: Sequence[Segment], floor: Floor, seed: int = 0)
                 places.append((excess, name, str(kind), at))
     found = []
     for _, name, kind, at in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
-        r = rows.open_residual[at]
+        r = rows.unprofiled_residual[at]
         scores = {v: explained_by(r, x[at], rows.segment[at], seed) for v, x in variables.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
         share, p_value = scores.get(best, (0.0, 1.0))
@@ -211,7 +214,7 @@ def _ordered(
     """
     if np.unique(response).size < LEAST_RESPONSES:
         return False
-    least = max(0.5 * floor, WANDER.get(channel, 0.0))
+    least = max(0.5 * floor, DRIFT.get(channel, 0.0))
     for x in variables.values():
         share, p_value = explained_by(r, x, response, seed)
         if share >= ORDERED and p_value <= 1 / (FLIPS + 1) and share * float(np.var(r)) >= least**2:
@@ -282,7 +285,7 @@ def _where(variable: str, side: str, level: float) -> str:
 
 
 def regime_curves(
-    located: Sequence[Located], before: Rows, after: Rows, segments: Sequence[Segment], bins: int = 12
+    located: Sequence[Located], before: Linearisation, after: Linearisation, segments: Sequence[Segment], bins: int = 12
 ) -> list[dict[str, Any]]:
     """Mean residual of both models in bins of the variable that explains each located mismatch."""
     variables = sampled(before, segments)
@@ -311,7 +314,7 @@ def regime_curves(
             {
                 "channel": place.channel, "maneuver": place.maneuver, "kind": place.kind, "variable": variable, "label": label,
                 "variable_unit": unit,
-                "unit": place.unit, "x": mean(x), "before": mean(before.open_residual[at]), "after": mean(after.open_residual[at]),
+                "unit": place.unit, "x": mean(x), "before": mean(before.unprofiled_residual[at]), "after": mean(after.unprofiled_residual[at]),
                 "floor": place.floor,
             }
         )  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum, StrEnum
 from typing import Any
 
+from flighttest.identify.fit import Fit
 from flighttest.physics.model import Model
 
 
@@ -106,7 +107,7 @@ class Diagnosis:
     accepted model, name to {value, std, unit, interval_95, scatter}; heldout: channel to horizon or 'all' to {rmse_before, rmse_after,
     floor, gain_95}; set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
     residual_map: cells of the heat map; regimes: residual against the variable that explains it; overlays: worst responses,
-    measured, before, after; complete: False when it was interrupted.
+    measured, before, after; complete: False when it was interrupted; fit: of the accepted model, what model.yaml is written from.
     """
 
     verdict: Verdict
@@ -140,13 +141,14 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     complete: bool = True
     runs: tuple[str, ...] = ()
+    fit: Fit | None = field(default=None, repr=False)
 
     def to_json(self) -> dict[str, Any]:
         """As in diagnosis.json (format diagnosis/1): plain JSON types only, null for what is not a number."""
         data = {
             k: getattr(self, k)
             for k in self.__dataclass_fields__
-            if k not in ("model", "values", "verdict", "next_script")
+            if k not in ("model", "values", "verdict", "next_script", "fit")
         }
         return {
             "format": "diagnosis/1",

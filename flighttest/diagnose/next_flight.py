@@ -8,20 +8,22 @@ and no base parameter can copy, in noise standard deviations, correlation taken 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import yaml
 
-from flighttest.diagnose.bench import Bench
-from flighttest.diagnose.fitted import Fitted
+from flighttest.diagnose.candidates import null_value
+from flighttest.diagnose.comparison import Fitted
 from flighttest.diagnose.model import brief
-from flighttest.diagnose.rows import State
-from flighttest.diagnose.screen import orthonormal
 from flighttest.diagnose.search import Search
 from flighttest.errors import FlighttestError
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.linearisation import Optimum, orthonormal
+from flighttest.identify.selection import able
+from flighttest.physics.blocks import Block
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import simulate
@@ -59,8 +61,8 @@ def propose(search: Search, questions: Sequence[Question], values: Mapping[str, 
         for name in [n for n in names if n in shipped_names()][:MOST_TRIED]:
             try:
                 script = load_script(resolve(name))
-                segments = rehearsed(script, search.now.model, values, search.bench.segments)
-                odds = log_odds(segments, search.now, search.bench.block, question)
+                segments = rehearsed(script, search.now.model, values, search.estimator.segments)
+                odds = log_odds(segments, search.now, search.estimator.block, question)
             except (FlighttestError, np.linalg.LinAlgError):
                 continue  # a maneuver this model cannot rehearse is no proposal
             if best is None or odds > best[0]:
@@ -154,33 +156,38 @@ def _segment(
     )  # fmt: skip
 
 
-def log_odds(segments: tuple[Segment, ...], now: Fitted, block: str, question: Question) -> float:
+def log_odds(
+    segments: tuple[Segment, ...],
+    now: Fitted,
+    block: str,
+    question: Question,
+    select: Callable[[Sequence[Segment], Block], Sequence[int]] = able,
+) -> float:
     """Information in nats about the question that this data would carry, recorded with the sensors there were."""
-    noise = now.state.noise.channel
+    noise = now.at.noise.channel
     recorded = [{c: v for c, v in s.y.items() if c in noise or c[:2] not in ("f_", "a_", "v_")} for s in segments]
     segments = tuple(replace(s, y=y) for s, y in zip(segments, recorded, strict=True))
-    bench = Bench(segments, block)
+    estimator = Estimator(segments, block, select)
     rivals = [t for t in (question.rival,) if t is not None and t.id not in now.model.terms]
     model = now.model.with_terms(*([question.term] if question.term.id not in now.model.terms else []), *rivals)
-    if not bench.problem(model).parts:
+    if not estimator.problem(model).parts:
         return 0.0
-    state = State({**model.start(), **now.state.values}, {}, now.state.noise, np.inf)
-    off = {p.name: float(p.off or 0.0) for t in (question.term, *rivals) for p in t.amplitudes}
-    on = {**off, **dict(question.size)}
-    known = bench.problem(model).names
+    at = Optimum({**model.start(), **now.at.values}, {}, now.at.noise, np.inf)
+    null = {p.name: null_value(p) for t in (question.term, *rivals) for p in t.amplitudes}
+    size = {**null, **dict(question.size)}
+    known = estimator.problem(model).names
     own = [p.name for p in question.term.params if p.name in known]
     others = [n for n in known if n not in own]
-    rows = bench.rows(model, bench.moved(model, state, on), tuple(known))
+    there = estimator.moved(model, at, size)
+    rows = estimator.linearise(model, there, tuple(known))
     if question.term.amplitudes:
-        amplitudes = [p for p in question.term.amplitudes if p.name in known]
-        effect = rows.columns([p.name for p in amplitudes]) @ np.array(
-            [on[p.name] - float(p.off or 0.0) for p in amplitudes]
+        coefficients = [p for p in question.term.amplitudes if p.name in known]
+        effect = rows.columns([p.name for p in coefficients]) @ np.array(
+            [size[p.name] - null_value(p) for p in coefficients]
         )
     else:
         without = model.without_terms(question.term.id)
-        effect = -rows.of(bench.secant(model, bench.moved(model, state, on), without, bench.moved(without, state)))[0][
-            :, 0
-        ]
+        effect = -rows.of(estimator.difference(model, there, without, estimator.moved(without, at)))[0][:, 0]
     basis = orthonormal(rows.columns(others))
     left = effect - basis @ (basis.T @ effect)
     return 0.5 * float(left @ left) / CORRELATED

@@ -8,19 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.bench import BLOCKS, Bench
-from flighttest.diagnose.block_answer import Answer, Asked, answer
-from flighttest.diagnose.judge import held_out_groups
+from flighttest.diagnose.block import Answer, Asked, answer
+from flighttest.diagnose.detectability import UNSEEN, missing_channels
+from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.held_out import held_out_groups
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Question, propose
-from flighttest.diagnose.rivals import UNSEEN, missing_channels
+from flighttest.diagnose.outlying import set_aside
+from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.search import Search, silent
-from flighttest.diagnose.strays import set_aside
-from flighttest.diagnose.unknown import describe
 from flighttest.errors import FitError
-from flighttest.identify.fit import default_model, has_attitude_references
+from flighttest.estimation.estimator import BLOCKS, Estimator
+from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
 from flighttest.identify.onset import onset_delay, start_values
+from flighttest.identify.selection import able
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
@@ -88,11 +90,13 @@ def diagnose(
         for t in known.values()
         if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
     )
-    bench = Bench(usable, "translation", filters)
+    translation = Estimator(usable, "translation", able, filters)
     starts = _starts(usable, model, previous)
-    kept, aside, near = set_aside(bench, model, starts)
+    kept, aside, near = set_aside(translation, model, starts)
     if aside:
-        bench = Bench(kept, "translation", filters)
+        translation = Estimator(kept, "translation", able, filters)
+    if near:
+        starts.append(near)
     groups, group_name = held_out_groups(kept)
     asked = Asked(kept, model, pool, tuple(starts), groups, filters, previous or {}, seed, progress or silent)
     blocks = [b for b in BLOCKS if b == "translation" or model.attitude_loops]
@@ -100,9 +104,8 @@ def diagnose(
     def search(some: Sequence[str]) -> list[Answer]:
         answers: list[Answer] = []
         for block in some:
-            known = (bench, near) if block == "translation" else (None, None)
             try:
-                answers.append(answer(block, asked, *known))
+                answers.append(answer(block, asked, translation if block == "translation" else None))
             except KeyboardInterrupt:
                 answers.append(Answer(complete=False))
             if not answers[-1].complete:
@@ -145,13 +148,19 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
     segments, model, pool = asked.segments, asked.model, asked.pool
     searches = [a.search for a in answers if a.search is not None]
     complete = all(a.complete for a in answers)
-    accepted = tuple(term for search in searches for term in search.judged)
-    values = dict(model.start())
-    for search in searches:
-        assert search.now is not None
-        values |= search.now.state.values
-    located, findings, unseen = (_all(answers, what) for what in ("located", "findings", "unseen"))
-    levels, after = (_merged(answers, what) for what in ("levels", "after"))
+    accepted = tuple(sorted((t for s in searches for t in s.evidence), key=lambda t: _nats(searches, t), reverse=True))
+    final = model.with_terms(*accepted)
+    asked.tell(f"fitting {' + '.join(final.terms)}")
+    base_fit, final_fit = _final_fits(asked, searches, final)
+    before, after = parameter_table(base_fit), parameter_table(final_fit)
+    findings = [
+        finding(search, term, after, asked.groups, asked.seed)
+        for term in accepted
+        for search in searches
+        if term in search.evidence
+    ]
+    located, unseen = (_all(answers, what) for what in ("located", "unseen"))
+    levels = _merged(answers, "levels")
     for term in pool:
         missing = missing_channels(term, segments)
         if missing and term.id not in {u.term for u in unseen}:
@@ -174,7 +183,6 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
             formulas += describe(search, segments, asked.groups, _with_forces(staying))
     asked.tell("choosing the next flight")
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}) if complete else {}
-    final = model.with_terms(*accepted)
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
         sentence=_sentence(so_far, findings, share, located, complete) + _moved(asked.previous, after),
@@ -186,9 +194,10 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
         smallest_units={k: _in_units(name, units[name]) if name else SHAPE_ALONE for k, (_, name) in levels.items()},
         model=final,
-        values={k: values[k] for k in final.names if k in values},
+        values={k: v for k, v in final_fit.values.items() if k in final.names},
+        fit=final_fit,
         accepted=accepted,
-        before=_merged(answers, "before"),
+        before=before,
         after=after,
         heldout=_merged(answers, "heldout"),
         noise_floor=_merged(answers, "floors"),
@@ -201,7 +210,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
             {**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]} if c["term"] in hidden else c
             for c in _all(answers, "candidates")
         ),
-        cost={"added_parameters": len(after) - len(_merged(answers, "before")), "held_out_groups": group_name},
+        cost={"added_parameters": len(after) - len(before), "held_out_groups": group_name},
         unknown=tuple(formulas),
         mass=mass_test(asked.previous, after),
         next_flight="next.yaml" if proposal else None,
@@ -211,6 +220,24 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
+
+
+def _nats(searches: Sequence[Search], term: str) -> float:
+    return next(s.evidence[term].nats for s in searches if term in s.evidence)
+
+
+def _final_fits(asked: Asked, searches: Sequence[Search], final: Model) -> tuple[Fit, Fit]:
+    """The base model and the final one, fitted to every response by the estimator that writes model.yaml: their values and intervals are
+    printed everywhere."""
+    found = []
+    for model in dict.fromkeys((asked.model, final)):
+        start: dict[str, float] = {}
+        for search in searches:
+            fitted = search.base if model is asked.model else search.now
+            assert fitted is not None
+            start |= {n: v for n, v in fitted.at.values.items() if n in model.names}
+        found.append(fit(asked.segments, model, filters=asked.filters, select="all", start=start, robust=False))
+    return found[0], found[-1]
 
 
 def _in_units(name: str, unit: str) -> str:
@@ -235,12 +262,12 @@ def _next(
         assert search.now is not None
         values = {
             **search.now.model.start(),
-            **{k: v for s in searches if s.now for k, v in s.now.state.values.items()},
+            **{k: v for s in searches if s.now for k, v in s.now.at.values.items()},
         }
         asked = []
-        for f in (f for f in findings if f.term in search.judged):
+        for f in (f for f in findings if f.term in search.evidence):
             for r in (r for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE):
-                size = {n: search.now.state.values[n] for n in f.parameters}
+                size = {n: search.now.at.values[n] for n in f.parameters}
                 asked.append(Question(terms[f.term], terms[r.term], size))
         if asked and (made := propose(search, asked[:2], values)):
             return made
@@ -249,7 +276,7 @@ def _next(
         assert search.now is not None
         values = {
             **search.now.model.start(),
-            **{k: v for s in searches if s.now for k, v in s.now.state.values.items()},
+            **{k: v for s in searches if s.now for k, v in s.now.at.values.items()},
         }
         here = {t.id for t in search.pool}
         asked = [

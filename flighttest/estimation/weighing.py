@@ -14,6 +14,9 @@ from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_
 FloatArray = NDArray[np.float64]
 
 OUTLIER_RATIO = 2.5  # a response whose residual is this many times the median response's is weighted down
+FEWEST_REPEATS = (
+    8  # beyond the first of each cell: a variance of fewer is known to less than a factor of two (chi-square, 90 %)
+)
 SPIKE_STDS = 5.0  # a sample further out than this is weighted down
 _START_NOISE = {"m/s^2": 0.3, "m/s": 0.1, "rad": 0.01, "rad/s": 0.05}
 _STD_FLOOR = {"m/s^2": 1e-3, "m/s": 5e-4, "rad": 5e-5, "rad/s": 2e-4}
@@ -50,11 +53,14 @@ class Weighing:
     noise: Noise
     response: FloatArray
     robust: bool
+    cells: NDArray[np.intp] | None = None
 
     @classmethod
-    def even(cls, problem: Problem, noise: Noise | None, *, robust: bool) -> Weighing:
-        """Every response alike. noise: None for what is assumed before anything is known."""
-        return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust)
+    def even(
+        cls, problem: Problem, noise: Noise | None, *, robust: bool, cells: NDArray[np.intp] | None = None
+    ) -> Weighing:
+        """Every response alike. noise: None for what is assumed before anything is known; cells (n_segments,): which are repeats."""
+        return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust, cells)
 
     def by_response(self, made: Sequence[PartEvaluation]) -> Weighing:
         """The same with responses that are far worse than their like weighted down."""
@@ -134,11 +140,24 @@ class Weighing:
                 at_k = n_l - n_d + k
                 known = 1.0 - posterior[:, at_k, at_k] * prior[:, at_k]
                 found = np.sum(local[:, at_k] ** 2) / max(float(known.sum()), 1e-3 * len(known))
+                if self.cells is not None:
+                    cells = self.cells[[r.index for r in part.responses]]
+                    found = min(found, _between_repeats(local[:, at_k], known, cells, found))
                 low = 1e-2 * next(v for tail, v in _START_DISTURBANCE.items() if name.endswith(f"_{tail}"))
                 disturbance[name] = float(
                     np.clip(np.sqrt(found), max(low, 0.2 * disturbance[name]), 5.0 * disturbance[name])
                 )
         return replace(self, noise=Noise(channel, disturbance))
+
+
+def _between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.intp], otherwise: float) -> float:
+    """Variance of estimates (m,) between repeats of a cell (one-way analysis of variance), each shrunk to `known` of itself by its prior;
+    `otherwise` where too few were repeated."""
+    _, which, count = np.unique(cells, return_inverse=True, return_counts=True)
+    mean = np.bincount(which, values) / count
+    square = float(np.sum((values - mean[which]) ** 2))
+    freedom = float(np.sum(known * (1.0 - 1.0 / count[which])))
+    return square / max(freedom, 1e-3 * values.size) if values.size - count.size >= FEWEST_REPEATS else otherwise
 
 
 def start_noise(problem: Problem) -> Noise:

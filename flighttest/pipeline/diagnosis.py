@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from flighttest.identify.carried_over import carry_over, known_before
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.model_file import ModelFile
-from flighttest.physics.body import DELAY_PARAM
 from flighttest.pipeline.analysis import base_model, cut_all, model_data
 from flighttest.pipeline.doubts import doubts, once
 from flighttest.pipeline.fingerprints import differences
@@ -108,18 +106,14 @@ def _base_terms(found: Diagnosis) -> list[str]:
 def refit(
     found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None, progress: Progress = SILENT
 ) -> tuple[Fit, tuple[str, ...]]:
-    """The accepted model fitted to everything, for model.yaml; and which parameters are held as the base model knew them."""
-    progress.stage(f"fitting {' + '.join(found.model.terms)}")
-    # Delays begin where the responses set in, as in any fit: from the diagnosis' own, just across a sample, the way is longer.
-    start = {name: value for name, value in found.values.items() if name not in DELAY_PARAM.values()}
-    usable = [s for s in segments if s.usable]
-    # A fit knows how responses scatter; what parts of the recording disagree on beyond that, only the diagnosis has looked at.
-    doubt = {n: math.sqrt(max(p["std"] ** 2 - p["scatter"] ** 2, 0.0)) for n, p in found.after.items()}
-    fitted = identify(usable, found.model, start=start, doubt=doubt)
+    """The diagnosis' own fit of the accepted model; fitted anew where parameters are held as the base model knew them, and which."""
+    assert found.fit is not None
+    fitted = found.fit
     known = known_before(fitted, base)
     if not known:
         return fitted, ()
-    again = identify(usable, found.model, start=fitted.values, frozen=known, noise=fitted.noise, doubt=doubt)
+    usable = [s for s in segments if s.usable]
+    again = identify(usable, found.model, select="all", start=fitted.values, frozen=known, noise=fitted.noise)
     return again, tuple(known)
 
 

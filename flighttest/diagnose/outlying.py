@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.bench import Bench
-from flighttest.diagnose.rows import State
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.linearisation import Optimum
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
@@ -23,29 +23,29 @@ LEAST = 12  # responses: of fewer nobody knows what is usual
 
 
 def set_aside(
-    bench: Bench, model: Model, starts: Sequence[Mapping[str, float]]
+    estimator: Estimator, model: Model, starts: Sequence[Mapping[str, float]]
 ) -> tuple[tuple[Segment, ...], dict[str, Any], dict[str, float]]:
-    """A bench's responses without those that something pushed once, those by name with a sentence on them, and the base model's values.
+    """The responses of an estimator without those that something pushed once, those by name with a sentence on them, and the base model's values.
 
-    bench: of translation. starts: values to begin the base fit from. Without the fit there are no values.
+    estimator: of translation. starts: values to begin the base fit from. Without the fit there are no values.
     """
-    segments = bench.segments
+    segments = estimator.segments
     if len(segments) < LEAST or len({s.cell_key for s in segments}) == len(segments):
         return segments, {}, {}  # or nothing was flown twice
-    problem = bench.problem(model)
+    problem = estimator.problem(model)
     if not problem.parts:
         return segments, {}, {}
-    first = min((bench.start(model, values) for values in starts), key=lambda state: state.objective)
-    blind = bench.blind(model, first)
-    fitted = bench.fit(model, first, tuple(n for n in problem.names if n not in blind))
-    odd = strays(fitted, segments)
+    first = min((estimator.start(model, values) for values in starts), key=lambda at: at.objective)
+    insensitive = estimator.insensitive(model, first)
+    fitted = estimator.fit(model, first, tuple(n for n in problem.names if n not in insensitive))
+    odd = outlying(fitted, segments)
     if not odd:
         return segments, {}, fitted.values
     aside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
     return tuple(s for i, s in enumerate(segments) if i not in odd), aside, fitted.values
 
 
-def strays(state: State, segments: Sequence[Segment]) -> dict[int, float]:
+def outlying(state: Optimum, segments: Sequence[Segment]) -> dict[int, float]:
     """Index of a response to how hard it was pushed, m/s^2, where a repeat of the same step was not.
 
     state: of a fitted base model; the push is what it found constant over the response, along the ground or upwards, less what is usual.
@@ -81,9 +81,9 @@ def told(found: Mapping[int, float], segments: Sequence[Segment]) -> str:
     )
 
 
-def _pushes(state: State, n: int) -> FloatArray:
+def _pushes(state: Optimum, n: int) -> FloatArray:
     """(2, n): along the ground and upwards, m/s^2, less the usual (median over responses); NaN where a response has none."""
-    axes = [state.local.get(f"a_d_{axis}_m_s2", np.full(n, np.nan)) for axis in "xyz"]
+    axes = [state.nuisance.get(f"a_d_{axis}_m_s2", np.full(n, np.nan)) for axis in "xyz"]
     if not all(np.any(np.isfinite(a)) for a in axes):
         return np.empty((0, n))
     x, y, z = (a - np.nanmedian(a) for a in axes)

@@ -1,4 +1,4 @@
-"""Is an effect worth a name? Prediction of groups not used, size against the noise floor, intervals by bootstrap over groups."""
+"""Prediction of groups of responses that were not used: residuals, mean squares with bootstrap intervals over groups, horizons, sizes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.noise import Floor, inflation
-from flighttest.diagnose.rows import Rows, State
+from flighttest.diagnose.lack_of_fit import NoiseFloor
+from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.validate import HORIZONS_S
 from flighttest.segments.model import Segment
 
@@ -18,6 +18,7 @@ IntArray = NDArray[np.intp]
 
 FOLDS = 5
 BOOTSTRAPS = 400
+RIDGE = 1e-9  # of unit columns: what a fold's training data say nothing of stays where it is
 LEAST_ROWS = 60  # samples a place (channel and kind of maneuver) needs before its RMS means something
 
 
@@ -50,7 +51,7 @@ def folds_of(groups: IntArray) -> IntArray:
     return groups % min(FOLDS, int(groups.max()) + 1) if groups.size else groups
 
 
-def held_out(rows: Rows, names: Sequence[str], groups: IntArray) -> FloatArray:
+def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray) -> FloatArray:
     """(n,) residual in the channel's unit of every response as predicted by parameters from the other folds.
 
     rows: at an optimum; linear in the parameters about it. A response keeps its own initial state, its disturbance is unknown.
@@ -58,8 +59,8 @@ def held_out(rows: Rows, names: Sequence[str], groups: IntArray) -> FloatArray:
     a = rows.columns(names)
     length = np.sqrt(np.sum(a**2, axis=0))
     used = length > 0
-    a, b = a[:, used] / length[used], rows.open_columns(names)[:, used] / length[used]
-    out = rows.open_residual.copy()
+    a, b = a[:, used] / length[used], rows.unprofiled_columns(names)[:, used] / length[used]
+    out = rows.unprofiled_residual.copy()
     fold_of_row = folds_of(groups)[rows.segment]
     gram, moment = a.T @ a, a.T @ rows.residual
     for fold in np.unique(fold_of_row):
@@ -68,11 +69,35 @@ def held_out(rows: Rows, names: Sequence[str], groups: IntArray) -> FloatArray:
         h = gram - own.T @ own
         g = moment - own.T @ rows.residual[inside]
         step = np.linalg.lstsq(h + 1e-10 * np.eye(h.shape[0]), g, rcond=1e-9)[0] if h.size else np.zeros(0)
-        out[inside] = rows.open_residual[inside] - b[inside] @ step
+        out[inside] = rows.unprofiled_residual[inside] - b[inside] @ step
     return out
 
 
-def mean_squares(rows: Rows, residual: FloatArray, groups: IntArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+def cross_validated(rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray) -> FloatArray:
+    """(n,) weighted squares of whitened rows as predicted by parameters from the other folds, nuisance parameters marginalised.
+
+    rows: at an optimum; linear in the parameters about it. weights (n,): of each row, from the model's discrepancy. A response's rows
+    sum to minus twice its log predictive density, but for a constant that models of one weighting share.
+    """
+    root = np.sqrt(weights)
+    a, r = rows.columns(names) * root[:, None], rows.residual * root
+    length = np.sqrt(np.sum(a**2, axis=0))
+    a = a[:, length > 0] / length[length > 0]
+    gram, moment = a.T @ a, a.T @ r
+    fold_of_row = folds_of(groups)[rows.segment]
+    out = r.copy()
+    for fold in np.unique(fold_of_row):
+        inside = fold_of_row == fold
+        own = a[inside]
+        h = gram - own.T @ own
+        step = np.linalg.lstsq(h + RIDGE * np.eye(h.shape[0]), moment - own.T @ r[inside], rcond=RIDGE)[0]
+        out[inside] = r[inside] - own @ step
+    return np.asarray(out**2)
+
+
+def mean_squares(
+    rows: Linearisation, residual: FloatArray, groups: IntArray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Channel to (sum of squares, number of samples) per group."""
     of_row = groups[rows.segment]
     n = int(groups.max()) + 1
@@ -95,12 +120,12 @@ class HeldOut:
 
 
 def compare(
-    before: Rows,
+    before: Linearisation,
     before_residual: FloatArray,
-    after: Rows,
+    after: Linearisation,
     after_residual: FloatArray,
     groups: IntArray,
-    floor: Floor,
+    floor: NoiseFloor,
     seed: int = 0,
 ) -> dict[str, HeldOut]:
     """Both models on the same samples."""
@@ -125,7 +150,7 @@ def compare(
     return found
 
 
-def places(rows: Rows, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:
+def places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:
     """(channel, kind of maneuver) to its rows, where there are enough of them."""
     kinds = np.array([s.kind for s in segments])[rows.segment]
     found = {}
@@ -138,7 +163,7 @@ def places(rows: Rows, segments: Sequence[Segment]) -> dict[tuple[str, str], Int
 
 
 def size_in_floors(
-    rows: Rows, effect: FloatArray, segments: Sequence[Segment], floor: Floor
+    rows: Linearisation, effect: FloatArray, segments: Sequence[Segment], floor: NoiseFloor
 ) -> tuple[float, tuple[str, str]]:
     """Largest RMS of an effect ((n,), in the channel's unit) over a place, in noise floors, and the place."""
     best, where = 0.0, ("", "")
@@ -149,28 +174,7 @@ def size_in_floors(
     return best, where
 
 
-def information(before: Rows, before_state: State, after: Rows, after_state: State, added: int) -> float:
-    """Change of the information criterion from one fit to another: residuals by channel, with the effective sample size that is left
-    after, disturbances by axis, one per response, and what initial states that a term owns could copy of anything."""
-    tau = inflation(after)
-    bic, total = 0.0, 0.0
-    for c, name in enumerate(before.channels):
-        at, at_after = before.channel == c, after.channel == after.channels.index(name)
-        n_eff = at.sum() / tau[after.channels.index(name)]
-        total += n_eff
-        ss_b = float(np.sum((before.residual[at] * before.scale[at]) ** 2))
-        ss_a = float(np.sum((after.residual[at_after] * after.scale[at_after]) ** 2))
-        if ss_b > 0 and ss_a > 0:
-            bic += n_eff * float(np.log(ss_a / ss_b))
-    responses = np.unique(after.segment).size
-    for name, std in after_state.noise.disturbance.items():
-        old = before_state.noise.disturbance.get(name)
-        if old:
-            bic += 2 * responses * float(np.log(std / old))
-    return bic + added * float(np.log(max(total, 2.0))) + after.freedom - before.freedom
-
-
-def horizon_rmse(rows: Rows, residual: FloatArray, segments: Sequence[Segment]) -> dict[str, dict[str, float]]:
+def horizon_rmse(rows: Linearisation, residual: FloatArray, segments: Sequence[Segment]) -> dict[str, dict[str, float]]:
     """Channel to horizon (s since the response's first sample, as text) to RMSE of what lies within it."""
     since = np.array(
         [segments[i].t_s[max(k, 0)] - segments[i].t_s[0] for i, k in zip(rows.segment, rows.sample, strict=True)]
@@ -185,9 +189,9 @@ def horizon_rmse(rows: Rows, residual: FloatArray, segments: Sequence[Segment]) 
     return found
 
 
-def excess(rows: Rows, floor: Floor) -> dict[str, float]:
+def excess(rows: Linearisation, floor: NoiseFloor) -> dict[str, float]:
     """Channel to what of its mean square lies above the floor, in the channel's unit squared."""
-    raw = rows.open_residual
+    raw = rows.unprofiled_residual
     found = {}
     for c, name in enumerate(rows.channels):
         at = rows.channel == c

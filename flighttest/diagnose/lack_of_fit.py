@@ -9,21 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from flighttest.diagnose.rows import Rows
+from flighttest.estimation.linearisation import Linearisation
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
 BIN_S = 0.1  # responses of one cell are compared in bins of this width after the step
 EQUATIONS_PER_COVARIATE = 4
-SMALL_CORRELATION = 0.05
 LEAST_RATIO = 1.25
 GUESSED_RATIO = 4.0  # where no repeats say what the floor is, and it is known to a factor of two
 OUTRIGHT = 3.5  # floors: above it, times of one response that differ on their own count as several looks
-CHANCE = 0.001
+SIGNIFICANCE = 0.001
+# Residuals below these cannot be told from the resolution of the recording.
+RESOLUTION = {"roll_rad": 3e-4, "pitch_rad": 3e-4, "r_rad_s": 1e-3} | {
+    f"{k}_{axis}_{unit}": std
+    for k, unit, std in (("f", "m_s2", 5e-3), ("a", "m_s2", 5e-3), ("v", "m_s", 3e-3))
+    for axis in "xyz"
+}
 # What an estimate drifts by within seconds and no high-frequency residual shows: attitude of an EKF in flight about 0.1 deg, velocity of
 # GPS and barometer some cm/s, accelerometers warming up or shaken 0.05 m/s^2. Repeats, where they were flown, say better.
-WANDER = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
+DRIFT = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
     f"{k}_{axis}_{unit}": std
     for k, unit, std in (("f", "m_s2", 0.05), ("a", "m_s2", 0.1), ("v", "m_s", 0.03))
     for axis in "xyz"
@@ -31,9 +36,9 @@ WANDER = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
 
 
 @dataclass(frozen=True)
-class Floor:
+class NoiseFloor:
     """std: channel to the spread (in its unit) no model of the recorded inputs explains; from_repeats: channels for which repeats say so,
-    the others' floor is their high-frequency residual, or what estimators wander (`WANDER`) where that is more: weaker, since slow
+    the others' floor is their high-frequency residual, or what estimators wander (`DRIFT`) where that is more: weaker, since slow
     disturbances are not in it.
 
     lack_of_fit: channel to (lack of fit, its degrees of freedom, pure error, its degrees) of 0.1 s means, where repeats exist;
@@ -58,7 +63,7 @@ class Floor:
         """The floor of one channel in one kind of maneuver: where none of its steps was repeated, no less than what estimators wander."""
         if self.repeated(channel, kind):
             return self.std[channel]
-        return max(self.std[channel], WANDER.get(channel, 0.0))
+        return max(self.std[channel], DRIFT.get(channel, 0.0))
 
     def whole(self, channel: str) -> float:
         """The floor with everything in it that differs between repeats, the bins around jittering edges included."""
@@ -78,36 +83,13 @@ class Floor:
             lack, cells, repeats, times = self.lack_by_kind[channel, kind]
             # A response whose samples all went astray together is one observation. What stands out by far needs no such caution.
             looks = times if ratio > OUTRIGHT**2 else 1.0
-            return bool(lack > stats.f.ppf(1 - CHANCE, max(cells * looks, 1.0), max(repeats * looks, 1.0)))
-        return bool(ratio > stats.f.ppf(1 - CHANCE, max(count, 1.0), 1e3))
+            return bool(lack > stats.f.ppf(1 - SIGNIFICANCE, max(cells * looks, 1.0), max(repeats * looks, 1.0)))
+        return bool(ratio > stats.f.ppf(1 - SIGNIFICANCE, max(count, 1.0), 1e3))
 
 
-def inflation(rows: Rows, residual: FloatArray | None = None) -> dict[int, float]:
-    """Channel index to 1 + 2 sum of autocorrelations within responses: n divided by it is the effective sample size."""
-    r = rows.residual if residual is None else residual
-    found = {}
-    for c in range(len(rows.channels)):
-        at = np.flatnonzero(rows.channel == c)
-        order = at[np.lexsort((rows.sample[at], rows.segment[at]))]
-        x, segment, sample = r[order], rows.segment[order], rows.sample[order]
-        power = float(x @ x) / max(x.size, 1)
-        total = 1.0
-        if power > 0:
-            for lag in range(1, 200):
-                same = (segment[lag:] == segment[:-lag]) & (sample[lag:] - sample[:-lag] == lag)
-                if same.sum() < 20:
-                    break
-                rho = float(np.mean(x[lag:][same] * x[:-lag][same])) / power
-                if rho < SMALL_CORRELATION:
-                    break
-                total += 2 * rho
-        found[c] = total
-    return found
-
-
-def high_frequency(rows: Rows) -> dict[str, float]:
+def high_frequency(rows: Linearisation) -> dict[str, float]:
     """Channel to the std of white noise that would give the residual's second differences."""
-    raw = rows.open_residual
+    raw = rows.unprofiled_residual
     found = {}
     for c, name in enumerate(rows.channels):
         at = np.flatnonzero(rows.channel == c)
@@ -143,7 +125,7 @@ def covariates(segment: Segment) -> FloatArray:
     )
 
 
-def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, float]) -> Floor:
+def floor_of(rows: Linearisation, segments: Sequence[Segment], resolution: Mapping[str, float]) -> NoiseFloor:
     """Pure error of repeats, covariates regressed out; the high-frequency residual where there are no repeats."""
     fast = high_frequency(rows)
     cells: dict[object, list[int]] = {}
@@ -156,7 +138,7 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
     for c, name in enumerate(rows.channels):
         pure = _pure_error(rows, segments, cells, c) if cells else None
         if pure is None:
-            std[name] = max(fast[name], resolution.get(name, 0.0), WANDER.get(name, 0.0))
+            std[name] = max(fast[name], resolution.get(name, 0.0), DRIFT.get(name, 0.0))
             continue
         pure_ms, pure_dof, lack_ms, lack_dof, kinds, usual_ms = pure
         by_kind |= {(name, kind): value for kind, value in kinds.items()}
@@ -164,11 +146,11 @@ def floor_of(rows: Rows, segments: Sequence[Segment], resolution: Mapping[str, f
         std[name] = max(float(np.sqrt(usual_ms + fast[name] ** 2)), resolution.get(name, 0.0))
         repeated.add(name)
         lack[name] = (lack_ms, lack_dof, pure_ms, pure_dof)
-    return Floor(std, frozenset(repeated), lack, by_kind)
+    return NoiseFloor(std, frozenset(repeated), lack, by_kind)
 
 
 def _pure_error(
-    rows: Rows, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
+    rows: Linearisation, segments: Sequence[Segment], cells: Mapping[object, Sequence[int]], c: int
 ) -> tuple[float, float, float, float, dict[str, tuple[float, int, float, float]], float] | None:
     """Mean squares of 0.1 s means: (pure error, its degrees of freedom, lack of fit, its degrees, kind to (ratio, cells, repeats), usual).
 
@@ -177,7 +159,7 @@ def _pure_error(
     """
     kinds: dict[str, list[tuple[int, float]]] = {}
     cells_of: dict[str, int] = {}
-    raw = rows.open_residual
+    raw = rows.unprofiled_residual
     at = np.flatnonzero(rows.channel == c)
     at = at[np.argsort(rows.segment[at], kind="stable")]
     starts = np.searchsorted(rows.segment[at], np.arange(len(segments) + 1))

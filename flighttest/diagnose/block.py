@@ -1,6 +1,6 @@
-"""One block of the model (roll and pitch, yaw rate, or translation): searched on a bench of its own, and what is to be said of it.
+"""One block of the model (roll and pitch, yaw rate, or translation): its search, and what the diagnosis reports of it.
 
-Blocks share nothing but the recordings, so that they can be searched side by side.
+Blocks share nothing but the recordings, so that they can be searched in parallel.
 """
 
 from __future__ import annotations
@@ -12,22 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.another_way import another_way
 from flighttest.diagnose.baselines import baselines
-from flighttest.diagnose.bench import Bench, part_of
-from flighttest.diagnose.findings import finding, parameter_table
-from flighttest.diagnose.fitted import LEAST_BIC
-from flighttest.diagnose.judge import compare, excess, held_out, horizon_rmse
+from flighttest.diagnose.detectability import detectable, missing_channels, untestable
+from flighttest.diagnose.held_out import compare, excess, held_out, horizon_rmse
+from flighttest.diagnose.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.locate import locate, regime_curves, residual_map
-from flighttest.diagnose.model import Finding, Located, TermVerdict, Untestable, brief, flown, short
-from flighttest.diagnose.noise import floor_of
+from flighttest.diagnose.model import Located, TermVerdict, Untestable, brief, flown, short
 from flighttest.diagnose.overlays import overlays
-from flighttest.diagnose.pairs import look_ahead
-from flighttest.diagnose.remainders import drop_remainders
-from flighttest.diagnose.rivals import detectable, missing_channels, rivals_of, untestable
-from flighttest.diagnose.rows import RESOLUTION
-from flighttest.diagnose.screen import best_per_term
 from flighttest.diagnose.search import Search, silent
+from flighttest.estimation.estimator import Estimator, part_of
+from flighttest.identify.selection import able
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
@@ -64,7 +58,6 @@ class Answer:
     complete: bool = True
     notes: list[str] = field(default_factory=list)
     located: list[Located] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
     unseen: list[Untestable] = field(default_factory=list)
     levels: dict[str, tuple[float, str]] = field(default_factory=dict)
     heldout: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -73,37 +66,29 @@ class Answer:
     curves: list[Any] = field(default_factory=list)
     overlaid: list[Any] = field(default_factory=list)
     candidates: list[dict[str, Any]] = field(default_factory=list)
-    before: dict[str, Any] = field(default_factory=dict)
-    after: dict[str, Any] = field(default_factory=dict)
     baselines: dict[str, dict[str, float]] = field(default_factory=dict)
     shares: list[float] = field(default_factory=list)
     staying: set[str] = field(default_factory=set)
 
 
-def answer(block: str, asked: Asked, bench: Bench | None = None, near: Mapping[str, float] | None = None) -> Answer:
-    """Search one block and say what was found. bench: one that knows this block already; near: values near the base model's optimum.
+def answer(block: str, asked: Asked, estimator: Estimator | None = None) -> Answer:
+    """Search one block. estimator: one that has compiled the base model already.
 
-    An interrupt (KeyboardInterrupt) ends the search; what is known is told.
+    An interrupt (KeyboardInterrupt) ends the search; what is known is reported.
     """
     made = Answer()
-    bench = bench or Bench(asked.segments, block, asked.filters)
+    estimator = estimator or Estimator(asked.segments, block, able, asked.filters)
     model = asked.model
     own = model.with_terms(COUPLING) if block == "roll_pitch" else model
-    if not bench.problem(own).parts:
+    if not estimator.problem(own).parts:
         made.notes.append(f"nothing in this recording moves {PLAIN[block]}: it is left out")
         return made
-    dormant = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
-    pool = tuple(t for t in asked.pool if _acts(t, bench, own) and not missing_channels(t, asked.segments))
-    search = Search(
-        bench, pool, asked.groups, dormant, progress=lambda text: asked.tell(f"{block}: {text}"), look_ahead=look_ahead
-    )
+    inactive = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
+    pool = tuple(t for t in asked.pool if _acts(t, estimator, own) and not missing_channels(t, asked.segments))
+    search = Search(estimator, pool, asked.groups, inactive, progress=lambda text: asked.tell(f"{block}: {text}"))
     try:
-        start = min((bench.start(own, values) for values in asked.starts), key=lambda state: state.objective)
-        search.run(own, start, bench.start(own, near) if near else None)
-        drop_remainders(search)
-        search, as_well = another_way(search)
-        if as_well:
-            made.notes.append(as_well)
+        starts = [estimator.start(own, values) for values in asked.starts]
+        search.run(own, min(starts, key=lambda at: at.objective))
     except KeyboardInterrupt:
         made.complete = False
     if search.now is not None and search.floor is not None:
@@ -147,26 +132,19 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
     made.curves += regime_curves(places, base.rows, now.rows, segments)
     made.cells += residual_map(base.rows, now.rows, segments, floor)
     made.overlaid += overlays(base.rows, now.rows, segments)
-    made.before |= parameter_table(base)
-    made.after |= parameter_table(now)
-    for name in search.judged:
-        made.findings.append(finding(search, name, rivals_of(search, name), asked.groups, asked.seed))
-    if search.ground is not None:
-        if search.ground.rows is not now.rows:  # terms have left since the last screening
-            search.linearise()
-        seen = detectable(search)
-        made.levels |= seen
-        made.unseen += untestable(search, seen)
+    seen = detectable(search)
+    made.levels |= seen
+    made.unseen += untestable(search, seen)
     made.candidates += _candidates(search)
-    made.baselines |= baselines(search.bench, base, now, segments, asked.previous)
+    made.baselines |= baselines(search.estimator, base, now, segments, asked.previous)
 
 
-def _acts(term: Term, bench: Bench, model: Model) -> bool:
-    """Whether a term changes what this bench compares."""
-    if (block_of(term) == "translation") != (bench.block == "translation"):
+def _acts(term: Term, estimator: Estimator, model: Model) -> bool:
+    """Whether a term changes what this estimator compares."""
+    if (block_of(term) == "translation") != (estimator.block == "translation"):
         return False
     tried = model if term.id in model.terms else model.with_terms(term)
-    known = {name for block in tried.blocks if part_of(block.name) == bench.block for name in block.params}
+    known = {name for block in tried.blocks if part_of(block.name) == estimator.block for name in block.params}
     return any(p.name in known for p in term.params)
 
 
@@ -175,33 +153,30 @@ def _held(h: Any) -> dict[str, Any]:
 
 
 def _candidates(search: Search) -> list[dict[str, Any]]:
-    """Every candidate's score, for the table of what was ruled out and why."""
-    found = [
-        {
-            "term": j.term, "verdict": TermVerdict.SUPPORTED, "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
-            "why": f"{brief(j.floors)} noise floors in {short(j.place[0])} of {flown(j.place[1])}",
-        }
-        for j in search.judged.values()
-    ]  # fmt: skip
-    found += [
-        {
-            "term": j.term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": j.bic, "floors": j.floors, "gain": j.gain, "p_value": j.p_value,
-            "why": j.reason or "refitted: too small, or no better on what it has not seen",
-        }
-        for j in search.refused.values()
-    ]  # fmt: skip
-    done = {f["term"] for f in found}
-    for s in best_per_term([s for s in search.scores if s.variant.term.id not in done]):
-        if not s.beyond_chance:
-            why = "no more than chance"
-        elif s.bic > -LEAST_BIC:
-            why = "the criterion does not fall enough for its parameters"
-        else:
-            why = "not refitted: others explain more, or it is too small to be seen"
+    """Every candidate's evidence, for the table of what was ruled out and why."""
+    found = []
+    for e in {**search.rejected, **search.evidence}.values():
+        named = e.term in search.evidence
+        why = f"{brief(e.floors)} noise floors in {short(e.place[0])} of {flown(e.place[1])}" if named else e.why_not
         found.append(
             {
-                "term": s.variant.term.id, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": s.bic, "floors": None, "gain": None,
-                "p_value": s.p_value, "why": why,
+                "term": e.term, "verdict": TermVerdict.SUPPORTED if named else TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * e.nats,
+                "probability": e.probability, "floors": e.floors, "why": why,
             }
         )  # fmt: skip
+    done = {f["term"] for f in found}
+    best: dict[str, float] = {}
+    if search.subsets is not None:
+        for s in search.scored:
+            for term in search.subsets.terms(s):
+                best[term] = max(best.get(term, -np.inf), s.log_odds if len(s.members) == 1 else -np.inf)
+    for term, log_odds in sorted(best.items(), key=lambda kv: -kv[1]):
+        if term not in done and np.isfinite(log_odds):
+            probability = 1.0 / (1.0 + float(np.exp(min(-log_odds, 700.0))))
+            found.append(
+                {
+                    "term": term, "verdict": TermVerdict.NOT_NEEDED, "delta_bic": -2.0 * log_odds, "probability": probability,
+                    "floors": None, "why": f"screened: log odds {log_odds:.1f} beside the final model",
+                }
+            )  # fmt: skip
     return found

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.judge import folds_of
+from flighttest.diagnose.held_out import folds_of
 from flighttest.diagnose.locate import VARIABLES, sampled
 from flighttest.diagnose.model import short
 from flighttest.diagnose.search import Search
@@ -70,7 +70,7 @@ def describe(
             continue
         at = np.flatnonzero(rows.channel == c)
         good = at[np.all([np.isfinite(x[at]) for x in variables.values()], axis=0)] if variables else at
-        r = rows.open_residual[good]
+        r = rows.unprofiled_residual[good]
         if good.size < 200:
             continue
         functions = _functions({k: x[good] for k, x in variables.items()})

@@ -1,0 +1,114 @@
+"""Columns of every candidate term at the optimum of the present model: sensitivities to its linear coefficients at their null values, its
+nonlinear parameters on their declared grids."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from flighttest.estimation.estimator import Estimator, finite
+from flighttest.estimation.linearisation import FloatArray, Linearisation, Optimum
+from flighttest.physics.core import Param, Term
+from flighttest.physics.model import Model
+
+PRIOR_SIZES = (
+    3.0  # prior standard deviation of a linear coefficient, in usual sizes: effects of a tenth to three sizes fly
+)
+DIFFERENCE_STD = 0.4  # of the multiple of a finite difference, about 1: grid values are up to half an octave off
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A term with its nonlinear parameters fixed at `shape`.
+
+    names: its linear coefficients, columns (n, q) whitened and profiled, unprofiled (n, q) in the channels' units; a term without linear
+    coefficients has one column and no name: the whole change it makes at `shape` (finite difference), whose multiple is about 1.
+    """
+
+    term: Term
+    shape: Mapping[str, float]
+    names: tuple[str, ...]
+    columns: FloatArray
+    unprofiled: FloatArray
+
+    @cached_property
+    def params(self) -> tuple[Param, ...]:
+        """The linear coefficients, in the order of `names`."""
+        known = {p.name: p for p in self.term.params}
+        return tuple(known[n] for n in self.names)
+
+    @property
+    def prior_mean(self) -> FloatArray:
+        """(q,) of the coefficients, from their null values."""
+        return np.zeros(len(self.names)) if self.names else np.ones(1)
+
+    @property
+    def prior_std(self) -> FloatArray:
+        """(q,)."""
+        if not self.names:
+            return np.array([DIFFERENCE_STD])
+        return np.array([PRIOR_SIZES * max(abs(usual_size(p)), 1e-12) for p in self.params])
+
+    @property
+    def side(self) -> FloatArray:
+        """(q,) +1 or -1 where physics allows one side of the null value only, else 0."""
+        if not self.names:
+            return np.zeros(1)
+        return np.array([np.sign(usual_size(p)) if p.one_sided else 0.0 for p in self.params])
+
+
+def null_value(p: Param) -> float:
+    """The value of a linear coefficient at which its term vanishes."""
+    return float(p.off or 0.0)
+
+
+def usual_size(p: Param) -> float:
+    """Nominal value of a linear coefficient, from its null value."""
+    return float(p.nominal) - null_value(p)
+
+
+def grid(term: Term) -> list[dict[str, float]]:
+    """Declared values of each nonlinear parameter, the others at nominal."""
+    nominal = {p.name: p.nominal for p in term.shapes}
+    found: list[dict[str, float]] = []
+    for p in term.shapes:
+        for value in p.screen if len(p.screen) > 1 or len(term.shapes) == 1 else ():
+            setting = {**nominal, p.name: value}
+            if setting not in found:
+                found.append(setting)
+    return found or [nominal]
+
+
+def candidates_at(
+    estimator: Estimator, model: Model, at: Optimum, rows: Linearisation, terms: Sequence[Term]
+) -> list[Candidate]:
+    """Every setting of every term outside the model. One Jacobian serves a setting of all terms with linear coefficients, since at
+    their null values they do not change each other. rows: of the model itself. What is not finite is left out."""
+    found: list[Candidate] = []
+    linear = [t for t in terms if t.amplitudes]
+    if linear:
+        everything = model.with_terms(*(t for t in linear if t.id not in model.terms))
+        known = set(estimator.problem(everything).names)
+        names = [p.name for t in linear for p in t.amplitudes if p.name in known]
+        null = {p.name: null_value(p) for t in linear for p in t.amplitudes}
+        grids: dict[str, list[dict[str, float]]] = {t.id: grid(t) if t.shapes else [{}] for t in linear}
+        for k in range(max(len(g) for g in grids.values())):
+            asked = [t for t in linear if k < len(grids[t.id])]
+            shape = {n: v for t in linear for n, v in grids[t.id][k % len(grids[t.id])].items()}
+            wanted = [n for t in asked for n in (p.name for p in t.amplitudes) if n in known]
+            raw = estimator.derivatives(everything, estimator.moved(everything, at, null | shape), wanted)
+            for t in asked:
+                own = tuple(p.name for p in t.amplitudes if p.name in names)
+                part = [one[..., [wanted.index(n) for n in own]] for one in raw]
+                if own and finite(part):
+                    found.append(Candidate(t, grids[t.id][k], own, *rows.of(part)))
+    for t in (t for t in terms if not t.amplitudes):
+        changed = model.with_terms(t)
+        for setting in grid(t):
+            raw = estimator.difference(model, at, changed, estimator.moved(changed, at, setting))
+            if finite(raw):
+                found.append(Candidate(t, setting, (), *rows.of(raw)))
+    return found

@@ -1,0 +1,249 @@
+"""`Estimator`: one set of responses, many models. Fits them (`solver.solve`) and linearises them about their optima.
+
+Of one block of the model at a time (roll and pitch, yaw rate, translation), since blocks share no state and no parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from flighttest.estimation.linearisation import (
+    FloatArray,
+    IntArray,
+    Linearisation,
+    Optimum,
+    Projection,
+    in_order,
+    project,
+)
+from flighttest.estimation.problem import Noise, Part, Problem, prior_std
+from flighttest.estimation.solver import solve
+from flighttest.estimation.weighing import start_noise
+from flighttest.physics.blocks import Block
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+BLOCKS = ("roll_pitch", "yaw", "translation")
+INSENSITIVE = (
+    1.0  # whitened sum of squares of a parameter's usual change: less is below one sample's noise in all the data
+)
+
+
+def part_of(block: str) -> str:
+    """Which estimator compares a block of the model: roll and pitch together, yaw rate alone unless a term couples it to them."""
+    return block if block in ("translation", "yaw") else "roll_pitch"
+
+
+def cells_of(segments: Sequence[Segment]) -> IntArray:
+    """(n_segments,) index of each segment's cell: repeats of one step share it, a window of free flight is a cell of its own."""
+    index: dict[Hashable, int] = {}
+    keys = [s.cell_key if s.kind != "free" else ("free", i) for i, s in enumerate(segments)]
+    return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
+
+
+@dataclass
+class Estimator:
+    """Usable segments of one vehicle and the models tried on them.
+
+    block: one of `BLOCKS`; select(segments, block): positions of the segments that feed a block of the model.
+    """
+
+    segments: tuple[Segment, ...]
+    block: str
+    select: Callable[[Sequence[Segment], Block], Sequence[int]]
+    filters_hz: Mapping[str, float] | None = None
+    _problems: dict[Model, Problem] = field(default_factory=dict, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to another process: not what was compiled here."""
+        return self.__dict__ | {"_problems": {}}
+
+    def problem(self, model: Model) -> Problem:
+        """The problem of one model, parts of this block only (none where nothing moves it); kept."""
+        if model not in self._problems:
+            fed = {b.name: self.select(self.segments, b) for b in model.blocks if part_of(b.name) == self.block}
+            self._problems[model] = Problem.build(self.segments, model, filters=self.filters_hz, fed=fed)
+        return self._problems[model]
+
+    def start(self, model: Model, values: Mapping[str, float] | None = None) -> Optimum:
+        """Where a first fit begins: given values, measured initial states, noise as assumed before anything is known."""
+        problem = self.problem(model)
+        begun = Optimum(problem.full_values(model.start(values)), {}, start_noise(problem), np.inf)
+        return replace(begun, objective=self.objective(model, begun))
+
+    def moved(self, model: Model, at: Optimum, values: Mapping[str, float] | None = None) -> Optimum:
+        """The same point under another model, or with other values: what both know is kept."""
+        full = self.problem(model).full_values(model.start())
+        full |= {k: v for k, v in at.values.items() if k in full} | dict(values or {})
+        made = replace(at, values=full)
+        return replace(made, objective=self.objective(model, made))
+
+    def nuisance(self, problem: Problem, at: Optimum) -> list[FloatArray]:
+        """Per part (m, n_nuisance)."""
+        found = []
+        for part in problem.parts:
+            values = part.start_local()
+            index = [r.index for r in part.responses]
+            for k, name in enumerate(part.locals):
+                if name in at.nuisance:
+                    mine = at.nuisance[name][index]
+                    values[:, k] = np.where(np.isfinite(mine), mine, values[:, k])
+            found.append(values)
+        return found
+
+    def objective(self, model: Model, at: Optimum) -> float:
+        """Whitened sum of squares; infinite where the simulation is not finite."""
+        problem = self.problem(model)
+        nuisance = self.nuisance(problem, at)
+        total = 0.0
+        with np.errstate(over="ignore", invalid="ignore"):  # a step too far may diverge: its objective is infinite
+            for part, made, l_i in zip(problem.parts, problem.evaluate(at.values, nuisance), nuisance, strict=True):
+                std = np.array([at.noise.channel[c] for c in part.outputs])
+                total += float(np.sum((made.residual / std) ** 2))
+                total += float(np.sum(((l_i - part.start_local()) / prior_std(part, at.noise)) ** 2))
+        return total if np.isfinite(total) else np.inf
+
+    def fit(
+        self, model: Model, start: Optimum, names: Sequence[str], *, noise: bool = True, iterations: int = 30
+    ) -> Optimum:
+        """Damped Gauss-Newton over `names` and all nuisance parameters (`solver.solve`); noise: whether variances are estimated, too.
+
+        The variance of a response's disturbance is that between repeats of a cell: what repeats have in common is the model's error and
+        stays in the residual. A start from which the simulation is not finite is given back as it is.
+        """
+        if not np.isfinite(start.objective):
+            return start
+        problem = self.problem(model)
+        begun = bool(start.nuisance)
+        found = solve(
+            problem,
+            start.values,
+            free=names,
+            robust=False,
+            noise=start.noise if begun or not noise else None,
+            local=self.nuisance(problem, start) if begun else None,
+            estimate_noise=noise,
+            cells=cells_of(self.segments),
+            max_iterations=iterations,
+        )
+        columns: dict[str, FloatArray] = {}
+        for part, values in zip(problem.parts, found.local, strict=True):
+            for k, name in enumerate(part.locals):
+                column = columns.setdefault(name, np.full(len(self.segments), np.nan))
+                column[[r.index for r in part.responses]] = values[:, k]
+        made = Optimum(dict(found.values), columns, found.noise, np.inf)
+        return replace(made, objective=self.objective(model, made))
+
+    def linearise(self, model: Model, at: Optimum, names: Sequence[str]) -> Linearisation:
+        """Whitened, profiled rows at a point, with Jacobian columns for `names` (coefficients at their null value included)."""
+        problem = self.problem(model)
+        nuisance = self.nuisance(problem, at)
+        channels = tuple(dict.fromkeys(c for part in problem.parts for c in part.outputs))
+        disturbances = tuple(dict.fromkeys(d for part in problem.parts for d in part.block.disturbances))
+        strata = (*channels, *disturbances)
+        out: list[tuple[FloatArray, ...]] = []
+        projections: list[Projection] = []
+        evaluated = problem.evaluate(at.values, nuisance, list(names))
+        for part, made, l_i in zip(problem.parts, evaluated, nuisance, strict=True):
+            m, n, n_y = part.y.shape
+            n_l, n_f = len(part.locals), part.n_free_states
+            std = np.array([at.noise.channel[c] for c in part.outputs])
+            jacobian = (made.jacobian / std[:, None]).reshape(m, n * n_y, -1)
+            j_p, j_l = np.zeros((m, n * n_y, len(names))), jacobian[..., jacobian.shape[2] - n_l :]
+            for k, name in enumerate(made.columns[: jacobian.shape[2] - n_l]):
+                j_p[..., list(names).index(name)] = jacobian[..., k]
+            precision = 1.0 / prior_std(part, at.noise)
+            residual, prior = (made.residual / std).reshape(m, -1), (part.start_local() - l_i) * precision
+            scale = np.tile(std, n)
+            stacked = np.concatenate([j_l, precision[..., None] * np.eye(n_l)], axis=1)
+            start = np.linalg.qr(stacked[..., :n_f])[0] if n_f else np.zeros((m, n * n_y + n_l, 0))
+            projection = Projection(np.linalg.qr(stacked)[0], start, scale, part.mask.reshape(m, -1))
+            r = project(projection.basis, np.concatenate([residual, prior], axis=1)[..., None])[..., 0]
+            # Without the disturbance: what it explained goes back into the residual.
+            given = residual + np.einsum("mij,mj->mi", j_l[..., n_f:], l_i[:, n_f:])
+            given = np.concatenate([given, prior], axis=1)
+            given[:, n * n_y + n_f :] = 0.0
+            columns, unprofiled = projection.of(j_p * scale[:, None])
+            code = np.concatenate(
+                [
+                    np.tile([strata.index(c) for c in part.outputs], n),
+                    np.full(n_f, -1),
+                    [strata.index(d) for d in part.block.disturbances],
+                ]
+            )
+            sample = np.concatenate([np.repeat(np.arange(n), n_y), np.full(n_l, -1)])
+            index = np.array([response.index for response in part.responses])
+            projections.append(projection)
+            whole = r.shape
+            out.append(
+                (
+                    r,
+                    columns,
+                    unprofiled,
+                    project(start, given[..., None])[..., 0] * np.concatenate([scale, np.zeros(n_l)]),
+                    np.broadcast_to(np.concatenate([scale, np.ones(n_l)]), whole),
+                    np.broadcast_to(index[:, None], whole),
+                    np.broadcast_to(sample, whole),
+                    np.broadcast_to(code, whole),
+                )
+            )
+        rows = [in_order(projections, [o[k] for o in out]) for k in range(8)]
+        segment, sample_at, stratum = (rows[k].astype(np.intp) for k in (5, 6, 7))
+        return Linearisation(
+            residual=rows[0], jacobian=rows[1], unprofiled_jacobian=rows[2], unprofiled_residual=rows[3], scale=rows[4],
+            segment=segment, sample=sample_at, stratum=stratum, channels=channels, disturbances=disturbances,
+            names=tuple(names), projections=tuple(projections),
+        )  # fmt: skip
+
+    def derivatives(self, model: Model, at: Optimum, names: Sequence[str]) -> list[FloatArray]:
+        """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units."""
+        problem = self.problem(model)
+        found = []
+        for part, made in zip(
+            problem.parts, problem.evaluate(at.values, self.nuisance(problem, at), list(names)), strict=True
+        ):
+            m, n, n_y = part.y.shape
+            jacobian = made.jacobian.reshape(m, n * n_y, -1)
+            placed = np.zeros((m, n * n_y, len(names)))
+            for k, name in enumerate(made.columns[: jacobian.shape[2] - len(part.locals)]):
+                placed[..., list(names).index(name)] = jacobian[..., k]
+            found.append(placed)
+        return found
+
+    def difference(self, model: Model, at: Optimum, changed: Model, there: Optimum) -> list[FloatArray]:
+        """Per part (m, samples times outputs, 1): change of the outputs from one model to another, in the channels' units.
+
+        Both models must have the same parts; the nuisance parameters are `at`'s.
+        """
+        first, second = self.problem(model), self.problem(changed)
+        return [
+            (a.residual - b.residual).reshape(part.y.shape[0], -1, 1)
+            for part, a, b in zip(
+                first.parts,
+                first.evaluate(at.values, self.nuisance(first, at)),
+                second.evaluate(there.values, self.nuisance(second, there)),
+                strict=True,
+            )
+        ]
+
+    def insensitive(self, model: Model, at: Optimum) -> frozenset[str]:
+        """Base parameters that change nothing in this data (the voltage exponent where no voltage varies): held where they are."""
+        problem = self.problem(model)
+        power = dict.fromkeys(problem.names, 0.0)
+        for part, columns in zip(problem.parts, self.derivatives(model, at, problem.names), strict=True):
+            std = np.tile([at.noise.channel[c] for c in part.outputs], part.y.shape[1])
+            for name, value in zip(problem.names, np.sum((columns / std[:, None]) ** 2, axis=(0, 1)), strict=True):
+                power[name] += float(value) * model.param[name].scale ** 2
+        return frozenset(n for n, p in power.items() if model.param[n].kind == "base" and p < INSENSITIVE)
+
+
+def finite(parts: Sequence[FloatArray]) -> bool:
+    """Whether a simulated change is a number everywhere."""
+    return all(bool(np.isfinite(one).all()) for one in parts)
+
+
+__all__ = ["BLOCKS", "Estimator", "Noise", "Part", "cells_of", "finite", "part_of"]

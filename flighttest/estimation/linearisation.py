@@ -1,0 +1,128 @@
+"""`Linearisation`: whitened residuals and Jacobian of a model at an optimum, the nuisance parameters of every response projected out.
+
+With the nuisance parameters l_i of response i (initial state, constant disturbance; Gaussian priors) stacked under the residuals as prior
+rows, the projection orthogonal to d(residual, prior)/d l_i turns inner products of rows into those of the generalised least squares
+problem in which l_i is marginalised (Schur complement), so that models can be compared by plain linear algebra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.estimation.problem import Noise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A fitted model. values: every parameter; nuisance: name to (n_segments,), NaN where a segment has none; objective: whitened sum of
+    squares, priors of the nuisance parameters included; infinite where the simulation is not finite."""
+
+    values: dict[str, float]
+    nuisance: dict[str, FloatArray]
+    noise: Noise
+    objective: float
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What one part of a problem does not know of its m responses, as `Linearisation` projects it out.
+
+    basis (m, k, n_l), start (m, k, n_f): orthonormal, of all nuisance parameters and of the initial states alone, over the k - n_l samples
+    (times outputs) and the n_l priors; scale (k - n_l,): standard deviations that samples were whitened by; keep (m, k - n_l): which of
+    them were measured.
+    """
+
+    basis: FloatArray
+    start: FloatArray
+    scale: FloatArray
+    keep: NDArray[np.bool_]
+
+    def of(self, raw: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(whitened and profiled, in units and unprofiled), both (m, k, q), of changes (m, k - n_l, q) of the outputs, in their units."""
+        m, n_l, q = raw.shape[0], self.basis.shape[2], raw.shape[2]
+        stacked = np.concatenate([raw / self.scale[:, None], np.zeros((m, n_l, q))], axis=1)
+        unit = np.concatenate([self.scale, np.zeros(n_l)])[:, None]
+        return project(self.basis, stacked), project(self.start, stacked) * unit
+
+
+def in_order(projections: Sequence[Projection], values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Per part (m, k, ...) to rows (n, ...): measured rows first, so that models with other nuisance parameters have them in one place."""
+    measured = [v[:, : p.keep.shape[1]][p.keep] for p, v in zip(projections, values, strict=True)]
+    priors = [np.concatenate(v[:, p.keep.shape[1] :]) for p, v in zip(projections, values, strict=True)]
+    return np.concatenate([*measured, *priors])
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Rows of a model at an optimum: one per sample and channel, then one per prior of a nuisance parameter (sample and channel -1).
+
+    residual (n,), jacobian (n, p): whitened and profiled (a step d of the parameters lowers the residual by jacobian @ d);
+    unprofiled_residual, unprofiled_jacobian: in units of the channel, with only initial states projected out: what the model predicts of
+    a response without knowing its disturbance. scale (n,): standard deviations that rows were whitened by; segment, sample (n,): positions
+    in the estimator's segments and in their t_s; channel (n,): index into `channels`, -1 for priors; stratum (n,): rows that share a
+    variance: the channel, then `disturbances`, -1 for priors of initial states. projections: by part.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    unprofiled_residual: FloatArray
+    unprofiled_jacobian: FloatArray
+    scale: FloatArray
+    segment: IntArray
+    sample: IntArray
+    stratum: IntArray
+    channels: tuple[str, ...]
+    disturbances: tuple[str, ...]
+    names: tuple[str, ...]
+    projections: tuple[Projection, ...] = ()
+
+    @property
+    def channel(self) -> IntArray:
+        """(n,) index into `channels`, -1 for priors."""
+        return np.where(self.sample >= 0, self.stratum, -1)
+
+    @property
+    def strata(self) -> tuple[str, ...]:
+        """Names of the strata, in the order of their index."""
+        return (*self.channels, *self.disturbances)
+
+    def of(self, raw: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """(profiled, unprofiled) columns, both (n, q), of a change given per part, (m, samples times outputs, q) in the channels' units."""
+        both = [part.of(one) for part, one in zip(self.projections, raw, strict=True)]
+        return in_order(self.projections, [b[0] for b in both]), in_order(self.projections, [b[1] for b in both])
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """(n, k) columns of `jacobian` by name."""
+        return self.jacobian[:, [self.names.index(n) for n in names]]
+
+    def unprofiled_columns(self, names: Sequence[str]) -> FloatArray:
+        """(n, k) columns of `unprofiled_jacobian` by name."""
+        return self.unprofiled_jacobian[:, [self.names.index(n) for n in names]]
+
+
+def project(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """(m, n, k) columns without what (m, n, l) orthonormal bases span."""
+    return np.asarray(columns - np.matmul(basis, np.matmul(basis.transpose(0, 2, 1), columns)))
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis (n, r) of the column space of (n, p), r its numerical rank."""
+    length = np.sqrt(np.sum(columns**2, axis=0))
+    columns = columns[:, length > 0] / length[length > 0]
+    if not columns.shape[1]:
+        return np.zeros((columns.shape[0], 0))
+    # Through the Gram matrix: the columns are long and few.
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    used = values > RANK * values[-1]
+    return np.asarray(columns @ (vectors[:, used] / np.sqrt(values[used])))
+
+
+RANK = 1e-12  # relative eigenvalue of a Gram matrix of unit columns below which a direction is rounding error
