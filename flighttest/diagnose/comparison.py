@@ -1,8 +1,8 @@
 """Is a term needed? Cross-validated log predictive density of the model with and without it, over groups of responses.
 
 Both models are fitted to everything; each group (cell, heading, flight) is then predicted from the other groups by one linear step of its
-own model (`held_out`), in the weights of the larger model's discrepancy. Their difference is the log evidence of the term. It is named where
-the odds against its absence, prior odds included, are those of `PROBABILITY`, its effect has a size, and its parameters are admissible.
+own model (`held_out`), in the weights of the larger model's discrepancy. Their difference is the log evidence of the term. It is named
+where its probability, prior odds included, is above `PROBABILITY`, its effect has a size, and its parameters are admissible.
 """
 
 from __future__ import annotations
@@ -104,8 +104,7 @@ def log_evidence(
     rows = smaller.rows if at.noise == smaller.at.noise else estimator.linearise(smaller.model, at, smaller.names)
     count = int(groups.max()) + 1
     density = [
-        -0.5
-        * np.bincount(groups[r.segment], weights=cross_validated(r, names, groups, weights(r)), minlength=count)
+        -0.5 * np.bincount(groups[r.segment], weights=cross_validated(r, names, groups, weights(r)), minlength=count)
         for r, names in ((larger.rows, larger.names), (rows, smaller.names))
     ]
     difference = density[0] - density[1]

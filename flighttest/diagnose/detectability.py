@@ -1,4 +1,4 @@
-"""What could not be seen, and the smallest effect that would have been: minimum detectable effect of every candidate beside the present model.
+"""What could not be seen, and the smallest effect that would have been: minimum detectable effect of every candidate beside the model.
 
     MDE = max( (sqrt(2 t) + z_0.8) se,  size at which the effect has `LEAST_FLOORS` noise floors )
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from flighttest.diagnose.lack_of_fit import SIGNIFICANCE, NoiseFloor
-from flighttest.estimation.estimator import cells_of
 from flighttest.estimation.linearisation import FloatArray, Linearisation
+from flighttest.estimation.problem import cells_of
 from flighttest.segments.model import Segment
 
 BIN_S = 0.05  # residuals are averaged over it before they are correlated

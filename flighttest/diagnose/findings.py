@@ -1,4 +1,4 @@
-"""A term that joined the model, as a finding: parameters with intervals, what it gains on what it has not seen, what is confusable with it."""
+"""A term that joined the model, as a finding: parameters with intervals, held-out gain, probability, what is confusable with it."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def explained_by(
 
 
 def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
-    """The places where the mismatch is, worst first: those above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable."""
+    """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable."""
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
@@ -314,8 +314,8 @@ def regime_curves(
             {
                 "channel": place.channel, "maneuver": place.maneuver, "kind": place.kind, "variable": variable, "label": label,
                 "variable_unit": unit,
-                "unit": place.unit, "x": mean(x), "before": mean(before.unprofiled_residual[at]), "after": mean(after.unprofiled_residual[at]),
-                "floor": place.floor,
+                "unit": place.unit, "x": mean(x), "before": mean(before.unprofiled_residual[at]),
+                "after": mean(after.unprofiled_residual[at]), "floor": place.floor,
             }
         )  # fmt: skip
     return found

@@ -25,7 +25,7 @@ LEAST = 12  # responses: of fewer nobody knows what is usual
 def set_aside(
     estimator: Estimator, model: Model, starts: Sequence[Mapping[str, float]]
 ) -> tuple[tuple[Segment, ...], dict[str, Any], dict[str, float]]:
-    """The responses of an estimator without those that something pushed once, those by name with a sentence on them, and the base model's values.
+    """The responses without those that something pushed once, those by name with a sentence on them, and the base model's values.
 
     estimator: of translation. starts: values to begin the base fit from. Without the fit there are no values.
     """

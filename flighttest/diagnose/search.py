@@ -103,18 +103,30 @@ class Search:
                 continue
             self.progress(f"refitting with {' and '.join(sorted(proposed))}")
             fitted = self._refitted(before, [self.candidates[j] for j in scored.members], scored)
-            kept, evidence = self._pruned(fitted)
-            if self._members(kept) == self._members(before):
+            kept, evidence, left = self._pruned(fitted, proposed)
+            if not self._better(kept, before):
+                self.rejected |= {t: e for t, e in left.items() if t in proposed}
                 continue
             self.now, self.evidence = kept, evidence
             # What was not needed beside another model may be needed beside this one; what is inadmissible stays out.
-            self.rejected = {t: e for t, e in self.rejected.items() if e.inadmissible or t in proposed}
+            self.rejected = {t: e for t, e in self.rejected.items() if e.inadmissible} | left
             return True
         return False
 
+    def _better(self, kept: Fitted, before: Fitted) -> bool:
+        """Whether a model holds more than one before, or predicts better with other terms."""
+        new, old = self._members(kept), self._members(before)
+        if new <= old:
+            return False
+        if new > old:
+            return True
+        assert self.floor is not None
+        floor = floor_of(kept.rows, self.estimator.segments, RESOLUTION)
+        return log_evidence(kept, before, self.estimator, self.groups, floor)[0] > 0.0
+
     def _proposals(self) -> list[Scored]:
-        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient: a score
-        needs a derivative at the null value, and a finite difference says little where the base has to move far."""
+        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient: a
+        score needs a derivative at the null value, and a finite difference says little where the base has to move far."""
         found = [s for s in self.scored if s.log_odds > 0.0]
         if self.subsets is not None and self.lack_of_fit:
             singles = [s for s in self.scored if len(s.members) == 1 and s.log_odds <= 0.0]
@@ -137,16 +149,19 @@ class Search:
         self.subsets = Subsets.at(now.rows, now.names, self.candidates, known, floor)
         self.scored = self.subsets.ranked(LARGEST)
 
-    def _pruned(self, fitted: Fitted) -> tuple[Fitted, dict[str, Evidence]]:
-        """A model without the terms that are not needed, and the evidence of those that are."""
+    def _pruned(
+        self, fitted: Fitted, proposed: frozenset[str]
+    ) -> tuple[Fitted, dict[str, Evidence], dict[str, Evidence]]:
+        """A model without the terms that are not needed, and the evidence of those that are and of those that left."""
+        left: dict[str, Evidence] = {}
         while True:
             evidence = {t: self._evidence(t, fitted) for t in sorted(self._members(fitted))}
             doubted = [e for e in evidence.values() if e.why_not]
             if not doubted:
-                return fitted, evidence
-            # An estimate outside its prior may be the fault of a term that is not needed: that one leaves first.
-            worst = min(doubted, key=lambda e: (bool(e.inadmissible), e.nats))
-            self.rejected[worst.term] = worst
+                return fitted, evidence, left
+            # An estimate outside its prior may be the fault of a term that is not needed, or of the newcomer: these leave first.
+            worst = min(doubted, key=lambda e: (bool(e.inadmissible), e.term not in proposed, e.nats))
+            left[worst.term] = worst
             self.progress(f"{worst.term} is not needed: {worst.why_not}")
             fitted = worst.without
 

@@ -3,7 +3,8 @@
 The base model's columns B are projected out (generalised least squares, weights of `discrepancy`). Of a subset S with columns A, prior
 N(m, P) of its linear coefficients x (half-normal where physics allows one side only) and per stratum k residual sum of squares Q_k(x):
 
-    log p(y | S) = - 1/2 sum_k [ n_k log v_k + Q_k / v_k ] - 1/2 (x - m)' P^-1 (x - m) - 1/2 log det(I + P^1/2 A'WA P^1/2) + sum log 2 Phi(z)
+    log p(y | S) = - 1/2 sum_k [ n_k log v_k + Q_k / v_k ] - 1/2 (x - m)' P^-1 (x - m)
+                   - 1/2 log det(I + P^1/2 A'WA P^1/2) + sum log 2 Phi(z)
 
 at the maximum x, v_k the residual variance under S, no less than the pure error (Laplace approximation; n_k, Q_k in effective samples).
 Prior of a subset: each term is missing with odds of one to the number of candidate terms, so that one is expected, and its grid values

@@ -5,7 +5,7 @@ Of one block of the model at a time (roll and pitch, yaw rate, translation), sin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,14 +13,13 @@ import numpy as np
 
 from flighttest.estimation.linearisation import (
     FloatArray,
-    IntArray,
     Linearisation,
     Optimum,
     Projection,
     in_order,
     project,
 )
-from flighttest.estimation.problem import Noise, Part, Problem, prior_std
+from flighttest.estimation.problem import Problem, prior_std
 from flighttest.estimation.solver import solve
 from flighttest.estimation.weighing import start_noise
 from flighttest.physics.blocks import Block
@@ -36,13 +35,6 @@ INSENSITIVE = (
 def part_of(block: str) -> str:
     """Which estimator compares a block of the model: roll and pitch together, yaw rate alone unless a term couples it to them."""
     return block if block in ("translation", "yaw") else "roll_pitch"
-
-
-def cells_of(segments: Sequence[Segment]) -> IntArray:
-    """(n_segments,) index of each segment's cell: repeats of one step share it, a window of free flight is a cell of its own."""
-    index: dict[Hashable, int] = {}
-    keys = [s.cell_key if s.kind != "free" else ("free", i) for i, s in enumerate(segments)]
-    return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
 
 
 @dataclass
@@ -127,7 +119,6 @@ class Estimator:
             noise=start.noise if begun or not noise else None,
             local=self.nuisance(problem, start) if begun else None,
             estimate_noise=noise,
-            cells=cells_of(self.segments),
             max_iterations=iterations,
         )
         columns: dict[str, FloatArray] = {}
@@ -244,6 +235,3 @@ class Estimator:
 def finite(parts: Sequence[FloatArray]) -> bool:
     """Whether a simulated change is a number everywhere."""
     return all(bool(np.isfinite(one).all()) for one in parts)
-
-
-__all__ = ["BLOCKS", "Estimator", "Noise", "Part", "cells_of", "finite", "part_of"]

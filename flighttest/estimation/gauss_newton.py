@@ -186,9 +186,13 @@ def minimise(
             break
         flat = flat + 1 if quadratic.cost - new_cost <= max(limits.cost * quadratic.cost, limits.decrease) else 0
         still = bool(quadratic.active.size) or objective.nuisance_settled(now, trial)
-        now = trial
+        old_jacobian, now = now.stale, trial
         near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
         if still and near and settled and iteration >= least_iterations:
+            if old_jacobian:
+                # Where steps with an old Jacobian end is not the minimum: one step with its own decides.
+                now = objective.refreshed(now)
+                continue
             status = FitStatus.CONVERGED
             break
         damping = damping / 10.0 if damping > 1e-9 else 0.0

@@ -8,8 +8,9 @@ A `Part` is one block of the model with the responses that feed it. Parameters n
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,13 @@ class Noise:
     disturbance: Mapping[str, float]
 
 
+def cells_of(segments: Sequence[Segment]) -> NDArray[np.intp]:
+    """(n_segments,) index of each segment's cell: repeats of one step share it, a window of free flight is a cell of its own."""
+    index: dict[Hashable, int] = {}
+    keys = [s.cell_key if s.kind != "free" else ("free", i) for i, s in enumerate(segments)]
+    return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
+
+
 @dataclass
 class Problem:
     """Segments, model, what is free. Build with `Problem.build`."""
@@ -145,6 +153,11 @@ class Problem:
         reached = {n for part in found for n in part.block.params}
         names = tuple(n for n in model.names if n in reached and n not in fixed and n not in tied)
         return cls(segments, model, tuple(found), names, start, tied, None if filters is None else dict(filters))
+
+    @cached_property
+    def cells(self) -> NDArray[np.intp]:
+        """(n_segments,), as `cells_of`."""
+        return cells_of(self.segments)
 
     def thinned(self, every: int) -> Problem:
         """The same problem on each `every`-th response of every kind of step, sharing what was compiled."""

@@ -116,14 +116,13 @@ def solve(
     noise: Noise | None = None,
     local: Sequence[FloatArray] | None = None,
     estimate_noise: bool = True,
-    cells: NDArray[np.intp] | None = None,
     max_iterations: int = MAX_ITERATIONS,
 ) -> Solution:
     """Minimise from `start` (default: the problem's values).
 
     free: names to estimate, default problem.names; with none, only initial states and disturbances are estimated, which is how
     a fit is judged on segments it has not seen. noise, local: a previous fit's, to start from (or, with estimate_noise False,
-    to keep). cells (n_segments,): which responses are repeats of one another; the variance of disturbances is then that between repeats.
+    to keep).
     """
     names = tuple(problem.names if free is None else free)
     params = [problem.model.param[n] for n in names]
@@ -133,7 +132,7 @@ def solve(
         problem,
         names,
         problem.full_values(start or {}),
-        Weighing.even(problem, noise, robust=robust, cells=cells),
+        Weighing.even(problem, noise, robust=robust),
         robust_from=None if not robust else 1 if warm else 3,
         estimate_noise=estimate_noise,
     )

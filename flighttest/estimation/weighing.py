@@ -27,12 +27,20 @@ _START_DISTURBANCE = {"m_s2": 0.1, "rad": 0.01, "rad_s": 0.02}
 class Normal:
     """Normal equations of every response with its locals eliminated, at the solution.
 
-    hessian: (n_clusters, p, p), score: (n_clusters, p), a cluster being a segment; p as `names`.
+    hessian: (n_clusters, p, p), score: (n_clusters, p), a cluster being a segment, or a cell (`by`); p as `names`.
     """
 
     names: tuple[str, ...]
     hessian: FloatArray
     score: FloatArray
+
+    def by(self, cells: NDArray[np.intp]) -> Normal:
+        """The same summed over cells, (n_segments,) the index of each segment's."""
+        hessian = np.zeros((int(cells.max(initial=0)) + 1, *self.hessian.shape[1:]))
+        score = np.zeros((hessian.shape[0], self.score.shape[1]))
+        np.add.at(hessian, cells, self.hessian)
+        np.add.at(score, cells, self.score)
+        return Normal(self.names, hessian, score)
 
 
 @dataclass
@@ -53,14 +61,11 @@ class Weighing:
     noise: Noise
     response: FloatArray
     robust: bool
-    cells: NDArray[np.intp] | None = None
 
     @classmethod
-    def even(
-        cls, problem: Problem, noise: Noise | None, *, robust: bool, cells: NDArray[np.intp] | None = None
-    ) -> Weighing:
-        """Every response alike. noise: None for what is assumed before anything is known; cells (n_segments,): which are repeats."""
-        return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust, cells)
+    def even(cls, problem: Problem, noise: Noise | None, *, robust: bool) -> Weighing:
+        """Every response alike. noise: None for what is assumed before anything is known."""
+        return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust)
 
     def by_response(self, made: Sequence[PartEvaluation]) -> Weighing:
         """The same with responses that are far worse than their like weighted down."""
@@ -113,7 +118,8 @@ class Weighing:
         return Normal(tuple(free), hessian, score), backs
 
     def with_noise_of(self, at: State, free: Sequence[str]) -> Weighing:
-        """Channel noise from the residuals, disturbance variances from the locals (MacKay's fixed point)."""
+        """Channel noise from the residuals, disturbance variances from the locals (MacKay's fixed point), between repeats of a cell where
+        there are any: what repeats have in common is the model's error and stays in the residual."""
         channel, disturbance = dict(self.noise.channel), dict(self.noise.disturbance)
         for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
             std = np.array([self.noise.channel[c] for c in part.outputs])
@@ -140,9 +146,8 @@ class Weighing:
                 at_k = n_l - n_d + k
                 known = 1.0 - posterior[:, at_k, at_k] * prior[:, at_k]
                 found = np.sum(local[:, at_k] ** 2) / max(float(known.sum()), 1e-3 * len(known))
-                if self.cells is not None:
-                    cells = self.cells[[r.index for r in part.responses]]
-                    found = min(found, _between_repeats(local[:, at_k], known, cells, found))
+                cells = self.problem.cells[[r.index for r in part.responses]]
+                found = min(found, _between_repeats(local[:, at_k], known, cells, found))
                 low = 1e-2 * next(v for tail, v in _START_DISTURBANCE.items() if name.endswith(f"_{tail}"))
                 disturbance[name] = float(
                     np.clip(np.sqrt(found), max(low, 0.2 * disturbance[name]), 5.0 * disturbance[name])

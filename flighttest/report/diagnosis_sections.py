@@ -180,12 +180,12 @@ def _limits(data: Data) -> Section:
         blocks.append(Paragraph(f"Looked for and not needed: {', '.join(not_needed)}."))
     if candidates:
         rows = tuple(
-            (str(c["term"]), number(c.get("delta_bic"), 3), number(c.get("p_value"), 2), str(c.get("why", "")))
+            (str(c["term"]), number(c.get("delta_bic"), 3), number(c.get("probability"), 2), str(c.get("why", "")))
             for c in candidates
         )
         align: tuple[Align, ...] = ("left", "right", "right", "left")
         caption = "Candidates that were tried and not taken."
-        blocks.append(Table(("candidate", "change of BIC", "p", "why not"), rows, align, caption, fold=True))
+        blocks.append(Table(("candidate", "-2 log evidence", "probability", "why not"), rows, align, caption, fold=True))
     unseen = tuple(
         (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
     )
