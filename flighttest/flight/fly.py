@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
 from flighttest.flight import preflight, supervisor
-from flighttest.flight.changes import Meddling, ParameterChanges
+from flighttest.flight.changes import Left, Meddling, ParameterChanges, record_of, still_left, values_of
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
@@ -68,7 +68,7 @@ def fly(
     transport: Transport | None = None,
     set_params: bool = False,
     waive: Collection[str] = (),
-    left_behind: Mapping[str, float] = MappingProxyType({}),
+    left_behind: Mapping[str, Left] = MappingProxyType({}),
     resume: Path | None = None,
     skip: Collection[str] = (),
     replanner: Replanner | None = None,
@@ -83,7 +83,7 @@ def fly(
 
     link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
     asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. left_behind: parameters that an
-    earlier flight set and could not restore, with the values they should have. resume: a run that this one goes on with, for the
+    earlier flight set and could not restore (see `still_left`). resume: a run that this one goes on with, for the
     manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
     thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
     that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
@@ -113,7 +113,7 @@ class _Flight:
         say: OnStage,
         stops: Stops,
         on_vehicle: OnVehicle,
-        left_behind: Mapping[str, float],
+        left_behind: Mapping[str, Left],
     ) -> None:
         self.plan = plan
         self.session = session
@@ -127,7 +127,8 @@ class _Flight:
         self._parameters: dict[str, float] = {}
         self._left_behind = left_behind
         self._changes: ParameterChanges | None = None
-        self._unrestored: dict[str, float] = dict(left_behind)  # also where the vehicle is never reached
+        self._unrestored = values_of(left_behind)  # also where the vehicle is never reached
+        recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, left_behind)
         self._meddling = Meddling({})
 
     def run(
@@ -280,19 +281,22 @@ class _Flight:
         self.recorder.save_manifest()
         return [check for check in found if check not in mended]
 
-    def _keep_changed(self, pending: Mapping[str, float]) -> None:
-        self.recorder.manifest["parameters_changed"] = dict(pending)
+    def _keep_changed(self, pending: Mapping[str, Left]) -> None:
+        self.recorder.manifest["parameters_changed"] = values_of(pending)
+        self.recorder.manifest["parameters_set"] = record_of(self.recorder.run_dir.name, pending)
         self.recorder.save_manifest()
 
     def _inherit(self, restoring: bool) -> None:
         """What an earlier flight set and nobody has put back since."""
         known = self._parameters
-        left = {n: v for n, v in self._left_behind.items() if n in known and not params.same(known[n], v)}
-        self._unrestored = {} if restoring else left
-        self._changes = ParameterChanges(self.session, known, left if restoring else {})
-        for name, value in left.items():
-            after = "it is restored after this flight" if restoring else "set it back by hand, or fly with --set-params"
-            text = f"an earlier flight left {name} at {preflight.figure(known[name])} instead of {preflight.figure(value)}: {after}"
+        left, told = still_left(self._left_behind, known, self.vehicle.hardware)
+        self._unrestored = {} if restoring else values_of(left)
+        self._changes = ParameterChanges(self.session, known, left if restoring else {}, self.vehicle.hardware)
+        after = "it is restored after this flight" if restoring else "set it back by hand, or fly with --set-params"
+        for name, value in values_of(left).items():
+            is_and_should = f"{preflight.figure(known[name])} instead of {preflight.figure(value)}"
+            told.append(f"an earlier flight left {name} at {is_and_should}: {after}")
+        for text in told:
             self._note(text)
             self._say(text)
         self._keep_changed(left)

@@ -16,7 +16,7 @@ from flighttest import frames
 from flighttest.errors import LinkError
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode, mark_message, mode_name, offset_m, target_message
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, firmware_version, is_armed
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, board_id, book, firmware_version, is_armed
 
 _ACK_S = 2.0
 _RESULTS = {
@@ -133,6 +133,12 @@ class ArduPilot:
         """Version and commit; empty when the vehicle does not say."""
         version = self.request("AUTOPILOT_VERSION", book.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         return firmware_version(version) if version is not None else ""
+
+    @property
+    def hardware(self) -> str:
+        """The board's own number in hexadecimal, once `firmware` has asked; '' where it states none."""
+        heard = self.session.latest.get("AUTOPILOT_VERSION")
+        return board_id(heard.message) if heard is not None else ""
 
     def home_m(self) -> np.ndarray | None:
         """Home in the local frame (NWU, m), None while the vehicle has none: ArduPilot's local frame starts at the EKF's origin."""

@@ -44,3 +44,9 @@ def firmware_version(version: Message) -> str:
     raw = bytes(int(b) & 255 for b in version.flight_custom_version).rstrip(b"\0")
     commit = raw.decode("ascii") if raw and all(48 <= b < 123 for b in raw) else raw.hex()
     return f"{text} ({commit})" if commit else text
+
+
+def board_id(version: Message) -> str:
+    """The board's own number of an AUTOPILOT_VERSION in hexadecimal (its newer field, else the older), '' where it states none."""
+    newer = bytes(int(b) & 255 for b in getattr(version, "uid2", ()))
+    return newer.hex() if any(newer) else f"{int(version.uid):x}" if version.uid else ""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.flight import legs_flown
+from flighttest.flight.changes import Left
 from flighttest.pipeline.history import run_folders, vehicle_name
 from flighttest.plan import Plan
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
@@ -36,14 +37,23 @@ def chain(run_dir: Path | None) -> list[Path]:
     return found
 
 
-def left_behind(folder: Path, vehicle: str) -> dict[str, float]:
-    """Parameters that the last flight of a vehicle set and did not restore (its program may have been killed), with the values they
-    should have."""
+def left_behind(folder: Path, vehicle: str) -> dict[str, Left]:
+    """Parameters that the last flight of a vehicle set and did not restore (its program may have been killed). Only by a record that was
+    written for this run folder: a manifest copied from elsewhere says nothing of this vehicle."""
     last = next((run for run in reversed(run_folders(folder)) if vehicle_name(run) == vehicle), None)
     if last is None:
         return {}
     manifest = read_manifest(last)
-    return dict(manifest.get("parameters_left", manifest.get("parameters_changed")) or {})
+    values = manifest.get("parameters_left", manifest.get("parameters_changed")) or {}
+    record = manifest.get("parameters_set") or {}
+    given, hardware = record.get("given") or {}, record.get("hardware") or {}
+    if record.get("run") != last.name:
+        return {}
+    return {
+        name: Left(float(value), float(given[name]), str(hardware.get(name, "")))
+        for name, value in values.items()
+        if name in given
+    }
 
 
 def flown_in(runs: Sequence[Path]) -> frozenset[str]:

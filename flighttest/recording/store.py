@@ -34,6 +34,7 @@ _BLOCKS = (
     "parameters",
     "parameters_changed",
     "parameters_left",
+    "parameters_set",
     "components",
     "vehicle",
     "clock",
@@ -79,6 +80,12 @@ def read_manifest(run_dir: Path) -> dict[str, Any]:
     for key in ("parameters", "parameters_changed", "parameters_left", "filters"):
         for name, value in (manifest.get(key) or {}).items():
             _number(value, f"{path}: {key}.{name}")
+    for key in ("given", "hardware"):
+        block = (manifest.get("parameters_set") or {}).get(key) or {}
+        if not isinstance(block, dict):
+            raise RecordingError(f"{path}: parameters_set.{key} is no block of keys and values", _REBUILD)
+        for name, value in block.items() if key == "given" else ():
+            _number(value, f"{path}: parameters_set.given.{name}")
     clock = manifest.get("clock") or {}
     for name in ("offset_s", "error_s"):
         if clock.get(name) is not None:

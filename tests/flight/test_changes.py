@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 from flighttest.errors import LinkError
 from flighttest.flight import FlightOutcome, FlightResult, fly
+from flighttest.flight.changes import SETS, Left, still_left
 from flighttest.flight.preflight import THRUST_AS_THRUST
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.resuming import left_behind
-from flighttest.recording.store import MANIFEST_NAME, read_events
+from flighttest.recording.store import MANIFEST_NAME, read_events, write_manifest
 from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+
+GUID_OPTIONS_LEFT = {"GUID_OPTIONS": Left(0.0, float(THRUST_AS_THRUST))}
 
 
 def fly_while(run_dir: Path, name: str, value: float) -> tuple[FaultyLink, FlightResult]:
@@ -71,7 +75,7 @@ def killed_before_it_restores(run_dir: Path) -> float:
 def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Path) -> None:
     should = killed_before_it_restores(tmp_path / "2026-01-01-a")
     behind = left_behind(tmp_path, "paper")
-    assert behind["GUID_OPTIONS"] == should
+    assert behind["GUID_OPTIONS"] == Left(should, float(THRUST_AS_THRUST))
     assert left_behind(tmp_path, "another") == {}
     link = FaultyLink(options(parameters={"GUID_OPTIONS": float(THRUST_AS_THRUST)}))
     said: list[str] = []
@@ -90,18 +94,24 @@ def test_what_was_left_is_only_told_where_nobody_allowed_to_set_it(
     link = FaultyLink(options(parameters={"GUID_OPTIONS": float(THRUST_AS_THRUST)}))
     waived = ("rc", "FS_THR_ENABLE", "FLTMODE_CH", "RC_OPTIONS", "fence", "LOG_BITMASK", "GUID_TIMEOUT", "rates")
     run_dir = tmp_path / "run"
-    result = fly(make_plan(), "sim", run_dir, transport=link, left_behind={"GUID_OPTIONS": 0.0}, waive=waived)
+    result = fly(make_plan(), "sim", run_dir, transport=link, left_behind=GUID_OPTIONS_LEFT, waive=waived)
     assert result.outcome is FlightOutcome.COMPLETED
     assert link.sim.vehicle.store["GUID_OPTIONS"] == THRUST_AS_THRUST
     assert result.parameters_left == {"GUID_OPTIONS": 0.0}
     assert any("set it back by hand, or fly with --set-params" in note for note in result.notes)
-    assert left_behind(tmp_path, "paper") == {"GUID_OPTIONS": 0.0}, "the next flight is told again"
+    assert left_behind(tmp_path, "paper") == GUID_OPTIONS_LEFT, "the next flight is told again"
 
 
 def test_what_was_put_back_meanwhile_is_not_told(run_dir: Path) -> None:
     link = FaultyLink(options())
-    usual = link.sim.vehicle.store["WP_SPD_UP"]
-    result = fly(make_plan(), "sim", run_dir, transport=link, left_behind={"WP_SPD_UP": usual, "GONE": 1.0})
+    usual = link.sim.vehicle.store["GUID_OPTIONS"]
+    result = fly(
+        make_plan(),
+        "sim",
+        run_dir,
+        transport=link,
+        left_behind={"GUID_OPTIONS": Left(usual, 0.0), "FENCE_GONE": Left(1.0, 0.0)},
+    )
     assert not any("an earlier flight left" in note for note in result.notes)
 
 
@@ -111,5 +121,59 @@ def test_what_was_left_outlives_a_flight_that_never_reached_the_vehicle(
     monkeypatch.setattr("flighttest.link.session.CONNECT_S", 0.05)
     link = FaultyLink(options(), down=lambda _t: True)
     with pytest.raises(LinkError):
-        fly(make_plan(), "sim", tmp_path / "run", transport=link, left_behind={"GUID_OPTIONS": 0.0})
-    assert left_behind(tmp_path, "paper") == {"GUID_OPTIONS": 0.0}
+        fly(make_plan(), "sim", tmp_path / "run", transport=link, left_behind=GUID_OPTIONS_LEFT)
+    assert left_behind(tmp_path, "paper") == GUID_OPTIONS_LEFT
+
+
+def planted(run_dir: Path, **blocks: object) -> None:
+    run_dir.mkdir()
+    write_manifest(run_dir, {"name": "planted", "vehicle": {"name": "paper"}, "outcome": "killed", **blocks})
+
+
+WANTED = {"ARMING_CHECK": 0.0, "FS_THR_ENABLE": 0.0, "ATC_RAT_RLL_P": 0.5, "GUID_TIMEOUT": 5.0}
+GIVEN = {"ARMING_CHECK": 1.0, "FS_THR_ENABLE": 1.0, "ATC_RAT_RLL_P": 0.135, "GUID_TIMEOUT": 3.0}
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        {"parameters_changed": WANTED},
+        {"parameters_left": WANTED, "parameters_set": {"run": "elsewhere", "given": GIVEN}},
+        {"parameters_left": WANTED, "parameters_set": {"run": "2026-01-01-a", "given": {**GIVEN, "GUID_TIMEOUT": 1.0}}},
+    ],
+    ids=["no record", "of another run", "of other values"],
+)
+def test_a_planted_manifest_changes_nothing_on_the_vehicle(tmp_path: Path, blocks: dict[str, object]) -> None:
+    planted(tmp_path / "2026-01-01-a", **blocks)
+    behind = left_behind(tmp_path, "paper")
+    link = FaultyLink(options())
+    store = link.sim.vehicle.store
+    before = {name: store[name] for name in store}
+    result = fly(make_plan(), "sim", tmp_path / "2026-01-02-b", transport=link, left_behind=behind)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert {name: store[name] for name in WANTED if name in store} == {n: before[n] for n in WANTED if n in before}
+
+
+def test_a_record_is_believed_for_what_a_flight_sets_on_the_autopilot_it_was_set_on() -> None:
+    known = {"GUID_OPTIONS": 8.0, "ARMING_CHECK": 1.0, "FENCE_RADIUS": 30.0, "FS_OPTIONS": 0.0}
+    behind = {
+        "GUID_OPTIONS": Left(0.0, 8.0, "a1"),
+        "ARMING_CHECK": Left(0.0, 1.0, "a1"),
+        "FENCE_RADIUS": Left(300.0, 40.0, "a1"),
+        "FS_OPTIONS": Left(float("nan"), 0.0, "a1"),
+    }
+    left, doubted = still_left(behind, known, "a1")
+    assert left == {"GUID_OPTIONS": Left(0.0, 8.0, "a1")}
+    assert len(doubted) == 3
+    assert any("ARMING_CHECK should be 0, but no flight sets that by itself: it is left alone" in d for d in doubted)
+    assert any("FENCE_RADIUS should be 300, but it was set to 40 and is 30 now" in d for d in doubted)
+    left, doubted = still_left(behind, known, "b2")
+    assert left == {}
+    assert any("it was set on another autopilot" in d for d in doubted)
+
+
+def test_no_check_sets_what_is_not_restored() -> None:
+    source = (Path(__file__).parents[2] / "flighttest/flight/preflight.py").read_text()
+    named = set(re.findall(r'"((?:GUID|FLTMODE|FS|FENCE|LOG)_[A-Z_]+)": ', source))
+    assert named
+    assert named <= SETS
