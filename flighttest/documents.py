@@ -11,15 +11,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import yaml
 
+from flighttest.datafiles import MAX_DEPTH
+from flighttest.datafiles import SCRIPT_BYTES as MAX_BYTES
 from flighttest.errors import InputError, Problem
 
-MAX_BYTES = 300_000
-MAX_DEPTH = 40
 MAX_NODES = 100_000
 
 Plain = str | int | float | bool | None
@@ -309,21 +308,6 @@ class Document:
         if isinstance(value, date):
             return value.isoformat()
         return value if isinstance(value, (str, int, float, bool)) or value is None else str(node.value)
-
-
-def read_text(path: Path, error: type[InputError], what: str) -> str:
-    """The text of a file a person named; `error` with a remedy when it cannot be read."""
-    try:
-        data = path.read_bytes()
-    except OSError as failure:
-        reason = failure.strerror or str(failure)
-        raise error(f"{path}: cannot read this {what}: {reason}", "check the path") from failure
-    except ValueError as failure:
-        raise error(f"{str(path)!r} is not a path: {failure}", "check the path") from failure
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as failure:
-        raise error(f"{path}: this {what} is not UTF-8 text", "save it as plain UTF-8 text") from failure
 
 
 def require(document: Document, fields: Mapping[str, Node], names: Iterable[str], line: int, path: str = "") -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from flighttest.datafiles import read_text
 from flighttest.documents import Document, Node, kind_of
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
@@ -171,13 +172,7 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
 
     whole: it will be flown or exported, so that it has to hold every parameter of its terms; otherwise the body's may be missing.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        why = "it is not text" if isinstance(error, UnicodeDecodeError) else error.strerror or str(error)
-        raise ModelError(
-            f"{path}: cannot be read: {why}", "give the path of a model.yaml that `flighttest fit` wrote"
-        ) from error
+    text = read_text(path, ModelError, "model file")
     document = Document(str(path), text)
     document.check_format("model")
     root = document.mapping(document.root, _TOP) if document.root is not None else {}

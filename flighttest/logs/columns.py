@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Literal, cast
 
 from flighttest.channels import CHANNELS, GROUPS
-from flighttest.documents import Document, Node, nearest, read_text
+from flighttest.datafiles import read_text
+from flighttest.documents import Document, Node, nearest
 from flighttest.errors import RecordingError
 
 World = Literal["NWU", "NED", "ENU"]

@@ -13,6 +13,8 @@ from typing import IO
 from flighttest.errors import RecordingError
 
 PIECE_BYTES = 16 << 20
+# A log takes a third to a thirtieth of its size when compressed; what unpacks to more than this is made to fill a memory.
+UNPACKED_TIMES, UNPACKED_BYTES = 100, 64 << 20
 _COMPRESSED = {".gz", ".xz"}
 _GZIP, _XZ = b"\x1f\x8b", b"\xfd7zXZ\x00"
 
@@ -79,6 +81,7 @@ class LogFile:
 
     def pieces(self, size: int = PIECE_BYTES) -> Iterator[bytes]:
         """The bytes in pieces of about `size`; a broken compressed stream ends early and says so in `losses`."""
+        most = max(UNPACKED_TIMES * self.path.stat().st_size, UNPACKED_BYTES) if self.compressed else None
         with self.open() as file:
             broken: Exception | None = None
             while broken is None:
@@ -88,6 +91,11 @@ class LogFile:
                     raise RecordingError(f"{self.path}: reading failed: {error}", "copy the file anew") from error
                 if piece:
                     self.bytes_read += len(piece)
+                    if most is not None and self.bytes_read > most:
+                        raise RecordingError(
+                            f"{self.path}: unpacks to more than {UNPACKED_TIMES} times its size",
+                            "unpack it by another program and look at what it holds",
+                        )
                     self._digest.update(piece)
                     yield piece
                 elif broken is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 import struct
 import warnings
@@ -17,6 +16,7 @@ import pyarrow
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from flighttest.datafiles import MOST_VALUES, parse_json
 from flighttest.documents import nearest
 from flighttest.errors import RecordingError
 from flighttest.logs.columns import cell_of
@@ -122,7 +122,7 @@ def _moments(series: Any) -> FloatArray | None:
 def _vector(value: Any) -> Any:
     if isinstance(value, str):
         try:
-            return json.loads(value)
+            return parse_json(value)
         except ValueError:
             words = value.strip().strip("[]()").replace(",", " ").split()
             try:
@@ -144,7 +144,13 @@ def read_sheet(file: LogFile) -> Sheet:
 
 def _parquet(file: LogFile, data: bytes) -> Sheet:
     try:
-        frame = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pandas(ignore_metadata=True)
+        parquet = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
+        if parquet.metadata.num_rows * parquet.metadata.num_columns > MOST_VALUES:
+            raise RecordingError(
+                f"{file.path}: says that it holds {parquet.metadata.num_rows} rows",
+                "keep the columns and times of a flight",
+            )
+        frame = parquet.read().to_pandas(ignore_metadata=True)
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise RecordingError(f"{file.path}: this Parquet file is damaged: {error}", "copy the file anew") from error
     return _sheet(file, frame)

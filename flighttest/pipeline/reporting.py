@@ -9,10 +9,10 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-import yaml
 
 from flighttest import __version__
-from flighttest.errors import FitError, InputError, RecordingError
+from flighttest.datafiles import read_json, read_text
+from flighttest.errors import FitError, InputError, RecordingError, ScriptError
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
@@ -177,10 +177,7 @@ def read_diagnosis(path: Path) -> dict[str, Any] | None:
     """diagnosis.json, None where there is none."""
     if not path.is_file():
         return None
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise RecordingError(f"{path} cannot be read: {error}", "run `flighttest diagnose` again") from error
+    data = read_json(path, RecordingError, "diagnosis", "run `flighttest diagnose` again")
     if not isinstance(data, dict) or data.get("format") != "diagnosis/1":
         raise RecordingError(f"{path} is not a diagnosis/1 file", "run `flighttest diagnose` again")
     return data
@@ -191,11 +188,10 @@ def _report_diagnosis(folder: Path, output: Path | None) -> Result:
     data = read_diagnosis(folder / DIAGNOSIS_NAME) or {}
     script = ""
     if (folder / "next.yaml").is_file():
-        script = (folder / "next.yaml").read_text(encoding="utf-8")
+        script = read_text(folder / "next.yaml", ScriptError, "script")
     facts = {"diagnosis": str(folder / DIAGNOSIS_NAME)}
     if (folder / "model.yaml").is_file():
-        model = yaml.safe_load((folder / "model.yaml").read_text(encoding="utf-8"))
-        facts["model"] = ", ".join(map(str, (model or {}).get("terms", ())))
+        facts["model"] = ", ".join(term for term in model_file.read(folder / "model.yaml").model.terms)
     verdict = str(data.get("sentence") or data.get("verdict", ""))
     document = Document("flighttest diagnosis", verdict, verdict_tone(data), diagnosis_sections(data, script), facts)
     return written(document, output or folder / REPORT_NAME)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flighttest.datafiles import read_json
 from flighttest.errors import InputError
 from flighttest.proof.cases import Case, Generator, Kind, cases_of
 from flighttest.proof.trial import Outcome, run
@@ -116,7 +117,7 @@ def read(folder: Path) -> tuple[int, list[Outcome]] | None:
     if not path.exists():
         return None
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path, InputError, "proof", "give --output another folder")
         return int(data["seed"]), [Outcome.from_json(o) for o in data["outcomes"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(

@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 import yaml
 
 from flighttest.channels import CHANNELS, GROUPS
+from flighttest.datafiles import MOST_VALUES, parse_json, read_bytes, read_yaml
 from flighttest.errors import RecordingError
 from flighttest.recording.model import Marker, Provenance, Recording, Series
 
@@ -30,6 +31,7 @@ CHANNELS_DIR = "channels"
 CHANNELS_FORMAT = "channels/1"  # in the metadata of each Parquet file
 FORMAT = "run/1"
 EVENTS_FORMAT = "events/1"
+_EVENTS_BYTES = 32_000_000  # an hour of steps takes 1 MB
 _BLOCKS = (
     "parameters",
     "parameters_changed",
@@ -55,17 +57,12 @@ def write_manifest(run_dir: Path, manifest: Mapping[str, Any]) -> None:
 def read_manifest(run_dir: Path) -> dict[str, Any]:
     """The manifest, without its format. RecordingError when it is missing or no run's."""
     path = run_dir / MANIFEST_NAME
-    try:
-        manifest = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+    if not path.is_file():
         raise RecordingError(
             f"{run_dir} is no run folder: it has no {MANIFEST_NAME}",
             "name a folder that `flighttest run` or `import` wrote",
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise RecordingError(
-            f"{path} cannot be read: {_first_line(error)}", "rebuild the run from its raw.tlog"
-        ) from error
+        )
+    manifest = read_yaml(path, RecordingError, "manifest", "rebuild the run from its raw.tlog")
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise RecordingError(f"{path} is not a {FORMAT} manifest", "was it written by a newer version?")
     manifest.pop("format")
@@ -111,9 +108,10 @@ def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
         return (), ()
     markers: list[Marker] = []
     losses: list[str] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
+    text = read_bytes(path, RecordingError, "list of events", _EVENTS_BYTES, _REBUILD).decode("utf-8", "replace")
+    for number, line in enumerate(text.splitlines(), start=1):
         try:
-            event = json.loads(line)
+            event = parse_json(line)
             if "format" in event:
                 continue
             marker = Marker(float(event["t_s"]), event["kind"], event["label"], event.get("data") or {})
@@ -215,12 +213,16 @@ def open_run(path: Path | str) -> Recording:
 
 def _read_series(file: Path, group: str) -> Series:
     try:
-        table = pq.read_table(file)
+        with pq.ParquetFile(file) as parquet:
+            there = parquet.schema_arrow.names
+            mine = ["t_s", *(n for n in there if n in CHANNELS and CHANNELS[n].group == group)]
+            if "t_s" not in there:
+                raise RecordingError(f"{file} has no column t_s", _REBUILD)
+            if parquet.metadata.num_rows * len(mine) > MOST_VALUES:
+                raise RecordingError(f"{file} says that it holds {parquet.metadata.num_rows} rows", _REBUILD)
+            table = parquet.read(columns=mine)
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(f"{file} cannot be read: {_first_line(error)}", _REBUILD) from error
-    if "t_s" not in table.column_names:
-        raise RecordingError(f"{file} has no column t_s", _REBUILD)
-    mine = ["t_s", *(n for n in table.column_names if n in CHANNELS and CHANNELS[n].group == group)]
     try:
         columns = {name: table.column(name).to_numpy().astype(float) for name in mine}
         return Series(columns.pop("t_s"), {n: np.where(np.isinf(v), np.nan, v) for n, v in columns.items()})

@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-from flighttest.documents import Document, Node, kind_of, nearest, read_text, require
+from flighttest.datafiles import read_text
+from flighttest.documents import Document, Node, kind_of, nearest, require
 from flighttest.errors import ScriptError
 from flighttest.frames import yaw_from_compass
 from flighttest.script.model import Limits, Maneuver, Repeat, Reset, ResetBy, Script, ThrottleUnit

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flighttest.documents import Document, Node, kind_of, read_text, require
+from flighttest.datafiles import parse_json, read_text
+from flighttest.documents import Document, Node, kind_of, require
 from flighttest.errors import VehicleError
 from flighttest.frames import yaw_from_compass
 from flighttest.vehicle.default import DEFAULT_VEHICLE
@@ -156,8 +156,8 @@ def load_components(path: str | Path) -> dict[str, dict[str, Any]]:
     path = Path(path)
     text = read_text(path, VehicleError, "components file")
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        document = parse_json(text)
+    except ValueError as error:
         raise VehicleError(f"{path}: this is not JSON: {error}", "save it again with MethodicConfigurator") from error
     parts = document.get("Components") if isinstance(document, dict) else None
     if not isinstance(parts, dict):

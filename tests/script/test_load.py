@@ -189,9 +189,9 @@ def test_hostile_text_is_refused_in_words(text):
 
 
 def test_a_file_that_is_not_there_or_not_text(tmp_path):
-    with pytest.raises(ScriptError, match="cannot read"):
+    with pytest.raises(ScriptError, match="cannot be read"):
         load_script(tmp_path / "nothing.yaml")
-    with pytest.raises(ScriptError, match="cannot read"):
+    with pytest.raises(ScriptError, match="cannot be read"):
         load_script(tmp_path)
     binary = tmp_path / "b.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x9d")

@@ -1,0 +1,106 @@
+"""Files that a program wrote: read only up to a size, without anchors and to a depth, whoever may have planted them.
+
+For files that people write see `documents`, which knows the line of every value.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from flighttest.errors import InputError
+
+SCRIPT_BYTES = 300_000  # of what people write, and of models
+DATA_BYTES = 4_000_000  # a manifest with 1,500 parameters and its notes takes 0.1 MB
+MOST_VALUES = 100_000_000  # of one table: ten hours of three columns at 1 kHz
+MAX_DEPTH = 40  # our own files are nested 8 deep
+_NUMBER_DIGITS = 400  # a float64 has 309 before its point
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's own reads a manifest ten times as fast
+
+
+class _Refused(ValueError):
+    """The text is no honest file of ours; why."""
+
+
+def read_bytes(path: Path, error: type[InputError], what: str, most: int = DATA_BYTES, remedy: str = "") -> bytes:
+    """The bytes of a file; `error` where it cannot be read or is larger than `most`: of such a one nothing is kept in memory."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except OSError as failure:
+        reason = failure.strerror or str(failure)
+        raise error(f"{path}: this {what} cannot be read: {reason}", remedy or "check the path") from failure
+    except ValueError as failure:
+        raise error(f"{str(path)!r} is not a path: {failure}", "check the path") from failure
+    if len(data) > most:
+        raise error(f"{path}: the file is larger than {most} bytes", remedy or f"it is no {what}")
+    return data
+
+
+def read_text(path: Path, error: type[InputError], what: str, most: int = SCRIPT_BYTES) -> str:
+    """The text of a file a person named; `error` with a remedy when it cannot be read."""
+    try:
+        return read_bytes(path, error, what, most).decode("utf-8-sig")
+    except UnicodeDecodeError as failure:
+        raise error(f"{path}: this {what} is not UTF-8 text", "save it as plain UTF-8 text") from failure
+
+
+def read_yaml(path: Path, error: type[InputError], what: str, remedy: str) -> Any:
+    """The data of a YAML file that a program wrote. `error` with `remedy` where it is none."""
+    data = read_bytes(path, error, what, remedy=remedy)
+    try:
+        text = data.decode("utf-8")
+        _look_through(yaml.parse(text, Loader=_LOADER))
+        return yaml.load(text, Loader=_LOADER)  # a safe loader
+    except (yaml.YAMLError, ValueError, OverflowError) as failure:
+        raise error(f"{path}: this {what} cannot be read: {_first_line(failure)}", remedy) from failure
+
+
+def read_json(path: Path, error: type[InputError], what: str, remedy: str) -> Any:
+    """The data of a JSON file that a program wrote. `error` with `remedy` where it is none."""
+    try:
+        return parse_json(read_bytes(path, error, what, remedy=remedy).decode("utf-8"))
+    except ValueError as failure:
+        raise error(f"{path}: this {what} cannot be read: {_first_line(failure)}", remedy) from failure
+
+
+def parse_json(text: str) -> Any:
+    """The data of a JSON text. ValueError where it is none, or nested too deeply."""
+    try:
+        data = json.loads(text)
+    except RecursionError:
+        raise _Refused("it is nested too deeply") from None
+    level = [data]
+    for _ in range(MAX_DEPTH):
+        level = [child for value in level for child in _children(value)]
+        if not level:
+            return data
+    raise _Refused("it is nested too deeply")
+
+
+def _children(value: Any) -> Iterable[Any]:
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, list) else ()
+
+
+def _look_through(events: Iterable[Any]) -> None:
+    """Refuse what grows in memory or in time: before anything is built of it."""
+    depth = 0
+    for event in events:
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            raise _Refused("anchors and aliases (& and *) are not allowed")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise _Refused("it is nested too deeply")
+        bare = event.value if isinstance(event, yaml.ScalarEvent) and event.implicit[0] else ""
+        if len(bare) > _NUMBER_DIGITS and bare.lstrip("+-.")[:1].isdigit():
+            raise _Refused(f"a number of {len(bare)} digits")
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
