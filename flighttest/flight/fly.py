@@ -180,10 +180,10 @@ class _Flight:
         self._say("writing the channels")
         self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
         if self.recorder.failure:
-            self.recorder.manifest["notes"].append(f"the record is not complete: {self.recorder.failure}")
-        results = tuple(scheduler.results) if scheduler else ()
-        notes = tuple(self.recorder.manifest["notes"])
-        return FlightResult(outcome, self.recorder.run_dir, results, notes, left)
+            why = self.recorder.incomplete or f"the record could not be written for a while: {self.recorder.failure}"
+            self.recorder.manifest["notes"].append(why)
+        results, notes = tuple(scheduler.results) if scheduler else (), tuple(self.recorder.manifest["notes"])
+        return FlightResult(outcome, self.recorder.run_dir, results, notes, left, self.recorder.incomplete)
 
     # -- before --------------------------------------------------------------------------------------------------------------
 

@@ -100,13 +100,15 @@ OnProgress = Callable[[FlightProgress], None]
 
 @dataclass(frozen=True)
 class FlightResult:
-    """The end of a flight. parameters_left: parameters that could not be restored (name to the value they should have)."""
+    """The end of a flight. parameters_left: parameters that could not be restored (name to the value they should have). incomplete: what
+    its record lacks because it could not be written, '' where it is whole."""
 
     outcome: FlightOutcome
     run_dir: Path
     legs: tuple[LegResult, ...] = ()
     notes: tuple[str, ...] = ()
     parameters_left: Mapping[str, float] = field(default_factory=dict)
+    incomplete: str = ""
 
 
 class FlightEnded(Exception):

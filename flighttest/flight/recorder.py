@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import datetime as dt
+import errno
 import json
+import os
 import struct
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import flighttest
 from flighttest.errors import RecordingError
@@ -23,22 +26,70 @@ from flighttest.mavlink.dialect import Message
 from flighttest.plan import Plan
 from flighttest.recording import Marker, Provenance, Recording
 from flighttest.recording.store import (
+    EVENTS_NAME,
     RAW_NAME,
+    events_header,
     file_sha256,
-    write_events_header,
     write_manifest,
     write_recording,
 )
 
 FLUSH_EVERY_S = 0.2
+RESERVE_BYTES = 16 << 20  # landing for minutes (1 MB each), then the channels of half an hour
 _STAMP = struct.Struct(">Q")
+
+
+class _Reserve:
+    """Space on the run folder's disk that is kept for the end of a flight: given back when the disk is full, or with the program."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file: IO[bytes] | None = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # has no name: a killed program leaves nothing
+        with contextlib.suppress(OSError):  # a disk with less space than that is flown as far as it goes
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(self._file.fileno(), 0, RESERVE_BYTES)
+
+    def give_back(self) -> bool:
+        """Free the space; False where that was done before."""
+        if self._file is None:
+            return False
+        self._file.close()
+        self._file = None
+        return True
+
+
+class _Lines:
+    """A file that is only added to. What could not be written yet waits, whole: a full disk may have space again."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb", buffering=0)
+        self.waiting = bytearray()
+
+    def add(self, data: bytes) -> None:
+        """Write this next."""
+        self.waiting += data
+
+    def flush(self) -> None:
+        """Hand everything to the operating system; OSError where it does not take it."""
+        while self.waiting:
+            taken = self._file.write(self.waiting)
+            if not taken:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            del self.waiting[:taken]
+
+    def close(self) -> None:
+        """Flush for the last time."""
+        try:
+            self.flush()
+        finally:
+            self._file.close()
 
 
 class Recorder:
     """Writes one run folder. ground_s: the ground's clock for the stamps of raw.tlog, s since 1970. host_s: for flushing.
 
-    failure: why nothing more can be written (a full disk), empty while all is well. Nothing here raises for it: in flight the vehicle comes
-    first, and whoever flies looks at `failure`.
+    failure: why something could not be written (a full disk), empty while all is well; then the space that was kept back is used to end
+    the flight and its record. Nothing here raises for it: in flight the vehicle comes first, and whoever flies looks at `failure`.
+    incomplete: what the record lacks in the end.
     """
 
     def __init__(
@@ -51,33 +102,39 @@ class Recorder:
     ) -> None:
         self.run_dir = run_dir
         self.failure = ""
+        self.incomplete = ""
         run_dir.mkdir(parents=True, exist_ok=True)
         self._ground_s = ground_s
         self._host_s = host_s
-        self._tlog = (run_dir / RAW_NAME).open("wb")
-        self._events = (run_dir / "events.jsonl").open("w", encoding="utf-8")
+        self._reserve = _Reserve(run_dir)
+        self._tlog = _Lines(run_dir / RAW_NAME)
+        self._events = _Lines(run_dir / EVENTS_NAME)
         self._flushed_s = host_s()
         self._decoder = StreamDecoder()
         self._last_us = 0
         self.markers: list[Marker] = []
         self.manifest: dict[str, Any] = dict(manifest)
-        with self._guarded():
-            write_events_header(self._events)
-            (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8")
+        self._events.add(events_header())
+        self._written(self._events.flush)
+        self._written(lambda: (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8"))
         self.save_plan(plan)
         self.save_manifest()
 
-    @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def _written(self, write: Callable[[], object]) -> bool:
+        """Write, a second time with the space that was kept back; whether it was written at last."""
         try:
-            yield
+            write()
         except OSError as error:
             self.failure = self.failure or error.strerror or str(error)
+            if not self._reserve.give_back():
+                return False
+            return self._written(write)
+        return True
 
     def save_plan(self, plan: Plan) -> None:
         """What is going to be flown; again when it was planned again in flight."""
-        with self._guarded():
-            (self.run_dir / "plan.json").write_text(json.dumps(plan_as_data(plan), indent=1), encoding="utf-8")
+        text = json.dumps(plan_as_data(plan), indent=1)
+        self._written(lambda: (self.run_dir / "plan.json").write_text(text, encoding="utf-8"))
 
     def use_clock(self, ground_s: Callable[[], float]) -> None:
         """Stamp by another ground clock from now on (lock-step has begun)."""
@@ -89,9 +146,7 @@ class Recorder:
             int(self._ground_s() * 1e6), self._last_us
         )  # a record whose time goes back cannot be read by other tools
         self._last_us = us
-        if not self.failure:
-            with self._guarded():
-                self._tlog.write(_STAMP.pack(us) + frame)
+        self._tlog.add(_STAMP.pack(us) + frame)
         self._decoder.add(us * 1e-6, message)
         if self._host_s() - self._flushed_s >= FLUSH_EVERY_S:
             self.flush(force=True)
@@ -101,32 +156,43 @@ class Recorder:
         marker = Marker(t_s, kind, label, dict(data or {}))
         self.markers.append(marker)
         line = {"t_s": round(t_s, 6), "kind": kind, "label": label, **({"data": marker.data} if marker.data else {})}
-        with self._guarded():
-            self._events.write(json.dumps(line, default=str) + "\n")
-            self._events.flush()
+        self._events.add((json.dumps(line, default=str) + "\n").encode())
+        self._written(self._events.flush)
 
     def flush(self, *, force: bool = False) -> None:
         """Hand what is buffered to the operating system, if it is time."""
         now = self._host_s()
         if force or now - self._flushed_s >= FLUSH_EVERY_S:
             self._flushed_s = now
-            with self._guarded():
-                self._tlog.flush()
+            self._written(self._tlog.flush)
 
     def save_manifest(self) -> None:
         """Write the manifest as it stands."""
-        with self._guarded():
-            write_manifest(self.run_dir, self.manifest)
+        self._written(lambda: write_manifest(self.run_dir, self.manifest))
 
     def finish(self, session: Session, plan: Plan) -> Recording | None:
         """Close the files and write the channels; None when too little was recorded to decode."""
-        for file in (self._tlog, self._events):
-            with self._guarded():
-                file.close()
+        self._reserve.give_back()
+        for name, file in ((RAW_NAME, self._tlog), (EVENTS_NAME, self._events)):
+            if not self._written(file.close):
+                self._lacks(f"the last {len(file.waiting)} bytes of {name}")
+        recording = self._recording(session, plan)
+        if recording is not None and not self._written(lambda: write_recording(self.run_dir, recording)):
+            self._lacks("the channels")
+            self.save_manifest()
+        return recording
+
+    def _lacks(self, what: str) -> None:
+        self.incomplete = (
+            f"{self.incomplete + '; ' if self.incomplete else ''}{what} could not be written ({self.failure})"
+        )
+        self.manifest["losses"] = [self.incomplete]
+
+    def _recording(self, session: Session, plan: Plan) -> Recording | None:
         try:
             decoded = self._decoder.result(session.vehicle_system or None)
         except RecordingError as error:
-            self.manifest["losses"] = [error.message]
+            self.manifest["losses"] = [*self.manifest.get("losses", []), error.message]
             self.save_manifest()
             return None
         self.manifest["clock"] = {
@@ -136,7 +202,7 @@ class Recorder:
         }
         self.save_manifest()
         notes = tuple(m for m in decoded.markers if m.kind == "note" and m.data.get("from_vehicle"))
-        recording = Recording(
+        return Recording(
             name=self.run_dir.name,
             series=decoded.series,
             markers=tuple(sorted((*self.markers, *notes), key=lambda m: m.t_s)),
@@ -149,15 +215,12 @@ class Recorder:
                 components=plan.vehicle.components,
                 vehicle=self.manifest.get("vehicle", {}),
                 clock=self.manifest["clock"],
-                losses=decoded.losses,
+                losses=(*self.manifest.get("losses", []), *decoded.losses),
                 filters=known_filters(self.manifest.get("parameters", {})),
                 derived=decoded.derived,
                 reference_clock=decoded.reference_clock,
             ),
         )
-        with self._guarded():
-            write_recording(self.run_dir, recording)
-        return recording
 
 
 def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> dict[str, Any]:

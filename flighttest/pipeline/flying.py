@@ -214,20 +214,31 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         if ended.outcome is not FlightOutcome.COMPLETED:
             break
     flown = any(leg.outcome is LegOutcome.FLOWN for e in ends for leg in e.legs)
-    usable = flown and len(ends) == len(compiled) and all(e.outcome.usable for e in ends)
+    usable = flown and len(ends) == len(compiled) and all(e.outcome.usable and not e.incomplete for e in ends)
     # Each step once, to compare with a model: too little to look for unnamed physics in.
     wanted = False if all(plan.script.name == SPOT_CHECK for plan in compiled) else None
     if request.fly_only:
         return _flown(compiled, folders, ends, notes, usable)
     try:
-        return analyse(
+        found = analyse(
             folders, vehicle=vehicle, previous=previous, diagnose=wanted, notes=notes, usable=usable, progress=progress
         )
-    except FlighttestError as error:
-        if usable:
+    except (FlighttestError, OSError) as error:
+        if usable and not isinstance(error, OSError):
             raise
-        progress.stage(f"nothing to analyse: {error.message}")
-        return _flown(compiled, folders, ends, notes, usable)
+        why = f"not analysed: {error.message if isinstance(error, FlighttestError) else error.strerror or error}"
+        progress.stage(why)
+        return _flown(compiled, folders, ends, [*notes, why], False)
+    if not _lacking(ends):
+        return found
+    page = replace(found.document, verdict=f"{_lacking(ends)} {found.document.verdict}", tone="bad")
+    return replace(found, document=page)
+
+
+def _lacking(ends: Sequence[FlightResult]) -> str:
+    """A sentence where a disk did not take the whole record; else ''."""
+    found = "; ".join(e.incomplete for e in ends if e.incomplete)
+    return f"The record is not complete: {found}." if found else ""
 
 
 def _unflown(ended: FlightResult) -> list[str]:
@@ -334,6 +345,7 @@ def _flown(
     if notes:
         blocks.append(Bullets(tuple(notes)))
     verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
+    verdict = _lacking(ends) or verdict
     data = {
         "runs": [str(f) for f in folders],
         "flights": [

@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -95,10 +95,9 @@ def _number(value: Any, where: str) -> None:
         raise RecordingError(f"{where} is no number, but {str(value)[:30]!r}", _REBUILD)
 
 
-def write_events_header(stream: TextIO) -> None:
+def events_header() -> bytes:
     """First line of events.jsonl."""
-    stream.write(json.dumps({"format": EVENTS_FORMAT}) + "\n")
-    stream.flush()
+    return (json.dumps({"format": EVENTS_FORMAT}) + "\n").encode()
 
 
 def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
@@ -125,6 +124,15 @@ def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
 
 def write_recording(run_dir: Path, recording: Recording) -> None:
     """Write channels, events and manifest of a recording; other fields of an existing manifest are kept."""
+    try:
+        _write_recording(run_dir, recording)
+    except OSError:
+        for part in (*run_dir.glob("*.part"), *(run_dir / CHANNELS_DIR).glob("*.part")):
+            part.unlink()  # half a file takes the room that a full disk does not have
+        raise
+
+
+def _write_recording(run_dir: Path, recording: Recording) -> None:
     folder = run_dir / CHANNELS_DIR
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("*.parquet"):
@@ -140,7 +148,7 @@ def write_recording(run_dir: Path, recording: Recording) -> None:
         pq.write_table(table, part, compression="zstd")
         os.replace(part, folder / f"{group}.parquet")
     with (run_dir / (EVENTS_NAME + ".part")).open("w", encoding="utf-8") as stream:
-        write_events_header(stream)
+        stream.write(events_header().decode())
         for marker in recording.markers:
             line = {"t_s": marker.t_s, "kind": marker.kind, "label": marker.label}
             stream.write(

@@ -1,17 +1,20 @@
 """The record survives: kill -9 loses at most half a second, and any MAVLink tool reads what is there."""
 
+import contextlib
 import os
+import resource
 import signal
 import struct
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from pymavlink import mavutil
 
-from flighttest.flight.recorder import Recorder, mark_id
+from flighttest.flight.recorder import RESERVE_BYTES, Recorder, mark_id
 from flighttest.mavlink.dialect import book, parser
 from flighttest.recording.store import read_events, read_manifest
 from tests.flight.faulty import make_plan
@@ -89,3 +92,76 @@ def test_kill_9_loses_at_most_half_a_second(run_dir: Path) -> None:
         kept = message.time_boot_ms // 20
     assert last - kept <= 25, f"{(last - kept) * 0.02} s were lost"
     assert kept > 30
+
+
+@contextlib.contextmanager
+def full_from(bytes_: int) -> Iterator[None]:
+    """A disk on which no file may grow beyond so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def frames_in(run_dir: Path) -> list[int]:
+    log = mavutil.mavlink_connection(str(run_dir / "raw.tlog"))
+    found = []
+    while (message := log.recv_match(type="ATTITUDE")) is not None:
+        found.append(message.time_boot_ms // 20)
+    return found
+
+
+def test_nothing_is_lost_where_a_full_disk_has_space_again(run_dir: Path) -> None:
+    made, mav = recorder(run_dir), parser(1, 1)
+    for k in range(20):
+        made.tap(*attitude(k, mav))
+    with full_from(300):
+        made.flush(force=True)
+        for k in range(20, 60):
+            made.tap(*attitude(k, mav))
+        made.flush(force=True)
+        assert len(frames_in(run_dir)) < 20
+    assert made.failure
+    made.event("note", "afterwards", 1.0)
+    for k in range(60, 100):
+        made.tap(*attitude(k, mav))
+    made.flush(force=True)
+    assert frames_in(run_dir) == list(range(100))
+    assert [m.label for m in read_events(run_dir)[0]] == ["afterwards"]
+
+
+def test_the_space_kept_back_ends_the_record(run_dir: Path) -> None:
+    """The disk is full but for what was reserved for it."""
+    made, mav = recorder(run_dir), parser(1, 1)
+    held = contextlib.ExitStack()
+    held.enter_context(full_from(300))
+    give_back = made._reserve.give_back
+
+    def freed() -> bool:
+        held.close()
+        return give_back()
+
+    made._reserve.give_back = freed  # type: ignore[method-assign]
+    for k in range(100):
+        made.tap(*attitude(k, mav))
+    made.flush(force=True)
+    assert made.failure, "the flight ends"
+    assert frames_in(run_dir) == list(range(100))
+
+
+def test_the_reserve_is_of_its_size_and_leaves_nothing(run_dir: Path) -> None:
+    before = os.statvfs(run_dir.parent)
+    made = recorder(run_dir)
+    now = os.statvfs(run_dir)
+    assert (before.f_bavail - now.f_bavail) * now.f_frsize > 0.5 * RESERVE_BYTES
+    assert sorted(p.name for p in run_dir.iterdir()) == [
+        "events.jsonl",
+        "manifest.yaml",
+        "plan.json",
+        "raw.tlog",
+        "script.yaml",
+    ]
+    assert made._reserve.give_back()
+    assert not made._reserve.give_back()

@@ -10,7 +10,7 @@ import pytest
 
 from flighttest.errors import RecordingError
 from flighttest.flight import FlightOutcome, LegOutcome, fly
-from flighttest.flight.recorder import Recorder
+from flighttest.flight.recorder import _Lines
 from flighttest.flight.response import Learnt
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
@@ -215,28 +215,15 @@ def test_a_disk_that_fills_up_in_a_step_lands_the_vehicle(run_dir: Path, monkeyp
     began = on_mark(link, " step")
     opened: list[object] = []
 
-    class Filling:
-        """A file on a disk that is full from the step on."""
+    def flush(lines: _Lines) -> None:
+        """On a disk that is full from the step on."""
+        if began and lines.waiting:
+            opened.append(lines)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written(lines)
 
-        def __init__(self, file: object) -> None:
-            self.file = file
-            opened.append(file)
-
-        def write(self, data: object) -> None:
-            if began:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            self.file.write(data)  # type: ignore[attr-defined]
-
-        def __getattr__(self, name: str) -> object:
-            return getattr(self.file, name)
-
-    made = Recorder.__init__
-
-    def init(self: Recorder, *args: object, **kwargs: object) -> None:
-        made(self, *args, **kwargs)  # type: ignore[arg-type]
-        self._tlog, self._events = Filling(self._tlog), Filling(self._events)  # type: ignore[assignment]
-
-    monkeypatch.setattr(Recorder, "__init__", init)
+    written = _Lines.flush
+    monkeypatch.setattr(_Lines, "flush", flush)
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert opened
     assert result.outcome is FlightOutcome.RECORD_LOST

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import resource
 import signal
 import threading
 from dataclasses import replace
@@ -19,7 +20,7 @@ from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.pipeline import flying, resuming
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.results import Status
-from flighttest.recording.store import open_run
+from flighttest.recording.store import open_run, read_manifest
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SHORT = """
@@ -265,3 +266,28 @@ def test_what_another_vehicle_flew_is_not_gone_on_with(call, script, tmp_path):
     assert "was changed since" in note
     with pytest.raises(InputError, match="a flight of the vehicle paper, not of mine"):
         resuming.worth_resuming(run, [replace(plan, vehicle=replace(plan.vehicle, name="mine"))])
+
+
+@pytest.mark.parametrize("only", [("--only", "fly"), ()], ids=["fly", "all"])
+def test_a_disk_that_is_full_at_the_end_is_the_headline(call, script, tmp_path, monkeypatch, only):
+    finish = Recorder.finish
+
+    def full(recorder, *args):
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, before[1]))
+        try:
+            return finish(recorder, *args)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    monkeypatch.setattr(Recorder, "finish", full)
+    code, out, _ = call("run", script, "--out", tmp_path / "runs", *only)
+    assert code == 1
+    words = " ".join(out.replace("│", " ").split())
+    assert "The record is not complete: the channels could not be written" in words
+    assert "Recorded." not in words
+    (run,) = (tmp_path / "runs").iterdir()
+    assert (run / "raw.tlog").stat().st_size > 100_000
+    assert not list(run.rglob("*.part"))
+    assert any("the channels could not be written" in line for line in read_manifest(run)["losses"])
+    assert call("import", run / "raw.tlog", "-o", run)[0] == 0, "what is there can be used"

@@ -12,10 +12,10 @@ from flighttest.errors import RecordingError
 from flighttest.pipeline.reporting import keep_segments
 from flighttest.recording import Marker, Provenance, Recording, Series
 from flighttest.recording.store import (
+    events_header,
     open_run,
     read_events,
     read_manifest,
-    write_events_header,
     write_manifest,
     write_recording,
 )
@@ -71,7 +71,7 @@ def test_half_an_event_is_said_and_the_rest_is_read(tmp_path: Path, recording: R
 
 def test_events_are_sorted_by_time(tmp_path: Path) -> None:
     with (tmp_path / "events.jsonl").open("w") as stream:
-        write_events_header(stream)
+        stream.write(events_header().decode())
         for t_s in (2.0, 1.0):
             stream.write(json.dumps({"t_s": t_s, "kind": "note", "label": "x"}) + "\n")
     markers, losses = read_events(tmp_path)
