@@ -94,6 +94,7 @@ def run(
         waive=waive,
         weather=weather,
     )
+    request = flying.as_before(request)
     context.show.say(flying.announce(request))
     if not yes and flying.needs_consent(request):
         if not sys.stdin.isatty():

@@ -17,6 +17,7 @@ from flighttest.pipeline.currency import judge
 from flighttest.pipeline.diagnosis import UNFINISHED, run_diagnosis, write_diagnosis
 from flighttest.pipeline.history import FIT_NAME, as_good
 from flighttest.pipeline.reflights import reflights
+from flighttest.pipeline.repeating import words_of
 from flighttest.pipeline.reporting import REPORT_NAME, keep_segments, provenance, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
@@ -188,7 +189,7 @@ def _summary(
     facts["model"] = str(folders[-1] / FIT_NAME) if found.fit is not None else "-"
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
-        facts["fly next"] = f"flighttest run {folders[-1] / 'next.yaml'}"
+        facts["fly next"] = f"flighttest run {folders[-1] / 'next.yaml'}{words_of(folders[-1])}"
         reason = found.diagnosis.get("next_reason") or {}
         if reason.get("zone") and not reason.get("fits_zone"):
             facts["fly next"] += f" ({reason['zone']})"

@@ -21,6 +21,7 @@ from flighttest.pipeline.doubts import doubts, once
 from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.next_in_zone import held_against_zone
+from flighttest.pipeline.repeating import words_of
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
@@ -93,7 +94,7 @@ def diagnose(
     data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:
-        data |= {"next_path": str(output / NEXT_NAME)}
+        data |= {"next_path": str(output / NEXT_NAME), "next_options": words_of(Path(runs[-1]))}
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)

@@ -27,6 +27,7 @@ from flighttest.pipeline.history import campaigns, standing
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
+from flighttest.pipeline.repeating import FlownWith, flown_with, keep
 from flighttest.pipeline.replanning import ScriptReplanner
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.resuming import chain, flown_in, left_behind, script_of, worth_resuming
@@ -64,6 +65,15 @@ class FlightRequest:
     set_params: bool = False
     waive: tuple[str, ...] = ()
     weather: str = ""
+
+
+def as_before(request: FlightRequest) -> FlightRequest:
+    """The request; where it resumes a run and names no vehicle and no link, with those of that run."""
+    named = request.vehicle or request.connect or request.hide or request.airframe != DEFAULT_VEHICLE.name
+    before = flown_with(request.resume) if request.resume is not None and not named else None
+    if before is None:
+        return request
+    return replace(request, vehicle=before.vehicle, connect=before.link, airframe=before.airframe, hide=before.hide)
 
 
 def target(request: FlightRequest) -> str:
@@ -116,7 +126,9 @@ def connection(request: FlightRequest, flight: int = 0) -> Iterator[str]:
         yield url
         return
     # In lock-step from the first moment: a seed gives the same flight again, whatever the host was doing meanwhile.
-    made = options(request.airframe, request.hide, request.seed + flight, request.speed or BUILTIN_SPEED, lockstep=True)
+    speed = request.speed or BUILTIN_SPEED
+    made = options(request.airframe, request.hide, request.seed + flight, speed, lockstep=True)
+    made = replace(made, paced=request.speed is not None)
     with start_simulator(made) as simulation:
         yield simulation.url
 
@@ -168,6 +180,7 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
 
 def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     """Fly the scripts, then analyse what was recorded."""
+    request = as_before(request)
     vehicle = declared_vehicle(request)
     _known_waivers(request.waive)
     names = request.scripts or (str(script_of(request.resume)),)
@@ -312,6 +325,7 @@ def _one(
     folder = new_run(request.out, name, datetime.datetime.now())
     progress.stage(f"{name} ({index + 1} of {count}): {len(plan.legs)} steps, recorded in {folder}")
     with connection(request, index) as url, counted_interrupts() as stops:
+        keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
         ended = fly(
             plan,
             url,

@@ -215,7 +215,9 @@ def _next(data: Data, script: str) -> Section | None:
     if not name:
         return None
     said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
-    blocks: list[Block] = [Code(str(said or f"flighttest run {data.get('next_path', name)}"))]
+    blocks: list[Block] = [
+        Code(str(said or f"flighttest run {data.get('next_path', name)}{data.get('next_options', '')}"))
+    ]
     reason = data.get("next_reason") or {}
     if reason.get("zone"):
         blocks.append(Paragraph(str(reason["zone"]), "plain" if reason.get("fits_zone") else "warn"))

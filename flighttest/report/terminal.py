@@ -54,7 +54,7 @@ def _block(block: Block) -> RenderableType | None:
     if isinstance(block, Bullets):
         grid = Grid.grid(padding=(0, 1))
         grid.add_column(no_wrap=True)
-        grid.add_column()
+        grid.add_column(overflow="fold")  # a command that lost its end cannot be copied
         for item in block.items:
             grid.add_row("  -", item)
         return grid

@@ -21,8 +21,9 @@ class SimOptions:
     airframe: 'paper' (Eq. 4, Table 2) or 'rotor' (rotor-level first principles). hide: concealed physics, by catalogue id. seed: of
     noise and gusts, and of the random vehicle with vehicle_seed. vehicle: the airframe's own constants by name. noise: factor on all
     sensor noise. gust_rms_m_s: horizontal gusts. speed: vehicle seconds per second when free-running. lockstep: time stands still until
-    the client grants some (see `lockstep`). ready_s, gps_s: when it can arm and has a position, s after boot. parameters: autopilot
-    parameters that differ from their defaults. voltage_v: at which the battery rests; capacity_ah: None keeps the airframe's.
+    the client grants some (see `lockstep`); paced: no sooner than `speed` allows. ready_s, gps_s: when it can arm and has a position, s
+    after boot. parameters: autopilot parameters that differ from their defaults.
+    voltage_v: at which the battery rests; capacity_ah: None keeps the airframe's.
     """
 
     airframe: Airframe = "paper"
@@ -34,6 +35,7 @@ class SimOptions:
     gust_rms_m_s: float = 0.0
     speed: float = 1.0
     lockstep: bool = False
+    paced: bool = False
     ready_s: float = 23.5
     gps_s: float = 41.0
     parameters: Mapping[str, float] = field(default_factory=dict)

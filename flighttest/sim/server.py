@@ -73,6 +73,7 @@ class Server:
     ) -> None:
         self.host = Host(build_vehicle(options), lockstep=options.lockstep)
         self.speed = options.speed
+        self._paced = options.paced
         self.host.vehicle.store.set("SIM_SPEEDUP", options.speed)
         self._tcp, self._udp = tcp, udp
         self._clients: list[_Client] = []
@@ -107,7 +108,9 @@ class Server:
                 if host.speed_asked is not None:
                     self.speed, host.speed_asked = host.speed_asked, None
                     origin, start = time.monotonic(), host.vehicle.time_s
-                if host.lockstep or self._wait:
+                if host.lockstep and self._paced and not self._wait:
+                    origin, start = self._hold(origin, start)
+                elif host.lockstep or self._wait:
                     # Time spent waiting for the first client is not the vehicle's: its clock starts now.
                     origin, start = time.monotonic(), host.vehicle.time_s
                     self._wait = self._wait and not self._clients
@@ -116,6 +119,14 @@ class Server:
                 self._flush()
         finally:
             self._close()
+
+    def _hold(self, origin: float, start: float) -> tuple[float, float]:
+        """Let the host's clock come up with granted time before the client hears of it; a client that is late gains nothing later."""
+        ahead_s = (self.host.vehicle.time_s - start) / self.speed - (time.monotonic() - origin)
+        if ahead_s < 0.0:
+            return time.monotonic(), self.host.vehicle.time_s
+        time.sleep(ahead_s)
+        return origin, start
 
     def _patience(self, origin: float, start: float) -> float:
         """How long the sockets may be waited for, s."""

@@ -4,8 +4,10 @@ import io
 import json
 import re
 import resource
+import shlex
 import signal
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,10 +19,15 @@ from flighttest.cli import main as cli_main
 from flighttest.errors import InputError
 from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult, preflight
 from flighttest.flight.recorder import Recorder, first_manifest
-from flighttest.pipeline import flying, resuming
+from flighttest.link import parameters as params
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import open_transport
+from flighttest.pipeline import flying, repeating, resuming
 from flighttest.pipeline.checking import plans, predictor_for
 from flighttest.pipeline.results import Status
 from flighttest.recording.store import open_run, read_manifest
+from flighttest.report.diagnosis_sections import diagnosis_sections
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SHORT = """
@@ -291,3 +298,63 @@ def test_a_disk_that_is_full_at_the_end_is_the_headline(call, script, tmp_path, 
     assert not list(run.rglob("*.part"))
     assert any("the channels could not be written" in line for line in read_manifest(run)["losses"])
     assert call("import", run / "raw.tlog", "-o", run)[0] == 0, "what is there can be used"
+
+
+def declared(tmp_path, **changes):
+    path = tmp_path / "my vehicle.yaml"
+    fields = {"name": "x", "firmware": "ardupilot", "nominal_voltage_v": 22.2, "hover_throttle": 0.18, **changes}
+    lines = [f"{k}: {v}" for k, v in fields.items()]
+    zone = "zone: {origin: home, x_m: [-15, 15], y_m: [-7.5, 7.5], z_m: [1, 10]}"
+    path.write_text("\n".join(["format: vehicle/1", *lines, zone, ""]))
+    return path
+
+
+@pytest.mark.parametrize("gone", [False, True], ids=["file there", "file gone"])
+def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
+    """Also of a vehicle that was given by file and link: both are kept in the run folder."""
+    vehicle, flown = declared(tmp_path), []
+
+    def fly(plan, url, folder, **_options):
+        flown.append((plan.vehicle.name, url))
+        Recorder(folder, lambda: 0.0, first_manifest(plan, url, "", None), plan)
+        return FlightResult(FlightOutcome.OPERATOR_STOP, folder)
+
+    monkeypatch.setattr(flying, "fly", fly)
+    link = "udpin:127.0.0.1:14777"
+    out_dir = tmp_path / "runs"
+    _, out, _ = call("run", script, "--vehicle", vehicle, "--connect", link, "--out", out_dir, "--yes", "--json")
+    printed = re.search(r"`(flighttest run --resume \S+)` flies them", out)
+    assert printed, out
+    if gone:
+        vehicle.unlink()
+    _, out, err = call(*shlex.split(printed[1])[1:], "--yes", "--out", out_dir)
+    assert f"flying the vehicle at {link}" in out + err, "and is asked for"
+    assert flown == [("x", link)] * 2, err
+
+
+def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):
+    vehicle = declared(tmp_path)
+    repeating.keep(tmp_path / "run", repeating.FlownWith("tcp:127.0.0.1:5760", vehicle))
+    words = shlex.split(repeating.words_of(tmp_path / "run"))
+    assert words == ["--vehicle", str(vehicle), "--connect", "tcp:127.0.0.1:5760"]
+    repeating.keep(tmp_path / "rotor", repeating.FlownWith("sim", None, "rotor", ("ground_effect:R2_m2=0.1",)))
+    assert repeating.words_of(tmp_path / "rotor") == " --airframe rotor --hide ground_effect:R2_m2=0.1"
+    repeating.keep(tmp_path / "plain", repeating.FlownWith("sim"))
+    assert repeating.words_of(tmp_path / "plain") == ""
+    data = {"next_flight": "next.yaml", "next_path": "d/next.yaml", "next_options": " --vehicle v.yaml"}
+    assert "flighttest run d/next.yaml --vehicle v.yaml" in repr(diagnosis_sections(data, ""))
+
+
+def test_a_speed_that_is_asked_for_is_kept(tmp_path):
+    """In lock-step too: nobody could watch a flight, or stop it by hand, at the pace of the host."""
+    request = flying.FlightRequest(("thrust",), speed=4.0)
+    with flying.connection(request) as url:
+        session = Session(Port(open_transport(url)))
+        session.connect()
+        params.write(session, "SIM_LOCKSTEP", 1.0, {"SIM_LOCKSTEP": 1.0}, stops_time=True)
+        session.enter_lock_step()
+        began, start_s = time.monotonic(), session.now_s()
+        session.advance(start_s + 4.0)
+        took_s = time.monotonic() - began
+        session.port.close()
+    assert took_s == pytest.approx(1.0, abs=0.3)
