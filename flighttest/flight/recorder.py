@@ -21,8 +21,8 @@ from typing import IO, Any
 import flighttest
 from flighttest.errors import RecordingError
 from flighttest.link.session import Session
-from flighttest.mavlink import StreamDecoder
 from flighttest.mavlink.dialect import Message
+from flighttest.mavlink.tlog_frames import decoder_of, split
 from flighttest.plan import Plan
 from flighttest.recording import Marker, Provenance, Recording
 from flighttest.recording.store import (
@@ -110,7 +110,6 @@ class Recorder:
         self._tlog = _Lines(run_dir / RAW_NAME)
         self._events = _Lines(run_dir / EVENTS_NAME)
         self._flushed_s = host_s()
-        self._decoder = StreamDecoder()
         self._last_us = 0
         self.markers: list[Marker] = []
         self.manifest: dict[str, Any] = dict(manifest)
@@ -140,14 +139,13 @@ class Recorder:
         """Stamp by another ground clock from now on (lock-step has begun)."""
         self._ground_s = ground_s
 
-    def tap(self, frame: bytes, message: Message) -> None:
-        """Write one frame; given to `Port.tap`."""
+    def tap(self, frame: bytes, _message: Message) -> None:
+        """Write one frame; given to `Port.tap`. Nothing of it stays in memory: the channels are read from raw.tlog in the end."""
         us = max(
             int(self._ground_s() * 1e6), self._last_us
         )  # a record whose time goes back cannot be read by other tools
         self._last_us = us
         self._tlog.add(_STAMP.pack(us) + frame)
-        self._decoder.add(us * 1e-6, message)
         if self._host_s() - self._flushed_s >= FLUSH_EVERY_S:
             self.flush(force=True)
 
@@ -190,7 +188,8 @@ class Recorder:
 
     def _recording(self, session: Session, plan: Plan) -> Recording | None:
         try:
-            decoded = self._decoder.result(session.vehicle_system or None)
+            data = (self.run_dir / RAW_NAME).read_bytes() + bytes(self._tlog.waiting)
+            decoded = decoder_of(split(data)).result(session.vehicle_system or None)
         except RecordingError as error:
             self.manifest["losses"] = [*self.manifest.get("losses", []), error.message]
             self.save_manifest()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,16 +11,11 @@ from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot_bin import DEFAULT_ACCEL_FILTER_HZ, known_filters
 from flighttest.logs.opening import LogFile
 from flighttest.logs.timing import clock_steps, held_union, outliers
-from flighttest.logs.tlog_frames import Frames, fields_of, good_checksums, split
 from flighttest.mavlink import WANTED
-from flighttest.mavlink.decode import StreamDecoder
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import book
+from flighttest.mavlink.tlog_frames import Frames, decoder_of, fields_of, good_checksums, split
 from flighttest.recording import Provenance, Recording, Series
 
-# Messages whose every field is a number, and which come often: they are read as columns, the rest one by one.
-_ONE_BY_ONE = {
-    "HEARTBEAT", "STATUSTEXT", "TIMESYNC", "PARAM_VALUE", "AUTOPILOT_VERSION", "GPS_GLOBAL_ORIGIN", "HOME_POSITION",
-}  # fmt: skip
 _SEQUENCE_LOSS = 0.005  # the share of missing sequence numbers that is worth a sentence
 
 
@@ -36,25 +30,7 @@ def import_tlog(path: Path) -> Recording:
         )
     losses = [*file.losses, *_lost_sentences(frames)]
     frames = _on_one_clock(_checked(frames, losses), losses)
-    decoder = StreamDecoder()
-    mav = parser(0, 0)
-    late: list[tuple[int, Any]] = []
-    for kind in np.unique(frames.kind):
-        message = book.mavlink_map.get(int(kind))
-        if message is None or message.msgname not in WANTED:
-            continue
-        chosen = np.flatnonzero(frames.kind == kind)
-        if message.msgname in _ONE_BY_ONE:
-            late += [(int(i), mav.decode(bytearray(frames.bytes_of(int(i))))) for i in chosen]
-            continue
-        senders = frames.sender[chosen]
-        for sender in np.unique(senders):
-            order = chosen[senders == sender]
-            mine = frames.where(order)
-            source = (int(sender) // 256, int(sender) % 256)
-            decoder.add_columns(source, message.msgname, mine.time_s, order, fields_of(mine, int(kind)))
-    for i, message in sorted(late, key=lambda pair: pair[0]):
-        decoder.add(float(frames.stamp_us[i]) * 1e-6, message, i)
+    decoder = decoder_of(frames)
     try:
         decoded = decoder.result()
     except RecordingError as error:

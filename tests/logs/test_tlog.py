@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as v2
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log, tlog
 from flighttest.logs.timing import clock_steps
-from flighttest.logs.tlog_frames import fields_of, good_checksums, split
+from flighttest.mavlink.tlog_frames import fields_of, good_checksums, split
 
 EPOCH_S = 1_750_000_000.0
 

@@ -13,12 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.decode import WANTED, StreamDecoder
+from flighttest.mavlink.dialect import book, parser
 
 _STAMP_BYTES = 8
 _V1, _V2 = 0xFE, 0xFD
 _SIGNATURE_BYTES = 13
 _INCOMPATIBLE_SIGNED = 1
+# Messages that hold text, or that come seldom: they are read one by one, the others as columns.
+_ONE_BY_ONE = {
+    "HEARTBEAT", "STATUSTEXT", "TIMESYNC", "PARAM_VALUE", "AUTOPILOT_VERSION", "GPS_GLOBAL_ORIGIN", "HOME_POSITION",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -217,3 +222,27 @@ def _layout(kind: int) -> np.dtype[Any]:
         else:
             fields.append((name, _CODES[letter], (count,)) if count else (name, _CODES[letter]))
     return np.dtype(fields)
+
+
+def decoder_of(frames: Frames) -> StreamDecoder:
+    """A decoder that has taken in all frames, which are known to be sound."""
+    decoder = StreamDecoder()
+    mav = parser(0, 0)
+    late: list[tuple[int, Any]] = []
+    for kind in np.unique(frames.kind):
+        message = book.mavlink_map.get(int(kind))
+        if message is None or message.msgname not in WANTED:
+            continue
+        chosen = np.flatnonzero(frames.kind == kind)
+        if message.msgname in _ONE_BY_ONE:
+            late += [(int(i), mav.decode(bytearray(frames.bytes_of(int(i))))) for i in chosen]
+            continue
+        senders = frames.sender[chosen]
+        for sender in np.unique(senders):
+            order = chosen[senders == sender]
+            mine = frames.where(order)
+            source = (int(sender) // 256, int(sender) % 256)
+            decoder.add_columns(source, message.msgname, mine.time_s, order, fields_of(mine, int(kind)))
+    for i, message in sorted(late, key=lambda pair: pair[0]):
+        decoder.add(float(frames.stamp_us[i]) * 1e-6, message, i)
+    return decoder
