@@ -17,6 +17,7 @@ from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightResult, OnProgress
 from flighttest.flight.placing import place_home, place_zone
+from flighttest.flight.rates import Telemetry
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.response import Replanner
 from flighttest.flight.scheduler import Scheduler
@@ -34,16 +35,6 @@ POSITION_WAIT_S = 90.0
 _POSITION_PATIENCE_S = 5.0  # where none is needed
 BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _LISTEN_AFTER_TAKE_OVER_S = 2.0
-_SLOW_STREAMS = (
-    "ATTITUDE",
-    "HIGHRES_IMU",
-    "RAW_IMU",
-    "LOCAL_POSITION_NED",
-    "BATTERY_STATUS",
-    "ATTITUDE_TARGET",
-    "HEARTBEAT",
-)
-
 OnStage = Callable[[str], None]
 
 
@@ -183,7 +174,7 @@ class _Flight:
             why = self.recorder.incomplete or f"the record could not be written for a while: {self.recorder.failure}"
             self.recorder.manifest["notes"].append(why)
         results, notes = tuple(scheduler.results) if scheduler else (), tuple(self.recorder.manifest["notes"])
-        return FlightResult(outcome, self.recorder.run_dir, results, notes, left, self.recorder.incomplete)
+        return FlightResult(outcome, self.recorder.run_dir, results, notes, left, incomplete=self.recorder.incomplete)
 
     # -- before --------------------------------------------------------------------------------------------------------------
 
@@ -213,13 +204,8 @@ class _Flight:
         )
         self.recorder.save_manifest()
         self._say("asking for telemetry")
-        rates_hz = (
-            preflight.RATES_HZ if self.plan.reset.by == "guided" else preflight.RATES_HZ | preflight.BLIND_RATES_HZ
-        )
-        refused = vehicle.set_rates(rates_hz)
-        self.notes += [f"{name} was refused: {why}" for name, why in refused.items()]
-        if "HIGHRES_IMU" in refused:
-            vehicle.set_rates({"RAW_IMU": preflight.RATES_HZ["HIGHRES_IMU"]})
+        telemetry = Telemetry(vehicle, self.plan, self.recorder.manifest["connect"])
+        telemetry.ask()
         cockpit = Cockpit(
             vehicle,
             self._gate(),
@@ -229,8 +215,11 @@ class _Flight:
             meddling=self._meddling,
             on_progress=self._on_progress,
         )
+        real_time = not simulator or session.lock_step or session.clock.pace == 1.0
+        telemetry.measure(real_time)  # what a full link drops may be the position
         self._wait_for_position(cockpit)
-        rates = vehicle.measure_rates(list(_SLOW_STREAMS))
+        rates = telemetry.measure(real_time)
+        self.notes += telemetry.notes
         cockpit.after()
         situation = preflight.Situation(
             self.plan, self._parameters, cockpit.state, rates, firmware, beat.type, simulator,

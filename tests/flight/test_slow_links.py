@@ -1,0 +1,94 @@
+"""Links that carry little: message rates are fitted to them, by what a serial port declares or by what arrives."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight.preflight import BLIND_RATES_HZ, RATES_HZ
+from flighttest.flight.rates import bytes_s, declared_bytes_s, fitted
+from flighttest.mavlink.dialect import parser
+from flighttest.recording.store import open_run, read_manifest
+from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+
+WAITING_BYTES = 1024  # of a vehicle's serial port; what does not fit in is dropped
+
+
+@dataclass
+class SlowLink(FaultyLink):
+    """A vehicle behind a serial line. bytes_s: what it carries; loss: share of frames that a radio loses, 0..1."""
+
+    bytes_s: float = 5760.0
+    loss: float = 0.0
+    dropped: int = 0
+    _waiting: float = 0.0
+    _then_s: float = 0.0
+    _chance: random.Random = field(default_factory=lambda: random.Random(1))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._line = parser(1, 1)
+
+    def receive(self, timeout_s: float) -> bytes:
+        data = super().receive(timeout_s)
+        passed = []
+        for message in self._line.parse_buffer(data) or []:
+            frame = bytes(message.get_msgbuf())
+            if message.get_type() == "SYSTEM_TIME":
+                # What is sent between two ends of a step is sent evenly in it.
+                now = self.sim.time_s
+                self._waiting = max(self._waiting - self.bytes_s * (now - self._then_s), 0.0)
+                self._then_s = now
+            elif self._waiting + len(frame) > WAITING_BYTES:
+                self.dropped += 1
+                continue
+            else:
+                self._waiting += len(frame)
+                if self._chance.random() < self.loss:
+                    continue
+            passed.append(frame)
+        return b"".join(passed)
+
+
+@pytest.mark.parametrize(
+    ("url", "bytes_per_s", "loss"),
+    [
+        ("serial:/dev/ttyUSB0:57600", 5760.0, 0.05),
+        ("serial:/dev/ttyUSB0:115200", 11520.0, 0.0),
+        ("udpin:0.0.0.0:14550", 5760.0, 0.0),
+    ],
+    ids=["radio", "115200", "unknown"],
+)
+def test_a_slow_link_flies_with_fewer_messages(run_dir: Path, url: str, bytes_per_s: float, loss: float) -> None:
+    link = SlowLink(options(), bytes_s=bytes_per_s, loss=loss)
+    plan = make_plan(make_leg("roll+0.30"), make_leg("roll+0.31"))
+    result = fly(plan, url, run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.FLOWN] * 2
+    assert any("messages are asked for less often" in note for note in result.notes)
+    rates = read_manifest(run_dir)["rates_hz"]
+    assert rates["ATTITUDE"] >= 40.0
+    assert rates["BATTERY_STATUS"] >= 1.5
+    assert link.sim.time_s < 120.0, "nobody waits for what a full link drops"
+    t_s = open_run(run_dir).series["attitude"].t_s
+    assert len(t_s) > 0.75 * 40.0 * (t_s[-1] - t_s[0])
+
+
+def test_rates_fit_into_what_a_link_carries() -> None:
+    for wanted in (RATES_HZ, RATES_HZ | BLIND_RATES_HZ):
+        assert fitted(wanted, None) == wanted
+        assert fitted(wanted, 1e6) == wanted
+        for capacity in (6500.0, 9000.0, 11520.0, 15000.0):
+            rates = fitted(wanted, capacity)
+            assert bytes_s(rates) <= 0.86 * capacity
+            assert all(0.0 < rates[name] <= wanted[name] for name in wanted)
+        assert fitted(wanted, 100.0) == fitted(wanted, 0.0), (
+            "no less than a flight needs: preflight will say what is missing"
+        )
+    assert bytes_s(fitted(RATES_HZ, 5760.0)) <= 0.86 * 5760.0
+    assert declared_bytes_s("serial:/dev/ttyACM0:57600") == 5760.0
+    assert declared_bytes_s("tcp:127.0.0.1:5760") is None
