@@ -376,6 +376,8 @@ class _Flight:
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
                 left = self._changes.pending
                 self.notes.append(str(error))
+        if self.session.port.turned_away:
+            self._note(f"{self.session.port.turned_away} datagrams that others sent to this port were left out")
         left |= self._unrestored
         if left:
             text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from flighttest.link.transport import Transport
+from flighttest.link.transport import Peer, Transport, UdpTransport
 from flighttest.mavlink.dialect import Message, parser
 
 OWN_SYSTEM = 245  # not a ground station's 255, so that FS_GCS_ENABLE does not watch us
@@ -29,10 +29,22 @@ class Port:
         self.bad_bytes = 0
         self.frames_lost = 0
         self._sequence: dict[tuple[int, int], int] = {}
+        self._peers: dict[tuple[int, int], Peer | None] = {}
 
     def tap(self, tap: Tap) -> None:
         """Show every frame from now on to `tap` as well."""
         self._taps.append(tap)
+
+    def keep_to(self, system: int, component: int) -> None:
+        """Hear and answer from now on only who first spoke as this one: over UDP anybody can say that he is the vehicle."""
+        peer = self._peers.get((system, component))
+        if peer is not None and isinstance(self._transport, UdpTransport):
+            self._transport.keep_to(peer)
+
+    @property
+    def turned_away(self) -> int:
+        """Datagrams that came from others since."""
+        return getattr(self._transport, "turned_away", 0)
 
     def mute(self) -> None:
         """Never send again: the pilot has the vehicle."""
@@ -69,6 +81,8 @@ class Port:
 
     def _count_lost(self, message: Message) -> None:
         source = (message.get_srcSystem(), message.get_srcComponent())
+        if source not in self._peers:
+            self._peers[source] = getattr(self._transport, "sender", None)
         sequence = message.get_seq()
         last = self._sequence.get(source)
         if last is not None:

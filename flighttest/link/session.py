@@ -217,6 +217,7 @@ class Session:
                 f"no HEARTBEAT of an autopilot within {timeout_s:.0f} s",
                 "check the URL, that the vehicle is on, and that it sends to this port",
             )
+        self.port.keep_to(self.vehicle_system, COMPONENT_AUTOPILOT)
         for _ in range(10):
             self._next_timesync_s = 0.0
             if self.await_message(lambda m: m.get_type() == "TIMESYNC" and self.offset is not None, 0.1) is not None:

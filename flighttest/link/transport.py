@@ -68,11 +68,15 @@ def _hint(kind: str) -> str:
     return "is the port in use by another program, or the host name wrong?"
 
 
+Peer = tuple[str, int]
+
+
 class UdpTransport:
     """UDP. listen: bind and answer whoever sends (udpin); otherwise send to the address (udpout).
 
     Whoever was heard in the last seconds is answered, not the last one only: a ground station that sends to the same port must not turn
-    targets away from the vehicle.
+    targets away from the vehicle. `keep_to` ends that: from then on nobody else is heard or answered. sender: who sent what `receive`
+    gave last; turned_away: datagrams of others since.
     """
 
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
@@ -80,14 +84,23 @@ class UdpTransport:
         self._socket.setblocking(False)
         # Bursts of a fast simulator must not fall out of the kernel's default buffer.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        self.sender: Peer | None = None
+        self.turned_away = 0
+        self._only: Peer | None = None
+        self._next: tuple[bytes, Peer] | None = None
         try:
             address = (socket.gethostbyname(host), port)
-            self._peers: dict[tuple[str, int], float] = {} if listen else {address: math.inf}
+            self._peers: dict[Peer, float] = {} if listen else {address: math.inf}
             if listen:
                 self._socket.bind(address)
         except OSError:
             self._socket.close()
             raise
+
+    def keep_to(self, peer: Peer) -> None:
+        """Hear and answer this peer alone. Another port of its host takes its place where it has fallen silent (a restarted router)."""
+        self._only = peer
+        self._peers = {peer: time.monotonic()}
 
     def send(self, data: bytes) -> None:
         """Send one datagram; nobody heard yet, or a full buffer, loses it."""
@@ -96,22 +109,41 @@ class UdpTransport:
                 self._socket.sendto(data, peer)
 
     def receive(self, timeout_s: float) -> bytes:
-        """All datagrams that are waiting."""
+        """All datagrams that are waiting, of one sender at a time."""
         chunks: list[bytes] = []
-        if not select.select([self._socket], [], [], max(timeout_s, 0.0))[0]:
+        if self._next is None and not select.select([self._socket], [], [], max(timeout_s, 0.0))[0]:
             return b""
         while True:
-            try:
-                data, peer = self._socket.recvfrom(_CHUNK)
-            except OSError:  # nothing more waits, nobody there, or the network is down: silence
+            got, self._next = self._next, None
+            if got is None:
+                try:
+                    got = self._socket.recvfrom(_CHUNK)
+                except OSError:  # nothing more waits, nobody there, or the network is down: silence
+                    break
+            data, peer = got
+            if not self._welcome(peer):
+                self.turned_away += 1
+                continue
+            if chunks and peer != self.sender:
+                self._next = got
                 break
             chunks.append(data)
+            self.sender = peer
             self._peers[peer] = max(time.monotonic(), self._peers.get(peer, 0.0))
         newest = max(self._peers.values(), default=0.0)
         self._peers = {
             p: t for p, t in self._peers.items() if t == math.inf or t > time.monotonic() - _PEER_S or t == newest
         }
         return b"".join(chunks)
+
+    def _welcome(self, peer: Peer) -> bool:
+        if self._only is None or peer == self._only:
+            return True
+        silent = time.monotonic() - self._peers.get(self._only, 0.0) > _PEER_S
+        if peer[0] != self._only[0] or not silent:
+            return False
+        self.keep_to(peer)
+        return True
 
     def close(self) -> None:
         """Close the socket."""

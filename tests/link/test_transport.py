@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -9,7 +10,10 @@ import time
 import pytest
 
 from flighttest.errors import InputError, LinkError
+from flighttest.link.port import Port
+from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
+from flighttest.mavlink.dialect import book, parser
 
 
 def free_port(kind: socket.SocketKind) -> int:
@@ -86,3 +90,52 @@ def test_udp_goes_on_sending_to_the_vehicle_when_another_sends_too() -> None:
     assert vehicle.receive(1.0) == b"target"
     for transport in (listening, vehicle, ground):
         transport.close()
+
+
+def beat(system: int, mode: int, armed: bool = True) -> bytes:
+    message = book.MAVLink_heartbeat_message(
+        book.MAV_TYPE_QUADROTOR,
+        book.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        book.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0,
+        mode,
+        book.MAV_STATE_ACTIVE,
+        3,
+    )
+    return bytes(message.pack(parser(system, 1)))
+
+
+def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever else reaches the port can neither speak as the vehicle nor receive its targets; a station beside it does no harm."""
+    monkeypatch.setattr("flighttest.link.transport._PEER_S", 0.2)
+    port = free_port(socket.SOCK_DGRAM)
+    session = Session(Port(open_transport(f"udpin:127.0.0.1:{port}")))
+    with contextlib.ExitStack() as opened:
+        vehicle, station, false, again = (
+            opened.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(4)
+        )
+        for one, host in ((vehicle, "127.0.0.1"), (station, "127.0.0.3"), (false, "127.0.0.2"), (again, "127.0.0.1")):
+            one.bind((host, 0))
+            one.setblocking(False)
+        here = ("127.0.0.1", port)
+        station.sendto(bytes(book.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(parser(255, 190))), here)
+        vehicle.sendto(beat(1, 20), here)
+        station.sendto(bytes(book.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(parser(255, 190))), here)
+        session.connect(2.0)
+        for _ in range(50):
+            false.sendto(beat(1, 5, armed=False), here)
+        session.advance(session.now_s() + 0.1)
+        assert session.latest["HEARTBEAT"].message.custom_mode == 20
+        assert session.port.turned_away == 50
+        with pytest.raises(BlockingIOError):
+            false.recv(1000)
+        assert vehicle.recv(1000)
+        vehicle.sendto(beat(1, 20), here)
+        session.advance(session.now_s() + 0.02)
+        again.sendto(beat(1, 5), here)
+        session.advance(session.now_s() + 0.05)
+        assert session.latest["HEARTBEAT"].message.custom_mode == 20, "as long as the vehicle is heard at its own port"
+        time.sleep(0.3)
+        again.sendto(beat(1, 5), here)
+        session.advance(session.now_s() + 0.05)
+        assert session.latest["HEARTBEAT"].message.custom_mode == 5, "a router that was started again"
+    session.port.close()
