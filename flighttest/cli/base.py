@@ -14,9 +14,21 @@ from flighttest.pipeline.results import Result, Status
 
 EXIT = {Status.DONE: 0, Status.UNUSABLE: 1, Status.BAD_INPUT: 2, Status.UNEXPLAINED: 3, Status.STALE: 4}
 
-FILE = click.Path(path_type=Path, dir_okay=False)
-FOLDER = click.Path(path_type=Path, file_okay=False)
-ANY = click.Path(path_type=Path)
+
+class _Place(click.Path):
+    """A path that may turn out to be none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """As any path; one that no system takes is a usage error."""
+        try:
+            return super().convert(value, param, ctx)
+        except ValueError as error:  # a zero byte in it
+            self.fail(f"{value!r} is not a path: {error}", param, ctx)
+
+
+FILE = _Place(path_type=Path, dir_okay=False)
+FOLDER = _Place(path_type=Path, file_okay=False)
+ANY = _Place(path_type=Path)
 
 
 @dataclass

@@ -12,6 +12,7 @@ from typing import Any
 
 from flighttest.errors import InputError, LinkError, RecordingError
 from flighttest.logs import import_log as read_log
+from flighttest.logs.columns import load_columns
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
 from flighttest.recording.store import (
@@ -35,6 +36,8 @@ def open_recording(path: Path, columns: Path | None = None) -> Recording:
         raise RecordingError(f"{path}: there is no such run or log", "`flighttest runs` lists the runs on this machine")
     if not path.is_dir():
         return read_log(path, columns)
+    if columns is not None:
+        load_columns(columns)  # a run needs none, but one that is named must be sound
     manifest = read_manifest(path)
     raw = path / RAW_NAME
     if not any((path / CHANNELS_DIR).glob("*.parquet")) and raw.exists():
