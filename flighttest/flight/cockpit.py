@@ -99,7 +99,8 @@ class Cockpit:
         return self._owned
 
     def expect(self, *modes: CopterMode) -> None:
-        """Modes that are about to be asked for: seeing one of them is no take-over, the present one stays allowed until then."""
+        """Modes that are about to be asked for: seeing one of them is no take-over, the present one stays allowed until then. Nor is
+        one that was asked for before and is entered late (`link.requests`)."""
         self._before = self.vehicle.mode
         self._expected = {self._before, *(int(m) for m in modes)}
 
@@ -116,7 +117,8 @@ class Cockpit:
         if self._landing and not is_armed(message):
             self._owned = False
             return
-        if mode not in self._expected:
+        asked = self.session.mode_requests.shows(mode, t_s)
+        if mode not in self._expected and not asked:
             self.session.port.mute()
             self.taken_over = True
             self._owned = False

@@ -114,6 +114,8 @@ class ArduPilot:
 
     def _command_long(self, command: int, params: tuple[float, ...], confirmation: int) -> Message:
         p = (*params, *([0.0] * (7 - len(params))))
+        if command == book.MAV_CMD_DO_SET_MODE:
+            self.session.mode_requests.sent(int(params[1]), self.session.now_s())
         return book.MAVLink_command_long_message(
             self.session.vehicle_system, COMPONENT_AUTOPILOT, command, confirmation, *p
         )

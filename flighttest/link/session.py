@@ -9,6 +9,7 @@ from flighttest.errors import LinkError
 from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedClock, TimeSync
 from flighttest.link.lockstep import Grants
 from flighttest.link.port import Port
+from flighttest.link.requests import ModeRequests
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_vehicle
 
 CONNECT_S = 10.0  # host seconds
@@ -44,6 +45,9 @@ class Session:
         self.counts: dict[str, int] = {}
         self._listeners: list[Callable[[Message, float], None]] = []
         self._timesync = TimeSync()
+        self._asked_s: dict[int, float] = {}  # when each TIMESYNC question left, by its ts1
+        self._answered_s: float | None = None  # when the newest answered one had left
+        self.mode_requests = ModeRequests()
         self._grants: Grants | None = None
         self._next_heartbeat_s = self._next_timesync_s = 0.0
         self.last_heard_s = 0.0
@@ -71,6 +75,8 @@ class Session:
         self._grants = grants
         self.clock = granted
         self._timesync = TimeSync()
+        self._asked_s.clear()
+        self._answered_s = None
         self._next_heartbeat_s = self._next_timesync_s = 0.0
 
     def _await_mark(self, grants: Grants) -> None:
@@ -129,7 +135,9 @@ class Session:
             )
         if self.vehicle_system and now >= self._next_timesync_s:
             self._next_timesync_s = now + TIMESYNC_EVERY_S * max(self.clock.pace, 1.0)
-            self.send(book.MAVLink_timesync_message(tc1=0, ts1=self._timesync.ask(self.clock.ground_s())))
+            ts1 = self._timesync.ask(self.clock.ground_s())
+            self._asked_s[ts1] = now
+            self.send(book.MAVLink_timesync_message(tc1=0, ts1=ts1))
 
     def _take(self, timeout_s: float) -> None:
         """Take in what has arrived, all of it: after a pause of the host, a pilot's change of mode may be the last in the queue."""
@@ -157,6 +165,7 @@ class Session:
             if trip is not None:
                 self.clock.heard(message.tc1 * 1e-9)
                 self.clock.answered(message.tc1 * 1e-9, trip)
+                self._answered(message.ts1)
         if self._grants is not None and self._grants.heard(message):
             return  # the clock's own mark says nothing of the link
         stamp = getattr(message, "time_boot_ms", None)
@@ -170,6 +179,15 @@ class Session:
         self.counts[kind] = self.counts.get(kind, 0) + 1
         for listener in tuple(self._listeners):
             listener(message, t_s)
+
+    def _answered(self, ts1: int) -> None:
+        """A question of ours was answered: the vehicle has received it, and what was sent before it."""
+        asked_s = self._asked_s.pop(ts1, None)
+        if asked_s is None:
+            return
+        self._asked_s = {t: s for t, s in self._asked_s.items() if s > asked_s}
+        self._answered_s = asked_s if self._answered_s is None else max(self._answered_s, asked_s)
+        self.mode_requests.answered(asked_s, self.clock.now_s())
 
     def _overtaken(self, heartbeat: Message) -> bool:
         """Whether a HEARTBEAT comes after one that was sent later: the mode it shows is over."""

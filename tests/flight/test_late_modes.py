@@ -1,0 +1,87 @@
+"""A mode that we asked for and the vehicle enters late, or is seen in late, is ours; any other is the pilot's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.link.requests import ModeRequests
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import book
+from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+
+GUIDED, NOGPS, LOITER = CopterMode.GUIDED, CopterMode.GUIDED_NOGPS, CopterMode.LOITER
+
+
+def first_request(link: FaultyLink, mode: CopterMode, count: int = 1) -> list[float]:
+    """When a mode was asked for the count-th time and later, filled while flying; a repeat within 1 s is the same request."""
+    times: list[float] = []
+    last = [-10.0]
+    seen = [0]
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() != "COMMAND_LONG" or message.command != book.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
+            return
+        if message.param2 == mode:  # type: ignore[attr-defined]
+            seen[0] += t_s - last[0] > 1.0
+            last[0] = t_s
+            if seen[0] >= count:
+                times.append(t_s)
+
+    link.hook = look
+    return times
+
+
+@pytest.mark.parametrize(
+    ("mode", "count", "lost_s"), [(NOGPS, 1, 3.2), (NOGPS, 1, 4.5), (GUIDED, 3, 5.5), (GUIDED, 3, 6.5)]
+)
+def test_a_mode_of_ours_that_is_seen_late_is_not_taken_for_a_pilots(
+    mode: CopterMode, count: int, lost_s: float, run_dir: Path
+) -> None:
+    """The vehicle hears us, and we do not hear it, from the request until after it was given up."""
+    link = FaultyLink(options())
+    asked = first_request(link, mode, count)
+    link.mute = lambda t: bool(asked) and asked[0] <= t < asked[0] + lost_s
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert asked
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert {leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN} == {"test/a/r1", "test/b/r1"}
+    assert not link.sim.vehicle.armed
+    assert not result.parameters_left
+
+
+def test_a_pilots_mode_after_a_late_one_of_ours_is_the_pilots(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    asked = first_request(link, NOGPS)
+    switched: list[float] = []
+
+    def mute(t_s: float) -> bool:
+        if asked and not switched and t_s > asked[0] + 2.0:
+            switched.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", float(LOITER))
+        return bool(asked) and asked[0] <= t_s < asked[0] + 3.2
+
+    link.mute = mute
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert link.sim.vehicle.mode == LOITER
+
+
+def test_a_request_stays_open_until_a_round_trip_closes_it() -> None:
+    requests = ModeRequests()
+    requests.sent(NOGPS, 10.0)
+    requests.answered(10.1, 10.2)  # asked too soon after: the request may come after it
+    assert requests.shows(GUIDED, 10.6) is False
+    assert requests.open == {NOGPS}
+    requests.sent(GUIDED, 11.0)
+    requests.answered(10.6, 11.1)
+    assert requests.shows(NOGPS, 11.2) is True, "as soon as it is seen"
+    assert requests.open == {NOGPS, GUIDED}
+    requests.shows(NOGPS, 11.5)
+    assert requests.open == {GUIDED}, "that a later question was answered says nothing of a later request"
+    requests.answered(11.5, 11.6)
+    assert requests.shows(GUIDED, 12.0) is True
+    assert requests.open == set()
+    assert requests.shows(GUIDED, 12.1) is False
