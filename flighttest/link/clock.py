@@ -16,6 +16,8 @@ from typing import Protocol
 _PACE_WINDOW_S = 2.0  # host seconds over which the pace is read
 _PERIOD_S = 1.0  # the least delayed stamp is looked for over one to two of these
 _REAL_TIME_TOLERANCE = 0.05  # a vehicle nearer to real time than this is a real one, and its pace exactly 1
+_LEAP_S = 5.0  # farther than this no delay of a link moves a stamp against those before
+_LEAP_STAMPS = 5  # that agree: one stamp alone is a damaged frame, or another vehicle's
 _DRIFT = 2e-4  # two crystals part by less than this
 
 
@@ -46,6 +48,13 @@ class Clock(Protocol):
     def keep_real_time(self) -> None:
         """The vehicle is known to be a real one: its clock runs as ours does, whatever the link makes of its stamps."""
 
+    def hold(self) -> None:
+        """From now on a leap of the vehicle's clock does not move this one: what waits for a time would be over at once."""
+
+    @property
+    def leap_s(self) -> float:
+        """How far the vehicle's clock has leapt since `hold`, s."""
+
     @property
     def pace(self) -> float:
         """Vehicle seconds per host second."""
@@ -68,6 +77,18 @@ class FollowedClock:
         # Of a real vehicle: (host, vehicle less host) by the least delayed stamp of all, which only drift makes older.
         self._ahead: tuple[float, float] | None = None
         self._real = False
+        self._held = False
+        self._leap_s = 0.0
+        self._leaping: list[tuple[float, float]] = []  # (host, vehicle) of stamps in a row that contradict those before
+
+    def hold(self) -> None:
+        """From now on a forward leap of the stamps is taken off them; where they go back, the vehicle was booted anew."""
+        self._held = True
+
+    @property
+    def leap_s(self) -> float:
+        """How far the vehicle's clock has leapt since `hold`, s."""
+        return self._leap_s
 
     def keep_real_time(self) -> None:
         """From now on the pace is 1, and a link that stalls or grows slower neither stops the clock nor sets it back."""
@@ -81,10 +102,18 @@ class FollowedClock:
     def heard(self, vehicle_s: float) -> None:
         """Follow a stamp: the least delayed of the last second or two sets the clock, since delays only ever add."""
         host = self._host_s()
-        if self._heard and vehicle_s < self._heard[-1][1] - 5.0:  # a reboot: begin anew
-            self._heard.clear()
-            self._best, self._latest_s, self._pace = (None, None), 0.0, 1.0
-            self._shift_s, self._quickest_s, self._ahead = 0.0, math.inf, None
+        vehicle_s -= self._leap_s
+        back = bool(self._heard) and vehicle_s < self._heard[-1][1] - _LEAP_S
+        if self._held and self._leaps(host, vehicle_s, back):
+            if len(self._leaping) < _LEAP_STAMPS:
+                return
+            self._leaping.clear()
+            if not back:
+                forward_s = vehicle_s - self._run_on(host)
+                self._leap_s += forward_s
+                vehicle_s -= forward_s
+        if back:  # a reboot
+            self._begin_anew()
         if self._real:
             drifted = -math.inf if self._ahead is None else self._ahead[1] - _DRIFT * (host - self._ahead[0])
             self._ahead = host, max(drifted, vehicle_s - host)
@@ -104,12 +133,34 @@ class FollowedClock:
         if present is None or vehicle_s >= present[1] + (host - present[0]) * self._pace:
             self._best = ((host, vehicle_s), self._best[1])
 
+    def _begin_anew(self) -> None:
+        self._heard.clear()
+        self._best, self._latest_s, self._pace = (None, None), 0.0, 1.0
+        self._shift_s, self._quickest_s, self._ahead = 0.0, math.inf, None
+        self._leap_s = 0.0
+
+    def _leaps(self, host: float, vehicle_s: float, back: bool) -> bool:
+        """Whether a stamp contradicts those before. `_leaping` has those in a row that do and agree with one another."""
+        far_s = _LEAP_S * max(self._pace, 1.0)
+        if not back and vehicle_s < self._run_on(host) + far_s:
+            self._leaping.clear()
+            return False
+        if self._leaping:
+            since, before = self._leaping[-1]
+            if abs(vehicle_s - before - (host - since) * self._pace) > far_s:
+                self._leaping.clear()
+        self._leaping.append((host, vehicle_s))
+        return True
+
     def answered(self, vehicle_s: float, round_trip_s: float) -> None:
         """Stamps alone run late by the shortest way here; the quickest round trip says by how much."""
         if self._pace != 1.0 or round_trip_s > 1.2 * self._quickest_s:
             return
         self._quickest_s = min(self._quickest_s, round_trip_s)
-        self._shift_s = max(vehicle_s + 0.5 * round_trip_s - (self._run_on(self._host_s()) - self._shift_s), 0.0)
+        vehicle_s -= self._leap_s
+        late_s = vehicle_s + 0.5 * round_trip_s - (self._run_on(self._host_s()) - self._shift_s)
+        if late_s < _LEAP_S:
+            self._shift_s = max(late_s, 0.0)
 
     def _run_on(self, host: float) -> float:
         if self._ahead is not None:
@@ -144,6 +195,14 @@ class GrantedClock:
 
     def keep_real_time(self) -> None:
         """A simulator in lock-step keeps its own."""
+
+    def hold(self) -> None:
+        """Stamps do not move this clock."""
+
+    @property
+    def leap_s(self) -> float:
+        """None is seen."""
+        return 0.0
 
     def heard(self, vehicle_s: float) -> None:
         """Stamps do not move this clock."""
