@@ -11,7 +11,7 @@ from flighttest.physics.model import Model
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.sources import open_recordings
 from flighttest.plan import Plan, compile_plan
-from flighttest.proof.cases import Generator
+from flighttest.proof.cases import Case, Generator
 from flighttest.recording.model import Recording
 from flighttest.script.load import parse_script
 from flighttest.segments import Segment, cut
@@ -66,6 +66,18 @@ class InProcessTransport:
 
     def close(self) -> None:
         """Nothing to close."""
+
+
+def options_of(case: Case, without: str = "", quiet: bool = False) -> SimOptions:
+    """The sealed vehicle of a case, or its twin without one of its effects, or without noise and gusts."""
+    return SimOptions(
+        airframe="rotor",
+        hide={k: dict(v) for k, v in case.hide.items() if k != without},
+        seed=case.flight_seed,
+        vehicle_seed=case.vehicle_seed,
+        noise=0.0 if quiet else case.noise,
+        gust_rms_m_s=0.0 if quiet else case.gust_rms_m_s,
+    )
 
 
 def fly_campaign(

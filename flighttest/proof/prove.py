@@ -15,7 +15,8 @@ import numpy as np
 from flighttest.datafiles import read_json
 from flighttest.errors import InputError
 from flighttest.proof.cases import Case, Generator, Kind, cases_of
-from flighttest.proof.trial import Outcome, run
+from flighttest.proof.outcome import Outcome
+from flighttest.proof.trial import run
 
 Tell = Callable[[str], None]
 

@@ -9,10 +9,10 @@ import flighttest
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.cases import Case, Generator, Kind
+from flighttest.proof.outcome import Outcome
 from flighttest.proof.prove import commit_of, read, write
 from flighttest.proof.prove import prove as run_trials
-from flighttest.proof.scoreboard import code_of, markdown, score, share
-from flighttest.proof.trial import Outcome
+from flighttest.proof.scoreboard import code_of, markdown, rates, score, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl_launcher import find_arducopter
 
@@ -61,17 +61,9 @@ def prove(
     )
     code = code_of(outcomes)
     found = score(outcomes)
-    rows = (
-        ("right class first", share(*found["first"])),
-        ("right class first where the base fit looks good", share(*found["absorbed"])),
-        ("false alarms on clean trials", share(*found["false_alarms"])),
-        ("two effects, both named", share(*found["pairs"])),
-        ("physics outside the catalogue, wrongly named", share(*found["outside_misnamed"])),
-        ("physics outside the catalogue, located", share(*found["outside_located"])),
-    )
     misses = tuple((str(m["index"]), m["hidden"], f"{m['size']:.1f}", m["why"]) for m in found["misses"])
     sections = (
-        Section("scoreboard", "Scoreboard", blocks=(Table(("what", "result"), rows),)),
+        Section("scoreboard", "Scoreboard", blocks=(Table(("what", "result"), tuple(rates(found))),)),
         Section("misses", "Misses", blocks=(Table(("trial", "hidden", "noise floors", "what happened"), misses),)),
     )
     verdict = f"{len(outcomes)} sealed trials of seed {used}: right class first in {share(*found['first'])}."

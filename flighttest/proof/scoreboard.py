@@ -1,9 +1,10 @@
-"""The scoreboard of sealed trials: counts with binomial intervals, power curve, confusion matrix, every miss with its reason."""
+"""The scoreboard of sealed trials: counts with binomial intervals, power curve, calibration, confusion, every miss with its reason."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -11,14 +12,17 @@ import numpy as np
 from scipy import stats
 
 from flighttest.proof.cases import Generator, Kind
-from flighttest.proof.trial import Outcome
+from flighttest.proof.outcome import BASE, Outcome
 
 COUNTS = 2.0  # noise floors an effect must have to count; below it is in the power curve only
 ABSENT = 0.5  # below this it is not there
 BINS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
+ODDS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
 HIGH_R2 = 0.95
 LEAST_COVERED, MOST_COVERED = 0.90, 0.99
+LEAST_FORCE_M_S2 = 0.02  # a true force below it is no measure of a magnitude
 NONE_FLOWN = "none flown"
+Counted = tuple[int, int]
 
 
 def interval(k: int, n: int) -> tuple[float, float]:
@@ -43,110 +47,192 @@ def right(outcome: Outcome, effect: str) -> bool:
     return bool(set(outcome.classes.get(effect, (effect,))) & set(outcome.named))
 
 
-def first_right(outcome: Outcome, effect: str) -> bool:
-    """Whether the class of a hidden effect ranks first."""
+def first_right(outcome: Outcome) -> bool:
+    """Whether the class of the (first) hidden effect ranks first."""
+    effect = next(iter(outcome.hide))
     return bool(outcome.named) and outcome.named[0] in outcome.classes.get(effect, (effect,))
+
+
+def wrong(outcome: Outcome) -> set[str]:
+    """What was named and neither hidden, however small, nor such that the oracle cannot tell it from what was."""
+    return set(outcome.named) - set(outcome.hide) - {i for c in outcome.classes.values() for i in c}
+
+
+@dataclass(frozen=True)
+class Groups:
+    """The trials that were flown, by what they are counted for. clean: nothing there, or too little; hiding: something of the catalogue,
+    of whatever size; single, pairs, outside: what is hidden is large enough to count."""
+
+    flown: Sequence[Outcome]
+    clean: Sequence[Outcome]
+    hiding: Sequence[Outcome]
+    single: Sequence[Outcome]
+    pairs: Sequence[Outcome]
+    outside: Sequence[Outcome]
+
+    @classmethod
+    def of(cls, outcomes: Sequence[Outcome]) -> Groups:
+        """Of all trials."""
+        flown = [o for o in outcomes if not o.error]
+        large = {kind: [o for o in flown if o.kind == kind and _all_count(o)] for kind in ("single", "pair", "outside")}
+        return cls(
+            flown,
+            [o for o in flown if all(s < ABSENT for s in o.sizes.values()) and o.kind != "outside"],
+            [o for o in flown if o.kind in ("single", "pair")],
+            large["single"],
+            large["pair"],
+            large["outside"],
+        )
+
+
+def _all_count(outcome: Outcome) -> bool:
+    return bool(outcome.sizes) and all(s >= COUNTS for s in outcome.sizes.values())
+
+
+def _count(outcomes: Sequence[Outcome], holds: Any) -> Counted:
+    """(of how many it holds, how many there are)."""
+    return sum(bool(holds(o)) for o in outcomes), len(outcomes)
 
 
 def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Every number of the scoreboard, as plain data."""
-    flown = [o for o in outcomes if not o.error]
-    clean = [o for o in flown if all(s < ABSENT for s in o.sizes.values()) and o.kind != "outside"]
-    single = [o for o in flown if o.kind == "single" and any(s >= COUNTS for s in o.sizes.values())]
-    pairs = [o for o in flown if o.kind == "pair" and sum(s >= COUNTS for s in o.sizes.values()) == 2]
-    outside = [o for o in flown if o.kind == "outside" and any(s >= COUNTS for s in o.sizes.values())]
-    first = [o for o in single if first_right(o, next(iter(o.hide)))]
-    absorbed = [o for o in single if o.base_r2 > HIGH_R2]
-    power = []
-    for low, high in pairwise(BINS):
-        inside = [(o, e) for o in flown if o.kind in ("single", "pair") for e, s in o.sizes.items() if low <= s < high]
-        power.append({"from": low, "to": high, "n": len(inside), "named": sum(right(o, e) for o, e in inside)})
-    ratios = [
-        found / true
-        for o in single
-        for e, (true, found) in o.forces.items()
-        if true > 0.02 and found > 0 and right(o, e)
-    ]
-    values = [v for o in single + pairs for e, v in o.values.items() if o.sizes.get(e, 0.0) >= COUNTS]
-    misses = [_relative(v) for v in values if any(true for true, _, _ in v.values())]
-    spans = [abs(found - true) <= 1.96 * std for v in values for true, found, std in v.values() if np.isfinite(std)]
-    # Wide intervals hold anything: how wide they are belongs beside how many hold.
-    widths = [std / abs(true) for v in values for true, _, std in v.values() if true and np.isfinite(std)]
-    gains = [o.gain for o in single + pairs if np.isfinite(o.gain)]
-    covered = [o.coverage for o in flown if np.isfinite(o.coverage)]
-    # Of whatever size: a wrong name is wrong beside a small effect, too.
-    hiding = [o for o in flown if o.kind in ("single", "pair")]
-    extra = sum(bool(set(o.named) - _hidden(o)) for o in hiding)
+    groups = Groups.of(outcomes)
     return {
         "trials": len(outcomes),
-        "flown": len(flown),
+        "flown": len(groups.flown),
         "not_flown": [{"index": o.index, "why": o.error} for o in outcomes if o.error],
-        "first": (len(first), len(single)),
-        "absorbed": (sum(first_right(o, next(iter(o.hide))) for o in absorbed), len(absorbed)),
-        "false_alarms": (sum(bool(set(o.named) - _hidden(o)) for o in clean), len(clean)),
-        "nothing_hidden": sum(o.kind == "clean" for o in clean),
-        "pairs": (sum(all(right(o, e) for e in o.hide) for o in pairs), len(pairs)),
-        "outside_misnamed": (sum(bool(o.named) for o in outside), len(outside)),
-        "outside_located": (sum(o.located for o in outside), len(outside)),
-        "extra_names": (extra, len(hiding)),
-        "force_ratio_median_error": float(np.median(np.abs(np.array(ratios) - 1))) if ratios else None,
-        "force_ratios": len(ratios),
-        "value_median_error": float(np.median(misses)) if misses else None,
-        "values": len(misses),
-        "values_inside": (sum(spans), len(spans)),
-        "value_median_std": float(np.median(widths)) if widths else None,
-        "coverage_mean": float(np.mean(covered)) if covered else None,
-        "coverage_within": (sum(LEAST_COVERED <= c <= MOST_COVERED for c in covered), len(covered)),
-        "gain_median": float(np.median(gains)) if gains else None,
-        "power": power,
-        "confusion": _confusion(single),
-        "misses": _misses(flown),
+        **_names(groups),
+        **_magnitudes(groups),
+        **_calibration(groups),
+        "power": _power(groups.hiding),
+        "confusion": _confusion(groups.single),
+        "misses": [miss for o in groups.flown for miss in _misses(o)],
     }
 
 
-def _relative(values: Mapping[str, tuple[float, float, float]]) -> float:
+def _names(groups: Groups) -> dict[str, Any]:
+    seen = [o for o in groups.outside if o.located is not None]
+    return {
+        "first": _count(groups.single, first_right),
+        "absorbed": _count([o for o in groups.single if o.base_r2 > HIGH_R2], first_right),
+        "false_alarms": _count(groups.clean, wrong),
+        "nothing_hidden": sum(o.kind == "clean" for o in groups.clean),
+        "pairs": _count(groups.pairs, lambda o: all(right(o, e) for e in o.hide)),
+        "outside_misnamed": _count(groups.outside, lambda o: o.named),
+        "outside_located": _count(seen, lambda o: o.located),
+        # Of whatever size: a wrong name is wrong beside a small effect, too.
+        "extra_names": _count(groups.hiding, wrong),
+    }
+
+
+def _magnitudes(groups: Groups) -> dict[str, Any]:
+    counted = [*groups.single, *groups.pairs]
+    forces = [(true, found) for o in groups.single for e, (true, found) in o.forces.items() if right(o, e)]
+    ratios = [abs(found / true - 1.0) for true, found in forces if true > LEAST_FORCE_M_S2 and found > 0]
+    named = [table for o in counted for table in o.values.values()]
+    errors = [_relative_error(table) for table in named if any(v[0] for v in table.values())]
+    return {
+        "force_ratio_median_error": _median(ratios),
+        "force_ratios": len(ratios),
+        "value_median_error": _median(errors),
+        "values": len(errors),
+        "gain_median": _median([o.gain for o in counted]),
+        "cpu_median_s": _median([o.cpu_s for o in groups.flown if o.cpu_s]),
+        "wall_median_s": _median([o.wall_s for o in groups.flown if o.wall_s]),
+    }
+
+
+def _calibration(groups: Groups) -> dict[str, Any]:
+    """Do intervals hold what they say, and are names as often right as they say?"""
+    counted = (*groups.single, *groups.pairs)
+    named = [(e, k, v) for o in counted for e, table in o.values.items() for k, v in table.items()]
+    base = [(BASE, k, v) for o in groups.clean for k, v in o.values.get(BASE, {}).items()]
+    named, base = ([v for v in table if np.isfinite(v[2][2:]).all()] for table in (named, base))
+    # Wide intervals hold anything: how wide they are belongs beside how many hold.
+    widths = [(v[3] - v[2]) / 2 / abs(v[0]) for _, _, v in named if v[0]]
+    by_parameter: dict[str, list[bool]] = {}
+    for effect, name, value in (*named, *base):
+        by_parameter.setdefault(f"{effect}: {name}", []).append(_holds(value))
+    stated = [
+        (p, t not in (wrong(o) if o.kind != "outside" else {t})) for o in groups.flown for t, p in o.probability.items()
+    ]
+    covered = [o.coverage for o in groups.flown if np.isfinite(o.coverage)]
+    return {
+        "values_inside": _inside(named),
+        "base_inside": _inside(base),
+        "value_median_width": _median(widths),
+        "inside_by_parameter": {k: (sum(v), len(v)) for k, v in sorted(by_parameter.items())},
+        "reliability": [
+            {
+                "from": low,
+                "to": high,
+                "stated": _mean([p for p, _ in some]),
+                "right": (sum(r for _, r in some), len(some)),
+            }
+            for low, high in pairwise(ODDS)
+            if (some := [(p, r) for p, r in stated if low < p <= high])
+        ],
+        "brier": _mean([(p - r) ** 2 for p, r in stated]),
+        "coverage_mean": _mean(covered),
+        "coverage_within": (sum(LEAST_COVERED <= c <= MOST_COVERED for c in covered), len(covered)),
+    }
+
+
+def _holds(value: tuple[float, float, float, float]) -> bool:
+    true, _, low, high = value
+    return low <= true <= high
+
+
+def _inside(values: Sequence[tuple[str, str, tuple[float, float, float, float]]]) -> Counted:
+    return sum(_holds(v) for _, _, v in values), len(values)
+
+
+def _relative_error(values: Mapping[str, tuple[float, float, float, float]]) -> float:
     """Largest relative error of an effect's parameters, of those that are not zero."""
-    return max(abs(found / true - 1.0) for true, found, _ in values.values() if true)
+    return max(abs(v[1] / v[0] - 1.0) for v in values.values() if v[0])
+
+
+def _median(values: Sequence[float]) -> float | None:
+    known = [v for v in values if np.isfinite(v)]
+    return float(np.median(known)) if known else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+def _power(hiding: Sequence[Outcome]) -> list[dict[str, Any]]:
+    power = []
+    for low, high in pairwise(BINS):
+        inside = [(o, e) for o in hiding for e, s in o.sizes.items() if low <= s < high]
+        power.append({"from": low, "to": high, "n": len(inside), "named": sum(right(o, e) for o, e in inside)})
+    return power
 
 
 def _confusion(single: Sequence[Outcome]) -> list[dict[str, Any]]:
-    table: dict[tuple[str, str], int] = {}
-    for o in single:
-        key = next(iter(o.hide)), (o.named[0] if o.named else "nothing")
-        table[key] = table.get(key, 0) + 1
+    table = Counter((next(iter(o.hide)), o.named[0] if o.named else "nothing") for o in single)
     return [{"hidden": h, "named": n, "count": c} for (h, n), c in sorted(table.items())]
 
 
-def _misses(flown: Sequence[Outcome]) -> list[dict[str, Any]]:
-    found = []
-    for o in flown:
-        for e, size in o.sizes.items():
-            if o.kind in ("single", "pair") and size >= COUNTS and not right(o, e):
-                why = "named nothing" if not o.named else f"named {', '.join(o.named)}"
-                found.append(
-                    {"index": o.index, "hidden": e, "size": size, "why": why, "class": list(o.classes.get(e, ()))}
-                )
-        if not o.sizes and o.kind == "clean" and o.named:
-            found.append(
-                {"index": o.index, "hidden": "nothing", "size": 0.0, "why": f"named {', '.join(o.named)}", "class": []}
-            )
-        if o.kind == "outside" and o.named:
-            found.append(
-                {"index": o.index, "hidden": next(iter(o.hide)), "size": max(o.sizes.values(), default=0.0),
-                 "why": f"named {', '.join(o.named)}", "class": []}
-            )  # fmt: skip
-    return found
-
-
-def _hidden(outcome: Outcome) -> set[str]:
-    """What may rightly be named: what was hidden, however small, and what the oracle cannot tell from it."""
-    return set(outcome.hide) | {i for c in outcome.classes.values() for i in c}
+def _misses(outcome: Outcome) -> Iterator[dict[str, Any]]:
+    """What should have been named and was not; what should not have been and was."""
+    why = f"named {', '.join(outcome.named) or 'nothing'}"
+    if outcome.kind in ("single", "pair"):
+        missed = [(e, s) for e, s in outcome.sizes.items() if s >= COUNTS and not right(outcome, e)]
+    elif outcome.named:
+        missed = [(next(iter(outcome.hide), "nothing"), max(outcome.sizes.values(), default=0.0))]
+    else:
+        missed = []
+    for effect, size in missed:
+        alike = list(outcome.classes.get(effect, ())) if outcome.kind != "outside" else []
+        yield {"index": outcome.index, "hidden": effect, "size": size, "why": why, "class": alike}
 
 
 def markdown(outcomes: Sequence[Outcome], seed: int, generator: Generator = "rotor", kind: Kind | None = None) -> str:
     """docs/proof.md; kind: the only one of the trials."""
     s = score(outcomes)
     alone = f" of kind `{kind}`" if kind else ""
+    misses = [f"- trial {m['index']}: {m['hidden']} ({m['size']:.1f} floors): {m['why']}" for m in s["misses"]]
     lines = [
         "# Proof",
         "",
@@ -154,26 +240,27 @@ def markdown(outcomes: Sequence[Outcome], seed: int, generator: Generator = "rot
         "written apart and hashed before the diagnosis began.",
         "",
         f"- generator: `{generator}`; seed {seed}; {s['trials']} trials{alone}, {s['flown']} flown; code: {code_of(outcomes)}",
-        *(f"- {what}: {found}" for what, found in _rates(s) if not found.startswith(NONE_FLOWN)),
+        *(f"- {what}: {found}" for what, found in rates(s)),
         "",
         *(_tables(s) if any(p["n"] for p in s["power"]) else ()),
         "## Misses",
         "",
-        *(
-            [f"- trial {m['index']}: {m['hidden']} ({m['size']:.1f} floors): {m['why']}" for m in s["misses"]]
-            or ["None."]
+        *(misses or ["None."]),
+        "",
+        *_table(
+            "Seals",
+            ("trial", "SHA-256 of the truth", "hidden", "size, floors", "named"),
+            [
+                (
+                    o.index,
+                    f"`{o.sha256[:16]}`",
+                    ", ".join(o.hide) or "nothing",
+                    ", ".join(f"{v:.1f}" for v in o.sizes.values()) or "-",
+                    ", ".join(o.named) or o.error or "nothing",
+                )
+                for o in outcomes
+            ],
         ),
-        "",
-        "## Seals",
-        "",
-        "| trial | SHA-256 of the truth | hidden | size, floors | named |",
-        "|---|---|---|---|---|",
-        *(
-            f"| {o.index} | `{o.sha256[:16]}` | {', '.join(o.hide) or 'nothing'} | "
-            f"{', '.join(f'{v:.1f}' for v in o.sizes.values()) or '-'} | {', '.join(o.named) or o.error or 'nothing'} |"
-            for o in outcomes
-        ),
-        "",
     ]
     return "\n".join(lines)
 
@@ -184,45 +271,76 @@ def code_of(outcomes: Sequence[Outcome]) -> str:
     return next(iter(counts), "") if len(counts) < 2 else ", ".join(f"{c} ({n} trials)" for c, n in counts.items())
 
 
-def _rates(s: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    yield f"right class first (effect at least {COUNTS:g} noise floors after the refit)", share(*s["first"])
-    yield f"the same where the base fit alone has R2 above {HIGH_R2}", share(*s["absorbed"])
+def rates(s: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What `score` found, in words; only what there is."""
+    first = f"right class first (effect at least {COUNTS:g} noise floors after the refit)"
     clean = f"false alarms on clean trials (nothing hidden in {s['nothing_hidden']}, else less than {ABSENT:g} noise floors)"
-    yield clean, share(*s["false_alarms"])
-    yield "two effects, both named", share(*s["pairs"])
-    yield "physics outside the catalogue, wrongly named", share(*s["outside_misnamed"])
-    yield "physics outside the catalogue, located", share(*s["outside_located"])
-    yield "something named that was not hidden, where something was", share(*s["extra_names"])
-    if s["force_ratios"]:
-        error = _percent(s["force_ratio_median_error"])
-        yield "magnitude (RMS force the base model leaves)", f"median error {error} over {s['force_ratios']} effects"
-    if s["values"]:
-        error = _percent(s["value_median_error"])
-        yield "worst parameter of a named effect", f"median error {error} over {s['values']} effects"
-        width = _percent(s["value_median_std"])
-        inside = f"{share(*s['values_inside'])}; standard error {width} of the value in the median"
-        yield "parameters of named effects inside their 95 % intervals", inside
-    if s["gain_median"] is not None:
-        yield "of the error above the noise floor on held-out steps, gone", f"median {_percent(s['gain_median'])}"
-    if s["coverage_mean"] is not None:
-        covered = f"between {LEAST_COVERED:.0%} and {MOST_COVERED:.0%} in {share(*s['coverage_within'])}"
-        yield (
-            "held-out repeats inside the 95 % intervals of the diagnosed model",
-            f"mean {_percent(s['coverage_mean'])}; {covered}",
-        )
+    counts = (
+        (first, s["first"], ""),
+        (f"the same where the base fit alone has R2 above {HIGH_R2}", s["absorbed"], ""),
+        (clean, s["false_alarms"], ""),
+        ("two effects, both named", s["pairs"], ""),
+        ("physics outside the catalogue, wrongly named", s["outside_misnamed"], ""),
+        ("physics outside the catalogue, located", s["outside_located"], ""),
+        ("something named that was not hidden, where something was", s["extra_names"], ""),
+        (
+            "parameters of named effects inside their 95 % intervals",
+            s["values_inside"],
+            f"; half an interval is {_percent(s['value_median_width'])} of the value in the median",
+        ),
+        ("parameters of the base model inside their 95 % intervals, clean trials", s["base_inside"], ""),
+        (
+            f"held-out repeats between {LEAST_COVERED:.0%} and {MOST_COVERED:.0%} inside the 95 % intervals of the diagnosed model",
+            s["coverage_within"],
+            f"; mean {_percent(s['coverage_mean'])}",
+        ),
+    )
+    medians = (
+        (
+            "magnitude (RMS force the base model leaves)",
+            s["force_ratio_median_error"],
+            f"median error {_percent(s['force_ratio_median_error'])} over {s['force_ratios']} effects",
+        ),
+        (
+            "worst parameter of a named effect",
+            s["value_median_error"],
+            f"median error {_percent(s['value_median_error'])} over {s['values']} effects",
+        ),
+        (
+            "of the error above the noise floor on held-out steps, gone",
+            s["gain_median"],
+            f"median {_percent(s['gain_median'])}",
+        ),
+        ("mean square of (probability stated - right or not)", s["brier"], f"{s['brier'] or 0.0:.3f}"),
+        (
+            "processor time of a diagnosis",
+            s["cpu_median_s"],
+            f"median {s['cpu_median_s'] or 0.0:.0f} s ({s['wall_median_s'] or 0.0:.0f} s of wall time)",
+        ),
+    )
+    told = [(what, share(*found) + more) for what, found, more in counts if found[1]]
+    return told + [(what, text) for what, known, text in medians if known is not None]
 
 
 def _tables(s: Mapping[str, Any]) -> Iterator[str]:
-    yield from ("## Power", "", "| effect size, noise floors | hidden | named |", "|---|---|---|")
-    yield from (f"| {p['from']:g} to {p['to']:g} | {p['n']} | {share(p['named'], p['n'])} |" for p in s["power"])
-    yield from (
-        "",
-        "## Confusion (single effects that count)",
-        "",
-        "| hidden | named first | trials |",
-        "|---|---|---|",
-    )
-    yield from (f"| {c['hidden']} | {c['named']} | {c['count']} |" for c in s["confusion"])
+    power = [(f"{p['from']:g} to {p['to']:g}", p["n"], share(p["named"], p["n"])) for p in s["power"]]
+    yield from _table("Power", ("effect size, noise floors", "hidden", "named"), power)
+    if s["reliability"]:
+        odds = [
+            (f"{100 * r['from']:g} to {100 * r['to']:g} %", _percent(r["stated"]), share(*r["right"]))
+            for r in s["reliability"]
+        ]
+        yield from _table("Reliability", ("probability stated", "mean", "right"), odds)
+    if s["inside_by_parameter"]:
+        held = [(name, share(*found)) for name, found in s["inside_by_parameter"].items()]
+        yield from _table("Coverage", ("parameter", "inside its 95 % interval"), held)
+    confusion = [(c["hidden"], c["named"], c["count"]) for c in s["confusion"]]
+    yield from _table("Confusion (single effects that count)", ("hidden", "named first", "trials"), confusion)
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[str]:
+    yield from (f"## {title}", "", f"| {' | '.join(head)} |", f"|{'---|' * len(head)}")
+    yield from (f"| {' | '.join(map(str, row))} |" for row in rows)
     yield ""
 
 

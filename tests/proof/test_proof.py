@@ -13,9 +13,9 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.proof import proving, trial
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
+from flighttest.proof.outcome import Outcome, closed_loop_pole_s
 from flighttest.proof.prove import prove
 from flighttest.proof.scoreboard import interval, markdown, score
-from flighttest.proof.trial import Outcome
 from flighttest.sim.options import SimOptions
 from flighttest.sim.rotor_effects import EFFECTS
 from flighttest.sim.rotor_vehicle import random_rotor
@@ -208,15 +208,24 @@ def test_no_trials_prove_nothing():
 
 def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_both_have():
     """An effect's parameters count at its worst; zero ones count only in the intervals."""
-    values = {"steady_wind": {"w_north": (2.0, 1.8, 0.2), "w_west": (-1.0, -1.05, 0.1), "w_up": (0.0, 0.5, 0.1)}}
+    values = {
+        "steady_wind": {
+            "w_north": (2.0, 1.8, 1.6, 2.0),
+            "w_west": (-1.0, -1.05, -1.25, -0.85),
+            "w_up": (0.0, 0.5, 0.3, 0.7),
+        }
+    }
     more = {"forces": {"steady_wind": (0.5, 0.45)}, "values": values, "base_r2": 0.9, "gain": 0.5, "coverage": 0.95}
     seen = outcome(0, "single", ["steady_wind"], ["steady_wind"], **more)
-    small = replace(seen, index=1, sizes={"steady_wind": 1.0}, values={"steady_wind": {"w_north": (2.0, 9.0, 0.1)}})
+    small = replace(
+        seen, index=1, sizes={"steady_wind": 1.0}, values={"steady_wind": {"w_north": (2.0, 9.0, 8.8, 9.2)}}
+    )
     found = score([seen, small])
     assert found["force_ratio_median_error"] == pytest.approx(0.1)
     assert (found["value_median_error"], found["values"]) == (pytest.approx(0.1), 1)
     assert found["values_inside"] == (2, 3)
-    assert found["value_median_std"] == pytest.approx(0.1)
+    assert found["value_median_width"] == pytest.approx(0.15)
+    assert found["inside_by_parameter"]["steady_wind: w_up"] == (0, 1)
     assert Outcome.from_json(json.loads(json.dumps(seen.to_json()))) == seen
     assert "worst parameter of a named effect: median error 10 % over 1 effects" in markdown([seen], seed=0)
 
@@ -235,7 +244,7 @@ def test_a_lag_within_the_hidden_loops_is_compared_as_the_pole_it_makes_of_them(
         ]
         poles = np.linalg.eigvals(np.array(a))
         taus.append(-1.0 / max(p.real for p in poles if abs(p.imag) < 1e-6))
-    assert trial._closed_loop_pole_s(vehicle, lag_s) == pytest.approx(np.mean(taus), rel=1e-6)
+    assert closed_loop_pole_s(vehicle, lag_s) == pytest.approx(np.mean(taus), rel=1e-6)
 
 
 def test_a_campaign_without_a_step_is_no_trial(monkeypatch):
@@ -245,3 +254,23 @@ def test_a_campaign_without_a_step_is_no_trial(monkeypatch):
     flown = trial.run(draw(5, 3))
     assert flown.error.startswith("no step of the campaign was flown")
     assert "1 trials, 0 flown" in markdown([flown], seed=5)
+
+
+def test_probabilities_stated_beside_names_are_held_against_how_often_the_names_are_right():
+    sure = [
+        outcome(
+            k, "single", ["updraft"], ["updraft" if k else "swirl"], probability={"updraft" if k else "swirl": 0.93}
+        )
+        for k in range(4)
+    ]
+    unsure = outcome(4, "clean", named=["steady_wind"], probability={"steady_wind": 0.6})
+    elsewhere = outcome(5, "outside", ["swirl"], ["steady_wind"], probability={"steady_wind": 0.7})
+    found = score([*sure, unsure, elsewhere])
+    assert [(r["from"], r["right"], r["stated"]) for r in found["reliability"]] == [
+        (0.5, (0, 2), pytest.approx(0.65)),
+        (0.9, (3, 4), pytest.approx(0.93)),
+    ]
+    assert found["brier"] == pytest.approx((3 * 0.07**2 + 0.93**2 + 0.6**2 + 0.7**2) / 6)
+    text = markdown([*sure, unsure], seed=1)
+    assert "| 90 to 95 % | 93 % | 3 of 4, 75 %" in text
+    assert "## Reliability" not in markdown([outcome(0, "single", ["swirl"], ["swirl"])], seed=1)

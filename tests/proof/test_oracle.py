@@ -1,0 +1,85 @@
+"""The oracle against flights whose equations are known: the paper's, with and without something more."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from flighttest.proof import oracle
+from flighttest.proof.oracle import Noise
+from flighttest.segments import Segment
+
+G = 9.80665
+THETA = {"sigma": 14.0, "K": 48.0, "alpha": 1.5, "T": 0.083, "drag": np.array([0.3, 0.25, 0.4])}
+
+
+def response(k, lift=0.0, noise=0.0, wind=0.0):
+    """A throttle step under tilt: dynamics integrated by scipy, inputs and attitude prescribed."""
+    low, high, heading = (0.15, 0.2)[k % 2], (0.25, 0.3, 0.35)[k % 3], 0.7 * k
+    t = np.arange(-0.3, 1.2, 0.01)
+    roll, pitch = 0.2 * np.sin(2 * t + k), 0.3 * np.cos(1.5 * t - k)
+    volts = 22.0 - 0.1 * k + 0 * t
+
+    def turn(s):
+        return oracle._rotation(*(np.interp(s, t, a) for a in (roll, pitch, heading + 0 * t)))
+
+    def forces(s, v, a):
+        air = turn(s).T @ (v - [wind, 0.0, 0.0])
+        return -THETA["drag"] * air + [0.0, 0.0, a * (1 + lift * (air[0] ** 2 + air[1] ** 2))]
+
+    def rate(s, x, throttle):
+        command = THETA["K"] * (np.interp(s, t, volts) / 22.2) ** THETA["alpha"] * throttle
+        return [*(turn(s) @ forces(s, x[:3], x[3]) - [0, 0, G]), THETA["sigma"] * (command - x[3])]
+
+    x, at = [np.array([1.0, -0.5, 0.2, THETA["K"] * low])], THETA["T"]
+    before, after = t[t < at], t[t >= at]
+    first = solve_ivp(rate, (t[0], at), x[0], t_eval=before, args=(low,), rtol=1e-8, atol=1e-9)
+    end = solve_ivp(rate, (t[0], at), x[0], args=(low,), rtol=1e-8, atol=1e-9).y[:, -1]
+    second = solve_ivp(rate, (at, t[-1]), end, t_eval=after, args=(high,), rtol=1e-8, atol=1e-9)
+    x = np.concatenate([first.y, second.y], axis=1).T
+    f = np.array([forces(s, row[:3], row[3]) for s, row in zip(t, x, strict=True)])
+    rng = np.random.default_rng(k)
+    y = {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": heading + 0 * t, "voltage_v": volts}
+    y |= {f"f_{a}_m_s2": f[:, i] + noise * 0.1 * rng.standard_normal(t.size) for i, a in enumerate("xyz")}
+    y |= {f"v_{a}_m_s": x[:, i] + noise * 0.02 * rng.standard_normal(t.size) for i, a in enumerate("xyz")}
+    u = {"throttle": (np.array([-1.0, 0.0]), np.array([low, high]))}
+    return Segment(f"step{k}", "run", "throttle_step", {"throttle_0": low, "throttle_1": high}, 1, 0.0, t, y, u)
+
+
+def flight(**more):
+    return [response(k, **more) for k in range(6)]
+
+
+NOISE = Noise({c: 0.1 if c.startswith("f") else 0.02 for c in oracle._Translation.channels}, {"translation": 0.03})
+
+
+def test_of_the_papers_own_equations_nothing_is_left():
+    left = oracle.left(flight(), NOISE, 22.2)
+    assert set(left.residual) == {(f"step{k}", c) for k in range(6) for c in oracle._Translation.channels}
+    assert max(float(np.sqrt(np.mean(x**2))) / NOISE.std[c] for (c, _), x in left.places().items()) < 0.1
+
+
+def test_noise_is_what_was_added():
+    noise = oracle.noise_of(flight(noise=1.0), flight(), 22.2)
+    # Of white noise at 100 Hz every second sample is compared; what locals and parameters take is small.
+    assert noise.std["f_x_m_s2"] == pytest.approx(0.1, rel=0.1)
+    assert noise.std["v_z_m_s"] == pytest.approx(0.02, rel=0.15)
+
+
+def test_an_effect_counts_by_what_no_base_parameter_copies_and_is_told_from_another():
+    quiet = oracle.left(flight(), NOISE, 22.2)
+    lift, twice, wind = (
+        oracle.left(flight(**more), NOISE, 22.2).less(quiet) for more in ({"lift": 0.01}, {"lift": 0.02}, {"wind": 2.0})
+    )
+    size = oracle.size_in_floors(lift, NOISE)
+    assert size > 0.5
+    assert oracle.size_in_floors(twice, NOISE) == pytest.approx(2 * size, rel=0.2)
+    assert oracle.force_left(twice) == pytest.approx(2 * oracle.force_left(lift), rel=0.2)
+    assert oracle.cosine(lift, twice, NOISE) > 0.98
+    assert oracle.cosine(lift, wind, NOISE) < 0.8
+
+
+def test_another_size_of_a_base_parameter_is_no_effect(monkeypatch):
+    quiet = oracle.left(flight(), NOISE, 22.2)
+    monkeypatch.setitem(THETA, "K", 60.0)
+    monkeypatch.setitem(THETA, "sigma", 9.0)
+    assert oracle.size_in_floors(oracle.left(flight(), NOISE, 22.2).less(quiet), NOISE) < 0.1
