@@ -36,6 +36,7 @@ from flighttest.proof.outcome import Outcome
 from flighttest.proof.scoreboard import rates, right, score, wrong
 from flighttest.proof.trial import Measured, opened
 from flighttest.segments import Segment, cut
+from flighttest.sim import SimOptions
 
 ANSWERS = Path(__file__).with_name("frozen_answers.jsonl")
 NOT_OF_THE_ANSWER = ("sim", "proof", "cli", "flight", "link", "report")  # packages a diagnosis does not depend on
@@ -82,9 +83,14 @@ def code() -> str:
 
 
 def fly(case: Case, run: Path) -> None:
-    """The run folder of a case, without its raw log, which no diagnosis reads."""
+    """The run folder of a case."""
+    fly_to(run, options_of(case))
+
+
+def fly_to(run: Path, options: SimOptions) -> None:
+    """A run folder, there only when it is whole; without its raw log, which no diagnosis reads."""
     part = run.with_name(f"{run.name}.part{os.getpid()}")
-    fly_campaign(options_of(case), part)
+    fly_campaign(options, part)
     (part / "raw.tlog").unlink()
     part.rename(run)
 

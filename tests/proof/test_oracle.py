@@ -83,3 +83,35 @@ def test_another_size_of_a_base_parameter_is_no_effect(monkeypatch):
     monkeypatch.setitem(THETA, "K", 60.0)
     monkeypatch.setitem(THETA, "sigma", 9.0)
     assert oracle.size_in_floors(oracle.left(flight(), NOISE, 22.2).less(quiet), NOISE) < 0.1
+
+
+def tilt(k, third_pole_s=0.0):
+    """Roll and pitch steps of two loops of the second order, behind a lag of their reference."""
+    t, omega, zeta, delay = np.arange(-0.3, 1.5, 0.01), (12.0, 9.0), (0.6, 0.8), 0.07
+    size = 0.2 + 0.1 * (k % 3)
+    y, u = {}, {"throttle": (np.array([-1.0]), np.array([0.25]))}
+    for i, axis in enumerate(("roll", "pitch")):
+        step = size if i == k % 2 else 0.0
+
+        def rate(s, x, i=i, step=step):
+            asked = step if s >= delay else 0.0
+            slow = (asked - x[2]) / max(third_pole_s, 1e-3)
+            return [x[1], omega[i] ** 2 * (x[2] - x[0]) - 2 * zeta[i] * omega[i] * x[1], slow]
+
+        x = solve_ivp(rate, (t[0], t[-1]), [0.02, 0.1, 0.0], t_eval=t, max_step=2e-3, rtol=1e-8).y
+        y[f"{axis}_rad"] = x[0]
+        u[f"{axis}_ref_rad"] = (np.array([-1.0, 0.0]), np.array([0.0, step]))
+    y |= dict.fromkeys(("yaw_rad", *oracle._Translation.channels), 0.0 * t) | {"voltage_v": 22.0 + 0.0 * t}
+    y["f_z_m_s2"] = 9.8 + 0.0 * t
+    kind = ("roll_step", "pitch_step")[k % 2]
+    return Segment(f"tilt{k}", "run", kind, {"amplitude_rad": size}, 1, 0.0, t, y, u)
+
+
+def test_loops_of_the_second_order_leave_nothing_and_a_third_pole_does():
+    noise = Noise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
+    sizes = {}
+    for pole in (0.0, 0.05):
+        left = oracle.left([tilt(k, pole) for k in range(4)], noise, 22.2)
+        angles = {k: x for k, x in left.places().items() if k[0] in ("roll_rad", "pitch_rad")}
+        sizes[pole] = max(float(np.sqrt(np.mean(x**2))) / noise.std[c] for (c, _), x in angles.items())
+    assert sizes[0.05] > 1.0 > 5 * sizes[0.0]
