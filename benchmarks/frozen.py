@@ -165,8 +165,10 @@ def comparison(before: Mapping[str, Outcome], after: Mapping[str, Outcome]) -> I
         word = "worse" if grade < 0 else "better" if grade > 0 else "other"
         hidden = ", ".join(f"{e} {o.sizes.get(e, 0.0):.1f}" for e in o.hide) or "nothing"
         yield f"- {word}: {k} ({o.kind}; hidden: {hidden}): {_in_words(o)} -> {_in_words(n)}"
-    for what, found in score(list(after.values()))["inside_by_parameter"].items():
-        yield f"{'coverage: ' if found[0] < found[1] else 'covered: '}{what} {found[0]} of {found[1]}"
+    held = [score(some)["inside_by_parameter"] for some in (old, new, [after[k] for k in shared])]
+    yield "\n| parameters inside their 95 % interval | reference | now, where the reference knows it | now |\n|---|---|---|---|"
+    for what in sorted({w for h in held for w in h}):
+        yield f"| {what} | {' | '.join('{} of {}'.format(*h[what]) if what in h else '-' for h in held)} |"
 
 
 def _grade(outcome: Outcome) -> int:
