@@ -1,10 +1,13 @@
 """The oracle against flights whose equations are known: the paper's, with and without something more."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from flighttest.proof import oracle
+from flighttest.proof import oracle, trial
+from flighttest.proof.cases import draw
 from flighttest.proof.oracle import Noise
 from flighttest.segments import Segment
 
@@ -115,3 +118,30 @@ def test_loops_of_the_second_order_leave_nothing_and_a_third_pole_does():
         angles = {k: x for k, x in left.places().items() if k[0] in ("roll_rad", "pitch_rad")}
         sizes[pole] = max(float(np.sqrt(np.mean(x**2))) / noise.std[c] for (c, _), x in angles.items())
     assert sizes[0.05] > 1.0 > 5 * sizes[0.0]
+
+
+def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypatch):
+    """Of two effects each has its own twin; the size that the tool claims stands beside the true one."""
+    case = replace(draw(5, 3), hide={"translational_lift": {"k_lift": 0.02}, "steady_wind": {"w_north": 1.0}})
+    flown = []
+
+    def stub(options, _folder, _generator):
+        flown.append((set(options.hide), options.noise, options.gust_rms_m_s))
+        lift, wind = 0.02 * ("translational_lift" in options.hide), 1.0 * ("steady_wind" in options.hide)
+        return tuple(flight(lift=lift, wind=wind, noise=options.noise))
+
+    monkeypatch.setattr(trial, "fly_campaign", stub)
+    measured = trial.measure(case, flight(lift=0.02, wind=1.0, noise=1.0))
+    assert flown == [
+        ({"translational_lift", "steady_wind"}, 0.0, 0.0),
+        ({"steady_wind"}, 0.0, 0.0),
+        ({"translational_lift"}, 0.0, 0.0),
+    ]
+    assert measured.sizes["translational_lift"] > measured.sizes["steady_wind"] > 0.0
+    evidence = {"rms_force_left_m_s2": 0.3, "delta_bic": -9.0}
+    named = {"term": "translational_lift", "parameters": {}, "rivals": [], "evidence": evidence}
+    found = {"findings": [named], "verdict": "PARTLY", "located": [], "after": {}, "heldout": {}, "baselines": {}}
+    outcome = trial.opened(case, found, measured)
+    assert outcome.forces["translational_lift"] == (measured.forces["translational_lift"], 0.3)
+    assert outcome.forces["steady_wind"][1] == 0.0
+    assert trial.measure(replace(case, hide={}), ()) == trial.Measured()
