@@ -29,6 +29,7 @@ class FitStatus(Enum):
     AT_BOUND = "the estimate converged with a parameter at its bound; see which, and what would make it known"
     NO_DESCENT = "no step lowers the error any further, though it is not small; treat the intervals with care"
     MAX_ITERATIONS = "the solver stopped before it converged; check the segments and the start values"
+    DIVERGED = "the simulated responses are not finite at the start values"
 
     @property
     def good(self) -> bool:
@@ -75,7 +76,8 @@ class Space:
 
 
 class Point(Protocol):
-    """Where the loop stands. theta (p,); stale: whether the Jacobian is that of a point close by."""
+    """Where the loop stands. theta (p,); stale: whether the Jacobian is that of a point close by; finite: whether residuals and Jacobian
+    are numbers that can be squared and summed."""
 
     @property
     def theta(self) -> FloatArray:
@@ -84,6 +86,10 @@ class Point(Protocol):
     @property
     def stale(self) -> bool:
         """Whether the Jacobian is another point's."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether a step can be computed from here."""
 
 
 P = TypeVar("P", bound=Point)
@@ -172,14 +178,17 @@ def minimise(
     limits = tolerances or Tolerances()
     now, damping, status, iteration, flat = start, 1e-3, FitStatus.MAX_ITERATIONS, 0, 0
     insensitive = np.zeros(start.theta.size, dtype=bool)
+    if not start.finite:
+        nothing = np.ones(start.theta.size, dtype=bool)
+        return Minimum(start, FitStatus.DIVERGED, nothing, ~nothing, 0)
     for iteration in range(1, max_iterations + 1):
         settled = objective.learn(now, iteration)
         quadratic = _QuadraticModel.at(now, objective, space)
         insensitive = quadratic.insensitive
         full_step = space.moved(now.theta, quadratic.step(1e-9)) - now.theta
         trial, new_cost, damping = _descend(now, quadratic, objective, space, damping, limits.chord)
-        if trial is None and now.stale:
-            now = objective.refreshed(now)
+        if trial is None and now.stale and (fresh := objective.refreshed(now)).finite:
+            now = fresh
             continue
         if trial is None:
             status = FitStatus.CONVERGED if quadratic.small(full_step, limits.end) else FitStatus.NO_DESCENT
@@ -189,9 +198,9 @@ def minimise(
         old_jacobian, now = now.stale, trial
         near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
         if still and near and settled and iteration >= least_iterations:
-            if old_jacobian:
+            if old_jacobian and (fresh := objective.refreshed(now)).finite:
                 # Where steps with an old Jacobian end is not the minimum: one step with its own decides.
-                now = objective.refreshed(now)
+                now = fresh
                 continue
             status = FitStatus.CONVERGED
             break
@@ -212,7 +221,7 @@ def _descend(
         near = bool(quadratic.active.size) and quadratic.small(target - now.theta, chord)
         trial = objective.stepped(now, target, quadratic.nuisance, jacobian=not near)
         cost = objective.cost(trial)
-        if np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
+        if trial.finite and np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
             return trial, cost, damping
         if now.stale:
             break

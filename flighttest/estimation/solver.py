@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.errors import FitError
 from flighttest.estimation.gauss_newton import MAX_ITERATIONS, FitStatus, Space, minimise
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_std
 from flighttest.estimation.weighing import Normal, State, Weighing
@@ -156,10 +157,25 @@ def solve(
         noise=weighing.noise,
         response_weight=weighing.response,
         evaluations=tuple(now.made),
-        normal=weighing.normal_equations(now, names)[0],
-        cost=weighing.cost(now),
+        normal=weighing.normal_equations(now, names)[0] if now.finite else _no_information(problem, names),
+        cost=weighing.cost(now) if now.finite else float("inf"),
         iterations=found.iterations,
     )
+
+
+def finite_or_error(solution: Solution) -> Solution:
+    """The solution itself. FitError where nothing could be computed from its start."""
+    if solution.status is FitStatus.DIVERGED:
+        raise FitError(
+            "the model's responses to these segments are not finite",
+            "see `flighttest segment` for what was used, and look for absurd values in the references and measurements",
+        )
+    return solution
+
+
+def _no_information(problem: Problem, names: tuple[str, ...]) -> Normal:
+    n, p = len(problem.segments), len(names)
+    return Normal(names, np.zeros((n, p, p)), np.zeros((n, p)))
 
 
 def _settled(before: Noise, after: Noise) -> bool:

@@ -18,6 +18,10 @@ FEWEST_REPEATS = (
     8  # beyond the first of each cell: a variance of fewer is known to less than a factor of two (chi-square, 90 %)
 )
 SPIKE_STDS = 5.0  # a sample further out than this is weighted down
+LARGEST = (
+    1e12  # SI units: no residual or sensitivity of an aircraft comes near, one of a simulation that diverged passes it
+)
+RIDGE = 1e-14  # of the largest entry: what rounding leaves of the others is no larger
 _START_NOISE = {"m/s^2": 0.3, "m/s": 0.1, "rad": 0.01, "rad/s": 0.05}
 _STD_FLOOR = {"m/s^2": 1e-3, "m/s": 5e-4, "rad": 5e-5, "rad/s": 2e-4}
 _START_DISTURBANCE = {"m_s2": 0.1, "rad": 0.01, "rad_s": 0.02}
@@ -51,6 +55,11 @@ class State:
     local: list[FloatArray]
     made: list[PartEvaluation]
     stale: bool = False  # whether the Jacobian is that of a point close by
+
+    @property
+    def finite(self) -> bool:
+        """Whether a step can be computed from here: residuals and Jacobian are numbers, and small enough to be squared and summed."""
+        return all(within_bounds(part.residual) and within_bounds(part.jacobian) for part in self.made)
 
 
 @dataclass(frozen=True)
@@ -105,7 +114,7 @@ class Weighing:
             prior = 1.0 / prior_std(part, self.noise) ** 2
             h_ll = full[:, n_p:, n_p:] + np.einsum("ml,lk->mlk", prior, np.eye(prior.shape[1]))
             g_l = grad[:, n_p:] + prior * (part.start_local() - local)
-            solved = np.linalg.solve(h_ll, np.concatenate([g_l[..., None], full[:, n_p:, :n_p]], axis=2))
+            solved = np.linalg.solve(regular(h_ll), np.concatenate([g_l[..., None], full[:, n_p:, :n_p]], axis=2))
             back_g, back_h = solved[..., 0], solved[..., 1:]
             h_pl = full[:, :n_p, n_p:]
             columns = np.array([position[c] for c in made.columns[:n_p]], dtype=np.intp)
@@ -141,7 +150,7 @@ class Weighing:
             j_l = made.jacobian[..., -n_l:] * np.sqrt(w_full)[..., None]
             j_l = j_l.reshape(len(part.responses), -1, n_l)
             prior = 1.0 / prior_std(part, self.noise) ** 2
-            posterior = np.linalg.inv(j_l.swapaxes(1, 2) @ j_l + np.einsum("ml,lk->mlk", prior, np.eye(n_l)))
+            posterior = np.linalg.inv(regular(j_l.swapaxes(1, 2) @ j_l + np.einsum("ml,lk->mlk", prior, np.eye(n_l))))
             for k, name in enumerate(part.block.disturbances):
                 at_k = n_l - n_d + k
                 known = 1.0 - posterior[:, at_k, at_k] * prior[:, at_k]
@@ -163,6 +172,17 @@ def _between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.in
     square = float(np.sum((values - mean[which]) ** 2))
     freedom = float(np.sum(known * (1.0 - 1.0 / count[which])))
     return square / max(freedom, 1e-3 * values.size) if values.size - count.size >= FEWEST_REPEATS else otherwise
+
+
+def within_bounds(values: FloatArray) -> bool:
+    """Whether these are numbers that can be squared and summed."""
+    return bool(np.all(np.abs(values) < LARGEST))  # false for NaN
+
+
+def regular(matrices: FloatArray) -> FloatArray:
+    """(m, l, l) sums of squares that can be inverted: with a ridge of the size of what was rounded away."""
+    largest = np.einsum("mll->ml", matrices).max(axis=1, initial=0.0)
+    return np.asarray(matrices + RIDGE * largest[:, None, None] * np.eye(matrices.shape[1]))
 
 
 def start_noise(problem: Problem) -> Noise:

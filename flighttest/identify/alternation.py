@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.estimation.covariance import cluster_covariance, std_of
+from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Part, Problem
 from flighttest.estimation.solver import solve
 from flighttest.identify.fit import Fit
@@ -38,7 +39,8 @@ class Alternation:
 
 
 def alternation(found: Fit) -> Alternation | None:
-    """Run it from the joint estimate's delays; None where either half has no responses or the model has no drag."""
+    """Run it from the joint estimate's delays; None where either half has no responses, the model has no drag, or a half of it
+    diverges."""
     problem = found.problem
     thrust = _only(problem, ("throttle_step",))
     tilt = _only(problem, ("roll_step", "pitch_step"))
@@ -55,15 +57,18 @@ def alternation(found: Fit) -> Alternation | None:
         before = dict(values)
         for half, free in ((thrust, free_3), (tilt, free_4)):
             solved = solve(half, values, free=free, robust=False, noise=noise, estimate_noise=False, max_iterations=15)
+            if solved.status is FitStatus.DIVERGED:
+                return None
             values = {**values, **{n: solved.values[n] for n in free}}
-            scatter = cluster_covariance(solved.normal, free)
-            own |= {n: std_of(scatter, n) for n in free}
+            sensed = tuple(n for n in free if n not in solved.insensitive)
+            scatter = cluster_covariance(solved.normal, sensed)
+            own |= {n: std_of(scatter, n) for n in sensed}
         settled = all(abs(values[n] - before[n]) <= TOLERANCE * max(abs(values[n]), 0.1) for n in (*free_3, *free_4))
     names = (*free_3, *free_4)
     z = {
         n: (values[n] - found.values[n]) / float(np.hypot(std, own[n]))
         for n in names
-        if (std := found.estimates[n].std)
+        if n in own and (std := found.estimates[n].std)
     }
     far = [
         n

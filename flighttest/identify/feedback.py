@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.problem import Part, PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution
-from flighttest.estimation.weighing import sample_weights
+from flighttest.estimation.weighing import regular, sample_weights
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -59,7 +59,7 @@ def _scores(part: Part, made: PartEvaluation, rows: list[int], solution: Solutio
     prior = 1.0 / prior_std(part, solution.noise)[rows] ** 2
     gram = np.einsum("mncl,mnck->mlk", local, local) + np.einsum("ml,lk->mlk", prior, np.eye(prior.shape[1]))
     cross = np.einsum("mncl,mncp->mlp", local, jacobian[..., :n_p])
-    own = jacobian[..., :n_p] - np.einsum("mncl,mlp->mncp", local, np.linalg.solve(gram, cross))
+    own = jacobian[..., :n_p] - np.einsum("mncl,mlp->mncp", local, np.linalg.solve(regular(gram), cross))
     left = made.residual[rows] * weight
     found = np.zeros((len(LEADS_S), n_p))
     for at, j in enumerate(rows):

@@ -20,7 +20,7 @@ from flighttest.estimation.covariance import Covariance, covariance_of, interval
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
-from flighttest.estimation.solver import Solution, solve
+from flighttest.estimation.solver import Solution, finite_or_error, solve
 from flighttest.estimation.weighing import start_noise
 from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
 from flighttest.identify.feedback import answered
@@ -226,14 +226,16 @@ def _best(problem: Problem, robust: bool, nominal: Mapping[str, float], noise: N
     if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
         # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
         coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
-        start, noise = coarse.values, coarse.noise
-        problem.values = dict(coarse.values)  # which also sets the integrator's step
+        if coarse.status is not FitStatus.DIVERGED:
+            start, noise = coarse.values, coarse.noise
+            problem.values = dict(coarse.values)  # which also sets the integrator's step
     first = solve(problem, start, robust=robust, noise=noise)
     if first.status.good:
         return first
     others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
     found = [first] + [solve(problem, start, robust=robust) for start in others]
-    good = [s for s in found if s.status.good] or found
+    finite = [s for s in found if s.status is not FitStatus.DIVERGED]
+    good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
     return min(good, key=lambda solution: _misfit(problem, solution))
 
 
@@ -392,4 +394,4 @@ def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -
     if missing:
         extra = start_noise(problem)
         noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance})
-    return problem, solve(problem, free=(), robust=False, noise=noise, estimate_noise=False)
+    return problem, finite_or_error(solve(problem, free=(), robust=False, noise=noise, estimate_noise=False))

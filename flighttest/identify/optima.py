@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.covariance import Covariance, covariance_of, std_of
+from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Part, Problem
 from flighttest.estimation.solver import Solution, solve
 from flighttest.identify.feedback import steered
@@ -65,6 +66,8 @@ def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution
     for factor in (SLOWER, QUICKER):
         start = _moved(problem, best, free, factor)
         scout = solve(few, start, free=free, robust=robust, max_iterations=SCOUT_STEPS)
+        if scout.status is FitStatus.DIVERGED:
+            continue
         mine, theirs = covariance_of(problem, best), covariance_of(few, scout)
         if not any(_apart(n, best, mine, scout, theirs) for n in free):
             continue

@@ -185,7 +185,9 @@ def _limits(data: Data) -> Section:
         )
         align: tuple[Align, ...] = ("left", "right", "right", "left")
         caption = "Candidates that were tried and not taken."
-        blocks.append(Table(("candidate", "-2 log evidence", "probability", "why not"), rows, align, caption, fold=True))
+        blocks.append(
+            Table(("candidate", "-2 log evidence", "probability", "why not"), rows, align, caption, fold=True)
+        )
     unseen = tuple(
         (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
     )

@@ -1,7 +1,6 @@
 """Linearised rows with columns and residuals of one's own making."""
 
 import numpy as np
-
 from flighttest.diagnose.rows import Rows
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 from flight import campaign, fly
-
 from flighttest.diagnose.bench import Bench
+
 from flighttest.identify.fit import default_model
 
 

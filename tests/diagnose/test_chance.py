@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flighttest.diagnose.chance import consistency, plain, standard_errors, standard_errors_of_equations
 from made_rows import rows_of
 
-from flighttest.diagnose.chance import consistency, plain, standard_errors, standard_errors_of_equations
 from flighttest.diagnose.findings import parameter_table
 from flighttest.physics.model import Model
 

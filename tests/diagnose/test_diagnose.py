@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flight import campaign, fly
+from flighttest.diagnose.rivals import missing_channels
 
 from flighttest.diagnose import Verdict, block_answer, diagnose
-from flighttest.diagnose.rivals import missing_channels
 from flighttest.diagnose.run import one_after_the_other
 from flighttest.diagnose.search import Search
 from flighttest.errors import FitError

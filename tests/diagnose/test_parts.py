@@ -5,14 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flighttest.diagnose.judge import held_out, held_out_groups
+from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
+from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, shape_settings, with_chance
 from made_rows import rows_of
 
 from flighttest.diagnose import fitted, locate, pairs, rivals, run
-from flighttest.diagnose.judge import held_out, held_out_groups
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.noise import Floor, _independent_times, _shared, high_frequency, inflation
-from flighttest.diagnose.screen import Ground, Variant, orthonormal, score, shape_settings, with_chance
 from flighttest.physics.catalogue import catalogue
 from flighttest.segments.model import Segment
 

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flighttest.diagnose.fitted import Fitted, Judged, judge, preferred
 from made_rows import rows_of
 
 from flighttest.diagnose import another_way as other
 from flighttest.diagnose import remainders
 from flighttest.diagnose import search as search_module
-from flighttest.diagnose.fitted import Judged
 from flighttest.diagnose.search import Search, silent
 from flighttest.physics.model import Model
 
@@ -252,3 +252,18 @@ def test_where_much_is_wrong_and_no_score_stands_out_refits_are_asked(monkeypatc
     monkeypatch.setattr(search_module, "plain", lambda _parts, _bic: False)
     Search._forward(search)
     assert joined == taken
+
+
+@pytest.mark.parametrize("diverged", [np.nan, np.inf, 1e200])
+def test_a_term_with_which_the_simulation_diverges_is_dropped_with_its_reason(diverged):
+    rng = np.random.default_rng(3)
+    sound = rows_of(rng.normal(size=800), rng.normal(size=(800, 2)))
+    broken = replace(sound, jacobian=sound.jacobian * diverged)
+    before, after = (Fitted(Model(), ("p0", "p1"), None, rows) for rows in (sound, broken))
+    nothing = judge("voltage_sag", before, after, 0.001, None, np.zeros(20, dtype=int), ())
+    assert not nothing.kept
+    assert "not finite" in nothing.reason
+    assert preferred(before, after)
+    assert not preferred(after, before)
+    # Without it the flights cannot be simulated: it stays.
+    assert judge("voltage_sag", after, before, 0.001, None, np.zeros(20, dtype=int), ()).kept

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from flight import campaign, fly
-
 from flighttest.diagnose.bench import Bench
 from flighttest.diagnose.strays import LEAST, set_aside, strays, told
+
 from flighttest.identify.fit import default_model
 
 

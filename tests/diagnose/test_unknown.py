@@ -1,7 +1,6 @@
 """What stays without a name is described only where the description tells something about data it has not seen."""
 
 import numpy as np
-
 from flighttest.diagnose.unknown import _functions, _sparse
 
 

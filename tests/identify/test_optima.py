@@ -1,9 +1,16 @@
 """Several optima that serve alike, and controls that answer disturbances, are said."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
+from flighttest.errors import FitError
 from flighttest.estimation.covariance import covariance_of, std_of
+from flighttest.estimation.problem import PartEvaluation, Problem
+from flighttest.estimation.solver import FitStatus, solve
+from flighttest.identify import optima
 from flighttest.identify.feedback import answered, steered
 from flighttest.identify.fit import fit
 from flighttest.physics.model import Model
@@ -98,3 +105,40 @@ def test_steps_of_a_script_are_not_asked_about_answers():
     assert not steered(step)
     by_hand = Segment("s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {}, context={"by_hand": True})
     assert steered(by_hand)
+
+
+def blown_up(beyond: float) -> Callable[..., list[PartEvaluation]]:
+    """`Problem.evaluate`, which diverges for a loop quicker than `beyond` rad/s."""
+    evaluate = Problem.evaluate
+
+    def made(problem: Problem, values: dict[str, float], *more: Any, **named: Any) -> list[PartEvaluation]:
+        found = evaluate(problem, values, *more, **named)
+        for part in found if values["omega_phi"] > beyond else ():
+            part.residual[:] = np.nan
+            part.jacobian[:] = np.inf
+        return found
+
+    return made
+
+
+def test_a_start_from_which_the_response_diverges_is_a_dropped_candidate(monkeypatch):
+    monkeypatch.setattr(Problem, "evaluate", blown_up(40.0))
+    monkeypatch.setattr(optima, "_followed", lambda *_: False)
+    found = fit(rolled((5.0, 12.0, 17.5, 30.0)), Model())
+    assert found.status.good
+    assert found.values["omega_phi"] == pytest.approx(OMEGA, rel=0.01)
+
+
+def test_a_start_that_cannot_be_linearised_is_a_status(monkeypatch):
+    problem = Problem.build(rolled((5.0, 12.0, 17.5, 30.0)), Model())
+    monkeypatch.setattr(Problem, "evaluate", blown_up(40.0))
+    ended = solve(problem, {"omega_phi": 50.0})
+    assert ended.status is FitStatus.DIVERGED
+    assert not ended.status.good
+    assert np.isfinite(ended.normal.hessian).all()
+
+
+def test_a_model_that_diverges_from_every_start_is_one_clear_error(monkeypatch):
+    monkeypatch.setattr(Problem, "evaluate", blown_up(0.0))
+    with pytest.raises(FitError, match="not finite"):
+        fit(rolled((5.0, 12.0, 17.5, 30.0)), Model())

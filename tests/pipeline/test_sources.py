@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FlighttestError
+from flighttest.pipeline.analysis import fit
+from flighttest.pipeline.results import Status
 from flighttest.pipeline.sources import open_recordings
 
 
@@ -25,3 +27,9 @@ def test_the_same_recording_twice_gets_two_names(flight_csv):
 def test_a_cluster_that_is_not_there_is_said(flight_csv):
     with pytest.raises(FlighttestError, match=r"distributed|cluster"):
         open_recordings([flight_csv], scheduler="tcp://127.0.0.1:1")
+
+
+def test_a_cross_check_that_diverges_does_not_lose_the_fit_of_a_recorded_flight(shared_data):
+    found = fit([shared_data / "arducopter_logs" / "sitl_4.7dev_steps.BIN"])
+    assert found.status is Status.DONE
+    assert found.value.values["omega_phi"] == pytest.approx(11.9, rel=0.3)
