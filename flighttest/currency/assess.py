@@ -8,7 +8,7 @@ from typing import Any
 from flighttest.currency.battery import check
 from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
-from flighttest.currency.hover import Hover, hover_test
+from flighttest.currency.hover import NAME, Hover, hover_test
 from flighttest.currency.matters import matters
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, BatteryCheck, Change, Currency, Drift, SubsetTest, Verdict
 from flighttest.currency.sequence import drifts
@@ -44,13 +44,21 @@ def assess(
         cannot_tell += unknown
     tests = subset_tests(stored, runs[-1], spread=spread, alike=alike) if runs else ()
     before, now = hovers
-    if before is not None and now is not None and not any(t.subset == "thrust" for t in tests):
+    if before is not None and now is not None:
         alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
-        shared = FALSE_ALARM / (len(tests) + 1)
-        tests = (
-            subset_tests(stored, runs[-1], spread=spread, false_alarm=shared * len(tests), alike=alike) if tests else ()
-        )
-        tests = (*tests, hover_test(before, now, alpha, shared))
+        by_gain = next((t for t in tests if t.subset == "thrust"), None)
+        others = [t for t in tests if t is not by_gain]
+        shared = FALSE_ALARM / (len(others) + 1)
+        level = hover_test(before, now, alpha, shared)
+        if by_gain is None:
+            others = list(
+                subset_tests(stored, runs[-1], spread=spread, false_alarm=shared * len(others), alike=alike)
+                if others
+                else ()
+            )
+        # Of two tests of the same thing the one that would show the smaller change is asked.
+        if by_gain is None or by_gain.detectable.get("K", 0.0) > level.detectable[NAME]:
+            tests = (*others, level)
     drift = drifts(stored, runs, spread) if len(runs) > 1 else ()
     checked = check(battery, battery_reference) if battery is not None else None
     alarms = [t for t in tests if t.alarm]

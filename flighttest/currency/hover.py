@@ -10,6 +10,7 @@ import numpy as np
 
 from flighttest.currency.model import FloatArray, SubsetTest
 from flighttest.estimation.distributions import beyond, quantile
+from flighttest.estimation.level import knows_attitude, taken_as_level
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import G_M_S2
 from flighttest.segments import Segment
@@ -51,11 +52,9 @@ def hover(segments: Sequence[Segment], nominal_voltage_v: float) -> Hover | None
 def _window(s: Segment) -> tuple[float, float] | None:
     """Throttle that would hold height, and voltage, of one window: its mean, for its mean tilt and climb."""
     climb = s.y.get("v_z_m_s")
-    if "throttle" not in s.u or climb is None:
+    if "throttle" not in s.u or climb is None or not (knows_attitude(s) or taken_as_level(s)):
         return None
-    level = np.zeros(
-        s.t_s.size
-    )  # where no attitude was recorded: 1.5 % at 10 deg, and the same in every flight of a plan
+    level = np.zeros(s.t_s.size)
     roll, pitch = s.y.get("roll_rad", level), s.y.get("pitch_rad", level)
     known = np.isfinite(climb)
     duration = float(s.t_s[known][-1] - s.t_s[known][0]) if known.sum() > 1 else 0.0

@@ -179,12 +179,12 @@ class Search:
 
     def aliases(self, term: str) -> tuple[Alias, ...]:
         """Candidates whose effect beside the rest of the present model points as a named term's does, refitted in its place."""
-        assert self.now is not None
-        without = self.evidence[term].without
-        basis = orthonormal(without.rows.columns(without.names))
-        effect = np.zeros(without.rows.residual.size)
+        now, without = self.now, self.evidence[term].without
+        assert now is not None
+        basis = orthonormal(now.rows.columns([n for n in now.names if now.model.term_of(n) != term]))
+        effect = np.zeros(now.rows.residual.size)
         own = self.evidence[term].profiled
-        effect[: own.size] = own / without.rows.scale[: own.size]
+        effect[: own.size] = own / now.rows.scale[: own.size]
         effect -= basis @ (basis.T @ effect)
         length = float(np.linalg.norm(effect))
         near: dict[str, tuple[float, int]] = {}
@@ -200,8 +200,8 @@ class Search:
                 scored = Scored((j,), 0.0, np.zeros(self.candidates[j].columns.shape[1]))
                 other = self._refitted(without, [self.candidates[j]], scored)
                 if not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
-                    floor = floor_of(self.now.rows, self.estimator.segments, RESOLUTION)
-                    nats, _ = log_evidence(self.now, other, self.estimator, self.groups, floor)
+                    floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
+                    nats, _ = log_evidence(now, other, self.estimator, self.groups, floor)
             if cosine > 0.6:
                 found.append(Alias(name, cosine, nats))
         return tuple(found)

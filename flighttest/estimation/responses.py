@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
+from flighttest.estimation.level import HORIZONTAL, knows_attitude
 from flighttest.estimation.voltage_interpolation import SAMPLES, between_samples
 from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
@@ -199,6 +200,8 @@ def prepare(
     for i, name in enumerate(outputs):
         if has_force and name.startswith("a_"):  # world acceleration is derived from f: the same sample twice
             y[:, i] = np.nan
+    if block.name == "translation" and not knows_attitude(segment):
+        y[:, [i for i, name in enumerate(outputs) if name in HORIZONTAL]] = np.nan
     start, std = _start(segment, block, hover_throttle_gain)
     edges_s, values = merged_edges(segment, block.inputs)
     e = np.stack([exogenous(segment, name, nominal_voltage_v, attitude_delay_s) for name in block.exogenous], axis=1) \

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from flighttest.errors import FitError, InputError
 from flighttest.estimation.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.estimation.gauss_newton import FitStatus
+from flighttest.estimation.level import level_notes, level_share
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.estimation.solver import Solution, finite_or_error, solve
@@ -39,7 +40,7 @@ from flighttest.identify.identifiability import (
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
 from flighttest.identify.optima import rivals
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
-from flighttest.identify.selection import Select, knows_attitude, moves, problem_of
+from flighttest.identify.selection import Select, moves, problem_of
 from flighttest.identify.ties import TieTest, tie_tests
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.model import Model
@@ -166,7 +167,8 @@ def fit(
     moved = answered(problem, solution)
     apart = {n: r.away(solution.values[n]) for n, r in others.items()}
     covariance = covariance_of(problem, solution)
-    for extra in (apart, moved, doubt or {}):
+    tilted = {"K": solution.values["K"] * level_share(problem, solution)}
+    for extra in (apart, moved, doubt or {}, tilted):
         covariance = widened(covariance, extra)
     quality = channel_quality(problem, solution)
     doubts = doubts_of(problem, solution, covariance, quality, others, moved)
@@ -376,8 +378,7 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
             notes.append(
                 "battery voltage was not recorded: alpha cannot be identified, and K is the gain at the voltage flown"
             )
-    if not all(knows_attitude(s) for s in problem.segments):
-        notes.append("attitude was not recorded throughout: where it was not, only level steps tell of thrust and drag")
+    notes += level_notes(problem.segments, level_share(problem, solution))
     for block in model.blocks:
         if block.name not in fed:
             moved = any(moves(s, block) for s in problem.segments)

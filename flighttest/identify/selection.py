@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from flighttest.errors import FitError
+from flighttest.estimation.level import knows_attitude, refusal, taken_as_level
 from flighttest.estimation.problem import Problem
 from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.physics.blocks import Block
@@ -57,7 +58,7 @@ def problem_of(
     fed = {block.name: feeding(usable, block, select) for block in model.blocks}
     problem = Problem.build(usable, model, fed=fed, filters=filters, values=values, fixed=fixed, ties=ties, dead=dead)
     if not problem.parts:
-        why = f"; {never_changing(dead)}" if dead else ""
+        why = "".join(f"; {one}" for one in (never_changing(dead) if dead else "", refusal(usable)) if one)
         raise FitError(
             f"no usable segment excites any part of the model{why}",
             "see `flighttest segment` for why each was rejected",
@@ -78,18 +79,15 @@ def _change(segment: Segment, name: str) -> float:
 
 def _can_feed(segment: Segment, block: Block) -> bool:
     if block.name == "translation":
-        return "throttle" in segment.u and (segment.kind in LEVEL_STEPS or knows_attitude(segment))
+        return "throttle" in segment.u and (
+            segment.kind in LEVEL_STEPS or knows_attitude(segment) or taken_as_level(segment)
+        )
     return all(n in segment.u for n in block.inputs) and moves(segment, block)
 
 
 def moves(segment: Segment, block: Block) -> bool:
     """Whether any reference of a block changes in a segment."""
     return any(_change(segment, n) > 0.02 for n in block.inputs)
-
-
-def knows_attitude(segment: Segment) -> bool:
-    """Whether roll and pitch were measured: without them nobody knows where a tilted vehicle's thrust points."""
-    return all(np.isfinite(segment.y.get(name, np.nan)).any() for name in ("roll_rad", "pitch_rad"))
 
 
 def _amplitude(segment: Segment) -> float:
