@@ -20,6 +20,7 @@ from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, ROTOR_HEIGHT_M, Model
 from flighttest.pipeline.batteries import battery_data
+from flighttest.pipeline.budgets import time_data, time_section
 from flighttest.pipeline.doubts import doubts, once
 from flighttest.pipeline.fingerprints import of_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
@@ -72,9 +73,11 @@ def segment(runs: Sequence[Path], columns: Path | None = None, progress: Progres
         "segments": [_segment_data(s) for s in segments],
         "used": used,
         "rejected": len(segments) - used,
+        "time": time_data(recordings, segments),
         "losses": losses_of(recordings),
     }
-    document = Document("responses", verdict, tone, (replace(section, lead=""),))  # type: ignore[arg-type]
+    sections = (time_section(recordings, segments), replace(section, lead=""))
+    document = Document("responses", verdict, tone, sections)  # type: ignore[arg-type]
     return Result(document, data, Status.DONE if used else Status.UNUSABLE, segments)
 
 

@@ -16,6 +16,7 @@ from flighttest.errors import FitError, InputError, RecordingError, ScriptError
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
+from flighttest.pipeline.budgets import time_section
 from flighttest.pipeline.history import FIT_NAME
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.sources import open_recordings
@@ -110,6 +111,8 @@ def run_document(
     if diagnosis is not None:
         sections = [*diagnosis_sections(diagnosis, next_script), *sections]
     sections += extra
+    if segments:
+        sections.append(time_section(recordings, segments))
     sections.append(fit_sections.segments(view.segments if view is not None else segment_views(segments)))
     if not verdict:
         verdict = view.verdict if view is not None else "No model could be fitted to this recording."

@@ -13,6 +13,7 @@ from typing import Any
 from flighttest.errors import InputError, LinkError, RecordingError
 from flighttest.logs import import_log as read_log
 from flighttest.logs.columns import load_columns
+from flighttest.pipeline.budgets import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
 from flighttest.recording.store import (
@@ -27,6 +28,7 @@ from flighttest.recording.store import (
 from flighttest.report.document import Bullets, Cell, Document, Section, Table
 from flighttest.report.numbers import duration, number
 from flighttest.report.plain import plain
+from flighttest.segments import cut
 from flighttest.vehicle.load import load_vehicle
 
 
@@ -191,7 +193,8 @@ def describe(recording: Recording, folder: Path) -> Result:
             "missing": missing,
         }
     table = Table(("group", "channels", "rate", "samples", ""), tuple(rows), ("left", "left", "right", "right", "left"))
-    sections = [Section("channels", "Channels", (table,))]
+    segments = cut(recording)
+    sections = [Section("channels", "Channels", (table,)), time_section([recording], segments)]
     if source.losses:
         sections.append(Section("losses", "What was lost, or looks wrong", (Bullets(source.losses),)))
     if source.derived:
@@ -207,6 +210,7 @@ def describe(recording: Recording, folder: Path) -> Result:
     data = {
         "run": str(folder),
         "duration_s": last - first,
+        "time": time_data([recording], segments),
         "channels": channels,
         "losses": list(source.losses),
         "derived": dict(source.derived),

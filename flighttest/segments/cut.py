@@ -1,7 +1,7 @@
 """Cut a recording into step responses and windows of free flight.
 
 The step is always where the recorded reference has its edge. Marks, where there are any, say which edges were meant and what they are
-called; a recording nobody marked is cut by its references alone, and flown without steps it becomes windows.
+called. What they leave, or all where there are none, is cut by its references alone: into steps, and into windows of free flight.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ _SAME_CELL = {"amplitude_rad": 0.012, "rate_rad_s": 0.03, "throttle_0": 0.004, "
 _ENDED = {"LINK_LOST": Flaw.LINK_LOST, "TAKE_OVER": Flaw.TAKE_OVER, "NOT_SETTLED": Flaw.NOT_SETTLED}
 # A step that the gate ended shows what there is to see from here on: the delay, and ten time constants of a slow thrust lag.
 _ENOUGH_S = 0.6
-_FREE_STRETCH_S = 15.0
-_FREE_MARGIN_S = 1.0
+_FREE_STRETCH_S = 15.0  # a longer stretch without steps is a flight of its own
 _PAUSE_S = 1.0
 _IDLE = 0.02
 _MANY = 2  # times as many steps by hand's tolerance as by a script's: then no script was flown
@@ -51,7 +50,8 @@ def cut(recording: Recording) -> tuple[Segment, ...]:
         return ()
     references = ed.references_of(recording)
     marks = marked(recording)
-    found = _by_marks(references, marks, aligned) if marks else _by_references(recording, references, aligned)
+    found = _by_marks(references, marks, aligned) if marks else []
+    found += _by_references(recording, references, aligned, marks, [response for response, _ in found])
     cutter = _Cutter(recording, references, aligned)
     return _named(cutter.segment(response, mark) for response, mark in found)
 
@@ -143,8 +143,13 @@ def _missed(mark: Marked, t_s: float) -> Response:
 
 
 def _by_references(
-    recording: Recording, references: References | None, aligned: Aligned
+    recording: Recording,
+    references: References | None,
+    aligned: Aligned,
+    marks: Sequence[Marked],
+    marked: Sequence[Response],
 ) -> list[tuple[Response, Marked | None]]:
+    """Steps beside the marks, and windows of what neither of them holds. marked: the responses of the marks."""
     spans = flights(recording)
     if references is not None and references.streamed:
         # Where no targets came, nothing is known about what the vehicle was asked to do.
@@ -154,18 +159,31 @@ def _by_references(
             spans = tuple((max(a, first), min(b, last)) for a, b in spans if a < last and first < b) or spans
     every = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
     steps = [replace(r, end_s=min(r.end_s, b)) for r in every for a, b in spans if a <= r.start_s and r.t_step_s < b]
-    steps.sort(key=lambda r: r.start_s)
-    if len(steps) < _FEW_STEPS:
-        return [(w, None) for span in spans for a, b in _recorded(aligned, references, *span) for w in windows(a, b)]
-    # Between steps lies what brings the vehicle back; only a long stretch without any is a flight of its own.
-    free: list[Response] = []
-    for start, end in spans:
-        own = [r for r in steps if start <= r.start_s < end]
-        for a, b in pairwise([start, *(t for r in own for t in (r.start_s, r.end_s)), end]):
-            if b - a >= _FREE_STRETCH_S and not any(r.start_s <= a < r.end_s for r in own):
-                pieces = _recorded(aligned, references, a + _FREE_MARGIN_S, b - _FREE_MARGIN_S)
-                free += [window for piece in pieces for window in windows(*piece)]
+    # What a mark's own leg does beside its step (its onset, its return) is no step of its own.
+    steps = [r for r in steps if not any(m.start_s - _MARK_EARLY_S <= r.t_step_s < m.end_s for m in marks)]
+    if len(steps) < _FEW_STEPS and not marks:
+        steps, whole = [], list(spans)
+    else:
+        whole = [rest for span in spans for rest in _without(span, (*marked, *steps))]
+    # Between steps the vehicle holds still for a while, of which little is learnt, or is brought back, which is free flight too.
+    free = [
+        window
+        for a, b in whole
+        for piece in _recorded(aligned, references, a, b)
+        for window in windows(*piece)
+        if b - a >= _FREE_STRETCH_S or not (marks or steps) or ed.moves(references, window)
+    ]
     return [(r, None) for r in (*steps, *free)]
+
+
+def _without(span: tuple[float, float], taken: Iterable[Response]) -> list[tuple[float, float]]:
+    """What responses leave of a stretch."""
+    found, begin = [], span[0]
+    for r in sorted(taken, key=lambda r: r.start_s):
+        if begin < min(r.start_s, span[1]):
+            found.append((begin, min(r.start_s, span[1])))
+        begin = max(begin, r.end_s)
+    return [*found, (begin, span[1])] if begin < span[1] else found
 
 
 def _recorded(

@@ -103,6 +103,18 @@ def references_of(recording: Recording) -> References | None:
     return References(series.t_s, values, period, period < 0.2)
 
 
+def moves(references: References | None, response: Response) -> bool:
+    """Whether any reference changes by as much as a step in a stretch."""
+    if references is None:
+        return False
+    inside = (references.t_s >= response.start_s) & (references.t_s <= response.end_s)
+    values = references.values[inside]
+    known = np.isfinite(values).any(axis=0)
+    return bool(known.any()) and bool(
+        np.any(np.nanmax(values[:, known], 0) - np.nanmin(values[:, known], 0) >= _LEAST[known])
+    )
+
+
 def compressed(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The samples (m,) at which a held signal changed; the first always."""
     if t_s.size == 0:

@@ -50,12 +50,14 @@ class Marked:
 
 def marked(recording: Recording) -> list[Marked]:
     """All marked stretches in order of time; empty for a recording nobody marked."""
+    legs = _legs(recording)
+    known = [leg for leg in legs if "kind" in leg.data]
+    return known or legs or _texts(recording)
+
+
+def _legs(recording: Recording) -> list[Marked]:
     legs = [m for m in recording.markers if m.kind == "leg"]
-    known = [m for m in legs if "kind" in m.data]
-    legs = known or legs
-    if legs:
-        return [_leg(recording, m, legs[i + 1].t_s if i + 1 < len(legs) else None) for i, m in enumerate(legs)]
-    return _texts(recording)
+    return [_leg(recording, m, legs[i + 1].t_s if i + 1 < len(legs) else None) for i, m in enumerate(legs)]
 
 
 def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:

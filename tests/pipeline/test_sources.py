@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FlighttestError
-from flighttest.pipeline.analysis import fit
+from flighttest.pipeline.analysis import fit, segment
 from flighttest.pipeline.results import Status
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.sources import import_log, open_recordings
 
 
 def test_processes_give_the_same_bit_for_bit(flight_csv, worn_csv):
@@ -33,3 +33,15 @@ def test_a_cross_check_that_diverges_does_not_lose_the_fit_of_a_recorded_flight(
     found = fit([shared_data / "arducopter_logs" / "sitl_4.7dev_steps.BIN"])
     assert found.status is Status.DONE
     assert found.value.values["omega_phi"] == pytest.approx(11.9, rel=0.3)
+
+
+def test_import_and_segment_account_for_every_second(flight_csv, tmp_path):
+    for result in (import_log(flight_csv, tmp_path / "run"), segment([tmp_path / "run"])):
+        rows = result.data["time"]
+        recording = open_recordings([tmp_path / "run"])[0]
+        first, last = recording.t_span_s
+        assert sum(row["seconds"] for row in rows) == pytest.approx(last - first)
+        assert sum(row["share"] for row in rows) == pytest.approx(1.0)
+        assert rows[0]["used"]
+        (section,) = (s for s in result.document.sections if s.id == "time")
+        assert "are used" in section.lead

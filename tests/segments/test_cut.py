@@ -12,6 +12,12 @@ def phase(t, leg, label, **data):
     return Marker(t, "phase", label, {"leg": leg, **data})
 
 
+def of_marks(recording):
+    """The responses that bear the name of a mark."""
+    labels = {m.label for m in recording.markers}
+    return [s for s in cut(recording) if s.name in labels]
+
+
 def test_a_flight_nobody_marked_is_cut_by_its_references(campaign):
     segments = cut(campaign.recording())
     assert [s.kind for s in segments] == ["roll_step", "yaw_rate_step", "throttle_step", "throttle_step", "pitch_step"]
@@ -39,7 +45,7 @@ def test_the_step_is_the_references_edge_not_the_mark(campaign):
             phase(edge + offset, leg, "step"),
             phase(edge + 3.9, leg, "end"),
         ]
-        (segment,) = cut(campaign.recording())
+        (segment,) = of_marks(campaign.recording())
         assert segment.t_step_s == pytest.approx(edge)
         assert (segment.name, segment.maneuver, segment.repeat, segment.kind) == (leg, "roll_pitch", 2, "roll_step")
 
@@ -54,7 +60,7 @@ def test_the_marked_throttle_step_is_t_1(campaign):
         phase(edges[7] + 0.04, leg, "stop", record=False),
         phase(edges[8], leg, "end", outcome="FLOWN"),
     ]
-    (segment,) = cut(campaign.recording())
+    (segment,) = of_marks(campaign.recording())
     assert (segment.kind, segment.repeat, segment.maneuver) == ("throttle_step", 3, "thrust")
     assert segment.cell == {"throttle_0": 0.1, "throttle_1": 0.4}
     assert segment.usable
@@ -69,7 +75,7 @@ def test_a_leg_that_ended_badly_is_rejected_with_its_reason(campaign, outcome, f
         Marker(edge - 0.9, "leg", "a/b/r1", {"leg": "a/b/r1"}), phase(edge, "a/b/r1", "step"),
         phase(edge + 0.8, "a/b/r1", "end", outcome=outcome),
     ]  # fmt: skip
-    (segment,) = cut(campaign.recording())
+    (segment,) = of_marks(campaign.recording())
     assert flaw in segment.flaws
     assert segment.t_s[-1] <= edge + 0.8
 
@@ -81,7 +87,7 @@ def test_what_was_recorded_before_the_gate_ended_a_step_is_used_where_it_shows_e
         Marker(edge - 0.9, "leg", "a/b/r1", {"leg": "a/b/r1"}), phase(edge, "a/b/r1", "step"),
         phase(edge + after_s, "a/b/r1", "end", outcome="REFUSED"),
     ]  # fmt: skip
-    (segment,) = cut(campaign.recording())
+    (segment,) = of_marks(campaign.recording())
     assert segment.usable is usable
     assert (Flaw.ABORTED in segment.flaws) is not usable
     assert ("the gate ended it 0.90 s after the step" in " ".join(segment.notes)) is usable
@@ -94,7 +100,7 @@ def test_texts_of_another_ground_station_name_the_steps(campaign):
         Marker(edges[0], "note", "STEP roll +0.30"), Marker(edges[3] + 0.01, "note", "STEP yawrate +1.0"),
         Marker(edges[5], "note", "STEP thrust 0.10 0.40"), Marker(edges[8], "note", "END"),
     ]  # fmt: skip
-    segments = cut(campaign.recording())
+    segments = of_marks(campaign.recording())
     assert [(s.name, s.kind) for s in segments] == [
         ("STEP roll +0.30", "roll_step"), ("STEP yawrate +1.0", "yaw_rate_step"), ("STEP thrust 0.10 0.40", "throttle_step")
     ]  # fmt: skip
@@ -115,7 +121,7 @@ def test_numbered_steps_of_a_table(campaign):
         Marker(edges[0] - 0.2, "leg", "step 1", {"leg": "step 1", "step": 1.0}), phase(edges[2] + 0.5, "step 1", "end"),
         Marker(edges[5] - 0.2, "leg", "step 2", {"leg": "step 2", "step": 2.0}), phase(edges[7], "step 2", "end"),
     ]  # fmt: skip
-    segments = cut(campaign.recording())
+    segments = of_marks(campaign.recording())
     assert [(s.name, s.kind) for s in segments] == [("step 1", "roll_step"), ("step 2", "throttle_step")]
     assert segments[0].t_step_s == pytest.approx(edges[0])
     assert segments[0].t_s[-1] <= edges[2] + 0.5
@@ -130,7 +136,7 @@ def test_a_piece_may_begin_just_before_its_step(fly):
         Marker(step - 0.04, "leg", "step 7", {"leg": "step 7", "step": 7.0}),
         phase(step + 1.0, "step 7", "end"),
     ]
-    (segment,) = cut(flight.recording())
+    (segment,) = of_marks(flight.recording())
     assert (segment.kind, segment.t_step_s) == ("throttle_step", pytest.approx(step))
     assert segment.cell == {"throttle_0": 0.2, "throttle_1": 0.4}
 
@@ -269,9 +275,12 @@ def test_the_real_campaign_is_cut_alike_from_both_of_its_logs(shared_data):
     found = [cut(import_log(folder / name)) for name in ("recording.BIN.xz", "recording.tlog.gz")]
     for segments in found:
         kinds = [s.kind for s in segments]
-        assert {k: kinds.count(k) for k in set(kinds)} == {
-            "roll_step": 18, "pitch_step": 18, "yaw_rate_step": 8, "throttle_step": 54, "free": 17
+        assert {k: kinds.count(k) for k in set(kinds) - {"free"}} == {
+            "roll_step": 18, "pitch_step": 18, "yaw_rate_step": 8, "throttle_step": 54
         }  # fmt: skip
+        assert len([s for s in segments if s.name == "FREE" or s.name.startswith("FREE #")]) == 17
+        # The vehicle is brought back between the steps: 350 s of flight that follows recorded references.
+        assert sum(s.t_s[-1] - s.t_s[0] for s in segments if s.kind == "free") > 400.0
         assert all(s.usable for s in segments)
         assert all(s.name.split()[1] in ("thrust", "roll", "pitch", "yawrate") for s in segments if s.kind != "free")
     steps = [[s for s in segments if s.kind != "free"] for segments in found]
@@ -328,3 +337,29 @@ def test_a_table_knows_its_edges_to_a_row(campaign):
     assert cut(recording)[0].context["edge_error_s"] == pytest.approx(0.5 * row_s)
     log = replace(recording, provenance=replace(recording.provenance, importer="ardupilot_bin"))
     assert "edge_error_s" not in cut(log)[0].context
+
+
+def test_what_no_mark_holds_is_used_too(campaign):
+    """Marks of one script must not switch off another's steps, nor what lies between: it was left out in silence."""
+    edges = campaign.edges_s()
+    leg = "roll_pitch/roll+0.30/r1"
+    campaign.markers = [
+        Marker(edges[0] - 0.5, "leg", leg, {"leg": leg, "kind": "roll_step"}), phase(edges[0], leg, "step"),
+        phase(edges[2] + 1.0, leg, "end"),
+        Marker(edges[5] - 0.2, "leg", "descent", {"leg": "descent"}), phase(edges[8], "descent", "end"),
+    ]  # fmt: skip
+    kinds = [s.kind for s in cut(campaign.recording())]
+    assert kinds == ["roll_step", "yaw_rate_step", "throttle_step", "throttle_step", "pitch_step"]
+
+
+def test_a_stretch_between_marked_steps_that_moves_is_a_window(fly):
+    back = [(0.25, 0.1 * (-1.0) ** k, 0.05 * k, 0.0, 0.25) for k in range(12)]
+    flight = fly([(2.0, 0.0, 0.0, 0.0, 0.25), (1.0, 0.3, 0.0, 0.0, 0.25), *back, (6.0, 0.0, 0.0, 0.0, 0.25)])
+    step = flight.edges_s()[0]
+    flight.markers = [
+        Marker(step - 0.5, "leg", "a/b/r1", {"leg": "a/b/r1", "kind": "roll_step"}), phase(step, "a/b/r1", "step"),
+        phase(step + 0.9, "a/b/r1", "end"),
+    ]  # fmt: skip
+    found = [s for s in cut(flight.recording()) if s.kind == "free"]
+    assert found
+    assert all(step < s.t_s[0] < step + 5.0 for s in found)

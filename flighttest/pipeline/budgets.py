@@ -1,0 +1,50 @@
+"""The time budget of recordings: how much of them is used, and why the rest is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from flighttest.recording import Recording
+from flighttest.report.document import Cell, Section, Table
+from flighttest.report.numbers import number
+from flighttest.segments import Segment, budget
+
+
+def time_data(recordings: Sequence[Recording], segments: Sequence[Segment]) -> list[dict[str, Any]]:
+    """What became of every second, largest share first, used stretches before the others: use, why, seconds, share, stretches."""
+    rows: dict[tuple[Any, str], list[float]] = {}
+    for recording in recordings:
+        for s in budget(recording, [one for one in segments if one.run == recording.name]):
+            rows.setdefault((s.use, s.why), []).append(s.end_s - s.start_s)
+    total = sum(sum(lengths) for lengths in rows.values()) or 1.0
+    ordered = sorted(rows.items(), key=lambda row: (not row[0][0].used, -sum(row[1])))
+    return [
+        {
+            "use": use.name.lower(),
+            "sentence": f"{use.value}: {why}" if why else use.value,
+            "used": use.used,
+            "seconds": sum(lengths),
+            "share": sum(lengths) / total,
+            "stretches": len(lengths),
+        }
+        for (use, why), lengths in ordered
+    ]
+
+
+def time_section(recordings: Sequence[Recording], segments: Sequence[Segment]) -> Section:
+    """The same as a table."""
+    data = time_data(recordings, segments)
+    used = sum(row["seconds"] for row in data if row["used"])
+    total = sum(row["seconds"] for row in data)
+    rows = tuple(
+        (
+            Cell(row["sentence"], "good" if row["used"] else "quiet"),
+            f"{row['seconds']:.1f}",
+            f"{row['share']:.0%}",
+            str(row["stretches"]),
+        )
+        for row in data
+    )
+    table = Table(("what became of it", "s", "share", "stretches"), rows, ("left", "right", "right", "right"))
+    return Section("time", "Time budget", (table,), f"{number(used, 3)} of {number(total, 3)} s are used.")
