@@ -35,7 +35,7 @@ def hover(segments: Sequence[Segment], nominal_voltage_v: float) -> Hover | None
     """From windows of free flight; None where there are too few. Recordings are the units of the error."""
     found: dict[str, list[tuple[float, float]]] = {}
     for s in segments:
-        if s.usable and s.kind == "free" and (one := _window(s)) is not None:
+        if s.usable and s.kind == "free" and not s.between_steps and (one := _window(s)) is not None:
             found.setdefault(s.run, []).append(one)
     windows = [one for runs in found.values() for one in runs]
     if len(windows) < 3:

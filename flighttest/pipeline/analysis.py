@@ -23,6 +23,7 @@ from flighttest.pipeline.batteries import battery_data
 from flighttest.pipeline.budgets import time_data, time_section
 from flighttest.pipeline.doubts import doubts, once
 from flighttest.pipeline.fingerprints import of_recordings
+from flighttest.pipeline.nothing_known import why_nothing
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.pipeline.views import fit_view, metrics, segment_views
@@ -270,6 +271,8 @@ def finish_fit(
         model_file.write(output, data)
         facts["model"] = str(output)
     tone: Tone = "bad" if not found.status.good else "good" if all(p.known for p in view.parameters) else "warn"
-    document = Document("fit", view.verdict, tone, fit_sections.fit_sections(view), facts)
+    why = why_nothing(found, runs)
+    sections = (*((why,) if why is not None else ()), *fit_sections.fit_sections(view))
+    document = Document("fit", view.verdict, tone, sections, facts)
     status = Status.DONE if found.status.good else Status.UNEXPLAINED
     return Result(document, data | {"losses": losses_of(recordings)}, status, found)

@@ -34,7 +34,7 @@ def validate(
     stored = model_file.read(model, whole=True)
     earlier = model_file.read(previous) if previous is not None else None
     recordings = open_recordings(runs, columns, progress=progress)
-    segments = cut_all(recordings, progress)
+    segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
     progress.stage("running the models open loop")
     usable = [s for s in segments if comparable(s)]
     steps = [s for s in usable if s.kind != "free"]

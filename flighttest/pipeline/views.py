@@ -61,11 +61,14 @@ def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
 
 
 def _warnings(found: Fit) -> tuple[str, ...]:
-    """What speaks against each parameter; those this data says nothing about in one sentence."""
+    """What speaks against each parameter; those of which the same is said in one sentence."""
     blind = [e.name for e in found.estimates.values() if e.std is None and e.source == "assumed" and e.why]
     lines = [f"nothing in these recordings tells {join(blind)}"] if blind else []
-    lines += [f"{e.name}: {e.why}" for e in found.estimates.values() if e.why and e.name not in blind]
-    return tuple(dict.fromkeys(lines))
+    alike: dict[str, list[str]] = {}
+    for e in found.estimates.values():
+        if e.why and e.name not in blind:
+            alike.setdefault(e.why, []).append(e.name)
+    return (*lines, *(f"{join(names)}: {why}" for why, names in alike.items()))
 
 
 def _parameter(model: Model, e: Estimate) -> ParameterView:

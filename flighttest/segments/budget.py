@@ -26,7 +26,7 @@ class Use(Enum):
     PAUSE = "nothing was recorded"
     GROUND = "before take-off, after landing or on the ground"
     UNKNOWN = "what the vehicle was asked to do was not recorded"
-    BETWEEN = "between steps: held still, or too short for a window"
+    BETWEEN = "between steps: held still, interrupted, or too short for a window"
     SHORT = "too short for a window"
 
     @property

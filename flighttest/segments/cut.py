@@ -53,7 +53,8 @@ def cut(recording: Recording) -> tuple[Segment, ...]:
     found = _by_marks(references, marks, aligned) if marks else []
     found += _by_references(recording, references, aligned, marks, [response for response, _ in found])
     cutter = _Cutter(recording, references, aligned)
-    return _named(cutter.segment(response, mark) for response, mark in found)
+    segments = [cutter.segment(response, mark) for response, mark in found]
+    return _named(s for s in segments if s.usable or not s.between_steps)
 
 
 def _responses(references: References | None, exact: Tolerance = EXACT) -> list[tuple[list[ed.Plateau], list[ed.Edge]]]:
@@ -167,7 +168,7 @@ def _by_references(
         whole = [rest for span in spans for rest in _without(span, (*marked, *steps))]
     # Between steps the vehicle holds still for a while, of which little is learnt, or is brought back, which is free flight too.
     free = [
-        window
+        replace(window, between=bool(marks or steps) and b - a < _FREE_STRETCH_S)
         for a, b in whole
         for piece in _recorded(aligned, references, a, b)
         for window in windows(*piece)
@@ -271,6 +272,7 @@ class _Cutter:
             time_since_takeoff_s=response.t_step_s - self._takeoff_s(response.t_step_s),
             context={
                 "later_edges_s": response.later_edges_s,
+                "between_steps": response.between,
                 "by_hand": response.by_hand or response.kind == "free",
                 "filters": dict(self.recording.provenance.filters),
                 "reference_clock": self.recording.provenance.reference_clock,

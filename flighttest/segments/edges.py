@@ -81,7 +81,8 @@ class Edge:
 @dataclass(frozen=True)
 class Response:
     """One step and how long its record may be: kind and cell as in `Segment`; from start_s to end_s, the step at t_step_s;
-    later_edges_s: further edges of the same input inside (counter-step, return); by_hand: as of the edge."""
+    later_edges_s: further edges of the same input inside (counter-step, return); by_hand: as of the edge; between: a
+    window between steps, in which the vehicle is brought back."""
 
     kind: str
     cell: dict[str, float]
@@ -90,6 +91,7 @@ class Response:
     end_s: float
     later_edges_s: tuple[float, ...] = ()
     by_hand: bool = False
+    between: bool = False
 
 
 def references_of(recording: Recording) -> References | None:

@@ -65,6 +65,11 @@ class Segment:
         return not self.flaws
 
     @property
+    def between_steps(self) -> bool:
+        """Whether it is a window between steps, in which the vehicle is brought back: no flight that anybody meant to be looked at."""
+        return bool(self.context.get("between_steps", False))
+
+    @property
     def since_takeoff_s(self) -> FloatArray:
         """(n,) s since take-off at each sample; since the first sample where the take-off is not known."""
         known = np.isfinite(self.time_since_takeoff_s)
