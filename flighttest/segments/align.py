@@ -101,7 +101,7 @@ def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, 
             y.update(_held(series, aligned.rates_hz[group], t))
         else:
             y.update(_at_own(series, t) if group in aligned.own else _linear(series, aligned.rates_hz[group], t))
-    if "a_x_m_s2" not in y and {"f_x_m_s2", "roll_rad", "pitch_rad", "yaw_rad"} <= set(y):
+    if "a_x_m_s2" not in y and {*names("specific_force"), "roll_rad", "pitch_rad", "yaw_rad"} <= set(y):
         y.update(_world_acceleration(aligned, t, y))
     return t, y
 

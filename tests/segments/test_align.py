@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from flighttest.recording import Provenance, Recording, Series
+from flighttest.segments import cut
 from flighttest.segments.align import prepare, sample
 
 
@@ -107,3 +108,13 @@ def test_a_stream_that_was_quicker_on_the_ground_is_read_in_the_air():
 def without(series: Series, start_s: float, end_s: float) -> Series:
     keep = (series.t_s < start_s) | (series.t_s >= end_s)
     return Series(series.t_s[keep], {n: v[keep] for n, v in series.columns.items()})
+
+
+def test_a_specific_force_without_one_axis_gives_no_world_acceleration(fly):
+    recording = fly([(6.0, 0.0, 0.0, 0.0, 0.25)]).recording()
+    force = recording.series["specific_force"]
+    two = {n: v for n, v in force.columns.items() if n != "f_y_m_s2"}
+    series = {**recording.series, "specific_force": Series(force.t_s, two)}
+    found = cut(type(recording)(recording.name, series, (), recording.provenance))
+    assert found
+    assert all("f_z_m_s2" in s.y and "a_z_m_s2" not in s.y for s in found)
