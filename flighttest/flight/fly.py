@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
-from flighttest.flight import preflight, supervisor
+from flighttest.flight import preflight, priority, supervisor
 from flighttest.flight.changes import Left, Meddling, ParameterChanges, record_of, still_left, values_of
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
@@ -89,6 +89,7 @@ def fly(
     try:
         return flight.run(set_params, frozenset(waive), frozenset(skip), confirm, replanner)
     finally:
+        flight.held.close()
         session.port.close()
 
 
@@ -111,6 +112,7 @@ class _Flight:
         self.recorder = recorder
         self.vehicle = ArduPilot(session)
         self.notes: list[str] = []
+        self.held = contextlib.ExitStack()
         self._on_progress = on_progress
         self._say = say
         self._stops = stops
@@ -198,6 +200,7 @@ class _Flight:
         simulator = preflight.is_simulator(self._parameters)
         if not simulator:
             session.clock.keep_real_time()
+            self.held.enter_context(priority.first())
         firmware = vehicle.firmware()
         self.recorder.manifest.update(
             firmware=f"ArduCopter {firmware}" if firmware else "", parameters=self._parameters

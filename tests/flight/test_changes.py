@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import re
 from pathlib import Path
 
 import pytest
 
-from flighttest.errors import LinkError
+from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightResult, fly
 from flighttest.flight.changes import SETS, Left, still_left
 from flighttest.flight.preflight import THRUST_AS_THRUST
@@ -177,3 +179,16 @@ def test_no_check_sets_what_is_not_restored() -> None:
     named = set(re.findall(r'"((?:GUID|FLTMODE|FS|FENCE|LOG)_[A-Z_]+)": ', source))
     assert named
     assert named <= SETS
+
+
+def test_a_real_vehicle_is_flown_before_other_programs(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(os, "getpriority", lambda *_: 0)
+    monkeypatch.setattr(os, "setpriority", lambda _which, _who, value: asked.append(value))
+    fly(make_plan(), "sim", run_dir.with_name("simulator"), transport=FaultyLink(options()))
+    assert asked == [], "a simulator waits"
+    monkeypatch.setattr("flighttest.flight.preflight.is_simulator", lambda _parameters: False)
+    with pytest.raises(PreflightError):
+        fly(make_plan(), "sim", run_dir, transport=FaultyLink(options()))
+    assert asked == [-15, 0]
+    assert gc.get_freeze_count() == 0
