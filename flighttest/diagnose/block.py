@@ -134,7 +134,8 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
     made.overlaid += overlays(base.rows, now.rows, segments)
     seen = detectable(search)
     made.levels |= seen
-    made.unseen += untestable(search, seen)
+    if made.complete or search.candidates:  # of what an interrupt kept from being screened nothing is known
+        made.unseen += untestable(search, seen)
     made.candidates += _candidates(search)
     made.baselines |= baselines(search.estimator, base, now, segments, asked.previous)
 
