@@ -1,15 +1,36 @@
-"""Linearised rows with columns and residuals of one's own making."""
+"""Linearised rows with columns and residuals of one's own making, and the responses they are of."""
 
 import numpy as np
-from flighttest.diagnose.rows import Rows
+
+from flighttest.estimation.linearisation import Linearisation
+from flighttest.segments.model import Segment
 
 
-def rows_of(residual, columns, segments=20, channel=None):
+def rows_of(residual, columns, segments=20, channel=None, names=None):
+    """Whitened rows without nuisance parameters: each of the responses has as many samples."""
     n = residual.size
     each = n // segments
-    return Rows(
-        residual=residual, jacobian=columns, open_residual=residual, open_jacobian=columns, scale=np.ones(n),
+    return Linearisation(
+        residual=residual, jacobian=columns, unprofiled_residual=residual, unprofiled_jacobian=columns, scale=np.ones(n),
         segment=np.repeat(np.arange(segments), each), sample=np.tile(np.arange(each), segments),
-        channel=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2", "v_z_m_s"),
-        names=tuple(f"p{k}" for k in range(columns.shape[1])),
+        stratum=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2", "v_z_m_s"), disturbances=(),
+        names=names or tuple(f"p{k}" for k in range(columns.shape[1])),
     )  # fmt: skip
+
+
+def responses(segments=20, each=50, repeats=1, step_s=0.02):
+    """Roll steps, the repeats of a cell one after the other."""
+    t = np.arange(each) * step_s
+    return tuple(
+        Segment(f"s{i}", "flight", "roll_step", {"amplitude_rad": i // repeats}, i % repeats, 0.0, t, {}, {})
+        for i in range(segments)
+    )
+
+
+def autoregressive(rng, shape, rho):
+    """(m, n) stationary first-order processes of variance one, along the last axis."""
+    x = np.empty(shape)
+    x[:, 0] = rng.normal(size=shape[0])
+    for k in range(1, shape[1]):
+        x[:, k] = rho * x[:, k - 1] + np.sqrt(1 - rho**2) * rng.normal(size=shape[0])
+    return x

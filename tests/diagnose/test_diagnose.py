@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flight import campaign, fly
-from flighttest.diagnose.rivals import missing_channels
 
-from flighttest.diagnose import Verdict, block_answer, diagnose
+from flighttest.diagnose import Verdict, comparison, diagnose
+from flighttest.diagnose.detectability import missing_channels
 from flighttest.diagnose.run import one_after_the_other
 from flighttest.diagnose.search import Search
 from flighttest.errors import FitError
@@ -67,18 +67,14 @@ def test_two_effects_are_both_named():
     assert set(names(found)) == {"thrust_asymmetry", "throttle_curve"}
 
 
-def test_what_leaves_after_the_last_screening_is_not_unseen(monkeypatch):
-    def leave(search):
-        for term in list(search.judged):
-            now = search.without(term)
-            search.refused[term] = search.judged.pop(term)
-            search.now = now
-
-    monkeypatch.setattr(block_answer, "drop_remainders", leave)
+def test_what_was_refitted_and_left_is_not_unseen(monkeypatch):
+    monkeypatch.setattr(comparison, "LEAST_FLOORS", 1e6)
     found = diagnose(tilts(latency=0.12), only=("velocity_latency",))
     assert found.findings == ()
     assert not found.untestable
     assert 0 < found.smallest_detectable["velocity_latency"] < 0.12
+    (told,) = found.candidates
+    assert "noise floors, too small" in told["why"]
 
 
 def test_nothing_is_missing_where_nothing_is_hidden(calm):
@@ -184,11 +180,11 @@ def test_an_interrupt_keeps_what_is_done():
     assert "v_x" in found.heldout
 
 
-def test_every_block_is_asked_for_names_that_are_none(monkeypatch):
-    asked = []
-    monkeypatch.setattr(block_answer, "drop_remainders", lambda search: asked.append(search.bench.block))
-    diagnose(fly(campaign(1)), only=("rate_limit",))
-    assert asked == ["roll_pitch", "yaw", "translation"]
+def test_every_block_is_searched():
+    said = []
+    diagnose(fly(campaign(1)), only=("rate_limit",), progress=said.append)
+    for block in ("roll_pitch", "yaw", "translation"):
+        assert f"{block}: base model fitted" in said
 
 
 def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):

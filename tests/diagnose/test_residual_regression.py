@@ -1,7 +1,8 @@
 """What stays without a name is described only where the description tells something about data it has not seen."""
 
 import numpy as np
-from flighttest.diagnose.unknown import _functions, _sparse
+
+from flighttest.diagnose.residual_regression import _functions, _sparse
 
 
 def _table(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from flight import campaign, fly
-from flighttest.diagnose.bench import Bench
-from flighttest.diagnose.strays import LEAST, set_aside, strays, told
 
+from flighttest.diagnose.outlying import LEAST, outlying, set_aside, told
+from flighttest.estimation.estimator import Estimator
 from flighttest.identify.fit import default_model
+from flighttest.identify.selection import able
 
 
 def response(cell, t_s, kind="throttle_step"):
@@ -29,7 +30,7 @@ def state(north, up=None):
         "a_d_y_m_s2": np.zeros_like(north),
         "a_d_z_m_s2": np.asarray(up if up is not None else 0 * north),
     }
-    return SimpleNamespace(local=local)
+    return SimpleNamespace(nuisance=local)
 
 
 USUAL = np.tile([0.05, -0.04, 0.02, -0.03], 5)
@@ -39,7 +40,7 @@ def test_a_gust_that_came_once_is_found_and_told():
     pushed = USUAL.copy()
     pushed[[3, 4]] = 1.5, 1.8
     segments = flown(pushed)
-    found = strays(state(pushed), segments)
+    found = outlying(state(pushed), segments)
     assert list(found) == [3, 4]
     assert found[4] == pytest.approx(1.8, abs=0.1)
     assert "2 of 20 responses, between 30 and 40 s of flight, were pushed by up to 1.8 m/s^2" in told(found, segments)
@@ -49,7 +50,7 @@ def test_a_push_from_below_counts_too():
     up = np.zeros(20)
     up[7] = -1.0
     segments = flown(up)
-    found = strays(state(USUAL, up), segments)
+    found = outlying(state(USUAL, up), segments)
     assert list(found) == [7]
     assert "1 of 20 responses, at 70 s of flight, was pushed by up to 1.0 m/s^2" in told(found, segments)
 
@@ -57,32 +58,32 @@ def test_a_push_from_below_counts_too():
 def test_what_its_repeat_shares_is_the_vehicles_own():
     pushed = USUAL.copy()
     pushed[[3, 13]] = 1.5, 1.4
-    assert strays(state(pushed), flown(pushed)) == {}
+    assert outlying(state(pushed), flown(pushed)) == {}
 
 
 def test_usual_weather_is_no_exception():
     rng = np.random.default_rng(0)
     pushed = rng.normal(0.0, 0.3, 40)
-    assert strays(state(pushed), flown(pushed)) == {}
+    assert outlying(state(pushed), flown(pushed)) == {}
 
 
 def test_what_comes_in_every_second_response_is_no_exception():
     pushed = np.zeros(20)
     pushed[:9] = 2.0
-    assert strays(state(pushed), flown(pushed)) == {}
+    assert outlying(state(pushed), flown(pushed)) == {}
 
 
 def test_free_flight_has_no_repeats_and_what_was_not_measured_no_push():
     pushed = USUAL.copy()
     pushed[3] = 2.0
-    assert strays(state(pushed), flown(pushed, kind="free")) == {}
-    assert strays(SimpleNamespace(local={}), flown(pushed)) == {}
+    assert outlying(state(pushed), flown(pushed, kind="free")) == {}
+    assert outlying(SimpleNamespace(nuisance={}), flown(pushed)) == {}
 
 
 @pytest.mark.parametrize("count", [LEAST - 1, LEAST])
 def test_of_few_responses_nobody_knows_what_is_usual(count):
     steps = [replace(step, repeat=k % 2) for step in campaign(1, throttles=False, yaws=False) for k in (0, 1)]
     segments = tuple(fly(steps[:count], gust=((3,), -2.0)))
-    kept, aside, _ = set_aside(Bench(segments, "translation"), default_model(segments), [{}])
+    kept, aside, _ = set_aside(Estimator(segments, "translation", able), default_model(segments), [{}])
     assert len(kept) == (count if count < LEAST else count - 1)
     assert bool(aside) is (count == LEAST)
