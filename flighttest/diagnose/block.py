@@ -21,6 +21,7 @@ from flighttest.diagnose.model import Located, TermVerdict, Untestable, brief, f
 from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.search import Search, silent
 from flighttest.estimation.estimator import Estimator, part_of
+from flighttest.identify.fit import Fit
 from flighttest.identify.selection import able
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -34,12 +35,12 @@ PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "t
 
 @dataclass(frozen=True)
 class Asked:
-    """What every block is asked about: responses, base model, candidates, where fits begin, which responses are held out together."""
+    """What every block is asked about: responses, base model, candidates, the base model's fit, which responses are held out together."""
 
     segments: tuple[Segment, ...]
     model: Model
     pool: tuple[Term, ...]
-    starts: tuple[Mapping[str, float], ...]
+    base: Fit
     groups: NDArray[np.intp]
     filters: Mapping[str, float] | None
     previous: Mapping[str, tuple[float, float | None]]
@@ -71,13 +72,13 @@ class Answer:
     staying: set[str] = field(default_factory=set)
 
 
-def answer(block: str, asked: Asked, estimator: Estimator | None = None) -> Answer:
-    """Search one block. estimator: one that has compiled the base model already.
+def answer(block: str, asked: Asked) -> Answer:
+    """Search one block.
 
     An interrupt (KeyboardInterrupt) ends the search; what is known is reported.
     """
     made = Answer()
-    estimator = estimator or Estimator(asked.segments, block, able, asked.filters)
+    estimator = Estimator(asked.segments, block, able, asked.filters)
     model = asked.model
     own = model.with_terms(COUPLING) if block == "roll_pitch" else model
     if not estimator.problem(own).parts:
@@ -87,8 +88,7 @@ def answer(block: str, asked: Asked, estimator: Estimator | None = None) -> Answ
     pool = tuple(t for t in asked.pool if _acts(t, estimator, own) and not missing_channels(t, asked.segments))
     search = Search(estimator, pool, asked.groups, inactive, progress=lambda text: asked.tell(f"{block}: {text}"))
     try:
-        starts = [estimator.start(own, values) for values in asked.starts]
-        search.run(own, min(starts, key=lambda at: at.objective))
+        search.run(own, estimator.start(own, asked.base.values))
     except KeyboardInterrupt:
         made.complete = False
     if search.now is not None and search.floor is not None:

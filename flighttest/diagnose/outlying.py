@@ -23,26 +23,26 @@ LEAST = 12  # responses: of fewer nobody knows what is usual
 
 
 def set_aside(
-    estimator: Estimator, model: Model, starts: Sequence[Mapping[str, float]]
-) -> tuple[tuple[Segment, ...], dict[str, Any], dict[str, float]]:
-    """The responses without those that something pushed once, those by name with a sentence on them, and the base model's values.
+    estimator: Estimator, model: Model, start: Mapping[str, float]
+) -> tuple[tuple[Segment, ...], dict[str, Any]]:
+    """The responses without those that something pushed once, and those by name with a sentence on them.
 
-    estimator: of translation. starts: values to begin the base fit from. Without the fit there are no values.
+    estimator: of translation. start: values of the base model to begin its fit from.
     """
     segments = estimator.segments
     if len(segments) < LEAST or len({s.cell_key for s in segments}) == len(segments):
-        return segments, {}, {}  # or nothing was flown twice
+        return segments, {}  # or nothing was flown twice
     problem = estimator.problem(model)
     if not problem.parts:
-        return segments, {}, {}
-    first = min((estimator.start(model, values) for values in starts), key=lambda at: at.objective)
+        return segments, {}
+    first = estimator.start(model, start)
     insensitive = estimator.insensitive(model, first)
     fitted = estimator.fit(model, first, tuple(n for n in problem.names if n not in insensitive))
     odd = outlying(fitted, segments)
     if not odd:
-        return segments, {}, fitted.values
+        return segments, {}
     aside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
-    return tuple(s for i, s in enumerate(segments) if i not in odd), aside, fitted.values
+    return tuple(s for i, s in enumerate(segments) if i not in odd), aside
 
 
 def outlying(state: Optimum, segments: Sequence[Segment]) -> dict[int, float]:

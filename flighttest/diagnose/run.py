@@ -20,8 +20,7 @@ from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.search import Search, silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS, Estimator
-from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
-from flighttest.identify.onset import onset_delay, start_values
+from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references, misfit
 from flighttest.identify.selection import able
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
@@ -34,8 +33,6 @@ LEAST_SEGMENTS = 4
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
-# Start delays never fall on a sample: there the derivative by the delay is one-sided.
-OFF_GRID_S = 1.7e-4
 DELAYS_DIFFER_S = 0.01
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 SHAPE_ALONE = "times its usual self"
@@ -90,22 +87,21 @@ def diagnose(
         for t in known.values()
         if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
     )
-    translation = Estimator(usable, "translation", able, filters)
-    starts = _starts(usable, model, previous)
-    kept, aside, near = set_aside(translation, model, starts)
+    say = progress or silent
+    say("fitting the base model")
+    base = _fitted(usable, model, filters, {k: v[0] for k, v in (previous or {}).items()})
+    kept, aside = set_aside(Estimator(usable, "translation", able, filters), model, base.values)
     if aside:
-        translation = Estimator(kept, "translation", able, filters)
-    if near:
-        starts.append(near)
+        base = _fitted(kept, model, filters, base.values)
     groups, group_name = held_out_groups(kept)
-    asked = Asked(kept, model, pool, tuple(starts), groups, filters, previous or {}, seed, progress or silent)
+    asked = Asked(kept, model, pool, base, groups, filters, previous or {}, seed, say)
     blocks = [b for b in BLOCKS if b == "translation" or model.attitude_loops]
 
     def search(some: Sequence[str]) -> list[Answer]:
         answers: list[Answer] = []
         for block in some:
             try:
-                answers.append(answer(block, asked, translation if block == "translation" else None))
+                answers.append(answer(block, asked))
             except KeyboardInterrupt:
                 answers.append(Answer(complete=False))
             if not answers[-1].complete:
@@ -132,15 +128,17 @@ def diagnose(
     return replace(found, sentence=f"{found.sentence} {said} set aside.", set_aside=aside)
 
 
-def _starts(
-    segments: Sequence[Segment], model: Model, previous: Mapping[str, tuple[float, float | None]] | None
-) -> list[dict[str, float]]:
-    """From the shape of the responses, and from the previous model where there is one (it may be of another vehicle)."""
-    shape = dict(start_values(segments, model, onset_delay(segments)))
-    found = [shape]
-    if previous:
-        found.append({**shape, **{k: float(v[0]) for k, v in previous.items() if k in model.names}})
-    return [{k: v + OFF_GRID_S if k.startswith("T_d") else v for k, v in values.items()} for values in found]
+def _fitted(
+    segments: Sequence[Segment], model: Model, filters: Mapping[str, float] | None, start: Mapping[str, float]
+) -> Fit:
+    """A model fitted to every response that can feed it: from the shape of the responses and, where that is better, from `start`, which
+    may be of another vehicle."""
+    found = fit(segments, model, filters=filters, select="all", robust=False)
+    known = {k: v for k, v in start.items() if k in model.names}
+    if not known:
+        return found
+    other = fit(segments, model, filters=filters, select="all", robust=False, start=known)
+    return min(found, other, key=lambda f: misfit(f.problem, f.solution))
 
 
 def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diagnosis:
@@ -151,8 +149,8 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
     accepted = tuple(sorted((t for s in searches for t in s.evidence), key=lambda t: _nats(searches, t), reverse=True))
     final = model.with_terms(*accepted)
     asked.tell(f"fitting {' + '.join(final.terms)}")
-    base_fit, final_fit = _final_fits(asked, searches, final)
-    before, after = parameter_table(base_fit), parameter_table(final_fit)
+    final_fit = _final_fit(asked, searches, final)
+    before, after = parameter_table(asked.base), parameter_table(final_fit)
     findings = [
         finding(search, term, after, asked.groups, asked.seed)
         for term in accepted
@@ -226,18 +224,15 @@ def _nats(searches: Sequence[Search], term: str) -> float:
     return next(s.evidence[term].nats for s in searches if term in s.evidence)
 
 
-def _final_fits(asked: Asked, searches: Sequence[Search], final: Model) -> tuple[Fit, Fit]:
-    """The base model and the final one, fitted to every response by the estimator that writes model.yaml: their values and intervals are
-    printed everywhere."""
-    found = []
-    for model in dict.fromkeys((asked.model, final)):
-        start: dict[str, float] = {}
-        for search in searches:
-            fitted = search.base if model is asked.model else search.now
-            assert fitted is not None
-            start |= {n: v for n, v in fitted.at.values.items() if n in model.names}
-        found.append(fit(asked.segments, model, filters=asked.filters, select="all", start=start, robust=False))
-    return found[0], found[-1]
+def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
+    """The final model, fitted to every response by the estimator that writes model.yaml: its values and intervals are printed everywhere."""
+    if final == asked.model:
+        return asked.base
+    start: dict[str, float] = {}
+    for search in searches:
+        assert search.now is not None
+        start |= {n: v for n, v in search.now.at.values.items() if n in final.names}
+    return fit(asked.segments, final, filters=asked.filters, select="all", start=start, robust=False)
 
 
 def _in_units(name: str, unit: str) -> str:

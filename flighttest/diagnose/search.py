@@ -216,7 +216,7 @@ class Search:
         at = self.estimator.fit(model, start, names)
         fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
         known = self._fits.get(self._members(fitted))
-        if known is not None and known.at.objective <= at.objective and known.at.noise == at.noise:
+        if known is not None and known.names == names and known.at.log_likelihood >= at.log_likelihood:
             return known
         self._fits[self._members(fitted)] = fitted
         return fitted

@@ -127,7 +127,13 @@ class Estimator:
                 column = columns.setdefault(name, np.full(len(self.segments), np.nan))
                 column[[r.index for r in part.responses]] = values[:, k]
         made = Optimum(dict(found.values), columns, found.noise, np.inf)
-        return replace(made, objective=self.objective(model, made))
+        objective = self.objective(model, made)
+        scale = 0.0
+        for part in problem.parts:
+            count = part.mask.sum(axis=(0, 1))
+            scale += sum(n * np.log(found.noise.channel[c]) for n, c in zip(count, part.outputs, strict=True))
+            scale += len(part.responses) * sum(np.log(found.noise.disturbance[d]) for d in part.block.disturbances)
+        return replace(made, objective=objective, log_likelihood=float(-scale - 0.5 * objective))
 
     def linearise(self, model: Model, at: Optimum, names: Sequence[str]) -> Linearisation:
         """Whitened, profiled rows at a point, with Jacobian columns for `names` (coefficients at their null value included)."""

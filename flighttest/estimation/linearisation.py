@@ -23,12 +23,14 @@ IntArray = NDArray[np.intp]
 @dataclass(frozen=True)
 class Optimum:
     """A fitted model. values: every parameter; nuisance: name to (n_segments,), NaN where a segment has none; objective: whitened sum of
-    squares, priors of the nuisance parameters included; infinite where the simulation is not finite."""
+    squares, priors of the nuisance parameters included; infinite where the simulation is not finite. It compares points of one noise only;
+    log_likelihood, with the noise's own normalisation, compares any."""
 
     values: dict[str, float]
     nuisance: dict[str, FloatArray]
     noise: Noise
     objective: float
+    log_likelihood: float = -np.inf
 
 
 @dataclass(frozen=True)

@@ -238,10 +238,10 @@ def _best(problem: Problem, robust: bool, nominal: Mapping[str, float], noise: N
     found = [first] + [solve(problem, start, robust=robust) for start in others]
     finite = [s for s in found if s.status is not FitStatus.DIVERGED]
     good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
-    return min(good, key=lambda solution: _misfit(problem, solution))
+    return min(good, key=lambda solution: misfit(problem, solution))
 
 
-def _misfit(problem: Problem, solution: Solution) -> float:
+def misfit(problem: Problem, solution: Solution) -> float:
     """Log-likelihood's noise part: comparable between solutions, whose noise differs."""
     return sum(
         float(part.mask[..., k].sum()) * math.log(solution.noise.channel[c])

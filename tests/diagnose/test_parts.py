@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from made_rows import rows_of
 
-from flighttest.diagnose import detectability, findings, locate, run
-from flighttest.diagnose.held_out import cross_validated, held_out, held_out_groups
+from flighttest.diagnose import detectability, locate, run
+from flighttest.diagnose.held_out import held_out, held_out_groups
 from flighttest.diagnose.lack_of_fit import NoiseFloor, _independent_times, _shared, high_frequency
 from flighttest.diagnose.locate import explained_by
 from flighttest.diagnose.mass import mass_test
 from flighttest.estimation.linearisation import orthonormal
-from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
 

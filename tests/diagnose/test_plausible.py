@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
 from made_rows import rows_of
 
-from flighttest.diagnose.plausible import does_not_stand_out, impossible, never_reached
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
