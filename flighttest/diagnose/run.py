@@ -225,7 +225,7 @@ def _nats(searches: Sequence[Search], term: str) -> float:
 
 
 def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
-    """The final model, fitted to every response by the estimator that writes model.yaml: its values and intervals are printed everywhere."""
+    """The final model, fitted to every response; model.yaml, the report and the findings print its values and intervals."""
     if final == asked.model:
         return asked.base
     start: dict[str, float] = {}
