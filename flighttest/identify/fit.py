@@ -249,7 +249,8 @@ def _off_the_samples(problem: Problem, found: Solution, robust: bool) -> Solutio
     There the cost has a kink, since an edge passes from one piece between samples to the next, and a solver may end on it (one did with
     sigma_t 113 1/s for 41). Scouted on a part of the responses.
     """
-    interval = float(np.median([np.median(np.diff(s.t_s)) for s in problem.segments if s.t_s.size > 1] or [0.0]))
+    steps = [float(np.median(np.diff(s.t_s))) for s in problem.segments if s.t_s.size > 1]
+    interval = float(np.median(steps or [0.0]))
     if not interval > 0.0:
         return found
     delays = [n for n in found.free if n.startswith("T_d")]
