@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import click
 
 from flighttest.cli.show import Show
+from flighttest.errors import FlighttestError
 from flighttest.pipeline.results import Result, Status
 
 EXIT = {Status.DONE: 0, Status.UNUSABLE: 1, Status.BAD_INPUT: 2, Status.UNEXPLAINED: 3, Status.STALE: 4}
@@ -49,7 +51,11 @@ def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
     def wrap(function: Callable[..., int]) -> click.Command:
         def body(context: Context, **options: Any) -> int:
             options.pop("json")
-            return function(context, **options)
+            try:
+                return function(context, **options)
+            except FlighttestError as error:
+                error.hint = _as_typed(error.hint, options)
+                raise
 
         body.__doc__ = function.__doc__
         body.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
@@ -60,3 +66,11 @@ def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
         return made
 
     return wrap
+
+
+def _as_typed(hint: str, options: Mapping[str, Any]) -> str:
+    """A hint whose commands work as printed: `flighttest segment` with the recordings and the column map of this call."""
+    words = [str(run) for run in options.get("runs") or ()]
+    if options.get("columns") is not None:
+        words += ["--columns", str(options["columns"])]
+    return hint.replace("`flighttest segment`", f"`flighttest segment {shlex.join(words)}`") if words else hint

@@ -83,4 +83,9 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
         from flighttest.logs.table import import_table
 
         return import_table(path, columns)
+    if suffix in {".yaml", ".yml"}:
+        raise RecordingError(
+            f"{path}: this is no recording",
+            "a model is given with --model, a vehicle with --vehicle, a column map with --columns",
+        )
     raise RecordingError(f"{path}: this is no kind of log I know", "give a .BIN, .tlog, .ulg, .csv or .parquet file")

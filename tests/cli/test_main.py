@@ -170,3 +170,21 @@ def test_sim_tells_a_program_where_it_is():
         late.cancel()
         process.kill()
         process.wait()
+
+
+def test_a_printed_command_works_as_printed(capsys, tmp_path):
+    path = tmp_path / "on the ground.csv"
+    rows = "\n".join(f"{k / 50:.2f},0.0,0.0,0.0,0.0,0.2,0.0,0.0" for k in range(60))
+    path.write_text(f"t_s,roll_rad,pitch_rad,yaw_rad,v_z_m_s,throttle,roll_ref_rad,pitch_ref_rad\n{rows}\n")
+    code, out, err = call(capsys, "fit", str(path))
+    assert code == 3
+    assert f"`flighttest segment '{path}'`" in out + err
+    assert call(capsys, "segment", str(path))[0] in (0, 1)
+
+
+def test_a_model_in_the_place_of_a_recording_is_told_where_it_goes(capsys, tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text("format: model/1\n")
+    code, out, err = call(capsys, "fit", str(path))
+    assert code == 2
+    assert "--model" in out + err
