@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import prior_std
-from flighttest.estimation.weighing import FEWEST_REPEATS, _between_repeats, start_noise
+from flighttest.estimation.weighing import _between_repeats, start_noise
 from flighttest.identify.fit import default_model
 from flighttest.identify.selection import able
 from tests.diagnose.flight import campaign, fly
@@ -37,7 +37,7 @@ def point(throttled):
     nuisance = {n: np.full(len(estimator.segments), np.nan) for part in problem.parts for n in part.locals}
     noise = start_noise(problem)
     for part in problem.parts:
-        moved = part.start_local() + 0.5 * rng.normal(size=part.start.shape[:1] + (1,)) * prior_std(part, noise)
+        moved = part.start_local() + 0.5 * rng.normal(size=(*part.start.shape[:1], 1)) * prior_std(part, noise)
         for k, name in enumerate(part.locals):
             nuisance[name][[r.index for r in part.responses]] = moved[:, k]
     return Optimum(values, nuisance, noise, np.inf)
@@ -117,7 +117,8 @@ def test_a_fit_ends_where_scipys_does(throttled):
     found = estimator.fit(model, start, names, noise=False)
     problem = estimator.problem(model)
     local = estimator.nuisance(problem, start)
-    scale = np.concatenate([[model.param[n].scale for n in names], *(prior_std(p, start.noise).ravel() for p in problem.parts)])  # fmt: skip
+    spread = [prior_std(p, start.noise).ravel() for p in problem.parts]
+    scale = np.concatenate([[model.param[n].scale for n in names], *spread])
 
     def residuals(x):
         x = x * scale
@@ -160,7 +161,6 @@ def test_the_variance_between_repeats_is_that_of_a_one_way_analysis():
 
 @pytest.mark.parametrize(("repeats", "known"), [(7, False), (8, True)])
 def test_of_few_repeats_no_variance_is_taken(repeats, known):
-    assert FEWEST_REPEATS == 8
     cells = np.r_[np.zeros(repeats + 1, dtype=int), 1, 2]
     values = np.r_[np.tile([0.1, -0.1], repeats)[: repeats + 1], 5.0, -5.0]
     assert (_between_repeats(values, np.ones(values.size), cells, 99.0) < 1.0) is known

@@ -1,0 +1,207 @@
+"""The evidence for a term, and what an estimate must be like to be what its name says."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_rows import autoregressive, responses, rows_of
+
+from flighttest.diagnose.comparison import (
+    Evidence,
+    Fitted,
+    inadmissible,
+    log_evidence,
+    log_odds_asked,
+    probability_of,
+    standard_errors,
+)
+from flighttest.diagnose.held_out import cross_validated
+from flighttest.diagnose.lack_of_fit import floor_of
+from flighttest.estimation.linearisation import Optimum
+from flighttest.estimation.problem import Noise
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
+
+SEGMENTS, EACH = 40, 50
+NOISE = Noise({"f_z_m_s2": 1.0}, {})
+
+
+def fitted(y, columns, names, model=None, values=None):
+    """A linear model at its least squares optimum."""
+    step = np.linalg.lstsq(columns, y, rcond=None)[0]
+    rows = rows_of(y - columns @ step, columns, SEGMENTS, names=names)
+    at = Optimum(values or dict(zip(names, step.tolist(), strict=True)), {}, NOISE, 0.0)
+    return Fitted(model, names, at, rows)
+
+
+def evidence(y, columns, segments=None):
+    """Log evidence of the last column."""
+    segments = segments or responses(SEGMENTS, EACH)
+    names = tuple(f"p{k}" for k in range(columns.shape[1]))
+    larger, smaller = fitted(y, columns, names), fitted(y, columns[:, :-1], names[:-1])
+    floor = floor_of(larger.rows, segments, {})
+    groups = np.arange(SEGMENTS) % 20
+    return log_evidence(larger, smaller, SimpleNamespace(segments=segments), groups, floor)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_what_is_not_needed_has_no_evidence_on_the_average_and_is_not_named(rng, rho):
+    found = []
+    for _ in range(150):
+        e, x = (autoregressive(rng, (SEGMENTS, EACH), rho).ravel() for _ in range(2))
+        found.append(evidence(e, np.stack([np.ones(e.size), x], axis=1))[0])
+    # A parameter that is not there costs about half a nat of prediction.
+    assert -1.1 < np.mean(found) < -0.2
+    assert np.std(found) < 1.6
+    assert max(found) < log_odds_asked(1)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+@pytest.mark.parametrize("size", [6.0, 12.0])
+def test_what_is_there_has_half_its_chi_square(rng, rho, size):
+    """size: of the coefficient, in standard errors."""
+    found, chi = [], []
+    for _ in range(30):
+        e = autoregressive(rng, (SEGMENTS, EACH), rho).ravel()
+        x = rng.normal(size=SEGMENTS).repeat(EACH)
+        tau = (1 + rho) / (1 - rho)
+        columns = np.stack([np.ones(e.size), x], axis=1)
+        error = np.sqrt(tau * np.linalg.inv(columns.T @ columns)[1, 1])
+        y = e + size * error * x
+        found.append(evidence(y, columns)[0])
+        chi.append((np.linalg.lstsq(columns, y, rcond=None)[0][1] / error) ** 2)
+    assert np.mean(found) == pytest.approx(0.5 * np.mean(chi), rel=0.2)
+
+
+def test_the_evidence_is_the_sum_over_groups(rng):
+    y, columns = rng.normal(size=SEGMENTS * EACH), rng.normal(size=(SEGMENTS * EACH, 2))
+    total, each = evidence(y + 0.2 * columns[:, 1], columns)
+    assert each.shape == (20,)
+    assert total == pytest.approx(each.sum())
+    assert np.mean(each > 0) > 0.6
+
+
+def test_models_are_compared_in_the_noise_of_the_larger(rng):
+    """The smaller model is linearised anew where its own noise was another."""
+    names, y = ("p0",), rng.normal(size=SEGMENTS * EACH)
+    larger = fitted(y, np.ones((y.size, 1)), names)
+    smaller = replace(larger, at=replace(larger.at, noise=Noise({"f_z_m_s2": 2.0}, {})))
+    asked = []
+    estimator = SimpleNamespace(
+        segments=responses(SEGMENTS, EACH), linearise=lambda _m, at, _n: asked.append(at.noise) or larger.rows
+    )
+    groups = np.arange(SEGMENTS) % 20
+    assert log_evidence(larger, smaller, estimator, groups, floor_of(larger.rows, estimator.segments, {}))[0] == 0.0
+    assert asked == [NOISE]
+
+
+def test_predictive_squares_are_those_of_weighted_fits_without_the_fold(rng):
+    columns, y = rng.normal(size=(600, 2)), rng.normal(size=600)
+    y += columns @ [1.0, -2.0]
+    rows = rows_of(y, columns, segments=20)
+    weights, groups = rng.uniform(0.5, 2.0, 600), np.arange(20) // 4
+    found = cross_validated(rows, ("p0", "p1"), groups, weights)
+    root = np.sqrt(weights)
+    for fold in range(5):
+        inside = (groups % 5)[rows.segment] == fold
+        refit = np.linalg.lstsq(columns[~inside] * root[~inside, None], (y * root)[~inside], rcond=None)[0]
+        expected = weights[inside] * (y - columns @ refit)[inside] ** 2
+        np.testing.assert_allclose(found[inside], expected, atol=1e-5)
+
+
+def test_standard_errors_are_those_of_generalised_least_squares(rng):
+    rho, spread = 0.8, []
+    x = rng.normal(size=SEGMENTS).repeat(EACH)
+    columns = np.stack([np.ones(x.size), x], axis=1)
+    told = []
+    for _ in range(40):
+        e = autoregressive(rng, (SEGMENTS, EACH), rho).ravel()
+        found = fitted(e, columns, ("p0", "p1"))
+        told.append(standard_errors(found, responses(SEGMENTS, EACH))["p1"])
+        spread.append(found.at.values["p1"])
+    assert np.mean(told) == pytest.approx(np.std(spread), rel=0.3)
+
+
+def test_the_probability_of_a_term_has_the_catalogue_in_its_prior():
+    assert probability_of(0.0, 1) == 0.5
+    assert probability_of(np.log(30.0), 30) == pytest.approx(0.5)
+    assert probability_of(np.log(99.0) + np.log(30.0), 30) == pytest.approx(0.99)
+    assert probability_of(log_odds_asked(30), 30) == pytest.approx(0.99)
+    assert probability_of(-1e9, 30) == pytest.approx(0.0)
+    assert probability_of(1e9, 30) == 1.0
+
+
+def found(probability=0.999, floors=5.0, inadmissible=""):
+    nothing = np.zeros(0)
+    return Evidence("t", 9.0, probability, floors, ("f_z_m_s2", "roll_step"), nothing, nothing, inadmissible, None)
+
+
+@pytest.mark.parametrize(("probability", "named"), [(0.98, False), (0.985, False), (0.992, True)])
+def test_a_name_is_given_where_it_is_wrong_once_in_a_hundred(probability, named):
+    assert (found(probability=probability).why_not == "") is named
+
+
+@pytest.mark.parametrize(("floors", "named"), [(0.4, False), (0.6, False), (0.75, True), (1.3, True)])
+def test_a_name_is_given_to_half_the_power_of_the_floor_and_no_less(floors, named):
+    assert (found(floors=floors).why_not == "") is named
+
+
+def test_what_cannot_be_is_not_named_however_probable():
+    assert found(probability=1.0, floors=100.0, inadmissible="k is at its bound").why_not == "k is at its bound"
+
+
+def judged(term, model, values, columns=None, rng=None, segments=()):
+    names = tuple(p.name for p in catalogue()[term].params if p.name in values)
+    rows = None
+    if columns is not None:
+        rows = rows_of(rng.normal(size=columns.shape[0]), columns, SEGMENTS, names=names)
+        segments = responses(SEGMENTS, columns.shape[0] // SEGMENTS)
+    at = Optimum(values, {}, NOISE, 0.0)
+    return inadmissible(catalogue()[term], Fitted(model, names, at, rows), segments, 30)
+
+
+def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
+    model, values = (
+        Model(("linear_drag", "attitude_extra_pole")),
+        {"attitude_pole_share": 1.0, "attitude_pole_tau": 0.05},
+    )
+    assert judged("attitude_extra_pole", model, values) == ""
+    assert "bound" in judged("attitude_extra_pole", model, values | {"attitude_pole_share": -2.0})
+
+
+def test_a_load_of_negative_mass_and_a_length_at_its_bound_are_refused():
+    model = Model(("linear_drag", "slung_payload", "quadratic_drag"))
+    load, drag = {"payload_ratio": 0.1, "cable_m": 1.0}, {"k_x": 0.02, "k_y": 0.02, "k_z": -0.005}
+    assert judged("slung_payload", model, load) == ""
+    assert judged("quadratic_drag", model, drag) == ""  # one of three, by chance
+    assert "does not allow" in judged("slung_payload", model, load | {"payload_ratio": -0.03})
+    assert "bound" in judged("slung_payload", model, load | {"cable_m": 15.0})
+    assert "does not allow" in judged("quadratic_drag", model, drag | {"k_z": -0.1})
+
+
+def test_a_wind_that_only_rises_is_refused(rng):
+    model, columns = Model(("steady_wind",)), rng.normal(size=(SEGMENTS * EACH, 2))  # standard errors of 0.022
+    assert "without the rest" in judged("steady_wind", model, {"w_north": 0.04, "w_up": 0.5}, columns, rng)
+    assert judged("steady_wind", model, {"w_north": 1.0, "w_up": 0.5}, columns, rng) == ""
+
+
+@pytest.mark.parametrize(
+    ("term", "limit", "reached"),
+    [
+        ("motor_saturation", {"T_max": 0.45}, True),
+        ("motor_saturation", {"T_max": 0.55}, False),
+        # A step of 0.4 rad asks for 20 / (2 0.5) 0.4 = 8 rad/s.
+        ("rate_limit", {"rate_max": 7.0}, True),
+        ("rate_limit", {"rate_max": 9.0}, False),
+        ("reference_shaping", {}, True),
+    ],
+)
+def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
+    t = np.linspace(0.0, 1.0, 21)
+    roll = np.where(t < 0.5, 0.0, 0.4 * (1 - np.exp(-(t - 0.5) / 0.1)))
+    references = {"roll_ref_rad": (np.array([0.0, 0.5]), np.array([0.0, 0.4])), "throttle": (t[:1], np.array([0.5]))}
+    step = SimpleNamespace(t_s=t, y={"roll_rad": roll}, u=references)
+    at = Optimum({"omega_phi": 20.0, "zeta_phi": 0.5, **limit}, {}, NOISE, 0.0)
+    model = Fitted(Model((term,)), tuple(limit), at, None)
+    assert (inadmissible(catalogue()[term], model, [step], 30) == "") is reached
