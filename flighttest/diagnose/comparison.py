@@ -20,7 +20,7 @@ from flighttest.diagnose.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.responses import zero_order_hold
-from flighttest.physics.core import Term
+from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
@@ -165,11 +165,17 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
         if at_bound and (p.kind == "amplitude" or len(p.screen) > 1):
             return f"{p.name} is at its bound, {value:.3g} {p.unit}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
-        if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > 0.1 * abs(usual_size(p))):
+        # One of several may be there by chance.
+        if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, fitted, segments)):
             return f"{p.name} is {value:.3g} {p.unit}, which physics does not allow"
         if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
             return f"{p.name} is {value:.3g} {p.unit}, and no more than {most:.3g} was flown"
     return ""
+
+
+def _by_chance(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
+    """How far on the wrong side a coefficient may be estimated that is next to nothing."""
+    return max(0.1 * abs(usual_size(p)), 1.96 * standard_errors(fitted, segments)[p.name])
 
 
 def _most(what: str, values: dict[str, float], segment: Segment) -> float:
