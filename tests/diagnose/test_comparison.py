@@ -23,7 +23,8 @@ from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
-SEGMENTS, EACH = 40, 50
+SEGMENTS, EACH, REPEATS = 40, 50, 4
+GROUPS = np.arange(SEGMENTS) // REPEATS
 NOISE = Noise({"f_z_m_s2": 1.0}, {})
 
 
@@ -35,14 +36,13 @@ def fitted(y, columns, names, model=None, values=None):
     return Fitted(model, names, at, rows)
 
 
-def evidence(y, columns, segments=None):
+def evidence(y, columns):
     """Log evidence of the last column."""
-    segments = segments or responses(SEGMENTS, EACH)
+    segments = responses(SEGMENTS, EACH, REPEATS)
     names = tuple(f"p{k}" for k in range(columns.shape[1]))
     larger, smaller = fitted(y, columns, names), fitted(y, columns[:, :-1], names[:-1])
     floor = floor_of(larger.rows, segments, {})
-    groups = np.arange(SEGMENTS) % 20
-    return log_evidence(larger, smaller, SimpleNamespace(segments=segments), groups, floor)
+    return log_evidence(larger, smaller, SimpleNamespace(segments=segments), GROUPS, floor)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -65,7 +65,8 @@ def test_what_is_there_has_half_its_chi_square(rng, rho, size):
     for _ in range(30):
         e = autoregressive(rng, (SEGMENTS, EACH), rho).ravel()
         x = rng.normal(size=SEGMENTS).repeat(EACH)
-        tau = (1 + rho) / (1 - rho)
+        lag = np.arange(1, EACH)
+        tau = 1.0 + 2.0 * float(np.sum((1.0 - lag / EACH) * rho**lag))  # of the mean of one response
         columns = np.stack([np.ones(e.size), x], axis=1)
         error = np.sqrt(tau * np.linalg.inv(columns.T @ columns)[1, 1])
         y = e + size * error * x
@@ -77,7 +78,7 @@ def test_what_is_there_has_half_its_chi_square(rng, rho, size):
 def test_the_evidence_is_the_sum_over_groups(rng):
     y, columns = rng.normal(size=SEGMENTS * EACH), rng.normal(size=(SEGMENTS * EACH, 2))
     total, each = evidence(y + 0.2 * columns[:, 1], columns)
-    assert each.shape == (20,)
+    assert each.shape == (10,)
     assert total == pytest.approx(each.sum())
     assert np.mean(each > 0) > 0.6
 
@@ -91,8 +92,7 @@ def test_models_are_compared_in_the_noise_of_the_larger(rng):
     estimator = SimpleNamespace(
         segments=responses(SEGMENTS, EACH), linearise=lambda _m, at, _n: asked.append(at.noise) or larger.rows
     )
-    groups = np.arange(SEGMENTS) % 20
-    assert log_evidence(larger, smaller, estimator, groups, floor_of(larger.rows, estimator.segments, {}))[0] == 0.0
+    assert log_evidence(larger, smaller, estimator, GROUPS, floor_of(larger.rows, estimator.segments, {}))[0] == 0.0
     assert asked == [NOISE]
 
 
@@ -118,7 +118,7 @@ def test_standard_errors_are_those_of_generalised_least_squares(rng):
     for _ in range(40):
         e = autoregressive(rng, (SEGMENTS, EACH), rho).ravel()
         found = fitted(e, columns, ("p0", "p1"))
-        told.append(standard_errors(found, responses(SEGMENTS, EACH))["p1"])
+        told.append(standard_errors(found, responses(SEGMENTS, EACH, REPEATS))["p1"])
         spread.append(found.at.values["p1"])
     assert np.mean(told) == pytest.approx(np.std(spread), rel=0.3)
 
@@ -170,14 +170,15 @@ def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
     assert "bound" in judged("attitude_extra_pole", model, values | {"attitude_pole_share": -2.0})
 
 
-def test_a_load_of_negative_mass_and_a_length_at_its_bound_are_refused():
+def test_a_load_of_negative_mass_and_a_length_at_its_bound_are_refused(rng):
     model = Model(("linear_drag", "slung_payload", "quadratic_drag"))
     load, drag = {"payload_ratio": 0.1, "cable_m": 1.0}, {"k_x": 0.02, "k_y": 0.02, "k_z": -0.005}
+    poor = 2.0 * rng.normal(size=(SEGMENTS * EACH, 3))  # standard errors of 0.011
     assert judged("slung_payload", model, load) == ""
-    assert judged("quadratic_drag", model, drag) == ""  # one of three, by chance
+    assert judged("quadratic_drag", model, drag, poor, rng) == ""  # one of three, by chance
     assert "does not allow" in judged("slung_payload", model, load | {"payload_ratio": -0.03})
     assert "bound" in judged("slung_payload", model, load | {"cable_m": 15.0})
-    assert "does not allow" in judged("quadratic_drag", model, drag | {"k_z": -0.1})
+    assert "does not allow" in judged("quadratic_drag", model, drag | {"k_z": -0.1}, poor, rng)
 
 
 def test_a_wind_that_only_rises_is_refused(rng):
