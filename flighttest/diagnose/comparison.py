@@ -66,9 +66,9 @@ class Evidence:
         """Why it is not named, empty where it is."""
         if self.inadmissible:
             return self.inadmissible
-        if self.floors < LEAST_FLOORS:
+        if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
             return f"its effect is {self.floors:.2g} noise floors, too small to be told from a clean vehicle"
-        if self.probability < PROBABILITY:
+        if not self.probability >= PROBABILITY:
             return f"cross-validated evidence of {self.nats:.1f} nats: the probability that it is needed is {self.probability:.2g}"
         return ""
 

@@ -103,6 +103,8 @@ class Search:
                 continue
             self.progress(f"refitting with {' and '.join(sorted(proposed))}")
             fitted = self._refitted(before, [self.candidates[j] for j in scored.members], scored)
+            if not np.isfinite(fitted.at.objective):
+                continue
             kept, evidence, left = self._pruned(fitted, proposed)
             if not self._better(kept, before):
                 self.rejected |= {t: e for t, e in left.items() if t in proposed}
@@ -199,7 +201,8 @@ class Search:
                 self.progress(f"trying {name} in place of {term}")
                 scored = Scored((j,), 0.0, np.zeros(self.candidates[j].columns.shape[1]))
                 other = self._refitted(without, [self.candidates[j]], scored)
-                if not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
+                finite = bool(np.isfinite(other.at.objective))
+                if finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
                     floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
                     nats, _ = log_evidence(now, other, self.estimator, self.groups, floor)
             if cosine > 0.6:
