@@ -147,6 +147,11 @@ def test_a_name_is_given_to_half_the_power_of_the_floor_and_no_less(floors, name
     assert (found(floors=floors).why_not == "") is named
 
 
+@pytest.mark.parametrize("what", ["probability", "floors"])
+def test_what_is_not_a_number_is_no_evidence(what):
+    assert found(**{what: np.nan}).why_not != ""
+
+
 def test_what_cannot_be_is_not_named_however_probable():
     assert found(probability=1.0, floors=100.0, inadmissible="k is at its bound").why_not == "k is at its bound"
 

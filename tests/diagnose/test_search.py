@@ -1,0 +1,235 @@
+"""The course of a search, where what every refit finds is known."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_rows import rows_of
+
+from flighttest.diagnose import search as search_module
+from flighttest.diagnose.candidates import Candidate, candidates_at
+from flighttest.diagnose.comparison import Evidence, Fitted
+from flighttest.diagnose.search import Alias, Search
+from flighttest.diagnose.subsets import Scored
+from flighttest.estimation.linearisation import Optimum
+from flighttest.estimation.problem import Noise
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
+
+
+def fitted(*terms):
+    return Fitted(SimpleNamespace(terms=tuple(sorted(terms))), (), SimpleNamespace(objective=1.0), None)
+
+
+def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None):
+    nothing = np.zeros(0)
+    place = ("f_z_m_s2", "roll_step")
+    return Evidence(term, nats, float(nats > 10.0), floors, place, nothing, nothing, inadmissible, without)
+
+
+@dataclass
+class Scripted(Search):
+    """Scores by set of terms; what refits find of a term beside others: nats, or why it cannot be."""
+
+    scores: dict = field(default_factory=dict)
+    finds: dict = field(default_factory=dict)
+    refits: list = field(default_factory=list)
+    lacking: bool = False
+    bare: tuple = ()  # terms without a linear coefficient
+
+    def _fit(self, model, start, inactive):
+        return fitted()
+
+    def linearise(self):
+        self.candidates = [
+            SimpleNamespace(term=t, names=() if t.id in self.bare else ("c",))
+            for t in self.pool
+            if t.id not in self.named
+        ]
+        position = {c.term.id: j for j, c in enumerate(self.candidates)}
+        self.scored = [
+            Scored(tuple(position[t] for t in terms), value, np.zeros(len(terms)))
+            for terms, value in sorted(self.scores.items(), key=lambda kv: -kv[1])
+            if set(terms) <= set(position)
+        ]
+        self.subsets = SimpleNamespace(terms=lambda s: frozenset(self.candidates[j].term.id for j in s.members))
+        self.lack_of_fit = self.lacking
+
+    def _refitted(self, among, members, scored):
+        made = fitted(*among.model.terms, *(c.term.id for c in members))
+        self.refits.append("".join(made.model.terms))
+        return made
+
+    def _evidence(self, term, found):
+        value = self.finds.get(("".join(found.model.terms), term), self.finds.get(term, 100.0))
+        rest = fitted(*(t for t in found.model.terms if t != term))
+        return evidence(term, **({"inadmissible": value} if isinstance(value, str) else {"nats": value}), without=rest)
+
+
+@pytest.fixture
+def made():
+    """The searches that were begun, the last one last."""
+    return []
+
+
+@pytest.fixture
+def searched(monkeypatch, made):
+    monkeypatch.setattr(search_module, "floor_of", lambda *_: SimpleNamespace())
+
+    def run(scores, finds, better=1.0, **how):
+        monkeypatch.setattr(search_module, "log_evidence", lambda *_: (better, None))
+        pool = tuple(SimpleNamespace(id=t) for t in "abcd")
+        estimator = SimpleNamespace(insensitive=lambda *_: frozenset(), segments=())
+        table = {tuple(k): v for k, v in scores.items()}
+        search = Scripted(estimator, pool, np.zeros(3, dtype=int), scores=table, finds=finds, **how)
+        made.append(search)
+        search.run(None, None)
+        return search
+
+    return run
+
+
+def test_the_best_subset_is_refitted_and_what_it_needs_is_named(searched):
+    search = searched({"a": 5.0, "b": 4.0, "ab": 9.0}, {})
+    assert search.refits == ["ab"]
+    assert search.named == set(search.evidence) == {"a", "b"}
+
+
+def test_what_has_odds_against_it_is_not_refitted(searched):
+    assert searched({"a": -0.1, "b": -3.0}, {}).refits == []
+
+
+def test_where_something_is_missing_terms_without_a_coefficient_are_refitted_whatever_their_score(searched):
+    scores, finds = {"a": -5.0, "b": -9.0, "ab": -2.0}, {"a": 0.0, "b": 0.0}
+    assert searched(scores, finds, lacking=True, bare=("b",)).refits == ["b"]
+    assert searched(scores, finds, lacking=False, bare=("b",)).refits == []
+
+
+def test_a_term_that_left_is_not_proposed_again_from_the_same_model(searched):
+    search = searched({"ab": 12.0, "a": 10.0, "b": 5.0}, {"a": 0.0})
+    assert search.refits == ["ab"]
+    assert search.named == {"b"}
+    assert set(search.rejected) == {"a"}
+    search = searched({"a": 10.0, "ac": 9.0}, {"a": 0.0})
+    assert search.refits == ["a"]
+    assert search.named == frozenset()
+
+
+def test_beside_another_term_it_may_be_needed_unless_it_cannot_be(searched):
+    search = searched({"a": 10.0, "b": 8.0}, {("a", "a"): 0.0})
+    assert search.refits == ["a", "b", "ab"]
+    assert search.named == {"a", "b"}
+    search = searched({"a": 10.0, "b": 8.0}, {("a", "a"): "it is at its bound"})
+    assert search.refits == ["a", "b"]
+    assert search.named == {"b"}
+
+
+def test_a_model_is_never_replaced_by_one_that_holds_less(searched):
+    # Beside b, a is not needed, and then b is not, either.
+    finds = {("ab", "a"): 0.0, ("b", "b"): 0.0}
+    search = searched({"a": 10.0, "b": 8.0}, finds)
+    assert search.refits == ["a", "ab"]
+    assert search.named == set(search.evidence) == {"a"}
+    assert set(search.rejected) == {"b"}
+
+
+@pytest.mark.parametrize(("better", "named"), [(0.5, {"b"}), (-0.5, {"a"})])
+def test_other_terms_take_its_place_where_they_predict_better(searched, better, named):
+    search = searched({"a": 10.0, "b": 8.0}, {("ab", "a"): 0.0}, better)
+    assert search.named == set(search.evidence) == named
+
+
+def test_the_newcomer_leaves_before_an_older_term_and_an_impossible_one_last(searched):
+    # Without the newcomer b, a is what it was.
+    search = searched({"a": 10.0, "b": 8.0}, {("ab", "a"): 5.0, ("ab", "b"): 6.0})
+    assert search.named == {"a"}
+    # c is impossible only beside b, which is not needed.
+    search = searched({"bc": 10.0}, {("bc", "c"): "it is at its bound", ("bc", "b"): 0.0})
+    assert search.named == {"c"}
+
+
+def test_an_interrupted_search_keeps_what_it_had(searched, made, monkeypatch):
+    usual = Scripted.linearise
+
+    def interrupted(self):
+        if self.named:
+            raise KeyboardInterrupt
+        usual(self)
+
+    monkeypatch.setattr(Scripted, "linearise", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        searched({"a": 10.0, "b": 8.0}, {})
+    assert made[0].named == set(made[0].evidence) == {"a"}
+
+
+def test_a_refit_that_is_not_finite_is_a_dropped_candidate(searched, monkeypatch):
+    usual = Scripted._refitted
+
+    def diverging(self, among, members, scored):
+        found = usual(self, among, members, scored)
+        return replace(found, at=SimpleNamespace(objective=np.inf)) if "a" in found.model.terms else found
+
+    monkeypatch.setattr(Scripted, "_refitted", diverging)
+    search = searched({"a": 10.0, "b": 8.0}, {})
+    assert search.refits == ["a", "b", "ab"]
+    assert search.named == {"b"}
+
+
+@pytest.mark.parametrize(("nats", "confusable"), [(-5.0, True), (2.0, True), (2.9, True), (4.0, False), (5.9, False)])
+def test_a_rival_is_within_chance_up_to_odds_of_twenty(nats, confusable):
+    assert Alias("b", 0.95, nats).confusable is confusable
+
+
+@pytest.mark.parametrize(("cosine", "tried"), [(0.85, False), (0.88, False), (0.92, True), (0.96, True)])
+def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, cosine, tried):
+    n = 400
+    base, effect, other = np.linalg.qr(rng.normal(size=(n, 3)))[0].T
+    rows = rows_of(np.zeros(n), base[:, None])
+    without = Fitted(None, ("p0",), SimpleNamespace(objective=1.0), rows)
+    column = (cosine * effect + np.sqrt(1 - cosine**2) * other + 3.0 * base)[:, None]
+    alike = Candidate(SimpleNamespace(id="b"), {}, ("b0",), column, column)
+    asked = []
+    monkeypatch.setattr(Search, "_refitted", lambda _self, _among, members, _s: asked.append(members) or without)
+    monkeypatch.setattr(search_module, "inadmissible", lambda *_: "")
+    monkeypatch.setattr(search_module, "floor_of", lambda *_: None)
+    monkeypatch.setattr(search_module, "log_evidence", lambda *_: (1.0, None))
+    pool = tuple(SimpleNamespace(id=t) for t in "ab")
+    search = Search(SimpleNamespace(segments=()), pool, np.zeros(1, dtype=int), now=without, candidates=[alike])
+    search.evidence = {"a": replace(evidence("a", without=without), profiled=5.0 * effect)}
+    (alias,) = search.aliases("a")
+    assert alias.cosine == pytest.approx(cosine)
+    assert bool(asked) is tried
+    assert alias.confusable is tried
+
+
+class Half:
+    """An estimator of one column per name; what is asked of `broken` is not a number."""
+
+    def __init__(self, broken):
+        self.broken = broken
+
+    def problem(self, model):
+        return SimpleNamespace(names=tuple(model.names))
+
+    def moved(self, model, at, values=None):
+        return replace(at, values={**at.values, **(values or {})})
+
+    def derivatives(self, _model, _at, names):
+        return [np.stack([np.full((1, 4), np.nan if n in self.broken else 1.0) for n in names], axis=2)]
+
+    def difference(self, _model, _at, changed, there):
+        bad = any(t in changed.terms for t in ("rate_limit",)) and there.values["rate_max"] > 6.0
+        return [np.full((1, 4, 1), np.inf if bad else 1.0)]
+
+
+def test_a_candidate_whose_simulation_is_not_finite_is_dropped():
+    model = Model()
+    known = catalogue()
+    terms = [known[t] for t in ("steady_wind", "accelerometer_bias", "rate_limit")]
+    rows = SimpleNamespace(of=lambda raw: (raw[0][0], raw[0][0]))
+    at = Optimum(dict(model.start()), {}, Noise({}, {}), 0.0)
+    found = candidates_at(Half(("w_north",)), model, at, rows, terms)
+    assert {c.term.id for c in found} == {"accelerometer_bias", "rate_limit"}
+    assert all(c.shape["rate_max"] <= 6.0 for c in found if c.term.id == "rate_limit")
+    assert len([c for c in found if c.term.id == "rate_limit"]) >= 1
