@@ -9,18 +9,24 @@ from flighttest.pipeline import diagnosis
 
 
 @pytest.mark.parametrize("known", [{}, {"d_x": 0.3}])
-def test_the_model_file_of_a_diagnosis_holds_what_its_intervals_hold(monkeypatch, known):
+def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_model_knew(monkeypatch, known):
     asked = []
+    held = SimpleNamespace(values={"d_x": 0.3})
 
-    def identify(_segments, _model, **options):
-        asked.append(options)
-        return SimpleNamespace(values={}, noise=None)
+    def identify(_segments, model, **options):
+        asked.append((model, options))
+        return held
 
     monkeypatch.setattr(diagnosis, "identify", identify)
     monkeypatch.setattr(diagnosis, "known_before", lambda _fitted, _base: known)
-    after = {"K": {"std": 0.5, "scatter": 0.3}, "d_z": {"std": 0.1, "scatter": 0.2}}
-    found = SimpleNamespace(values={}, model=Model(("linear_drag",)), after=after)
-    assert diagnosis.refit(found, [])[1] == tuple(known)
-    assert len(asked) == 1 + bool(known)
-    for options in asked:
-        assert options["doubt"] == pytest.approx({"K": 0.4, "d_z": 0.0})
+    own = SimpleNamespace(values={"K": 50.0}, noise="noise")
+    found = SimpleNamespace(values={}, model=Model(("linear_drag",)), fit=own)
+    fitted, kept = diagnosis.refit(found, [])
+    assert kept == tuple(known)
+    assert fitted is (held if known else own)
+    for model, options in asked:
+        assert model == found.model
+        assert options["frozen"] == known
+        assert options["start"] == own.values
+        assert options["noise"] == "noise"
+    assert len(asked) == len(known)

@@ -1,0 +1,46 @@
+"""What is reported of a fitted model and of a named term."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flighttest.diagnose.findings import _gain, parameter_table
+from flighttest.identify.fit import Estimate
+from flighttest.physics.model import Model
+
+SHARE, TAU = "attitude_pole_share", "attitude_pole_tau"
+
+
+def fit_of(at_bound=(), **estimates):
+    model = Model(("linear_drag", "attitude_extra_pole"))
+    table = {
+        n: Estimate(n, n, "1", value, std, interval, "fit", True) for n, (value, std, interval) in estimates.items()
+    }
+    values = {n: e.value for n, e in table.items()}
+    return SimpleNamespace(model=model, estimates=table, solution=SimpleNamespace(at_bound=at_bound, values=values))
+
+
+def test_the_table_holds_what_the_fit_holds_and_ends_where_the_range_does():
+    table = parameter_table(fit_of(**{SHARE: (0.9, 0.2, (0.4, 1.4)), TAU: (0.05, 0.01, (0.03, 0.07))}))
+    assert table[TAU] == {"value": 0.05, "std": 0.01, "unit": "1", "interval_95": [0.03, 0.07], "scatter": 0.01}
+    assert table[SHARE]["interval_95"] == [0.4, 1.0]
+
+
+def test_a_parameter_at_its_bound_is_told_by_its_range():
+    table = parameter_table(fit_of((SHARE,), **{SHARE: (1.0, None, None), TAU: (0.05, 0.01, (0.03, 0.07))}))
+    assert table[SHARE]["std"] == pytest.approx(3.0 / np.sqrt(12))
+    assert table[SHARE]["interval_95"] == [-2.0, 1.0]
+    assert (table[SHARE].get("at_bound"), table[TAU].get("at_bound")) == (True, None)
+
+
+def test_what_was_not_estimated_is_not_in_the_table():
+    assert set(parameter_table(fit_of(**{SHARE: (0.9, None, None), TAU: (0.05, 0.01, (0.03, 0.07))}))) == {TAU}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "gain"), [(2.0, 1.0, 1.0), (2.0, 2.0, 0.0), (2.0, 3.0, -5 / 3), (0.9, 0.5, 0.0)]
+)
+def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain):
+    held = {"f_z": {"rmse_before": before, "rmse_after": after, "floor": 1.0}}
+    assert _gain(held, SimpleNamespace(place=("f_z_m_s2", "roll_step"))) == pytest.approx(gain)
