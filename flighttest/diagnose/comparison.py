@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.diagnose.candidates import null_value, usual_size
-from flighttest.diagnose.discrepancy import discrepancy_of
+from flighttest.diagnose.discrepancy import discrepancy_of, kinds_of
 from flighttest.diagnose.held_out import cross_validated, places, size_in_floors
 from flighttest.diagnose.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.estimator import Estimator
@@ -81,9 +81,13 @@ def probability_of(nats: float, candidates: int) -> float:
 def weights_of(
     fitted: Fitted, segments: Sequence[Segment], floor: NoiseFloor | None = None
 ) -> Callable[[Linearisation], FloatArray]:
-    """Weights (n,) of rows in the noise and discrepancy of a fitted model."""
+    """Weights (n,) of rows in the noise and discrepancy of a fitted model.
+
+    What such a model leaves unexplained may be alike in all cells of a kind of maneuver, and a wrong term that takes some of it away is
+    then right in all of them: kinds are the clusters, one level above the cells of the search.
+    """
     known = floor or floor_of(fitted.rows, segments, RESOLUTION)
-    return discrepancy_of(fitted.rows, fitted.residual(), segments, known).weights
+    return discrepancy_of(fitted.rows, fitted.residual(), segments, known, kinds_of(segments)).weights
 
 
 def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, float]:

@@ -11,13 +11,13 @@ cell is unknown, a cell counts once. The variance inflation of an average over n
 
     psi = (1 - f) tau + f n / C
 
-and an estimate weighs a stratum by 1 / ((s_g^2 + s_e^2) psi). More repeats reduce the part of the noise only, more cells that of the
-discrepancy.
+and an estimate weighs a stratum by 1 / ((s_g^2 + s_e^2) psi). Where a model is judged whose equations may err alike in all cells of a
+kind of maneuver, C counts kinds. More repeats reduce the part of the noise only, more cells that of the discrepancy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from flighttest.diagnose.lack_of_fit import SIGNIFICANCE, NoiseFloor
-from flighttest.estimation.linearisation import FloatArray, Linearisation
+from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation
 from flighttest.estimation.problem import cells_of
 from flighttest.segments.model import Segment
 
@@ -50,11 +50,23 @@ class Discrepancy:
         return np.asarray(weight[rows.stratum])  # -1 is the last
 
 
+def kinds_of(segments: Sequence[Segment]) -> IntArray:
+    """(n_segments,) index of each segment's kind of maneuver; a window of free flight is a kind of its own."""
+    index: dict[Hashable, int] = {}
+    keys = [s.kind if s.kind != "free" else ("free", i) for i, s in enumerate(segments)]
+    return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
+
+
 def discrepancy_of(
-    rows: Linearisation, residual: FloatArray, segments: Sequence[Segment], floor: NoiseFloor
+    rows: Linearisation,
+    residual: FloatArray,
+    segments: Sequence[Segment],
+    floor: NoiseFloor,
+    clusters: IntArray | None = None,
 ) -> Discrepancy:
-    """residual (n,): whitened, what the model's own columns explain taken out. floor: of the present model."""
-    cells = cells_of(segments)
+    """residual (n,): whitened, what the model's own columns explain taken out. floor: of the present model. clusters (n_segments,): within
+    which the discrepancy is one; None: cells."""
+    cells = cells_of(segments) if clusters is None else clusters
     strata = len(rows.strata)
     variance, share, inflation, count = np.ones(strata), np.zeros(strata), np.ones(strata), np.zeros(strata)
     tau = correlation_times(rows, residual, segments)
