@@ -24,12 +24,11 @@ def parameter_table(found: Fit) -> dict[str, dict[str, Any]]:
     for name, e in found.estimates.items():
         if e.std is None or e.interval_95 is None or name not in found.model.param:
             continue
-        p = found.model.param[name]
         table[name] = {
             "value": e.value,
             "std": e.std,
             "unit": e.unit,
-            "interval_95": [max(e.interval_95[0], p.lower), min(e.interval_95[1], p.upper)],
+            "interval_95": list(e.interval_95),
             "scatter": e.std,
         } | ({"at_bound": True} if name in found.solution.at_bound else {})
     for name in found.solution.at_bound:

@@ -304,7 +304,7 @@ def _estimates(
             i = covariance.names.index(source_name)
             known_std = float(std[i])
             half = interval_factor(float(covariance.dof[i])) * known_std
-            interval = (value - half, value + half)
+            interval = (max(value - half, param.lower), min(value + half, param.upper))
             other = np.abs(correlation[i]) * (np.arange(std.size) != i)
             if std.size > 1:
                 j = int(np.argmax(other))
