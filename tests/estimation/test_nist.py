@@ -31,6 +31,10 @@ class At:
     jacobian: np.ndarray
     stale: bool = False
 
+    @property
+    def finite(self) -> bool:
+        return bool(np.isfinite(self.residual).all() and np.isfinite(self.jacobian).all())
+
 
 @dataclass
 class PlainSquares:
