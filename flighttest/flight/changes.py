@@ -13,7 +13,7 @@ from flighttest.flight.preflight import figure
 from flighttest.link import parameters as params
 from flighttest.link.session import Session
 
-_GONE_S = 5.0  # of silence
+_GONE_S = 5.0  # of silence, either way
 _THEIR_OWN = ("STAT_", "SIM_")  # an autopilot's counters, a simulator's world
 
 # What the flight's safety and the meaning of a target rest on: the flight does not go on when somebody changes one of these.
@@ -159,7 +159,8 @@ class ParameterChanges:
         """
         tried = False
         for name, value in reversed(list(self.pending.items())):
-            if self._session.port.muted or (tried and self._session.silence_s > _GONE_S):
+            gone = max(self._session.silence_s, self._session.uplink_silence_s) > _GONE_S
+            if self._session.port.muted or (tried and gone):
                 break
             if airborne and name.startswith("FENCE_"):
                 continue

@@ -6,13 +6,14 @@ The pilot always wins: the HEARTBEAT that shows a mode nobody here asked for mut
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from flighttest.flight.changes import Meddling
 from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_room_m
-from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightProgress, OnProgress
+from flighttest.flight.machine import Event, FlightState, Machine
+from flighttest.flight.outcome import FlightProgress, OnProgress
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader, VehicleState
 from flighttest.link.ardupilot import ArduPilot
@@ -22,6 +23,8 @@ from flighttest.mavlink.dialect import Message, is_armed
 from flighttest.plan import AttitudeTarget
 
 PROGRESS_EVERY_S = 0.25
+GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
+UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
 
 
 @dataclass
@@ -69,43 +72,42 @@ class Cockpit:
         self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
         self._next_progress_s = -math.inf
         self._counts: tuple[float, dict[str, int]] = (0.0, {})
-        self._expected: set[int] = set()
-        self._owned = False
+        self.machine = Machine()
+        self._mode = -1  # as HEARTBEAT showed it last
+        self._safe_modes: frozenset[int] = frozenset()
         self._was_armed = False
-        self._landing = False
-        self._before = -1
-        self.taken_over = False
+        self._boots = self.session.boots
         self.session.listen(self._watch)
 
     # -- whose vehicle it is -------------------------------------------------------------------------------------------------
 
-    def own(self) -> None:
-        """From now on a change of mode, or a disarming, that was not asked for is a take-over."""
-        self._owned = True
-        self._was_armed = self.vehicle.armed
-        self.expect()
-
-    def disown(self) -> None:
-        """Mode changes and disarming are fine again (on the ground, or the pilot flies by agreement)."""
-        self._owned = False
-
-    def expect_ground(self) -> None:
-        """The vehicle lands: a disarming is what is wanted, a change of mode still the pilot's."""
-        self._landing = True
+    def on(self, event: Event, why: str = "") -> None:
+        """Report an event. The mode that is shown when the vehicle becomes ours, or is handed back, is the one to start from."""
+        if not self.machine.ours:
+            self._mode, self._was_armed = self.vehicle.mode, self.vehicle.armed
+        self.machine.on(event, why)
 
     @property
     def owned(self) -> bool:
         """Whether the vehicle is ours to fly: neither before take-off, nor while the pilot has it."""
-        return self._owned
+        return self.machine.ours
 
-    def expect(self, *modes: CopterMode) -> None:
-        """Modes that are about to be asked for: seeing one of them is no take-over, the present one stays allowed until then. Nor is
-        one that was asked for before and is entered late (`link.requests`)."""
-        self._before = self.vehicle.mode
-        self._expected = {self._before, *(int(m) for m in modes)}
+    @property
+    def taken_over(self) -> bool:
+        """Whether the pilot has taken the vehicle: nothing is sent any more."""
+        return self.session.port.muted
+
+    def ask_safe_mode(self, modes: Collection[CopterMode]) -> None:
+        """From now on the first of these modes that HEARTBEAT shows is the one that was asked for."""
+        self._safe_modes = frozenset(int(m) for m in modes)
+        if self.machine.state is not FlightState.ASKING:
+            self.on(Event.ASK)
 
     def _watch(self, message: Message, t_s: float) -> None:
-        if not self._owned:
+        if self.session.boots != self._boots:
+            self._boots = self.session.boots
+            self.on(Event.REBOOTED)
+        if not self.machine.ours:
             return
         if message.get_type() == "PARAM_VALUE":
             text = self.meddling.look(message.param_id, float(message.param_value))
@@ -114,24 +116,29 @@ class Cockpit:
         if message.get_type() != "HEARTBEAT":
             return
         mode = int(message.custom_mode)
-        if self._landing and not is_armed(message):
-            self._owned = False
-            return
         asked = self.session.mode_requests.shows(mode, t_s)
-        if mode not in self._expected and not asked:
+        if mode != self._mode and not asked and (is_armed(message) or not self._landing):
             self.session.port.mute()
-            self.taken_over = True
-            self._owned = False
             self.recorder.event("take_over", mode_name(mode), t_s, {"mode": mode})
-            raise FlightEnded(FlightOutcome.LEFT_TO_PILOT if self._landing else FlightOutcome.TAKE_OVER)
+            self.on(Event.FOREIGN_MODE)
+        self._mode = mode
+        if self.machine.state is FlightState.ASKING and mode in self._safe_modes:
+            self.on(Event.LANDS if mode == CopterMode.LAND else Event.HOLDS)
         if self._was_armed and not is_armed(message):
-            self._owned = False
-            self.recorder.event("note", "disarmed in flight", t_s)
-            raise FlightEnded(FlightOutcome.DISARMED)
+            if not self._landing:
+                self.recorder.event("note", "disarmed in flight", t_s)
+            self.on(Event.DISARMED)
         self._was_armed = is_armed(message)
-        if len(self._expected) > 1 and mode != self._before:
-            self._expected = {mode}
-        self._before = mode
+
+    @property
+    def _landing(self) -> bool:
+        return self.machine.state is FlightState.LANDING
+
+    def _watch_link(self) -> None:
+        if self.state.mode_age_s > GIVE_UP_AFTER_S:
+            self.on(Event.DOWNLINK_GONE)
+        if self.state.uplink_silence_s > UPLINK_GIVE_UP_S:
+            self.on(Event.UPLINK_GONE)
 
     # -- time ----------------------------------------------------------------------------------------------------------------
 
@@ -150,6 +157,7 @@ class Cockpit:
         self.recorder.flush()
         self.state = self.reader.read()
         self._report()
+        self._watch_link()
         return self.state
 
     @property
@@ -242,6 +250,7 @@ class Cockpit:
                 voltage_v=state.voltage_v if state.voltage_v is not None else math.nan,
                 voltage_min_v=self.gate.limits.voltage_min_v,
                 link_loss=self.session.port.loss_share,
+                uplink_silence_s=state.uplink_silence_s,
                 silence_s=state.silence_s,
                 rates_hz=rates,
                 mode=mode_name(state.mode),

@@ -15,18 +15,21 @@ from flighttest.flight.changes import Left, Meddling, ParameterChanges, record_o
 from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
-from flighttest.flight.outcome import FlightEnded, FlightOutcome, FlightResult, OnProgress
+from flighttest.flight.machine import Event, FlightState
+from flighttest.flight.outcome import FlightEnded, FlightOutcome, OnProgress
 from flighttest.flight.placing import place_home, place_zone
 from flighttest.flight.rates import Telemetry
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.response import Replanner
+from flighttest.flight.result import FlightResult
 from flighttest.flight.scheduler import Scheduler
 from flighttest.link import lockstep
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import Port
-from flighttest.link.session import Session
+from flighttest.link.session import LinkSilent, Session
 from flighttest.link.transport import Transport, open_transport
+from flighttest.mavlink import mode_name
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
 from flighttest.recording.store import read_events
@@ -148,7 +151,10 @@ class _Flight:
             except LinkError as error:
                 # The vehicle is in the air, or may be: land it with what is left of the link, then say what happened.
                 why = str(error)
-                outcome = self._land_after(scheduler, error)
+                try:
+                    outcome = self._land_after(scheduler, error)
+                except FlightEnded as ended:
+                    outcome = ended.outcome
             except BaseException:  # a defect of ours, whatever it is, must not leave the vehicle with a step's throttle; it is raised after
                 with contextlib.suppress(Exception):  # whatever fails again here is the lesser news
                     supervisor.let_go(cockpit, "the program failed")
@@ -158,11 +164,13 @@ class _Flight:
             raise
         finally:
             left = self._close()
+            state = self._left(scheduler)
         if why:
             self.notes.append(why)
         self.recorder.manifest.update(
             outcome=outcome.value,
             outcome_name=outcome.name,
+            vehicle_left=state.name,
             legs=[
                 {"id": r.leg, "outcome": r.outcome.name, "why": list(r.why)}
                 for r in (scheduler.results if scheduler else [])
@@ -175,8 +183,16 @@ class _Flight:
         if self.recorder.failure:
             why = self.recorder.incomplete or f"the record could not be written for a while: {self.recorder.failure}"
             self.recorder.manifest["notes"].append(why)
-        results, notes = tuple(scheduler.results) if scheduler else (), tuple(self.recorder.manifest["notes"])
-        return FlightResult(outcome, self.recorder.run_dir, results, notes, left, incomplete=self.recorder.incomplete)
+        return FlightResult(
+            outcome,
+            self.recorder.run_dir,
+            tuple(scheduler.results) if scheduler else (),
+            tuple(self.recorder.manifest["notes"]),
+            left,
+            state,
+            mode_name(self.vehicle.mode),
+            incomplete=self.recorder.incomplete,
+        )
 
     # -- before --------------------------------------------------------------------------------------------------------------
 
@@ -255,6 +271,7 @@ class _Flight:
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         self._meddling.known.update(self._parameters)
+        session.clock.hold()
         return cockpit
 
     def _enter_lock_step(self, offered: float) -> None:
@@ -348,6 +365,7 @@ class _Flight:
             enough = state.position_ok or (not wanted and waited_s >= _POSITION_PATIENCE_S)
             if (enough and state.ekf_ok and state.attitude_rad) or not 0.0 <= waited_s < POSITION_WAIT_S:
                 break
+            self.session.require_link()
             cockpit.until(self.session.now_s() + 0.5)
         if not wanted and not cockpit.state.position_ok:
             source = cockpit.reader.height_source or "nothing: height is not judged"
@@ -356,17 +374,21 @@ class _Flight:
     # -- after ---------------------------------------------------------------------------------------------------------------
 
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
-        if not self.vehicle.armed:
-            scheduler.cockpit.disown()
+        silent = isinstance(error, LinkSilent)
+        if silent and scheduler.cockpit.machine.state is FlightState.ARMING:
+            scheduler.cockpit.on(Event.DOWNLINK_GONE)  # it may have armed
+        if not self.vehicle.armed and scheduler.cockpit.machine.state in (FlightState.GROUND, FlightState.ARMING):
+            scheduler.cockpit.on(Event.OVER)
             return FlightOutcome.VEHICLE_REFUSED
         if not scheduler.cockpit.owned:
             return FlightOutcome.LEFT_TO_PILOT
         self._note(f"landing after: {error.message}")
-        try:
-            scheduler.land()
-        except FlightEnded as ended:
-            return ended.outcome
-        return FlightOutcome.VEHICLE_REFUSED
+        scheduler.land()
+        return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
+
+    @staticmethod
+    def _left(scheduler: Scheduler | None) -> FlightState:
+        return scheduler.cockpit.machine.on(Event.OVER) if scheduler is not None else FlightState.NOT_ARMED
 
     def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""

@@ -33,6 +33,7 @@ class Refusal(Enum):
     MODE = "the autopilot is not in the maneuver's mode"
     DISARMED = "the vehicle is not armed"
     LINK = "nothing was heard from the vehicle for too long"
+    UPLINK = "the vehicle has not answered for too long: what is sent may not arrive"
     HELD_UP = "the ground was held up for longer than the vehicle follows a target"
     TELEMETRY_OLD = "attitude telemetry is missing or too old"
     POSITION_OLD = "position telemetry is missing or too old"
@@ -54,6 +55,7 @@ class GateLimits:
     supervisor sends to stop (a climb, a descent). needs_position: without it (no satellite fix) zone and speed cannot be
     judged and are left to the height limits and the fence. zone_placed: whether it is known where the zone is, so that a step is judged
     by it wherever the vehicle has a position. mode_age_max_s: of the last HEARTBEAT: without one a pilot's take-over is not seen.
+    uplink_silence_max_s: six unanswered questions in a row, which a link that loses a fifth each way has once in 500 questions.
     held_up_max_s: between two targets of a step, which a real vehicle follows no longer than GUID_TIMEOUT.
     """
 
@@ -69,6 +71,7 @@ class GateLimits:
     attitude_age_max_s: float = 0.3
     position_age_max_s: float = 0.5
     silence_max_s: float = 0.5
+    uplink_silence_max_s: float = 1.5
     mode_age_max_s: float = 2.5
     held_up_max_s: float = 0.5
 
@@ -127,6 +130,8 @@ def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
         found.append(Refusal.DISARMED)
     if not (state.silence_s <= gate.silence_max_s and state.mode_age_s <= gate.mode_age_max_s):
         found.append(Refusal.LINK)
+    if not state.uplink_silence_s <= gate.uplink_silence_max_s:
+        found.append(Refusal.UPLINK)
     if state.attitude_rad is None or not state.attitude_age_s <= gate.attitude_age_max_s:
         found.append(Refusal.TELEMETRY_OLD)
     lost = state.position_m is None or not state.position_age_s <= gate.position_age_max_s

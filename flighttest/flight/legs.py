@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from flighttest.flight import supervisor
 from flighttest.flight.cockpit import Cockpit, sentences
 from flighttest.flight.gate import Refusal
+from flighttest.flight.machine import Event
 from flighttest.flight.outcome import LegOutcome, LegResult
 from flighttest.flight.recorder import mark_id
 from flighttest.flight.reset import HoldLoop, Start
@@ -16,7 +17,7 @@ from flighttest.link.ardupilot import LaggedYaw
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
-LINK = frozenset({Refusal.LINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD})
+LINK = frozenset({Refusal.LINK, Refusal.UPLINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD})
 
 
 @dataclass(frozen=True)
@@ -59,14 +60,16 @@ def begin(cockpit: Cockpit, leg: Leg) -> None:
     )
 
 
-def finish(cockpit: Cockpit, leg: Leg, outcome: LegOutcome, why: tuple[str, ...] = ()) -> LegResult:
+def finish(
+    cockpit: Cockpit, leg: Leg, outcome: LegOutcome, why: tuple[str, ...] = (), refused: tuple[Refusal, ...] = ()
+) -> LegResult:
     """Mark a leg's end and note how it ended."""
     word = {LegOutcome.FLOWN: "end", LegOutcome.LINK_LOST: "link_lost"}.get(outcome, "abort")
     cockpit.vehicle.mark(mark_id(leg.id), word)
     cockpit.recorder.event(
         "phase", "end", cockpit.session.now_s(), {"leg": leg.id, "outcome": outcome.name, "why": list(why)}
     )
-    return LegResult(leg.id, outcome, why)
+    return LegResult(leg.id, outcome, why, refused)
 
 
 def _mark(cockpit: Cockpit, leg: Leg, phase: str) -> None:
@@ -80,6 +83,7 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
 
     trace: takes in what is sent and what the vehicle does.
     """
+    cockpit.on(Event.SETTLED)
     begin(cockpit, leg)
     steering = _Profile(cockpit, leg, airframe) if leg.profile is not None else _Path(cockpit, leg, airframe)
     start = sent_s = cockpit.session.now_s()
@@ -123,7 +127,7 @@ def _refused(cockpit: Cockpit, leg: Leg, refused: tuple[Refusal, ...]) -> LegRes
     if lost:
         cockpit.recorder.event("link_lost", leg.id, cockpit.session.now_s(), {"leg": leg.id})
     outcome = LegOutcome.LINK_LOST if lost else LegOutcome.REFUSED
-    result = finish(cockpit, leg, outcome, (*why, f"the vehicle went to {reached.name}"))
+    result = finish(cockpit, leg, outcome, (*why, f"the vehicle went to {reached.name}"), refused)
     supervisor.come_to_rest(cockpit)
     return result
 

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from flighttest import frames
-from flighttest.flight.cockpit import Cockpit, sentences
+from flighttest.flight.cockpit import Cockpit
 from flighttest.flight.gate import Refusal, readiness
-from flighttest.flight.outcome import FlightEnded, FlightOutcome
+from flighttest.flight.machine import Event
 from flighttest.flight.state import VehicleState
-from flighttest.flight.supervisor import GIVE_UP_AFTER_S, UNSEEN_S, enter, enter_nogps
+from flighttest.flight.supervisor import UNSEEN_S, enter, enter_nogps
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.outer_loop import OuterLoop
@@ -42,14 +43,30 @@ class Start:
     settle_s: float
 
 
+class Arrival(Enum):
+    """How a reset ended. The value is the sentence shown to the reader."""
+
+    SETTLED = "settled"
+    REFUSED = "the gate refused a target"
+    STOPPED = "stopped"
+    NO_GUIDED = "the vehicle did not enter GUIDED"
+    NO_NOGPS = "the vehicle did not enter GUIDED_NOGPS"
+    NOT_SETTLED = "the vehicle did not settle at the start"
+    NOT_HANDED_OVER = "the pilot did not hand over"
+
+
 @dataclass(frozen=True)
 class Arrived:
-    """How a reset ended. refused: the gate's reasons where our own loop was stopped by it."""
+    """The end of a reset. hover_throttle: as measured while it was still; refused: the gate's reasons where it stopped our own loop."""
 
-    settled: bool
+    how: Arrival
     hover_throttle: float | None = None
     refused: tuple[Refusal, ...] = ()
-    why: str = ""
+
+    @property
+    def settled(self) -> bool:
+        """Whether the vehicle is still at the start."""
+        return self.how is Arrival.SETTLED
 
 
 class Settling:
@@ -130,14 +147,16 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
             cockpit.release()
 
     if not enter(cockpit, CopterMode.GUIDED, meanwhile=hold):
-        return Arrived(False, why="the vehicle did not enter GUIDED")
+        return Arrived(Arrival.NO_GUIDED)
     settling = Settling(start)
     goal = np.asarray(start.position_m) + cockpit.reader.origin_m
     deadline = cockpit.session.now_s() + _timeout_s(cockpit.state, start)
     next_ask = -math.inf
     while cockpit.session.now_s() < deadline:
         if cockpit.stop_asked:
-            return Arrived(False, why="stopped")
+            return Arrived(Arrival.STOPPED)
+        if cockpit.state.mode == CopterMode.GUIDED_NOGPS and not enter(cockpit, CopterMode.GUIDED, meanwhile=hold):
+            return Arrived(Arrival.NO_GUIDED)  # an earlier request that was carried out late
         now = cockpit.session.now_s()
         if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
             # Streamed: without a new one within GUID_TIMEOUT (0.2 s here) ArduPilot stops turning to the heading (flown).
@@ -146,33 +165,31 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
         state = cockpit.cycle()
         if state.mode_age_s > UNSEEN_S:
             # The autopilot holds the place by itself; a pilot who takes it meanwhile would not be seen.
-            if state.mode_age_s > GIVE_UP_AFTER_S:
-                raise FlightEnded(FlightOutcome.LINK_LOST)
             deadline = max(deadline, state.t_s + _SOON_S)
         if settling.done(state, _commanded_throttle(cockpit)):
-            return Arrived(True, settling.hover_throttle)
-    return Arrived(False, why="the vehicle did not settle at the start")
+            return Arrived(Arrival.SETTLED, settling.hover_throttle)
+    return Arrived(Arrival.NOT_SETTLED)
 
 
 def attitude(cockpit: Cockpit, start: Start, angle_boost: bool) -> Arrived:
     """By an outer loop of ours over attitude targets; without horizontal position only height and heading are brought back."""
     if cockpit.state.mode != CopterMode.GUIDED_NOGPS and not enter_nogps(cockpit):
-        return Arrived(False, why="the vehicle did not enter GUIDED_NOGPS")
+        return Arrived(Arrival.NO_NOGPS)
     loop = HoldLoop(cockpit, angle_boost)
     settling = Settling(start, near_m=1.0)
     deadline = cockpit.session.now_s() + _timeout_s(cockpit.state, start)
     while cockpit.session.now_s() < deadline:
         if cockpit.stop_asked:
-            return Arrived(False, why="stopped")
+            return Arrived(Arrival.STOPPED)
         target, yaw = loop.target(start)
         # Without a position the targets are level: they would let go, and pass, also over a link or a battery that is gone.
         refused = readiness(cockpit.state, cockpit.gate) or cockpit.steer(target, yaw)
         if refused:
-            return Arrived(False, refused=refused, why="; ".join(sentences(refused)))
+            return Arrived(Arrival.REFUSED, refused=refused)
         state = cockpit.cycle()
         if settling.done(state, target.throttle * math.cos(target.roll_rad) * math.cos(target.pitch_rad)):
-            return Arrived(True, settling.hover_throttle)
-    return Arrived(False, why="the vehicle did not settle at the start")
+            return Arrived(Arrival.SETTLED, settling.hover_throttle)
+    return Arrived(Arrival.NOT_SETTLED)
 
 
 def by_pilot(cockpit: Cockpit, timeout_s: float = 300.0) -> Arrived:
@@ -180,19 +197,19 @@ def by_pilot(cockpit: Cockpit, timeout_s: float = 300.0) -> Arrived:
 
     The pilot is told by the live view. Never re-enters the mode by itself.
     """
-    cockpit.disown()
+    cockpit.on(Event.HAND_OVER)
     cockpit.tell(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
     deadline = cockpit.session.now_s() + timeout_s
     left = cockpit.state.mode != CopterMode.GUIDED_NOGPS
     while cockpit.session.now_s() < deadline:
         if cockpit.stop_asked:
-            return Arrived(False, why="stopped")
+            return Arrived(Arrival.STOPPED)
         state = cockpit.cycle()
         left = left or state.mode != CopterMode.GUIDED_NOGPS
         if left and state.mode == CopterMode.GUIDED_NOGPS and state.armed:
-            cockpit.own()
-            return Arrived(True)
-    return Arrived(False, why="the pilot did not hand over")
+            cockpit.on(Event.HANDED_BACK)
+            return Arrived(Arrival.SETTLED)
+    return Arrived(Arrival.NOT_HANDED_OVER)
 
 
 class HoldLoop:

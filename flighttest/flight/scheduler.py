@@ -14,7 +14,9 @@ from flighttest.flight import reset, supervisor
 from flighttest.flight.cockpit import Cockpit, sentences
 from flighttest.flight.gate import Refusal, readiness
 from flighttest.flight.legs import Airframe
+from flighttest.flight.machine import Event, FlightState
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
+from flighttest.flight.reset import Arrival
 from flighttest.flight.response import Learnt, Replanner, ThrottleTrace
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
@@ -30,7 +32,7 @@ _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
 PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
 HOVER_WARNING = 0.10
 # What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
-_PASSING = {r.value for r in (Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT)}
+_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT})
 
 
 @dataclass
@@ -63,62 +65,67 @@ class Scheduler:
                 return self._stopped()
         if not in_air:
             return FlightOutcome.COMPLETED
-        if self.cockpit.stop_asked or not self.take_off():
+        if self.cockpit.stop_asked:
             return self._stopped()
-        outcome = self._legs(in_air)
+        outcome = self.take_off() or self._legs(in_air)
         if not self.cockpit.owned:
-            return FlightOutcome.LEFT_TO_PILOT
+            return FlightOutcome.LEFT_TO_PILOT if outcome is FlightOutcome.COMPLETED or self._handed else outcome
         if outcome is not FlightOutcome.OPERATOR_ABORT:
             try:
                 self.land()
             except FlightEnded:
-                if outcome.usable:
+                if outcome.orderly:
                     raise
                 # What ended the flight before the landing did is the greater news.
         return outcome
 
+    @property
+    def _handed(self) -> bool:
+        return self.cockpit.machine.state is FlightState.HANDED
+
     # -- up and down ---------------------------------------------------------------------------------------------------------
 
-    def take_off(self) -> bool:
-        """Arm and climb to the reset height, or as far as the operator lets it; False where that is nowhere."""
+    def take_off(self) -> FlightOutcome | None:
+        """Arm and climb to the reset height, or as far as the operator lets it; where the flight ends here, with what."""
         cockpit, vehicle = self.cockpit, self.cockpit.vehicle
         height = self.plan.reset.to_m[2]
         by_position = self.plan.reset.by != "attitude"
         cockpit.tell(
             legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
         )
-        mode = CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS
         # Before arming: that may take a minute, and whoever changes the mode meanwhile does not want it to fly.
-        cockpit.own()
-        cockpit.expect(mode)
-        vehicle.set_mode(mode)
+        cockpit.on(Event.ARM)
+        vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
         if not vehicle.arm(stopped=lambda: cockpit.stop_asked) or cockpit.stop_asked:
-            cockpit.disown()
             vehicle.disarm()
-            return False
+            cockpit.on(Event.OVER)
+            return self._stopped()
+        cockpit.on(Event.ARMED)
         cockpit.recorder.event("note", "armed", cockpit.session.now_s())
         self.on_armed()
         cockpit.tell(doing="taking off", next=self.plan.legs[0].id)
-        if by_position:
-            answer = vehicle.take_off(height)
-            if not answer.accepted:
-                raise LinkError(
-                    f"take-off was refused ({answer.sentence})", "mend what the vehicle says, then fly again"
-                )
-            self._climb(height)
-        else:
-            self._climb_by_throttle(height)
-        return True
+        if not by_position:
+            return self._climb_by_throttle(height)
+        answer = vehicle.take_off(height)
+        if not answer.accepted:
+            raise LinkError(f"take-off was refused ({answer.sentence})", "mend what the vehicle says, then fly again")
+        return self._climb(height)
 
-    def _climb(self, height: float) -> None:
+    def _climb(self, height: float) -> FlightOutcome | None:
         deadline = self.cockpit.session.now_s() + _TAKE_OFF_S
         while self.cockpit.session.now_s() < deadline:
             state = self.cockpit.cycle()
             if self.cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
-                return
-        raise LinkError(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s", "look at its messages")
+                return None
+        return self._not_climbed(height)
 
-    def _climb_by_throttle(self, height: float) -> None:
+    def _not_climbed(self, height: float) -> FlightOutcome:
+        seen = self.cockpit.state.height_m
+        known = "its height is not known" if seen is None else f"its height is {seen:.1f} m"
+        self.notes.append(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s: {known}")
+        return FlightOutcome.CLIMB_ENDED
+
+    def _climb_by_throttle(self, height: float) -> FlightOutcome | None:
         """Without a position: throttle up gently over level attitude, hold at the height."""
         cockpit = self.cockpit
         cockpit.after()
@@ -128,11 +135,12 @@ class Scheduler:
             state = cockpit.state
             climb = state.climb_m_s or 0.0
             if cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
-                return
+                return None
             found = readiness(state, cockpit.gate)
             if found:
                 supervisor.abort(cockpit, sentences(found))
-                raise LinkError(f"the climb was ended: {'; '.join(sentences(found))}", "mend it, then fly again")
+                self.notes.append(f"the climb was ended: {'; '.join(sentences(found))}")
+                return FlightOutcome.CLIMB_ENDED
             ramp = min((cockpit.session.now_s() - began) / 4.0, 1.0)
             low, high = cockpit.gate.stop_throttle
             throttle = cockpit.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
@@ -141,21 +149,20 @@ class Scheduler:
             refused = cockpit.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
             assert not refused, "level targets around hover always pass"
             cockpit.cycle()
-        raise LinkError(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s", "is its height known?")
+        return self._not_climbed(height)
 
     def land(self) -> None:
-        """LAND where it is; it disarms by itself."""
+        """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
         cockpit = self.cockpit
         cockpit.tell(doing="landing", next="", phase="")
-        supervisor.insist(cockpit, (CopterMode.LAND,), self._meanwhile)
-        cockpit.expect_ground()
+        if cockpit.machine.state is not FlightState.LANDING:
+            supervisor.insist(cockpit, (CopterMode.LAND,), self._meanwhile)
         deadline = cockpit.session.now_s() + _LAND_S
-        while cockpit.session.now_s() < deadline:
-            if not cockpit.cycle().armed:
-                cockpit.disown()
-                cockpit.recorder.event("note", "landed", cockpit.session.now_s())
-                return
-        self.notes.append(f"the vehicle was still armed {_LAND_S:.0f} s after LAND")
+        while cockpit.machine.state is FlightState.LANDING:
+            if cockpit.session.now_s() > deadline:
+                cockpit.on(Event.NOT_DOWN)
+            cockpit.cycle()
+        cockpit.recorder.event("note", "landed", cockpit.session.now_s())
 
     def _meanwhile(self) -> None:
         if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
@@ -209,24 +216,25 @@ class Scheduler:
             in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
             if result.outcome is LegOutcome.REFUSED:
                 refused_cells[cell] += 1
-                if Refusal.BATTERY.value in result.why:
+                if Refusal.BATTERY in result.refused:
                     return FlightOutcome.BATTERY
-                if Refusal.EKF.value in result.why or in_a_row >= REFUSED_IN_A_ROW_MAX:
+                if Refusal.EKF in result.refused or in_a_row >= REFUSED_IN_A_ROW_MAX:
                     return FlightOutcome.ABORTED_BY_GATE
                 if self._plan_is_due():
                     todo.appendleft(leg.id)
-                elif name not in retried and set(result.why) & _PASSING:
+                elif name not in retried and _PASSING & set(result.refused):
                     todo.append(name)
                 retried.add(name)
         self.results += [LegResult(i, LegOutcome.UNFIT, self._why_unfit(i)) for i in unfit]
-        return FlightOutcome.COMPLETED
+        flown = any(r.outcome is LegOutcome.FLOWN for r in self.results)
+        return FlightOutcome.COMPLETED if flown else FlightOutcome.NOTHING_FLOWN
 
     def _asked_to_end(self) -> FlightOutcome | None:
         if self.cockpit.stop_now:
             if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
                 supervisor.abort(self.cockpit, ("the operator asked to stop at once",))
             elif self.cockpit.state.mode == CopterMode.GUIDED:
-                supervisor.enter(self.cockpit, CopterMode.BRAKE, 2.0)
+                supervisor.insist(self.cockpit, supervisor.abort_modes(self.cockpit.state), lambda: None)
             return FlightOutcome.OPERATOR_ABORT
         return self._stopped() if self.cockpit.stop_asked else None
 
@@ -242,25 +250,29 @@ class Scheduler:
         """One leg from wherever the vehicle is; None where it was planned again at the start, and the leg is another now."""
         cockpit = self.cockpit
         self._show(leg, remaining, f"{prefix}going to the start")
+        cockpit.on(Event.RETURN)
         began = cockpit.session.now_s()
         arrived = self._reset(leg)
+        if arrived.how is Arrival.REFUSED:
+            why = sentences(arrived.refused)
+            supervisor.abort(cockpit, why)
+            outcome = LegOutcome.LINK_LOST if flying.LINK & set(arrived.refused) else LegOutcome.REFUSED
+            return LegResult(leg.id, outcome, why, arrived.refused)
         if not arrived.settled:
-            if arrived.refused:
-                supervisor.abort(cockpit, sentences(arrived.refused))
-                outcome = LegOutcome.LINK_LOST if flying.LINK & set(arrived.refused) else LegOutcome.REFUSED
-                return LegResult(leg.id, outcome, sentences(arrived.refused))
-            cockpit.recorder.event("note", f"{leg.id}: {arrived.why}", cockpit.session.now_s())
-            if cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-                supervisor.abort(cockpit, (arrived.why,))
-            outcome = LegOutcome.STOPPED if arrived.why == "stopped" else LegOutcome.NOT_SETTLED
-            return LegResult(leg.id, outcome, (arrived.why,))
+            why = (arrived.how.value,)
+            cockpit.recorder.event("note", f"{leg.id}: {arrived.how.value}", cockpit.session.now_s())
+            if cockpit.state.mode == CopterMode.GUIDED_NOGPS and cockpit.owned:
+                supervisor.abort(cockpit, why)
+            return LegResult(
+                leg.id, LegOutcome.STOPPED if arrived.how is Arrival.STOPPED else LegOutcome.NOT_SETTLED, why
+            )
         self._use_hover(arrived.hover_throttle)
         self._reset_s += 0.3 * (cockpit.session.now_s() - began - self._reset_s)
         if self._plan_is_due():
             self._plan_again()
             return None
         if not supervisor.enter_nogps(cockpit):
-            return LegResult(leg.id, LegOutcome.NOT_SETTLED, ("the vehicle did not enter GUIDED_NOGPS",))
+            return LegResult(leg.id, LegOutcome.NOT_SETTLED, (Arrival.NO_NOGPS.value,))
         self._show(leg, remaining, "flying")
         trace = ThrottleTrace(cockpit.hover_throttle, self.airframe.angle_boost)
         flown = leg.flown_with(cockpit.hover_throttle, self.airframe.angle_boost)

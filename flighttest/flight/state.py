@@ -29,6 +29,8 @@ class VehicleState:
     """World NWU about the zone's origin (home), SI. None: never heard. Ages in vehicle seconds, inf where never heard.
 
     voltage_v: mean of the last 2 s. height_m: above home. throttle_stick: 0..1 of the pilot's stick, None without RC.
+    silence_s: since anything was heard;
+    uplink_silence_s: since anything that we sent is known to have arrived.
     position_ok: the EKF says that horizontal position is usable. ekf_ok: attitude and vertical estimates are.
     """
 
@@ -48,6 +50,7 @@ class VehicleState:
     position_ok: bool = False
     throttle_stick: float | None = None
     silence_s: float = 0.0
+    uplink_silence_s: float = 0.0
 
     @property
     def tilt_rad(self) -> float | None:
@@ -167,6 +170,7 @@ class StateReader:
             position_ok=bool(placed) and local is not None,
             throttle_stick=self._throttle_stick(),
             silence_s=session.silence_s,
+            uplink_silence_s=session.uplink_silence_s,
         )
 
     @staticmethod

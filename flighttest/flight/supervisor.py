@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from flighttest.flight.cockpit import Cockpit
-from flighttest.flight.outcome import FlightEnded, FlightOutcome
+from flighttest.flight.machine import Event, FlightState
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import book
@@ -17,7 +17,7 @@ _ENTRY_S = 3.0
 # Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
 UNSEEN_S = 1.5
 UNHEARD_S = 0.7  # a silent link hides what a pilot chooses: asked once when it falls silent, and again when it is heard
-GIVE_UP_AFTER_S = 30.0  # without one: the vehicle's own failsafes have long acted
+UPLINK_LOST_S = 3.0  # without an answer: then an operator who asked to stop is not kept waiting for it
 LET_GO_AFTER_S = 5.0  # of insisting after the operator wanted to let go at once
 REST_PATIENCE_S = 6.0
 AT_REST_M_S = 0.4
@@ -67,8 +67,7 @@ def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
 def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
     """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
 
-    FlightEnded when the pilot takes over, no HEARTBEAT comes for `GIVE_UP_AFTER_S`, or the operator wants to let go and the vehicle does
-    not answer.
+    FlightEnded when the pilot takes over, the link stays away (`cockpit`), or the operator wants an end and the vehicle does not answer.
     """
     let_go_s = math.inf
     began = cockpit.session.now_s()
@@ -76,31 +75,26 @@ def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[
     heard_again = began
     index = 0
     # Only what was asked for: a pilot who chooses another mode meanwhile, be it one of ours, has taken over.
-    asked = modes[:1]
-    cockpit.expect(*asked, CopterMode.GUIDED_NOGPS)
+    cockpit.ask_safe_mode(modes[:1])
     while True:
         now = cockpit.session.now_s()
-        if cockpit.stop_now:
+        unheard = cockpit.stop_asked and cockpit.state.uplink_silence_s > UPLINK_LOST_S
+        if cockpit.stop_now or unheard:
             let_go_s = min(let_go_s, now + LET_GO_AFTER_S)
             if now > let_go_s:
-                raise FlightEnded(FlightOutcome.OPERATOR_ABORT)
+                cockpit.on(Event.GIVEN_UP if cockpit.stop_now else Event.UPLINK_GONE)
         if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S and cockpit.state.silence_s < UNHEARD_S:
             if cockpit.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
                 index = min(index + 1, len(modes) - 1)
-                asked = modes[: index + 1]
-                cockpit.expect(*asked, CopterMode.GUIDED_NOGPS)
+                cockpit.ask_safe_mode(modes[: index + 1])
             cockpit.vehicle.ask_mode(modes[index])
             next_ask = now + ASK_EVERY_S
         state = cockpit.cycle()
-        if state.mode in asked and state.mode_age_s < UNSEEN_S and state.silence_s < 1.0:
-            reached = CopterMode(state.mode)
-            cockpit.expect(reached)
+        if cockpit.machine.state is not FlightState.ASKING:
             cockpit.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
-            return reached
+            return CopterMode(state.mode)
         if state.silence_s >= 1.0:
             heard_again = cockpit.session.now_s()
-        if state.mode_age_s > GIVE_UP_AFTER_S:
-            raise FlightEnded(FlightOutcome.LINK_LOST)
         meanwhile()
 
 
@@ -128,7 +122,6 @@ def enter(
     cockpit: Cockpit, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
 ) -> bool:
     """Ask for a mode every 0.2 s until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
-    cockpit.expect(mode)
     deadline = cockpit.session.now_s() + timeout_s
     next_ask = -1.0
     while True:
@@ -138,7 +131,6 @@ def enter(
             next_ask = now + ASK_EVERY_S
         state = cockpit.cycle()
         if state.mode == mode and state.mode_age_s < UNSEEN_S:
-            cockpit.expect(mode)
             return True
         if now > deadline:
             return False

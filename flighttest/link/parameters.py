@@ -73,12 +73,15 @@ def read_all(session: Session) -> dict[str, float]:
 
     session.listen(look)
     try:
-        session.send(
-            book.MAVLink_param_request_list_message(
-                target_system=session.vehicle_system, target_component=COMPONENT_AUTOPILOT
+        for _ in range(_TRIES):
+            session.send(
+                book.MAVLink_param_request_list_message(
+                    target_system=session.vehicle_system, target_component=COMPONENT_AUTOPILOT
+                )
             )
-        )
-        _until_quiet(session, by_index)
+            _until_quiet(session, by_index)
+            if count:
+                break
         if count == 0:
             raise LinkError("the vehicle did not answer PARAM_REQUEST_LIST", "is the link two-way?")
         for _ in range(_TRIES):
@@ -113,6 +116,7 @@ def _until_quiet(session: Session, received: dict[int, tuple[str, float]]) -> No
     """Wait as long as parameters keep coming."""
     last, since = -1, session.now_s()
     while session.now_s() - since < _LIST_QUIET_S * max(session.clock.pace, 1.0):
+        session.require_link()
         session.advance(session.now_s() + 0.05)
         if len(received) != last:
             last, since = len(received), session.now_s()

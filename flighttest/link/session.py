@@ -14,11 +14,17 @@ from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_ve
 
 CONNECT_S = 10.0  # host seconds
 HEARTBEAT_EVERY_S = 1.0
-TIMESYNC_EVERY_S = 1.0
+TIMESYNC_EVERY_S = 0.25  # also how the uplink is seen to be alive; 120 bytes a second each way
+LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): whoever waits for an answer is told
+UNANSWERED_S = 10.0
 _DRAIN_MAX = 100  # receives in a row: seconds of a real link, and an end where a simulator sends faster than it is read
 _POLL_S = 0.02  # host seconds one receive may block
 _OVERTAKING_S = 0.2  # a link does not reorder over longer; sequence numbers begin anew after some 0.3 s
 _SILENCE_MAX_S = 10.0  # host seconds a simulator in lock-step may think about a grant
+
+
+class LinkSilent(LinkError):
+    """The vehicle was there, and is not heard any more, or does not hear us: not a refusal."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Session:
     """The conversation with one vehicle. `advance` is the only place where time passes and messages come in.
 
     vehicle_system is 0 until the first HEARTBEAT of an autopilot. latest: message name to the last one heard from the vehicle. others:
-    system ids of further autopilots that were heard.
+    system ids of further autopilots that were heard. boots: how often the vehicle's clock began anew.
     """
 
     def __init__(self, port: Port, clock: Clock | None = None) -> None:
@@ -51,6 +57,7 @@ class Session:
         self._grants: Grants | None = None
         self._next_heartbeat_s = self._next_timesync_s = 0.0
         self.last_heard_s = 0.0
+        self.boots = 0
 
     def listen(self, listener: Callable[[Message, float], None]) -> None:
         """Call `listener(message, vehicle time s)` for every message from the vehicle."""
@@ -174,6 +181,9 @@ class Session:
         t_s = self.clock.now_s()
         if t_s < self.last_heard_s:
             self.latest.clear()  # booted anew: what it said before is not fresh, however late its clock was
+            self._asked_s.clear()
+            self._answered_s = None
+            self.boots += 1
         self.last_heard_s = t_s
         self.latest[kind] = Heard(message, t_s)
         self.counts[kind] = self.counts.get(kind, 0) + 1
@@ -202,9 +212,31 @@ class Session:
         return self.clock.now_s() - self.last_heard_s
 
     @property
+    def uplink_silence_s(self) -> float:
+        """Vehicle seconds for which nothing we sent is known to have arrived: since the last TIMESYNC question left that was answered,
+        less the time between two. 0 for a vehicle that never answered one."""
+        if self._answered_s is None:
+            return 0.0
+        return max(self.clock.now_s() - self._answered_s - TIMESYNC_EVERY_S * max(self.clock.pace, 1.0), 0.0)
+
+    @property
     def offset(self) -> ClockOffset | None:
         """Ground minus vehicle time by TIMESYNC, None before the first answer."""
         return self._timesync.offset()
+
+    def require_link(self) -> None:
+        """LinkSilent where the vehicle that was connected is not heard, or answers nothing."""
+        pace = max(self.clock.pace, 1.0)
+        if self.vehicle_system and self.silence_s > LOST_S * pace:
+            raise LinkSilent(
+                f"the link was lost: nothing has been heard from the vehicle for {LOST_S:.0f} s",
+                "check that the vehicle is on, the radio or cable, and the distance",
+            )
+        if self.uplink_silence_s > UNANSWERED_S * pace:
+            raise LinkSilent(
+                f"the link was lost in one direction: the vehicle is heard, but has answered nothing for {UNANSWERED_S:.0f} s",
+                "check the transmitting side of the radio, or the address that is sent to",
+            )
 
     def await_message(self, wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
         """The next message from the vehicle for which `wanted` is true, or None after timeout_s of the vehicle's time."""
@@ -218,6 +250,7 @@ class Session:
         try:
             deadline = self.now_s() + timeout_s
             while not found and self.now_s() < deadline:
+                self.require_link()
                 self.advance(min(self.now_s() + 0.02, deadline))
         finally:
             self.forget(look)
@@ -240,4 +273,6 @@ class Session:
             self._next_timesync_s = 0.0
             if self.await_message(lambda m: m.get_type() == "TIMESYNC" and self.offset is not None, 0.1) is not None:
                 break
+        self._asked_s.clear()  # on a clock that was not the vehicle's yet
+        self._answered_s = None
         return beat

@@ -213,21 +213,20 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         ends.append(ended)
         folders.append(ended.run_dir)
         notes += [n for n in ended.notes if n not in notes]
-        if not ended.outcome.usable:
-            notes.append(f"{plan.script.name}: {ended.outcome.value}")
+        if not ended.as_planned:
+            notes.append(f"{plan.script.name}: {ended.sentence}")
         missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
         again = ended.outcome is not FlightOutcome.COMPLETED or any(
             leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
         )
-        if missing and ended.outcome.usable and again:
+        if missing and ended.outcome.orderly and again:
             notes.append(
                 f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
             )
         notes += _unflown(ended)
-        if ended.outcome is not FlightOutcome.COMPLETED:
+        if ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe:
             break
-    flown = any(leg.outcome is LegOutcome.FLOWN for e in ends for leg in e.legs)
-    usable = flown and len(ends) == len(compiled) and all(e.outcome.usable and not e.incomplete for e in ends)
+    usable = len(ends) == len(compiled) and all(e.as_planned and not e.incomplete for e in ends)
     # Each step once, to compare with a model: too little to look for unnamed physics in.
     wanted = False if all(plan.script.name == SPOT_CHECK for plan in compiled) else None
     if request.fly_only:
@@ -343,7 +342,7 @@ def _one(
             weather=request.weather,
         )
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-    progress.stage(f"{name}: {flown} of {len(plan.legs)} steps flown; {ended.outcome.value}")
+    progress.stage(f"{name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
     return ended
 
 
@@ -354,7 +353,7 @@ def _flown(
     lines = []
     for plan, ended in zip(plans, ends, strict=False):
         flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-        lines.append(f"{ended.run_dir}: {flown} of {len(plan.legs)} steps flown; {ended.outcome.value}")
+        lines.append(f"{ended.run_dir}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
     blocks: list[Block] = [Bullets(tuple(lines))]
     if notes:
         blocks.append(Bullets(tuple(notes)))
@@ -363,7 +362,13 @@ def _flown(
     data = {
         "runs": [str(f) for f in folders],
         "flights": [
-            {"run": str(e.run_dir), "outcome": e.outcome.name, "legs": [plain(leg) for leg in e.legs]} for e in ends
+            {
+                "run": str(e.run_dir),
+                "outcome": e.outcome.name,
+                "left": e.left.name,
+                "legs": [plain(leg) for leg in e.legs],
+            }
+            for e in ends
         ],
         "notes": list(notes),
     }

@@ -15,6 +15,7 @@ from rich.text import Text
 ZONE_NEAR_M = 1.0
 VOLTAGE_NEAR_V = 0.5
 SILENCE_LONG_S = 0.5
+UNANSWERED_LONG_S = 1.5  # six questions
 LOSS_HIGH = 0.05
 
 
@@ -35,6 +36,7 @@ class FlightFacts(Protocol):
     voltage_min_v: float
     link_loss: float
     silence_s: float
+    uplink_silence_s: float
     rates_hz: Mapping[str, float]
     mode: str
     stopping: bool
@@ -50,11 +52,23 @@ def line(facts: FlightFacts) -> str:
         parts.append(f"zone {facts.zone_margin_m:.1f} m")
     if math.isfinite(facts.voltage_v):
         parts.append(f"{facts.voltage_v:.1f} V")
-    parts.append(f"link {100 * (1 - facts.link_loss):.0f} %")
+    parts.append(_health(facts))
     parts.append(f"{_clock(facts.time_left_s)} left")
     if facts.next:
         parts.append(f"next {facts.next}")
     return ", ".join(parts)
+
+
+def _health(facts: FlightFacts) -> str:
+    """Both directions of the link: what comes down, and whether what goes up is answered, where either is not well."""
+    down = f"link {100 * (1 - facts.link_loss):.0f} %"
+    if facts.silence_s > SILENCE_LONG_S:
+        down += f", down silent for {facts.silence_s:.0f} s"
+    return (
+        f"{down}, up unanswered for {facts.uplink_silence_s:.0f} s"
+        if facts.uplink_silence_s > UNANSWERED_LONG_S
+        else down
+    )
 
 
 def picture(facts: FlightFacts) -> RenderableType:
@@ -113,10 +127,14 @@ def _battery(facts: Any) -> Text:
 
 
 def _link(facts: Any) -> Text:
-    bad = facts.link_loss > LOSS_HIGH or facts.silence_s > SILENCE_LONG_S
-    text = Text(f"{100 * (1 - facts.link_loss):.1f} % received", style="bold red" if bad else "green")
+    down_bad = facts.link_loss > LOSS_HIGH or facts.silence_s > SILENCE_LONG_S
+    text = Text(f"down {100 * (1 - facts.link_loss):.1f} %", style="bold red" if down_bad else "green")
     if facts.silence_s > SILENCE_LONG_S:
-        text.append(f"   silent for {facts.silence_s:.1f} s", style="bold red")
+        text.append(f", silent for {facts.silence_s:.1f} s", style="bold red")
+    if facts.uplink_silence_s > UNANSWERED_LONG_S:
+        text.append(f"   up: no answer for {facts.uplink_silence_s:.1f} s", style="bold red")
+    else:
+        text.append("   up: answered", style="green")
     fastest = sorted(facts.rates_hz.items(), key=lambda item: -item[1])[:3]
     if fastest:
         text.append("   " + ", ".join(f"{name.lower()} {rate:.0f} Hz" for name, rate in fastest), style="dim")

@@ -11,7 +11,7 @@ from flighttest.mavlink.dialect import book
 class Silent:
     """A session without a vehicle: tells its listeners what it is given."""
 
-    silence_s = 0.0
+    silence_s = uplink_silence_s = 0.0
 
     def __init__(self):
         self.latest, self.t_s, self.listeners = {}, 0.0, []

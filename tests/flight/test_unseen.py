@@ -31,8 +31,7 @@ def marked(link: FaultyLink, word: str, *, then: object = None) -> list[float]:
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    for room in ("supervisor", "reset"):
-        monkeypatch.setattr(f"flighttest.flight.{room}.GIVE_UP_AFTER_S", 8.0)
+    monkeypatch.setattr("flighttest.flight.cockpit.GIVE_UP_AFTER_S", 8.0)
 
 
 def asked(link: FaultyLink) -> list[tuple[float, int]]:

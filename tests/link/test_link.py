@@ -362,3 +362,65 @@ def test_a_second_autopilot_on_the_link_is_noticed_and_not_listened_to() -> None
     session.advance(session.now_s() + 0.05)
     assert session.others == {2}
     assert ArduPilot(session).mode == 0
+
+
+@pytest.mark.parametrize("real", [True, False])
+def test_a_leap_of_the_vehicles_clock_in_flight_is_no_silence(real: bool) -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    if real:
+        clock.keep_real_time()
+    clock.heard(50.0)
+    clock.hold()
+    for step in range(1, 400):
+        host.now += 0.02
+        leapt = 86400.0 if step > 200 else 0.0
+        clock.heard(50.0 + 0.02 * step + leapt)
+        clock.answered(50.0 + 0.02 * step + leapt, 0.001)
+        assert clock.now_s() == pytest.approx(50.0 + 0.02 * step, abs=0.01)
+    assert clock.leap_s == pytest.approx(86400.0, abs=0.1)
+
+
+def test_one_false_stamp_in_flight_moves_no_clock() -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    clock.heard(50.0)
+    clock.hold()
+    for step in range(1, 100):
+        host.now += 0.02
+        clock.heard({50: 86400.0, 60: 1.0}.get(step, 50.0 + 0.02 * step))
+        assert clock.now_s() == pytest.approx(50.0 + 0.02 * step, abs=0.01)
+    assert clock.leap_s == 0.0
+    for step in range(10):
+        host.now += 0.02
+        clock.heard(1.0 + 0.02 * step)
+    assert clock.now_s() == pytest.approx(1.18, abs=0.01), "booted anew"
+
+
+def test_one_lost_request_for_the_parameters_is_sent_again() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    first = []
+
+    def lose(count: int) -> bool:
+        first.append(count)
+        return len(first) == 1
+
+    vehicle.lose = lose
+    assert set(parameters.read_all(session)) == set(vehicle.values)
+
+
+def test_a_link_that_is_lost_is_said_instead_of_what_was_asked_for() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    known = parameters.read_all(session)
+    session.advance(session.now_s() + 1.0)
+    vehicle.lose = lambda _n: True
+    with pytest.raises(LinkError, match="lost in one direction"):
+        parameters.write(session, "ANGLE_MAX", 4000.0, known)
+    vehicle.say = lambda _message: None  # type: ignore[method-assign]
+    began = session.now_s()
+    session.advance(began + 6.5)
+    with pytest.raises(LinkError, match="nothing has been heard"):
+        parameters.write(session, "ANGLE_MAX", 4000.0, known)
+    assert session.now_s() - began < 8.0

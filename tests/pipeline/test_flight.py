@@ -126,6 +126,8 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     first = flying.run(request, Stopper())
     flown = [leg.leg for leg in first.value[0].legs if leg.outcome.name == "FLOWN"]
     assert 1 <= len(flown) < 4
+    assert first.status is Status.UNUSABLE, "stopped by the operator: steps are missing"
+    assert first.document.verdict != "Recorded."
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     (run,) = out_dir.iterdir()
     code, out, err = call("run", "--resume", run, "--out", out_dir, "--json")
@@ -142,6 +144,25 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     code, out, err = call("report", data["runs"][0], "--json")
     assert code == 0, err
     assert json.loads(out)["verdict"].startswith("4 responses fitted")
+
+
+def test_a_flight_that_a_low_battery_ended_exits_1(call, script, tmp_path, monkeypatch):
+    sagging = flying.options
+
+    def empty(*given, **named):
+        return replace(sagging(*given, **named), voltage_v=22.7)
+
+    monkeypatch.setattr(flying, "options", empty)
+    battery = script.with_name("battery.yaml")
+    battery.write_text((SHORT % 2).replace("voltage_min_v: 21.0", "voltage_min_v: 22.5"))
+    code, out, _ = call("run", battery, "--out", tmp_path / "runs", "--only", "fly", "--json")
+    data = json.loads(out)
+    assert (
+        data["data"]["flights"][0]["outcome"] == "BATTERY"
+        if "data" in data
+        else data["flights"][0]["outcome"] == "BATTERY"
+    )
+    assert code == 1
 
 
 def test_a_flight_that_was_stopped_before_its_first_step_exits_1(script, tmp_path):

@@ -1,17 +1,27 @@
 """What is said of a flight while it happens."""
 
+import io
 import math
 from types import SimpleNamespace
 
-from flighttest.report.flight_view import line
+from rich.console import Console
+
+from flighttest.report.flight_view import line, picture
 
 
 def facts(**changed):
     known = {
         "leg": 3, "legs": 8, "doing": "taking off", "next": "land", "phase": "", "time_left_s": 125.0, "zone_margin_m": 4.26,
-        "height_m": -0.01, "voltage_v": math.nan, "link_loss": 0.01,
+        "height_m": -0.01, "voltage_v": math.nan, "link_loss": 0.01, "silence_s": 0.0, "uplink_silence_s": 0.2, "speed_m_s": 0.0,
+        "voltage_min_v": 21.0, "rates_hz": {}, "mode": "GUIDED", "stopping": False, "how_to_stop": "Ctrl-C lands", "t_s": 1.0,
     }  # fmt: skip
     return SimpleNamespace(**{**known, **changed})
+
+
+def drawn(of):
+    console = Console(file=io.StringIO(), width=120, color_system=None)
+    console.print(picture(of))
+    return console.file.getvalue()
 
 
 def test_a_line_says_what_is_known_and_nothing_else():
@@ -19,3 +29,12 @@ def test_a_line_says_what_is_known_and_nothing_else():
     assert line(facts(doing="flying: a/r1", phase="step", voltage_v=24.04, height_m=math.nan, next="")) == (
         "step 3/8 flying: a/r1 (step), zone 4.3 m, 24.0 V, link 99 %, 2:05 left"
     )
+
+
+def test_the_two_directions_of_the_link_are_shown_apart():
+    deaf = facts(uplink_silence_s=4.0)
+    assert "up unanswered for 4 s" in line(deaf)
+    assert "up: no answer for 4.0 s" in drawn(deaf)
+    mute = facts(silence_s=4.0)
+    assert "down silent for 4 s" in line(mute)
+    assert "up: answered" in drawn(mute)

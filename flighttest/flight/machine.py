@@ -1,0 +1,209 @@
+"""The states of a flight, the events that change them, and the table of transitions: the only place that says who has the vehicle.
+
+A procedure reports an event to the `Machine`; the table says what state follows and, where the flight ends by it, with which outcome.
+An event that the table does not foresee in a state is a defect of this program. docs/operations.md is drawn from this table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from itertools import product
+
+from flighttest.flight.outcome import FlightEnded, FlightOutcome
+
+
+class FlightState(Enum):
+    """Where a flight is, or how it left the vehicle. The value is the sentence shown to the reader; {mode} is the last one heard."""
+
+    GROUND = "on the ground, nothing is commanded"
+    ARMING = "asked to arm"
+    CLIMBING = "climbing to the height of the first step"
+    RETURNING = "on the way to the start of a step"
+    FLYING = "flying a step"
+    ASKING = "asked for a safe mode (the abort mode or LAND) that HEARTBEAT does not show yet"
+    HOLDING = "in its abort mode, as HEARTBEAT shows"
+    LANDING = "landing, as HEARTBEAT shows"
+    HANDED = "flown by the pilot, by agreement"
+
+    NOT_ARMED = "the vehicle was not armed"
+    LANDED = "the vehicle landed and disarmed"
+    WITH_PILOT = "the vehicle is the pilot's (or its failsafe's), in {mode}"
+    IN_ABORT_MODE = "the vehicle is in the air in {mode}, as it confirmed: the pilot's to land"
+    TO_AUTOPILOT = (
+        "the vehicle is in the air in {mode} and left to its autopilot's failsafes: take it over with the mode switch"
+    )
+    LANDING_UNSEEN = "the vehicle was landing when it was last heard: whether it is down is not known"
+    DISARMED = "the vehicle is disarmed: where it came down was not seen"
+    UNKNOWN = "what the vehicle does is not known, it was last heard in {mode}: take it over with the mode switch"
+
+    @property
+    def is_end(self) -> bool:
+        """Whether nothing follows."""
+        return self in ENDS
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether nobody has to look after a vehicle that was left so: it is on the ground, or the pilot has it."""
+        return self in (FlightState.NOT_ARMED, FlightState.LANDED, FlightState.WITH_PILOT)
+
+
+class Event(Enum):
+    """What changes a flight's state. The value is the sentence shown to the reader."""
+
+    ARM = "arming begins"
+    ARMED = "the vehicle is armed"
+    RETURN = "the next step's start is flown to"
+    SETTLED = "the vehicle is still at the start"
+    ASK = "a safe mode is asked for"
+    HOLDS = "HEARTBEAT shows the abort mode"
+    LANDS = "HEARTBEAT shows LAND"
+    HAND_OVER = "the pilot is to fly to the start"
+    HANDED_BACK = "the pilot switched to GUIDED_NOGPS"
+    FOREIGN_MODE = "HEARTBEAT shows a mode that was not asked for"
+    DISARMED = "HEARTBEAT shows disarmed after armed"
+    REBOOTED = "the vehicle's clock began anew"
+    DOWNLINK_GONE = "no HEARTBEAT for 30 s"
+    UPLINK_GONE = "heard, but no answer for 60 s"
+    NOT_DOWN = "still armed 120 s after HEARTBEAT showed LAND"
+    GIVEN_UP = "the operator wants an end, and the vehicle does not answer"
+    OVER = "the program ends the flight"
+
+
+S, E, Out = FlightState, Event, FlightOutcome
+ENDS = frozenset(
+    {
+        S.NOT_ARMED, S.LANDED, S.WITH_PILOT, S.IN_ABORT_MODE, S.TO_AUTOPILOT, S.LANDING_UNSEEN, S.DISARMED, S.UNKNOWN,
+    }
+)  # fmt: skip
+OURS = frozenset({S.ARMING, S.CLIMBING, S.RETURNING, S.FLYING, S.ASKING, S.HOLDING, S.LANDING})
+IN_AIR = OURS - {S.ARMING}
+_STEERED = (S.CLIMBING, S.RETURNING, S.FLYING)
+
+
+@dataclass(frozen=True)
+class Next:
+    """What follows an event. outcome: where the flight ends by it; None where it goes on, or ends as it should."""
+
+    state: FlightState
+    outcome: FlightOutcome | None = None
+
+
+def _table() -> dict[tuple[FlightState, Event], Next]:
+    table = {
+        # what the program does
+        (S.GROUND, E.ARM): Next(S.ARMING),
+        (S.ARMING, E.ARMED): Next(S.CLIMBING),
+        **{(s, E.RETURN): Next(S.RETURNING) for s in (*_STEERED, S.HOLDING, S.LANDING)},
+        (S.RETURNING, E.SETTLED): Next(S.FLYING),
+        **{(s, E.ASK): Next(S.ASKING) for s in (*_STEERED, S.ASKING, S.HOLDING, S.LANDING)},
+        (S.ASKING, E.HOLDS): Next(S.HOLDING),
+        (S.ASKING, E.LANDS): Next(S.LANDING),
+        (S.RETURNING, E.HAND_OVER): Next(S.HANDED),
+        (S.HANDED, E.HANDED_BACK): Next(S.RETURNING),
+        (S.HANDED, E.RETURN): Next(S.HANDED),
+        (S.HANDED, E.HAND_OVER): Next(S.HANDED),
+        # what the pilot, the vehicle and the link do, in each state
+        (S.GROUND, E.FOREIGN_MODE): Next(S.GROUND),
+        (S.HANDED, E.FOREIGN_MODE): Next(S.HANDED),
+        **{(s, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.TAKE_OVER) for s in OURS - {S.LANDING}},
+        (S.LANDING, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.LEFT_TO_PILOT),
+        (S.GROUND, E.DISARMED): Next(S.GROUND),
+        (S.HANDED, E.DISARMED): Next(S.HANDED),
+        (S.LANDING, E.DISARMED): Next(S.LANDED),
+        **{(s, E.DISARMED): Next(S.DISARMED, Out.DISARMED) for s in OURS - {S.LANDING}},
+        (S.GROUND, E.REBOOTED): Next(S.GROUND),
+        (S.HANDED, E.REBOOTED): Next(S.WITH_PILOT, Out.REBOOTED),
+        (S.ARMING, E.REBOOTED): Next(S.NOT_ARMED, Out.REBOOTED),
+        **{(s, E.REBOOTED): Next(S.UNKNOWN, Out.REBOOTED) for s in IN_AIR},
+        (S.GROUND, E.DOWNLINK_GONE): Next(S.NOT_ARMED, Out.LINK_LOST),
+        (S.HANDED, E.DOWNLINK_GONE): Next(S.WITH_PILOT, Out.LINK_LOST),
+        **{(s, E.DOWNLINK_GONE): Next(S.UNKNOWN, Out.LINK_LOST) for s in OURS - {S.LANDING}},
+        (S.LANDING, E.DOWNLINK_GONE): Next(S.LANDING_UNSEEN, Out.LINK_LOST),
+        **{(s, E.UPLINK_GONE): Next(s) for s in (S.GROUND, S.HANDED, S.LANDING)},  # nothing has to reach the vehicle
+        (S.HOLDING, E.UPLINK_GONE): Next(S.IN_ABORT_MODE, Out.UPLINK_LOST),
+        **{(s, E.UPLINK_GONE): Next(S.TO_AUTOPILOT, Out.UPLINK_LOST) for s in OURS - {S.HOLDING, S.LANDING}},
+        **{(s, E.GIVEN_UP): Next(S.TO_AUTOPILOT, Out.OPERATOR_ABORT) for s in OURS - {S.HOLDING, S.LANDING}},
+        (S.HOLDING, E.GIVEN_UP): Next(S.IN_ABORT_MODE, Out.OPERATOR_ABORT),
+        (S.LANDING, E.NOT_DOWN): Next(S.LANDING_UNSEEN, Out.NOT_LANDED),
+        (S.LANDING, E.GIVEN_UP): Next(S.LANDING_UNSEEN, Out.OPERATOR_ABORT),
+        # the end of what the program does, wherever it stands
+        (S.GROUND, E.OVER): Next(S.NOT_ARMED),
+        (S.ARMING, E.OVER): Next(S.NOT_ARMED),
+        (S.HANDED, E.OVER): Next(S.WITH_PILOT),
+        (S.HOLDING, E.OVER): Next(S.IN_ABORT_MODE),
+        (S.LANDING, E.OVER): Next(S.LANDING_UNSEEN),
+        **{(s, E.OVER): Next(S.TO_AUTOPILOT) for s in (*_STEERED, S.ASKING)},
+    }  # fmt: skip
+    # Nothing changes an end.
+    return table | {(s, e): Next(s) for s, e in product(ENDS, Event)}
+
+
+TABLE = _table()
+EXTERNAL = (E.FOREIGN_MODE, E.DISARMED, E.REBOOTED, E.DOWNLINK_GONE, E.UPLINK_GONE, E.OVER)
+"""Events that may come in any state."""
+
+
+@dataclass
+class Machine:
+    """The state of one flight. history: (state, event, next state) of every change."""
+
+    state: FlightState = FlightState.GROUND
+
+    def __post_init__(self) -> None:
+        self.history: list[tuple[FlightState, Event, FlightState]] = []
+
+    @property
+    def ours(self) -> bool:
+        """Whether a change of mode that was not asked for is a pilot's take-over."""
+        return self.state in OURS
+
+    def on(self, event: Event, why: str = "") -> FlightState:
+        """Take in an event and return the state that follows. FlightEnded where the flight ends by it."""
+        before = self.state
+        following = TABLE[before, event]
+        self.state = following.state
+        if self.state is not before:
+            self.history.append((before, event, self.state))
+            if following.outcome is not None:
+                raise FlightEnded(following.outcome, why)
+        return self.state
+
+
+def table_as_markdown() -> str:
+    """The table, states down and events across, for the documentation."""
+    live = [s for s in FlightState if not s.is_end]
+    rows = []
+    for state in live:
+        cells = []
+        for event in Event:
+            following = TABLE.get((state, event))
+            if following is None:
+                cells.append("")
+            elif following.state is state:
+                cells.append("stays")
+            else:
+                ends = f" ({following.outcome.name})" if following.outcome is not None else ""
+                cells.append(f"{following.state.name}{ends}")
+        rows.append((state, cells))
+    lines = ["| state | event | follows |", "|---|---|---|"]
+    for state, cells in rows:
+        lines += [f"| {state.name} | {e.name} | {cell} |" for e, cell in zip(Event, cells, strict=True) if cell]
+    return "\n".join(lines) + "\n"
+
+
+def words_as_markdown() -> str:
+    """What each state and event means."""
+    states = [f"| {s.name} | {'end' if s.is_end else 'state'} | {s.value} |" for s in FlightState]
+    events = [f"| {e.name} | event | {e.value} |" for e in Event]
+    return "\n".join(["| name | kind | meaning |", "|---|---|---|", *states, *events]) + "\n"
+
+
+def drawing() -> str:
+    """The transitions as a Mermaid diagram, without what changes nothing."""
+    edges: dict[tuple[str, str], list[str]] = {}
+    for (state, event), following in TABLE.items():
+        if not state.is_end and following.state is not state:
+            edges.setdefault((state.name, following.state.name), []).append(event.name)
+    lines = [f"    {a} --> {b}: {', '.join(events)}" for (a, b), events in edges.items()]
+    return "\n".join(["```mermaid", "stateDiagram-v2", "    [*] --> GROUND", *lines, "```", ""])

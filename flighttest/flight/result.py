@@ -1,0 +1,36 @@
+"""The end of a flight as it is handed back: why it ended, and how it left the vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from flighttest.flight.machine import FlightState
+from flighttest.flight.outcome import FlightOutcome, LegOutcome, LegResult
+
+
+@dataclass(frozen=True)
+class FlightResult:
+    """The end of a flight. left: the state in which the vehicle was left, mode: its last one heard; parameters_left: parameters that
+    could not be restored (name to the value they should have); incomplete: what its record lacks because it could not be written, ''
+    where it is whole."""
+
+    outcome: FlightOutcome
+    run_dir: Path
+    legs: tuple[LegResult, ...] = ()
+    notes: tuple[str, ...] = ()
+    parameters_left: Mapping[str, float] = field(default_factory=dict)
+    left: FlightState = FlightState.NOT_ARMED
+    mode: str = ""
+    incomplete: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """Why the flight ended and how it left the vehicle."""
+        return f"{self.outcome.value}; {self.left.value.format(mode=self.mode or 'no mode')}"
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether the flight was flown to its end and left a vehicle that nobody has to look after."""
+        return self.outcome.complete and self.left.is_safe and any(r.outcome is LegOutcome.FLOWN for r in self.legs)

@@ -1,0 +1,151 @@
+"""A link that is lost in one direction, or while landing, ends in a state that is said as it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flighttest.errors import LinkError
+from flighttest.flight import FlightProgress, LegOutcome, fly
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import book
+from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+
+_TOO_LONG_S = 400.0
+
+
+class Endless(AssertionError):
+    """The flight did not end."""
+
+
+def marked(link: FaultyLink, word: str) -> list[float]:
+    """When a phase was first marked, filled while flying; a flight without an end is ended."""
+    times: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if t_s > _TOO_LONG_S:
+            raise Endless(f"still flying after {t_s:.0f} s")
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(word) and not times:  # type: ignore[attr-defined]
+            times.append(t_s)
+
+    link.hook = look
+    return times
+
+
+def landing_asked(link: FaultyLink) -> list[float]:
+    times: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if t_s > _TOO_LONG_S:
+            raise Endless(f"still flying after {t_s:.0f} s")
+        command = message.get_type() == "COMMAND_LONG" and message.command == book.MAV_CMD_DO_SET_MODE  # type: ignore[attr-defined]
+        if command and message.param2 == CopterMode.LAND and not times:  # type: ignore[attr-defined]
+            times.append(t_s)
+
+    link.hook = look
+    return times
+
+
+def test_a_lost_uplink_ends_the_step_at_once_and_the_flight_in_time(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    link.deaf = lambda t: bool(began) and t > began[0] + 0.1
+    seen: list[FlightProgress] = []
+    result = fly(make_plan(make_leg("a", duration_s=4.0)), "sim", run_dir, transport=link, on_progress=seen.append)
+    assert [leg.outcome for leg in result.legs if leg.outcome is LegOutcome.FLOWN] == []
+    assert result.outcome.name == "UPLINK_LOST"
+    assert result.left.name == "TO_AUTOPILOT"
+    assert "take it over with the mode switch" in result.sentence
+    assert not result.as_planned
+    assert link.sim.time_s - began[0] < 75.0
+    assert max(p.uplink_silence_s for p in seen) > 10.0
+    assert max(p.silence_s for p in seen) < 1.0
+
+
+@pytest.mark.parametrize(("presses", "outcome"), [(1, "UPLINK_LOST"), (2, "OPERATOR_ABORT")])
+def test_ctrl_c_ends_a_flight_whose_uplink_is_lost(presses: int, outcome: str, run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    link.deaf = lambda t: bool(began) and t > began[0] + 0.1
+    pressed_s = 10.0
+
+    def stops() -> int:
+        return presses if began and link.sim.time_s > began[0] + pressed_s else 0
+
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=stops)
+    assert result.outcome.name == outcome
+    assert result.left.name == "TO_AUTOPILOT", "no abort mode was confirmed"
+    assert "abort mode" not in result.sentence
+    assert link.sim.time_s - began[0] < pressed_s + 12.0, (
+        "restoring parameters does not wait for a vehicle that does not answer"
+    )
+    assert result.parameters_left
+
+
+@pytest.mark.parametrize(("after_s", "left"), [(-0.5, "UNKNOWN"), (1.0, "LANDING_UNSEEN")])
+def test_a_link_lost_while_landing_claims_no_landing(after_s: float, left: str, run_dir: Path) -> None:
+    link = FaultyLink(options())
+    ended, asked = marked(link, " end"), []
+    if after_s > 0.0:
+        asked = landing_asked(link)
+        link.down = lambda t: bool(asked) and t > asked[0] + after_s
+    else:
+        link.down = lambda _t: bool(ended)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.FLOWN]
+    assert result.outcome.name == "LINK_LOST"
+    assert result.left.name == left
+    assert not result.as_planned
+    assert "landed" not in result.sentence
+
+
+def test_a_link_that_comes_back_shows_that_it_has_landed(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    asked = landing_asked(link)
+    link.down = lambda t: bool(asked) and asked[0] + 1.0 < t < asked[0] + 25.0
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert (result.outcome.name, result.left.name) == ("COMPLETED", "LANDED")
+    assert result.as_planned
+
+
+def test_a_vehicle_that_is_asked_to_stop_before_it_arms_has_not_landed(run_dir: Path) -> None:
+    result = fly(make_plan(), "sim", run_dir, transport=FaultyLink(options()), stop_requested=lambda: 1)
+    assert (result.outcome.name, result.left.name) == ("OPERATOR_STOP", "NOT_ARMED")
+    assert "landed" not in result.sentence
+
+
+@pytest.mark.parametrize("direction", ["both", "up"])
+def test_a_link_that_dies_before_arming_is_said_at_once_and_with_its_cause(direction: str, run_dir: Path) -> None:
+    """When the first parameter is to be set."""
+    link = FaultyLink(options())
+    setting: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "PARAM_SET" and t_s > 3.0:  # type: ignore[attr-defined]
+            setting.append(t_s)
+
+    link.hook = look
+    if direction == "both":
+        link.down = lambda _t: bool(setting)
+    else:
+        link.deaf = lambda _t: bool(setting)
+    with pytest.raises(LinkError, match="link was lost") as raised:
+        fly(make_plan(), "sim", run_dir, transport=link)
+    assert "GUID_OPTIONS" not in str(raised.value)
+    assert link.sim.time_s < setting[0] + 15.0
+
+
+def test_a_climb_that_is_ended_by_old_telemetry_is_no_refused_command(run_dir: Path) -> None:
+    link = FaultyLink(options(parameters={"SIM_GPS1_ENABLE": 0.0}))
+    up: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "SET_ATTITUDE_TARGET" and link.sim.vehicle.motion.pz > 1.0 and not up:  # type: ignore[attr-defined]
+            up.append(t_s)
+
+    link.hook = look
+    link.silenced = lambda kind, t: kind == "ATTITUDE" and bool(up) and t < up[0] + 5.0
+    result = fly(make_plan(by="attitude"), "sim", run_dir, transport=link)
+    assert (result.outcome.name, result.left.name) == ("CLIMB_ENDED", "LANDED")
+    assert any("attitude telemetry is missing or too old" in note for note in result.notes)
