@@ -18,6 +18,7 @@ from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader, VehicleState
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
+from flighttest.link.streams import Streams
 from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import Message, is_armed
 from flighttest.plan import AttitudeTarget
@@ -77,6 +78,8 @@ class Cockpit:
         self._safe_modes: frozenset[int] = frozenset()
         self._was_armed = False
         self._boots = self.session.boots
+        self._others = set(self.session.others)
+        self.streams: Streams | None = None
         self.session.listen(self._watch)
 
     # -- whose vehicle it is -------------------------------------------------------------------------------------------------
@@ -135,6 +138,14 @@ class Cockpit:
         return self.machine.state is FlightState.LANDING
 
     def _watch_link(self) -> None:
+        fallen = self.streams.keep() if self.streams is not None and self.machine.ours else []
+        if fallen:
+            text = f"asked again for {', '.join(fallen)}: somebody else may have changed the rate"
+            self.recorder.event("note", text, self.state.t_s)
+        if self.session.others - self._others:
+            self._others |= self.session.others
+            text = "another vehicle is heard on this link; what it says is not taken for the vehicle's that flies"
+            self.recorder.event("note", text, self.state.t_s)
         if self.state.mode_age_s > GIVE_UP_AFTER_S:
             self.on(Event.DOWNLINK_GONE)
         if self.state.uplink_silence_s > UPLINK_GIVE_UP_S:

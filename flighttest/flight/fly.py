@@ -28,6 +28,7 @@ from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import Port
 from flighttest.link.session import LinkSilent, Session
+from flighttest.link.streams import Streams
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
 from flighttest.mavlink.dialect import book
@@ -272,6 +273,7 @@ class _Flight:
         self.recorder.save_manifest()
         self._meddling.known.update(self._parameters)
         session.clock.hold()
+        cockpit.streams = Streams(vehicle, telemetry.granted_hz, rates)
         return cockpit
 
     def _enter_lock_step(self, offered: float) -> None:

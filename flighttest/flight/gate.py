@@ -46,6 +46,10 @@ class Refusal(Enum):
     VOLTAGE_UNKNOWN = "no battery voltage is known, though the script limits it"
 
 
+LINK = frozenset({Refusal.LINK, Refusal.UPLINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD, Refusal.POSITION_OLD})
+"""What comes of the link, not of the vehicle: such a step is tried once more."""
+
+
 @dataclass(frozen=True)
 class GateLimits:
     """What the gate judges by.

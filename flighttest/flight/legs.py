@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from flighttest.flight import supervisor
 from flighttest.flight.cockpit import Cockpit, sentences
-from flighttest.flight.gate import Refusal
+from flighttest.flight.gate import LINK, Refusal
 from flighttest.flight.machine import Event
 from flighttest.flight.outcome import LegOutcome, LegResult
 from flighttest.flight.recorder import mark_id
@@ -16,8 +16,6 @@ from flighttest.flight.response import ThrottleTrace
 from flighttest.link.ardupilot import LaggedYaw
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
-
-LINK = frozenset({Refusal.LINK, Refusal.UPLINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD})
 
 
 @dataclass(frozen=True)

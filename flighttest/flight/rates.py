@@ -71,11 +71,16 @@ class Telemetry:
         if "HIGHRES_IMU" in self._refused:
             self._vehicle.set_rates({"RAW_IMU": self.rates_hz["HIGHRES_IMU"]})
 
+    @property
+    def granted_hz(self) -> dict[str, float]:
+        """The rates that were asked for and not refused, Hz."""
+        return {name: rate for name, rate in self.rates_hz.items() if name not in self._refused}
+
     def measure(self, real_time: bool) -> dict[str, float]:
         """Rates as they arrive, Hz. Where a link drops much of them in real time, what arrives is what it carries: asked again, once."""
         names = [*self.rates_hz, "RAW_IMU"]
         found = self._vehicle.measure_rates(names)
-        asked = {n: r for n, r in self.rates_hz.items() if n not in self._refused}
+        asked = self.granted_hz
         seen = {n: found[n] for n in asked}
         if not real_time or self._capacity is not None or bytes_s(seen) >= RATE_SHARE * bytes_s(asked):
             return found

@@ -13,7 +13,7 @@ import numpy as np
 
 from flighttest import frames
 from flighttest.flight.cockpit import Cockpit
-from flighttest.flight.gate import Refusal, readiness
+from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.machine import Event
 from flighttest.flight.state import VehicleState
 from flighttest.flight.supervisor import UNSEEN_S, enter, enter_nogps
@@ -166,7 +166,9 @@ def guided(cockpit: Cockpit, start: Start) -> Arrived:
         if state.mode_age_s > UNSEEN_S:
             # The autopilot holds the place by itself; a pilot who takes it meanwhile would not be seen.
             deadline = max(deadline, state.t_s + _SOON_S)
-        if settling.done(state, _commanded_throttle(cockpit)):
+        if LINK & set(readiness(state, cockpit.gate)):
+            settling = Settling(start)  # what is too old for a step says nothing of its start
+        elif settling.done(state, _commanded_throttle(cockpit)):
             return Arrived(Arrival.SETTLED, settling.hover_throttle)
     return Arrived(Arrival.NOT_SETTLED)
 

@@ -12,7 +12,7 @@ from flighttest.errors import LinkError
 from flighttest.flight import legs as flying
 from flighttest.flight import reset, supervisor
 from flighttest.flight.cockpit import Cockpit, sentences
-from flighttest.flight.gate import Refusal, readiness
+from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.legs import Airframe
 from flighttest.flight.machine import Event, FlightState
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
@@ -256,7 +256,7 @@ class Scheduler:
         if arrived.how is Arrival.REFUSED:
             why = sentences(arrived.refused)
             supervisor.abort(cockpit, why)
-            outcome = LegOutcome.LINK_LOST if flying.LINK & set(arrived.refused) else LegOutcome.REFUSED
+            outcome = LegOutcome.LINK_LOST if LINK & set(arrived.refused) else LegOutcome.REFUSED
             return LegResult(leg.id, outcome, why, arrived.refused)
         if not arrived.settled:
             why = (arrived.how.value,)

@@ -170,6 +170,11 @@ class ArduPilot:
                 refused[name] = ack.sentence
         return refused
 
+    def ask_rate(self, name: str, rate_hz: float) -> None:
+        """Ask for one message rate without waiting for the answer."""
+        interval = (float(_STREAM_TYPES[name]), 1e6 / rate_hz)
+        self.session.send(self._command_long(book.MAV_CMD_SET_MESSAGE_INTERVAL, interval, 0))
+
     def measure_rates(self, names: list[str], duration_s: float = 3.0) -> dict[str, float]:
         """Rates really received, Hz of the vehicle's time, over duration_s: another ground station can override what was asked."""
         before = {name: self.session.counts.get(name, 0) for name in names}

@@ -10,6 +10,7 @@ from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedCloc
 from flighttest.link.lockstep import Grants
 from flighttest.link.port import Port
 from flighttest.link.requests import ModeRequests
+from flighttest.link.sequence import ENOUGH, Sequence
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_vehicle
 
 CONNECT_S = 10.0  # host seconds
@@ -39,7 +40,8 @@ class Session:
     """The conversation with one vehicle. `advance` is the only place where time passes and messages come in.
 
     vehicle_system is 0 until the first HEARTBEAT of an autopilot. latest: message name to the last one heard from the vehicle. others:
-    system ids of further autopilots that were heard. boots: how often the vehicle's clock began anew.
+    system ids of further autopilots that were heard, the vehicle's own where there are two of it. boots: how often the vehicle's clock
+    began anew.
     """
 
     def __init__(self, port: Port, clock: Clock | None = None) -> None:
@@ -58,6 +60,7 @@ class Session:
         self._next_heartbeat_s = self._next_timesync_s = 0.0
         self.last_heard_s = 0.0
         self.boots = 0
+        self._sequence = Sequence()
 
     def listen(self, listener: Callable[[Message, float], None]) -> None:
         """Call `listener(message, vehicle time s)` for every message from the vehicle."""
@@ -163,6 +166,8 @@ class Session:
             return  # a gimbal or companion computer aboard has the vehicle's system id, but its own mode, clock and answers
         if not self.vehicle_system and kind == "HEARTBEAT" and is_vehicle(message):
             self.vehicle_system = system
+        if system and system == self.vehicle_system and self._is_twins(message):
+            return
         if kind == "HEARTBEAT" and system != self.vehicle_system and is_vehicle(message):
             self.others.add(system)
         if system != self.vehicle_system or system == 0 or (kind == "HEARTBEAT" and self._overtaken(message)):
@@ -189,6 +194,15 @@ class Session:
         self.counts[kind] = self.counts.get(kind, 0) + 1
         for listener in tuple(self._listeners):
             listener(message, t_s)
+
+    def _is_twins(self, message: Message) -> bool:
+        """Whether a message is another vehicle's that has the same system id. A simulator in lock-step is alone."""
+        if self._grants is not None:
+            return False
+        foreign = self._sequence.foreign(message.get_seq(), bytes(message.get_msgbuf()), self.clock.now_s())
+        if self._sequence.foreign_frames >= ENOUGH:
+            self.others.add(self.vehicle_system)
+        return foreign
 
     def _answered(self, ts1: int) -> None:
         """A question of ours was answered: the vehicle has received it, and what was sent before it."""

@@ -9,7 +9,9 @@ import pytest
 from flighttest.errors import LinkError
 from flighttest.flight import FlightProgress, LegOutcome, fly
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import book, parser
+from flighttest.plan import AttitudeTarget
+from flighttest.recording.store import open_run
 from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
 
 _TOO_LONG_S = 400.0
@@ -149,3 +151,39 @@ def test_a_climb_that_is_ended_by_old_telemetry_is_no_refused_command(run_dir: P
     result = fly(make_plan(by="attitude"), "sim", run_dir, transport=link)
     assert (result.outcome.name, result.left.name) == ("CLIMB_ENDED", "LANDED")
     assert any("attitude telemetry is missing or too old" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("stream", ["ATTITUDE", "HEARTBEAT", "LOCAL_POSITION_NED", "EKF_STATUS_REPORT"])
+def test_a_stream_that_another_station_switches_off_is_asked_for_again(stream: str, run_dir: Path) -> None:
+    link = FaultyLink(options())
+    began = marked(link, " step")
+    other, switched = parser(255, 190), []
+    number = getattr(book, f"MAVLINK_MSG_ID_{stream}")
+
+    def switch() -> int:
+        if began and not switched:
+            switched.append(began[0])
+            off = book.MAVLink_command_long_message(
+                1, 1, book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0
+            )
+            link.sim.send(bytes(off.pack(other)))
+        return 0
+
+    legs = [make_leg(name) for name in "abcd"]
+    result = fly(make_plan(*legs), "sim", run_dir, transport=link, stop_requested=switch)
+    assert switched
+    assert (result.outcome.name, result.left.name) == ("COMPLETED", "LANDED")
+    assert {leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN} == {leg.id for leg in legs}
+    assert any(m.label.startswith("asked again for") and stream in m.label for m in open_run(run_dir).markers)
+
+
+def test_a_plan_of_which_nothing_was_flown_was_not_flown_to_its_end(run_dir: Path) -> None:
+    link = FaultyLink(options())
+
+    def steep(t_s: float) -> AttitudeTarget:
+        return AttitudeTarget(t_s, 0.9, 0.0, 0.0, 0.17)
+
+    result = fly(make_plan(make_leg("a", steep)), "sim", run_dir, transport=link)
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.REFUSED]
+    assert (result.outcome.name, result.left.name) == ("NOTHING_FLOWN", "LANDED")
+    assert not result.as_planned

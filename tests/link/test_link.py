@@ -424,3 +424,65 @@ def test_a_link_that_is_lost_is_said_instead_of_what_was_asked_for() -> None:
     with pytest.raises(LinkError, match="nothing has been heard"):
         parameters.write(session, "ANGLE_MAX", 4000.0, known)
     assert session.now_s() - began < 8.0
+
+
+class Twins(ScriptedVehicle):
+    """Two vehicles of one system id behind one link: the second counts its own frames and is in another mode. from_s: of host time."""
+
+    def __init__(self, host: Host, from_s: float = 0.0, hz: float = 1.0) -> None:
+        super().__init__(host)
+        self._from_s, self._hz = from_s, hz
+        self._second = parser(1, 1)
+        self._second.seq = 117
+        self._next_second = from_s
+
+    def receive(self, timeout_s: float) -> bytes:
+        # The first one streams, in its own order.
+        self.say(book.MAVLink_attitude_message(int(1e3 * (self.host.now - 900.0)), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        data = super().receive(timeout_s)
+        if self.host.now >= max(self._next_second, self._from_s):
+            self._next_second = self.host.now + 1.0 / self._hz
+            data += bytes(book.MAVLink_heartbeat_message(2, 3, 209, 6, 4, 3).pack(self._second))
+            self._second.seq = (self._second.seq + 1) % 256
+        return data
+
+
+@pytest.mark.parametrize("hz", [1.0, 10.0, 50.0])
+def test_two_vehicles_of_one_system_id_are_told_apart(hz: float) -> None:
+    host = Host()
+    session = session_of(Twins(host, host.now + 1.0, hz))
+    session.advance(session.now_s() + 0.5)
+    assert session.others == set()
+    modes = []
+    session.listen(lambda m, _t: modes.append(m.custom_mode) if m.get_type() == "HEARTBEAT" else None)
+    session.advance(session.now_s() + 10.0)
+    assert session.others == {1}
+    if hz == 1.0:
+        assert modes.count(6) < 8, "most of what the second one says is not taken for the first one's"
+
+
+@pytest.mark.parametrize("fault", ["loss", "burst", "double", "late double", "swap"])
+def test_one_vehicle_on_a_bad_link_is_one(fault: str) -> None:
+    from flighttest.link.sequence import Sequence
+
+    draw = random.Random(4)
+    frames = [(n % 256, n) for n in range(6000)]
+    if fault == "loss":
+        frames = [f for f in frames if draw.random() > 0.3]
+    elif fault == "burst":
+        frames = [f for f in frames if f[1] // 100 % 7]
+    elif fault == "double":
+        frames = [f for f in frames for _ in range(2)]
+    elif fault == "late double":
+        frames = sorted([*frames, *frames], key=lambda f: f[1])
+        frames = [
+            f for n in range(0, 6000, 200) for f in (*frames[2 * n : 2 * n + 400 : 2], *frames[2 * n : 2 * n + 400 : 2])
+        ]
+    else:
+        for n in range(0, 5990, 10):
+            frames[n], frames[n + 3] = frames[n + 3], frames[n]
+    sequence, dropped = Sequence(), 0
+    for number, (seq, n) in enumerate(frames):
+        dropped += sequence.foreign(seq, str(n).encode(), 0.003 * (n if fault == "burst" else number))
+    assert sequence.foreign_frames == 0
+    assert dropped == 0 or fault == "burst"
