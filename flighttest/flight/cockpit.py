@@ -1,6 +1,6 @@
 """The cockpit: one cycle of the flight, and the helm, the only place from which an attitude target leaves.
 
-The pilot always wins: the HEARTBEAT that shows a mode nobody here asked for mutes the port before the cycle that received it ends.
+The pilot always wins: from the HEARTBEAT on that shows a mode nobody here asked for nothing is sent, and the second one ends the flight.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from flighttest.mavlink.dialect import Message, is_armed
 from flighttest.plan import AttitudeTarget
 
 PROGRESS_EVERY_S = 0.25
+DOUBT_S = 2.5  # for which a HEARTBEAT that contradicts those before is waited for to be repeated: it comes once a second at least
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
 
@@ -43,6 +44,15 @@ class Stops:
     def now(self) -> bool:
         """Let go at once."""
         return self.count() >= 2
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What one HEARTBEAT has shown, heard at t_s."""
+
+    event: Event
+    mode: int
+    t_s: float
 
 
 class Cockpit:
@@ -77,6 +87,7 @@ class Cockpit:
         self._mode = -1  # as HEARTBEAT showed it last
         self._safe_modes: frozenset[int] = frozenset()
         self._was_armed = False
+        self._doubt: Doubt | None = None
         self._boots = self.session.boots
         self._others = set(self.session.others)
         self.streams: Streams | None = None
@@ -118,20 +129,33 @@ class Cockpit:
                 self.recorder.event("note", text, t_s)
         if message.get_type() != "HEARTBEAT":
             return
-        mode = int(message.custom_mode)
-        asked = self.session.mode_requests.shows(mode, t_s)
-        if mode != self._mode and not asked and (is_armed(message) or not self._landing):
-            self.session.port.mute()
-            self.recorder.event("take_over", mode_name(mode), t_s, {"mode": mode})
-            self.on(Event.FOREIGN_MODE)
-        self._mode = mode
-        if self.machine.state is FlightState.ASKING and mode in self._safe_modes:
+        mode, armed = int(message.custom_mode), is_armed(message)
+        foreign = not self.session.mode_requests.shows(mode, t_s) and mode != self._mode
+        disarmed = self._was_armed and not armed
+        if not foreign and self.machine.state is FlightState.ASKING and mode in self._safe_modes:
             self.on(Event.LANDS if mode == CopterMode.LAND else Event.HOLDS)
-        if self._was_armed and not is_armed(message):
-            if not self._landing:
-                self.recorder.event("note", "disarmed in flight", t_s)
-            self.on(Event.DISARMED)
-        self._was_armed = is_armed(message)
+        if foreign or disarmed:
+            event = Event.DROPPED if foreign and disarmed else Event.DISARMED if disarmed else Event.FOREIGN_MODE
+            doubt = Doubt(event, mode, t_s)
+            # Nothing is sent from the first HEARTBEAT on; the second one decides, since one frame may be damaged or another vehicle's.
+            if self._doubt is None or (self._doubt.event, self._doubt.mode) != (event, mode):
+                self._doubt, self.session.held = doubt, True
+                return
+            self._decide(t_s)
+            return
+        self._doubt, self.session.held = None, False
+        self._mode, self._was_armed = mode, armed
+
+    def _decide(self, t_s: float) -> None:
+        """The pilot has the vehicle, or it is disarmed."""
+        assert self._doubt is not None
+        doubt, self._doubt, self.session.held = self._doubt, None, False
+        if doubt.event is Event.FOREIGN_MODE:
+            self.session.port.mute()
+            self.recorder.event("take_over", mode_name(doubt.mode), t_s, {"mode": doubt.mode})
+        elif not self._landing:
+            self.recorder.event("note", "disarmed in flight", t_s)
+        self.on(doubt.event)
 
     @property
     def _landing(self) -> bool:
@@ -146,6 +170,8 @@ class Cockpit:
             self._others |= self.session.others
             text = "another vehicle is heard on this link; what it says is not taken for the vehicle's that flies"
             self.recorder.event("note", text, self.state.t_s)
+        if self._doubt is not None and not 0.0 <= self.state.t_s - self._doubt.t_s < DOUBT_S:
+            self._decide(self.state.t_s)
         if self.state.mode_age_s > GIVE_UP_AFTER_S:
             self.on(Event.DOWNLINK_GONE)
         if self.state.uplink_silence_s > UPLINK_GIVE_UP_S:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
 from flighttest.flight import preflight, priority, supervisor
@@ -16,16 +15,17 @@ from flighttest.flight.cockpit import Cockpit, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
 from flighttest.flight.machine import Event, FlightState
-from flighttest.flight.outcome import FlightEnded, FlightOutcome, OnProgress
+from flighttest.flight.options import FlightOptions
+from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.placing import place_home, place_zone
 from flighttest.flight.rates import Telemetry
 from flighttest.flight.recorder import Recorder, first_manifest
-from flighttest.flight.response import Replanner
 from flighttest.flight.result import FlightResult
 from flighttest.flight.scheduler import Scheduler
 from flighttest.link import lockstep
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.clock import Clock
 from flighttest.link.port import Port
 from flighttest.link.session import LinkSilent, Session
 from flighttest.link.streams import Streams
@@ -33,65 +33,35 @@ from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
-from flighttest.recording.store import read_events
 
 POSITION_WAIT_S = 90.0
 _POSITION_PATIENCE_S = 5.0  # where none is needed
 BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _LISTEN_AFTER_TAKE_OVER_S = 2.0
-OnStage = Callable[[str], None]
-
-
-OnVehicle = Callable[[str, Mapping[str, float]], None]  # firmware, parameters
-
-
-def _say_nothing(_text: str) -> None:
-    return None
-
-
-def legs_flown(run_dir: Path) -> frozenset[str]:
-    """Ids of the legs that were flown to their end in a run folder."""
-    markers, _ = read_events(run_dir)
-    return frozenset(str(m.data["leg"]) for m in markers if m.data.get("outcome") == "FLOWN" and "leg" in m.data)
 
 
 def fly(
     plan: Plan,
     link_url: str,
     run_dir: Path,
+    options: FlightOptions | None = None,
     *,
     transport: Transport | None = None,
-    set_params: bool = False,
-    waive: Collection[str] = (),
-    left_behind: Mapping[str, Left] = MappingProxyType({}),
-    resume: Path | None = None,
-    skip: Collection[str] = (),
-    replanner: Replanner | None = None,
-    on_progress: OnProgress | None = None,
-    on_stage: OnStage = _say_nothing,
-    on_vehicle: OnVehicle = lambda _firmware, _parameters: None,
-    stop_requested: Callable[[], int] = lambda: 0,
-    confirm: Callable[[str], bool] | None = None,
-    weather: str = "",
+    clock: Clock | None = None,
 ) -> FlightResult:
     """Fly a plan on a vehicle and record it into run_dir.
 
-    link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process. set_params: set what preflight
-    asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks. left_behind: parameters that an
-    earlier flight set and could not restore (see `still_left`). resume: a run that this one goes on with, for the
-    manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
-    thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
-    that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
-    confirm: asked once before arming.
-
+    link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process; clock: where its time comes from.
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
     """
-    session = Session(Port(transport if transport is not None else open_transport(link_url)))
-    recorder = Recorder(run_dir, session.clock.ground_s, first_manifest(plan, link_url, weather, resume), plan)
+    options = options or FlightOptions()
+    session = Session(Port(transport if transport is not None else open_transport(link_url)), clock)
+    manifest = first_manifest(plan, link_url, options.weather, options.resume)
+    recorder = Recorder(run_dir, session.clock.ground_s, manifest, plan)
     session.port.tap(recorder.tap)
-    flight = _Flight(plan, session, recorder, on_progress, on_stage, Stops(stop_requested), on_vehicle, left_behind)
+    flight = _Flight(plan, session, recorder, options)
     try:
-        return flight.run(set_params, frozenset(waive), frozenset(skip), confirm, replanner)
+        return flight.run()
     finally:
         flight.held.close()
         session.port.close()
@@ -100,50 +70,34 @@ def fly(
 class _Flight:
     """One flight from the first HEARTBEAT to the restored parameters."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        session: Session,
-        recorder: Recorder,
-        on_progress: OnProgress | None,
-        say: OnStage,
-        stops: Stops,
-        on_vehicle: OnVehicle,
-        left_behind: Mapping[str, Left],
-    ) -> None:
+    def __init__(self, plan: Plan, session: Session, recorder: Recorder, options: FlightOptions) -> None:
         self.plan = plan
         self.session = session
         self.recorder = recorder
+        self.options = options
         self.vehicle = ArduPilot(session)
         self.notes: list[str] = []
         self.held = contextlib.ExitStack()
-        self._on_progress = on_progress
-        self._say = say
-        self._stops = stops
-        self._on_vehicle = on_vehicle
+        self._say = options.on_stage
         self._parameters: dict[str, float] = {}
-        self._left_behind = left_behind
         self._changes: ParameterChanges | None = None
-        self._unrestored = values_of(left_behind)  # also where the vehicle is never reached
-        recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, left_behind)
+        self._unrestored = values_of(options.left_behind)  # also where the vehicle is never reached
+        recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
         self._meddling = Meddling({})
 
-    def run(
-        self,
-        set_params: bool,
-        waived: frozenset[str],
-        left_out: frozenset[str],
-        confirm: Callable[[str], bool] | None,
-        replanner: Replanner | None,
-    ) -> FlightResult:
+    def run(self) -> FlightResult:
+        """The flight, from connecting to what it leaves."""
+        confirm = self.options.confirm
         scheduler: Scheduler | None = None
         outcome = FlightOutcome.VEHICLE_REFUSED
         why = ""
         try:
-            cockpit = self._prepare(set_params, waived)
+            cockpit = self._prepare()
             if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
-            scheduler = Scheduler(cockpit, self.plan, self._airframe(), left_out, replanner)
+            scheduler = Scheduler(
+                cockpit, self.plan, self._airframe(), frozenset(self.options.skip), self.options.replanner
+            )
             scheduler.on_armed = lambda: place_home(cockpit, self.plan.vehicle.zone)
             try:
                 outcome = scheduler.fly()
@@ -197,8 +151,9 @@ class _Flight:
 
     # -- before --------------------------------------------------------------------------------------------------------------
 
-    def _prepare(self, set_params: bool, waived: frozenset[str]) -> Cockpit:
+    def _prepare(self) -> Cockpit:
         session, vehicle = self.session, self.vehicle
+        set_params, waived = self.options.set_params, frozenset(self.options.waive)
         self._say("connecting")
         beat = session.connect()
         if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
@@ -231,9 +186,9 @@ class _Flight:
             self._gate(),
             self.recorder,
             rate_hz=self.plan.rate_hz,
-            stops=self._stops,
+            stops=Stops(self.options.stop_requested),
             meddling=self._meddling,
-            on_progress=self._on_progress,
+            on_progress=self.options.on_progress,
         )
         real_time = not simulator or session.lock_step or session.clock.pace == 1.0
         telemetry.measure(real_time)  # what a full link drops may be the position
@@ -258,7 +213,7 @@ class _Flight:
             self.notes.append("a simulator: live RC input and a fence were not asked for; parameters are set as needed")
         if set_params or simulator:
             found = self._mend(found, waived)
-        self._on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
+        self.options.on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
         self._tell_battery(cockpit)
@@ -300,7 +255,7 @@ class _Flight:
     def _inherit(self, restoring: bool) -> None:
         """What an earlier flight set and nobody has put back since."""
         known = self._parameters
-        left, told = still_left(self._left_behind, known, self.vehicle.hardware)
+        left, told = still_left(self.options.left_behind, known, self.vehicle.hardware)
         self._unrestored = {} if restoring else values_of(left)
         self._changes = ParameterChanges(self.session, known, left if restoring else {}, self.vehicle.hardware)
         after = "it is restored after this flight" if restoring else "set it back by hand, or fly with --set-params"
@@ -378,7 +333,8 @@ class _Flight:
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
         silent = isinstance(error, LinkSilent)
         if silent and scheduler.cockpit.machine.state is FlightState.ARMING:
-            scheduler.cockpit.on(Event.DOWNLINK_GONE)  # it may have armed
+            scheduler.disarm_when_heard()
+            return FlightOutcome.LINK_LOST
         if not self.vehicle.armed and scheduler.cockpit.machine.state in (FlightState.GROUND, FlightState.ARMING):
             scheduler.cockpit.on(Event.OVER)
             return FlightOutcome.VEHICLE_REFUSED

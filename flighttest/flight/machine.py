@@ -62,6 +62,7 @@ class Event(Enum):
     HANDED_BACK = "the pilot switched to GUIDED_NOGPS"
     FOREIGN_MODE = "HEARTBEAT shows a mode that was not asked for"
     DISARMED = "HEARTBEAT shows disarmed after armed"
+    DROPPED = "HEARTBEAT shows disarmed after armed, and a mode that was not asked for"
     REBOOTED = "the vehicle's clock began anew"
     DOWNLINK_GONE = "no HEARTBEAT for 30 s"
     UPLINK_GONE = "heard, but no answer for 60 s"
@@ -112,6 +113,9 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.HANDED, E.DISARMED): Next(S.HANDED),
         (S.LANDING, E.DISARMED): Next(S.LANDED),
         **{(s, E.DISARMED): Next(S.DISARMED, Out.DISARMED) for s in OURS - {S.LANDING}},
+        (S.GROUND, E.DROPPED): Next(S.GROUND),
+        (S.HANDED, E.DROPPED): Next(S.HANDED),
+        **{(s, E.DROPPED): Next(S.DISARMED, Out.DISARMED) for s in OURS},
         (S.GROUND, E.REBOOTED): Next(S.GROUND),
         (S.HANDED, E.REBOOTED): Next(S.WITH_PILOT, Out.REBOOTED),
         (S.ARMING, E.REBOOTED): Next(S.NOT_ARMED, Out.REBOOTED),
@@ -140,7 +144,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
 
 
 TABLE = _table()
-EXTERNAL = (E.FOREIGN_MODE, E.DISARMED, E.REBOOTED, E.DOWNLINK_GONE, E.UPLINK_GONE, E.OVER)
+EXTERNAL = (E.FOREIGN_MODE, E.DISARMED, E.DROPPED, E.REBOOTED, E.DOWNLINK_GONE, E.UPLINK_GONE, E.OVER)
 """Events that may come in any state."""
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from flighttest.flight.machine import FlightState
 from flighttest.flight.outcome import FlightOutcome, LegOutcome, LegResult
+from flighttest.recording.store import read_events
 
 
 @dataclass(frozen=True)
@@ -34,3 +35,9 @@ class FlightResult:
     def as_planned(self) -> bool:
         """Whether the flight was flown to its end and left a vehicle that nobody has to look after."""
         return self.outcome.complete and self.left.is_safe and any(r.outcome is LegOutcome.FLOWN for r in self.legs)
+
+
+def legs_flown(run_dir: Path) -> frozenset[str]:
+    """Ids of the legs that were flown to their end in a run folder."""
+    markers, _ = read_events(run_dir)
+    return frozenset(str(m.data["leg"]) for m in markers if m.data.get("outcome") == "FLOWN" and "leg" in m.data)

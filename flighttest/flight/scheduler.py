@@ -27,6 +27,8 @@ REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
 _TAKE_OFF_S = 40.0
+_CLIMBS_M = 0.3
+_VOLTAGE_WAIT_S = 1.0
 _LAND_S = 120.0
 _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
 PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
@@ -107,9 +109,22 @@ class Scheduler:
         if not by_position:
             return self._climb_by_throttle(height)
         answer = vehicle.take_off(height)
-        if not answer.accepted:
+        climbs = (cockpit.after().height_m or 0.0) > _CLIMBS_M  # a repeated request is refused in the air
+        if answer.result is None and not climbs:
+            self.notes.append("the vehicle did not answer the request to take off")
+            return FlightOutcome.CLIMB_ENDED
+        if not answer.accepted and not climbs:
             raise LinkError(f"take-off was refused ({answer.sentence})", "mend what the vehicle says, then fly again")
         return self._climb(height)
+
+    def disarm_when_heard(self) -> None:
+        """The link was lost while arming: it may be armed by now. FlightEnded where it does not come back."""
+        cockpit = self.cockpit
+        cockpit.after()
+        while max(cockpit.state.mode_age_s, cockpit.state.uplink_silence_s) > supervisor.UNSEEN_S:
+            cockpit.cycle()
+        cockpit.vehicle.disarm()
+        cockpit.on(Event.OVER)
 
     def _climb(self, height: float) -> FlightOutcome | None:
         deadline = self.cockpit.session.now_s() + _TAKE_OFF_S
@@ -348,7 +363,12 @@ class Scheduler:
             self.cockpit.recorder.event("note", text, self.cockpit.session.now_s())
 
     def _battery_low(self) -> bool:
-        voltage, limit = self.cockpit.state.voltage_v, self.plan.limits.voltage_min_v
+        limit = self.plan.limits.voltage_min_v
+        while limit > 0 and self.cockpit.state.silence_s > _VOLTAGE_WAIT_S:
+            self.cockpit.cycle()
+        if limit > 0 and self.cockpit.state.voltage_v is None:
+            self.cockpit.until(self.cockpit.session.now_s() + _VOLTAGE_WAIT_S)  # the link may only just be back
+        voltage = self.cockpit.state.voltage_v
         return limit > 0 and (voltage is None or voltage < limit)
 
     # -- words ---------------------------------------------------------------------------------------------------------------

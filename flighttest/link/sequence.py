@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 
-_LOST = 64  # frames in a row of one sender: 0.2 s of a full link
-_OVERTAKEN = 32
+# Frames of one sender lost in a row (0.2 s of a full link), or overtaken. As many either way: a frame of another sender that is taken for
+# the next one must not make foreign ones of those that follow.
+_NEAR = 64
 _ALIVE_S = 0.3  # a sender that is silent for longer may have counted on past that
 _RECENT = 1024  # frames among which a repeated one is looked for
 ENOUGH = 3  # foreign frames: one or two may be a router's or a restarted link's
@@ -27,9 +28,9 @@ class Sequence:
         if self._repeated(frame):
             return False
         step = 1 if self._last is None else (sequence - self._last + 128) % 256 - 128
-        if 1 <= step <= _LOST:
+        if 1 <= step <= _NEAR:
             self.foreign_frames += self._apart
-        elif -_OVERTAKEN <= step <= 0:
+        elif -_NEAR <= step <= 0:
             return False  # overtaken on the way
         elif 0.0 <= t_s - self._heard_s <= _ALIVE_S:
             self._apart += 1

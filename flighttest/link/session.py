@@ -18,6 +18,7 @@ HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.25  # also how the uplink is seen to be alive; 120 bytes a second each way
 LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): whoever waits for an answer is told
 UNANSWERED_S = 10.0
+QUIET_S = 0.5  # a vehicle that is not heard for longer cannot show whether it hears
 _DRAIN_MAX = 100  # receives in a row: seconds of a real link, and an end where a simulator sends faster than it is read
 _POLL_S = 0.02  # host seconds one receive may block
 _OVERTAKING_S = 0.2  # a link does not reorder over longer; sequence numbers begin anew after some 0.3 s
@@ -60,6 +61,7 @@ class Session:
         self._next_heartbeat_s = self._next_timesync_s = 0.0
         self.last_heard_s = 0.0
         self.boots = 0
+        self.held = False  # a frame may have shown that the pilot has the vehicle: nothing but granted time is sent
         self._sequence = Sequence()
 
     def listen(self, listener: Callable[[Message, float], None]) -> None:
@@ -104,8 +106,8 @@ class Session:
         return self.clock.now_s()
 
     def send(self, message: Message) -> bool:
-        """Send one message; False after `port.mute()`."""
-        return self.port.send(message)
+        """Send one message; False after `port.mute()`, and while `held`."""
+        return not self.held and self.port.send(message)
 
     def advance(self, until_s: float) -> None:
         """Let time pass until the vehicle's clock shows until_s, taking in what arrives. Returns at once when it is past."""
@@ -125,7 +127,7 @@ class Session:
         assert isinstance(self.clock, GrantedClock)
         for grant in self._grants.upto(until_s):
             self._keep_alive()
-            self.send(grant)
+            self.port.send(grant)
             self._await_mark(self._grants)
             self.clock.reach(self._grants.now_s)
 
@@ -189,6 +191,9 @@ class Session:
             self._asked_s.clear()
             self._answered_s = None
             self.boots += 1
+        gap_s = t_s - self.last_heard_s
+        if gap_s > QUIET_S * max(self.clock.pace, 1.0) and self._answered_s is not None:
+            self._answered_s += gap_s  # answers were lost with all the rest
         self.last_heard_s = t_s
         self.latest[kind] = Heard(message, t_s)
         self.counts[kind] = self.counts.get(kind, 0) + 1
@@ -227,11 +232,13 @@ class Session:
 
     @property
     def uplink_silence_s(self) -> float:
-        """Vehicle seconds for which nothing we sent is known to have arrived: since the last TIMESYNC question left that was answered,
-        less the time between two. 0 for a vehicle that never answered one."""
+        """Vehicle seconds for which the vehicle was heard without a sign that anything we sent had arrived: since the last TIMESYNC
+        question left that was answered, less the time between two. 0 for a vehicle that never answered one."""
         if self._answered_s is None:
             return 0.0
-        return max(self.clock.now_s() - self._answered_s - TIMESYNC_EVERY_S * max(self.clock.pace, 1.0), 0.0)
+        pace = max(self.clock.pace, 1.0)
+        heard_s = min(self.clock.now_s(), self.last_heard_s + QUIET_S * pace)
+        return max(heard_s - self._answered_s - TIMESYNC_EVERY_S * pace, 0.0)
 
     @property
     def offset(self) -> ClockOffset | None:

@@ -14,8 +14,8 @@ from flighttest.currency.declared import declared_changes, scripts_for
 from flighttest.currency.model import ALL_SCRIPTS, SUBSETS
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, fly, preflight
-from flighttest.flight.fly import OnVehicle
+from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOutcome, fly, preflight
+from flighttest.flight.options import OnVehicle
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.link.onboard import fetch
@@ -325,10 +325,7 @@ def _one(
     progress.stage(f"{name} ({index + 1} of {count}): {len(plan.legs)} steps, recorded in {folder}")
     with connection(request, index) as url, counted_interrupts() as stops:
         keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
-        ended = fly(
-            plan,
-            url,
-            folder,
+        asked = FlightOptions(
             set_params=request.set_params,
             waive=request.waive,
             left_behind=behind,
@@ -341,6 +338,7 @@ def _one(
             stop_requested=stops,
             weather=request.weather,
         )
+        ended = fly(plan, url, folder, asked)
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
     progress.stage(f"{name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
     return ended

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from flighttest import flight
+from flighttest.flight import FlightOptions, FlightResult
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.state import VehicleState
+from flighttest.link.clock import Clock
 from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget, Leg, Phase, Plan
 from flighttest.script.model import Limits, Repeat, Reset, Script
@@ -22,6 +26,19 @@ LIMITS = Limits(
     speed_max_m_s=8.0,
     voltage_min_v=21.0,
 )
+
+
+def fly(
+    plan: Plan,
+    url: str,
+    run_dir: Path,
+    *,
+    transport: object | None = None,
+    clock: Clock | None = None,
+    **options: object,
+) -> FlightResult:
+    """`flighttest.flight.fly` with its options by name."""
+    return flight.fly(plan, url, run_dir, FlightOptions(**options), transport=transport, clock=clock)  # type: ignore[arg-type]
 
 
 @dataclass

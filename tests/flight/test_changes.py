@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from flighttest.errors import LinkError, PreflightError
-from flighttest.flight import FlightOutcome, FlightResult, fly
+from flighttest.flight import FlightOutcome, FlightResult
 from flighttest.flight.changes import SETS, Left, still_left
 from flighttest.flight.preflight import THRUST_AS_THRUST
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.resuming import left_behind
 from flighttest.recording.store import MANIFEST_NAME, read_events, write_manifest
-from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 GUID_OPTIONS_LEFT = {"GUID_OPTIONS": Left(0.0, float(THRUST_AS_THRUST))}
 

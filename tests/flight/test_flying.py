@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from flighttest.errors import LinkError, PreflightError
-from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, fly, legs_flown
+from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, legs_flown
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.next_in_zone import flown_vehicle
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
 from flighttest.vehicle.default import DEFAULT_VEHICLE
-from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import LIMITS, FaultyLink, fly, make_leg, make_plan, options
 
 
 def step_time(link: FaultyLink) -> list[float]:

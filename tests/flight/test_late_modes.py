@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.link.requests import ModeRequests
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
-from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 GUIDED, NOGPS, LOITER = CopterMode.GUIDED, CopterMode.GUIDED_NOGPS, CopterMode.LOITER
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import Port
 from flighttest.link.session import Session
@@ -28,7 +28,7 @@ from flighttest.plan.compile import compile_plan
 from flighttest.script.load import parse_script
 from flighttest.sim.sitl_launcher import SitlOptions, launch, sitl_dir
 from flighttest.vehicle.load import load_vehicle
-from tests.flight.faulty import make_leg, make_plan
+from tests.flight.faulty import fly, make_leg, make_plan
 
 pytestmark = pytest.mark.sitl
 SPEEDUP = 3.0

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from flighttest.errors import LinkError
-from flighttest.flight import FlightProgress, LegOutcome, fly
+from flighttest.flight import FlightProgress, LegOutcome
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run
-from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 _TOO_LONG_S = 400.0
 

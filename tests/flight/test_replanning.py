@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.response import Learnt, ThrottleTrace
 from flighttest.flight.scheduler import REFUSED_CELL_MAX
 from flighttest.pipeline.checking import predictor_for
@@ -15,7 +15,7 @@ from flighttest.plan.compile import compile_plan
 from flighttest.recording.store import open_run
 from flighttest.script.load import parse_script
 from flighttest.vehicle.default import DEFAULT_VEHICLE
-from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 SCRIPT = """format: maneuver/1
 name: climbs

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from flighttest.flight import FlightOutcome, fly
+from flighttest.flight import FlightOutcome
 from flighttest.proof.flying import InProcessTransport
 from flighttest.sim import InProcess, SimOptions
-from tests.flight.faulty import make_leg, make_plan, options
+from tests.flight.faulty import fly, make_leg, make_plan, options
 
 
 @pytest.mark.parametrize("airframe", ["paper", "rotor"])

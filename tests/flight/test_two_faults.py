@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flighttest.errors import RecordingError
-from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.recorder import _Lines
 from flighttest.flight.response import Learnt
 from flighttest.link.ardupilot import ArduPilot
@@ -17,7 +17,7 @@ from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget, Plan
 from flighttest.recording.store import open_run, read_manifest
-from tests.flight.faulty import LIMITS, FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import LIMITS, FaultyLink, fly, make_leg, make_plan, options
 
 _IN_PAIRS = 3
 

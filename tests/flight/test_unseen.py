@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.preflight import Check
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
-from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 
 def marked(link: FaultyLink, word: str, *, then: object = None) -> list[float]:

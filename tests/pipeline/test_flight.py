@@ -335,7 +335,7 @@ def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
     """Also of a vehicle that was given by file and link: both are kept in the run folder."""
     vehicle, flown = declared(tmp_path), []
 
-    def fly(plan, url, folder, **_options):
+    def fly(plan, url, folder, _options):
         flown.append((plan.vehicle.name, url))
         Recorder(folder, lambda: 0.0, first_manifest(plan, url, "", None), plan)
         return FlightResult(FlightOutcome.OPERATOR_STOP, folder)

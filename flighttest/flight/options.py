@@ -1,0 +1,42 @@
+"""What a flight is asked for beside its plan and its vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from flighttest.flight.changes import Left
+from flighttest.flight.outcome import OnProgress
+from flighttest.flight.response import Replanner
+
+OnStage = Callable[[str], None]
+OnVehicle = Callable[[str, Mapping[str, float]], None]  # firmware, parameters
+
+
+def _say_nothing(*_words: object) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """set_params: set what preflight asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks.
+    left_behind: parameters that an earlier flight set and could not restore (see `still_left`). resume: a run that this
+    one goes on with, for the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
+    thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
+    that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
+    confirm: asked once before arming. weather: kept with the run.
+    """
+
+    set_params: bool = False
+    waive: Collection[str] = ()
+    left_behind: Mapping[str, Left] = field(default_factory=dict)
+    resume: Path | None = None
+    skip: Collection[str] = ()
+    replanner: Replanner | None = None
+    on_progress: OnProgress | None = None
+    on_stage: OnStage = _say_nothing
+    on_vehicle: OnVehicle = _say_nothing
+    stop_requested: Callable[[], int] = lambda: 0
+    confirm: Callable[[str], bool] | None = None
+    weather: str = ""

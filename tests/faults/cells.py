@@ -1,0 +1,137 @@
+"""Every fault in every state of a flight, and what must hold in each: the flight ends, and what it says of the vehicle is so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from flighttest.errors import FlighttestError
+from flighttest.flight import FlightResult, FlightState, LegOutcome
+from flighttest.mavlink import CopterMode
+from flighttest.sim import SimOptions
+from tests.faults.proxy import Endless, Fault, Proxy, When
+from tests.flight.faulty import fly, make_leg, make_plan
+
+FOR_GOOD_S = 1e6
+FAULTS: tuple[Fault, ...] = (
+    Fault("nothing"),
+    Fault("down 3.2 s", 3.2, down=True),
+    Fault("down 5.5 s", 5.5, down=True),
+    Fault("down 15 s", 15.0, down=True),
+    Fault("down for good", FOR_GOOD_S, down=True),
+    Fault("up 3.2 s", 3.2, up=True),
+    Fault("up 15 s", 15.0, up=True),
+    Fault("up for good", FOR_GOOD_S, up=True),
+    Fault("both 3.2 s", 3.2, up=True, down=True),
+    Fault("both 15 s", 15.0, up=True, down=True),
+    Fault("both for good", FOR_GOOD_S, up=True, down=True),
+    Fault("20 % lost", 30.0, loss=0.2),
+    Fault("all doubled", 30.0, double=True),
+    Fault("150 ms reordering", 30.0, jitter_s=0.15),
+    Fault("300 ms latency", 30.0, latency_s=0.3),
+    Fault("stall 4 s, then all", 4.0, hold=True),
+    Fault("client frozen 4 s", 4.0, freeze=True),
+    Fault("clock leaps a day", 1.0, leap=True),
+    Fault("one false stamp", 1.0, stamp=True),
+    Fault("second vehicle", 10.0, twin=True),
+    Fault("streams switched off", 1.0, station=True),
+    Fault("reboot", 1.0, reboot=True),
+    Fault("pilot", 1.0, pilot_after_s=0.15),
+    Fault("pilot while down 3.2 s", 3.2, down=True, pilot_after_s=1.0),
+    Fault("pilot while up 15 s", 15.0, up=True, pilot_after_s=1.0),
+)
+STATES = tuple(When)
+SEEN_S = 0.35  # from a pilot's switch to the last frame that is sent: a HEARTBEAT every 0.1 s, and a frame that is not the next one
+REFUSED = "REFUSED"  # before arming, with a sentence
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One flight. ended: outcome and state in which the vehicle was left, or the error; wrong: what should not be."""
+
+    fault: Fault
+    when: When
+    ended: str
+    seconds: float
+    wrong: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether all held."""
+        return not self.wrong
+
+
+def fly_cell(fault: Fault, when: When, folder: Path) -> Cell:
+    """Fly two steps with a fault in one state."""
+    options = SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0)
+    proxy = Proxy(options, fault, when, after_s=0.05 if when is When.FLYING else 0.0)
+    # A stop at once is what leads to an abort.
+    stops = _press(proxy) if when is When.ABORTING else lambda: 0
+    plan = make_plan(make_leg("a"), make_leg("b"))
+    try:
+        result = fly(plan, "proxy", folder, transport=proxy, clock=proxy.clock(), stop_requested=stops)
+    except FlighttestError as error:
+        wrong = () if not proxy.sim.vehicle.armed else (f"an error left an armed vehicle: {error.message}",)
+        return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - 1000.0, wrong)
+    except Endless as endless:
+        return Cell(fault, when, "ENDLESS", proxy.now_s - 1000.0, (str(endless),))
+    return Cell(
+        fault, when, f"{result.outcome.name}, {result.left.name}", proxy.now_s - 1000.0, tuple(_wrong(proxy, result))
+    )
+
+
+def _press(proxy: Proxy):  # type: ignore[no-untyped-def]
+    began: list[float] = []
+
+    def stops() -> int:
+        if When.FLYING in proxy._reached and not began:
+            began.append(proxy.now_s)
+        return 1 if began else 0
+
+    return stops
+
+
+def _wrong(proxy: Proxy, result: FlightResult) -> list[str]:
+    """What the result says that is not so, and what should have been."""
+    vehicle, fault, left = proxy.sim.vehicle, proxy.fault, result.left
+    found = []
+    truths = {
+        FlightState.LANDED: not vehicle.armed and vehicle.landed,
+        FlightState.NOT_ARMED: not vehicle.armed,
+        FlightState.DISARMED: not vehicle.armed,
+        FlightState.WITH_PILOT: proxy.switched_s is not None and vehicle.mode == CopterMode.LOITER,
+        FlightState.IN_ABORT_MODE: vehicle.armed
+        and vehicle.mode in (CopterMode.BRAKE, CopterMode.LOITER, CopterMode.LAND),
+    }
+    if not truths.get(left, True):
+        found.append(f"said {left.name}; armed {vehicle.armed}, mode {vehicle.mode}")
+    told_unsafe = left in (
+        FlightState.TO_AUTOPILOT,
+        FlightState.UNKNOWN,
+        FlightState.LANDING_UNSEEN,
+        FlightState.DISARMED,
+    )
+    if told_unsafe and not (fault.for_good or fault.reboot):
+        found.append(f"left {left.name} by a fault that passed")
+    if vehicle.armed and not told_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
+        found.append("armed, and not said so")
+    if proxy.switched_s is not None and fault.lasts_s < 1e3:
+        if vehicle.armed and vehicle.mode != CopterMode.LOITER:
+            found.append(f"the pilot chose LOITER, the vehicle is in mode {vehicle.mode}")
+        late = [t for t, kind in proxy.sent_after_switch if t > _seen_by(proxy) + SEEN_S and kind.startswith("SET_")]
+        if vehicle.armed and late:
+            found.append(f"{len(late)} targets sent after the pilot was seen")
+    flown = {leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN}
+    if result.as_planned and not flown:
+        found.append("as planned, with nothing flown")
+    if left is FlightState.LANDED and result.parameters_left:
+        found.append("landed, and parameters were not restored")
+    return found
+
+
+def _seen_by(proxy: Proxy) -> float:
+    """When the pilot's mode can be seen at the latest."""
+    assert proxy.switched_s is not None
+    if not proxy.fault.down or proxy.began_s is None:
+        return proxy.switched_s
+    return max(proxy.switched_s, proxy.began_s + proxy.fault.lasts_s)

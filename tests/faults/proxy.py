@@ -1,0 +1,259 @@
+"""The built-in vehicle, free-running in virtual time, behind a link that fails as it is told: a socket's bytes without the waiting.
+
+`Proxy` is a transport and the host's clock at once: time passes only while the client waits for bytes, so a flight in real time takes
+as long as its computation, and a seed gives the same flight again.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from flighttest.link.clock import FollowedClock
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import book, parser
+from flighttest.sim import InProcess, SimOptions
+
+STEP_S = 0.0025
+EPOCH_S = 1000.0
+LEAP_S = 86400.0
+
+
+class When(Enum):
+    """What the client is at, as its frames show; a fault begins `after_s` after."""
+
+    PREFLIGHT = "preflight"
+    ARMING = "arming"
+    CLIMBING = "climb"
+    RETURNING = "return"
+    ENTERING = "entry"
+    FLYING = "step"
+    ABORTING = "abort"
+    LANDING = "landing"
+
+
+class Endless(Exception):
+    """The flight did not end in time."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is done to frames from its beginning on, for `lasts_s`. up, down: whether that direction is lost for good meanwhile.
+
+    loss: share lost each way; double: each frame twice; jitter_s: each frame late by up to this, in any order; latency_s: all late;
+    hold: nothing passes, and all of it at the end; freeze: the client itself stands still; leap, stamp: the vehicle's clock a day
+    ahead, for good or in one frame; twin: a second vehicle of the same id; station: another ground station switches streams
+    off, once; reboot: the vehicle starts anew; pilot: the pilot chooses LOITER (also when a fault is there: `pilot_after_s`).
+    """
+
+    name: str
+    lasts_s: float = 0.0
+    up: bool = False
+    down: bool = False
+    loss: float = 0.0
+    double: bool = False
+    jitter_s: float = 0.0
+    latency_s: float = 0.0
+    hold: bool = False
+    freeze: bool = False
+    leap: bool = False
+    stamp: bool = False
+    twin: bool = False
+    station: bool = False
+    reboot: bool = False
+    pilot_after_s: float | None = None
+
+    @property
+    def for_good(self) -> bool:
+        """Whether the link never comes back."""
+        return (self.up or self.down) and self.lasts_s >= 1e3
+
+
+@dataclass
+class Proxy:
+    """A transport for `fly`, and the clock that goes with it (`clock`)."""
+
+    options: SimOptions
+    fault: Fault
+    when: When
+    after_s: float = 0.0
+    limit_s: float = 400.0
+    seed: int = 1
+    now_s: float = EPOCH_S
+    began_s: float | None = None
+    switched_s: float | None = None
+    sent_after_switch: list[tuple[float, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.sim = InProcess(self.options)
+        self._start_s = self.now_s
+        self._draw = random.Random(self.seed)
+        self._up: list[tuple[float, int, bytes]] = []
+        self._down: list[tuple[float, int, bytes]] = []
+        self._order = 0
+        self._ours, self._theirs = parser(1, 1), parser(1, 1)
+        self._station, self._twin = parser(255, 190), parser(1, 1)
+        self._twin.seq = 120
+        self._twin_next_s = 0.0
+        self._done: set[str] = set()
+        self._reached: dict[When, float] = {}
+
+    def clock(self) -> FollowedClock:
+        """The client's clock, on this host's time."""
+        return FollowedClock(lambda: self.now_s, lambda: self.now_s)
+
+    # -- the fault -----------------------------------------------------------------------------------------------------------
+
+    @property
+    def active(self) -> bool:
+        """Whether the fault is there now."""
+        return self.began_s is not None and self.began_s <= self.now_s < self.began_s + self.fault.lasts_s
+
+    def _look(self, message: object) -> None:
+        """What the client is at."""
+        kind = message.get_type()  # type: ignore[attr-defined]
+        seen: When | None = None
+        if kind == "PARAM_SET":
+            seen = When.PREFLIGHT
+        elif kind == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            seen = When.FLYING
+        elif kind == "COMMAND_LONG":
+            seen = self._command(int(message.command), float(message.param1), int(message.param2))  # type: ignore[attr-defined]
+        if seen is not None:
+            self._reached.setdefault(seen, self.now_s)
+        if self.began_s is None and self.when in self._reached:
+            self.began_s = self._reached[self.when] + self.after_s
+
+    def _command(self, command: int, first: float, second: int) -> When | None:
+        if command == book.MAV_CMD_COMPONENT_ARM_DISARM and first == 1.0:
+            return When.ARMING
+        if command == book.MAV_CMD_NAV_TAKEOFF:
+            return When.CLIMBING
+        if command != book.MAV_CMD_DO_SET_MODE:
+            return None
+        if second == CopterMode.GUIDED:
+            return When.RETURNING if When.FLYING in self._reached else None
+        modes = {CopterMode.GUIDED_NOGPS: When.ENTERING, CopterMode.BRAKE: When.ABORTING, CopterMode.LAND: When.LANDING}
+        return modes.get(CopterMode(second))
+
+    def _once(self, name: str, wanted: bool, after_s: float = 0.0) -> bool:
+        if not wanted or name in self._done or self.began_s is None or self.now_s < self.began_s + after_s:
+            return False
+        self._done.add(name)
+        return True
+
+    def _act(self) -> None:
+        """What happens once."""
+        fault = self.fault
+        if self._once("station", fault.station):
+            for number in (
+                book.MAVLINK_MSG_ID_ATTITUDE,
+                book.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+                book.MAVLINK_MSG_ID_HEARTBEAT,
+            ):
+                off = (book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0)
+                self.sim.send(bytes(book.MAVLink_command_long_message(1, 1, *off).pack(self._station)))
+        if self._once("pilot", fault.pilot_after_s is not None, fault.pilot_after_s or 0.0):
+            self.switched_s = self.now_s
+            mode = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(CopterMode.LOITER), 9)
+            self.sim.send(bytes(mode.pack(self._station)))
+        if self._once("reboot", fault.reboot):
+            self.sim = InProcess(self.options)
+            self._start_s = self.now_s
+
+    # -- as a transport ------------------------------------------------------------------------------------------------------
+
+    def send(self, data: bytes) -> None:
+        """Frames of the client."""
+        for message in self._ours.parse_buffer(data) or []:
+            self._look(message)
+            if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET") and message.param_id == "SIM_LOCKSTEP":
+                continue  # time is nobody's to grant here
+            if self.switched_s is not None:
+                self.sent_after_switch.append((self.now_s, message.get_type()))
+            self._queue(self._up, bytes(message.get_msgbuf()), lost=self.fault.up)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Let up to timeout_s pass; what has arrived."""
+        if self.now_s - EPOCH_S > self.limit_s:
+            raise Endless(f"still flying after {self.limit_s:.0f} s")
+        if self._once("freeze", self.fault.freeze):
+            self._pass(self.fault.lasts_s)
+        end_s = self.now_s + timeout_s
+        while True:
+            data = self._arrived(self._down)
+            if data or self.now_s >= end_s:
+                return data
+            self._pass(STEP_S)  # all of it: time moves on however short the wait
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def _pass(self, span_s: float) -> None:
+        end_s = self.now_s + span_s
+        while self.now_s < end_s - 1e-9:
+            self.now_s = min(self.now_s + STEP_S, end_s)
+            self._act()
+            self.sim.send(self._arrived(self._up))
+            behind_s = self.now_s - self._start_s - self.sim.time_s
+            if behind_s > 0.0:
+                self.sim.advance(behind_s)
+            said = self.sim.receive()
+            for message in (self._theirs.parse_buffer(said) or []) if said else []:
+                self._queue(self._down, self._altered(message), lost=self.fault.down)
+            self._speak_as_twin()
+
+    def _altered(self, message: object) -> bytes:
+        kind, fault = message.get_type(), self.fault  # type: ignore[attr-defined]
+        again = parser(1, 1)
+        again.seq = message.get_seq()  # type: ignore[attr-defined]
+        if kind == "PARAM_VALUE" and message.param_id == "SIM_LOCKSTEP":  # type: ignore[attr-defined]
+            value = (message.param_value, message.param_type, message.param_count, message.param_index)  # type: ignore[attr-defined]
+            return bytes(book.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
+        if not (fault.leap or fault.stamp) or self.began_s is None or self.now_s < self.began_s:
+            return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
+        if fault.stamp and kind != "ATTITUDE":
+            return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
+        if hasattr(message, "time_boot_ms") and self._once("stamp", fault.stamp) | fault.leap:
+            message.time_boot_ms += int(LEAP_S * 1e3)
+        elif fault.leap and kind == "TIMESYNC" and message.tc1:  # type: ignore[attr-defined]
+            message.tc1 += int(LEAP_S * 1e9)  # type: ignore[attr-defined]
+        return bytes(message.pack(again))  # type: ignore[attr-defined]
+
+    def _speak_as_twin(self) -> None:
+        if not (self.fault.twin and self.active) or self.now_s < self._twin_next_s:
+            return
+        self._twin_next_s = self.now_s + 0.25
+        for message in (
+            book.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3),
+            book.MAVLink_attitude_message(5_000_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        ):
+            self._down.append((self.now_s, self._order, bytes(message.pack(self._twin))))
+            self._twin.seq = (self._twin.seq + 1) % 256
+            self._order += 1
+
+    def _queue(self, queue: list[tuple[float, int, bytes]], frame: bytes, *, lost: bool) -> None:
+        fault, due_s = self.fault, self.now_s
+        copies = 1
+        if self.active:
+            if lost or self._draw.random() < fault.loss:
+                return
+            due_s += fault.latency_s + fault.jitter_s * self._draw.random()
+            copies = 2 if fault.double else 1
+            if fault.hold:
+                assert self.began_s is not None
+                due_s = self.began_s + fault.lasts_s
+        for _ in range(copies):
+            self._order += 1
+            queue.append((due_s, self._order, frame))
+
+    def _arrived(self, queue: list[tuple[float, int, bytes]]) -> bytes:
+        due = sorted(entry for entry in queue if entry[0] <= self.now_s)
+        if due:
+            queue[:] = [entry for entry in queue if entry[0] > self.now_s]
+        return b"".join(frame for _, _, frame in due)
+
+
+Hook = Callable[[float], int]
