@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check frozen sitl docs clean
+.PHONY: demo test check faults frozen sitl docs clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -25,6 +25,9 @@ check: .venv/installed
 
 frozen: .venv/installed  ## diagnose the frozen bench of sealed flights and compare with the answers kept
 	$(BIN)/python -m benchmarks.frozen
+
+faults: .venv/installed  ## every fault of the link in every state of a flight, into docs/faults.md
+	$(BIN)/python -m tests.faults.table -o docs/faults.md
 
 docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py

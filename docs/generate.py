@@ -15,6 +15,7 @@ import click
 
 from flighttest.channels import CHANNELS
 from flighttest.cli.main import cli
+from flighttest.flight.machine import drawing, table_as_markdown, words_as_markdown
 from flighttest.physics.catalogue import catalogue
 from flighttest.script.load import load_script
 from flighttest.script.profiles import PROFILES, Duration, Field
@@ -131,6 +132,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "term_pages": term_pages,
     "maneuvers": maneuvers,
     "profiles": profiles,
+    "flight_words": words_as_markdown,
+    "flight_states": lambda: drawing() + "\n" + table_as_markdown(),
 }
 
 

@@ -162,7 +162,9 @@ class Cockpit:
         return self.machine.state is FlightState.LANDING
 
     def _watch_link(self) -> None:
-        fallen = self.streams.keep() if self.streams is not None and self.machine.ours else []
+        if self.streams is None:
+            return  # preflight: whoever waits for an answer is told
+        fallen = self.streams.keep() if self.machine.ours else []
         if fallen:
             text = f"asked again for {', '.join(fallen)}: somebody else may have changed the rate"
             self.recorder.event("note", text, self.state.t_s)

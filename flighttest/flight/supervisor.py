@@ -18,6 +18,7 @@ _ENTRY_S = 3.0
 UNSEEN_S = 1.5
 UNHEARD_S = 0.7  # a silent link hides what a pilot chooses: asked once when it falls silent, and again when it is heard
 UPLINK_LOST_S = 3.0  # without an answer: then an operator who asked to stop is not kept waiting for it
+STOP_AFTER_S = 20.0  # of asking for LAND over a lost uplink, after the operator asked to stop
 LET_GO_AFTER_S = 5.0  # of insisting after the operator wanted to let go at once
 REST_PATIENCE_S = 6.0
 AT_REST_M_S = 0.4
@@ -80,7 +81,7 @@ def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[
         now = cockpit.session.now_s()
         unheard = cockpit.stop_asked and cockpit.state.uplink_silence_s > UPLINK_LOST_S
         if cockpit.stop_now or unheard:
-            let_go_s = min(let_go_s, now + LET_GO_AFTER_S)
+            let_go_s = min(let_go_s, now + (LET_GO_AFTER_S if cockpit.stop_now else STOP_AFTER_S))
             if now > let_go_s:
                 cockpit.on(Event.GIVEN_UP if cockpit.stop_now else Event.UPLINK_GONE)
         if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S and cockpit.state.silence_s < UNHEARD_S:

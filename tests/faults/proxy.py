@@ -24,6 +24,7 @@ LEAP_S = 86400.0
 class When(Enum):
     """What the client is at, as its frames show; a fault begins `after_s` after."""
 
+    CONNECTING = "connecting"
     PREFLIGHT = "preflight"
     ARMING = "arming"
     CLIMBING = "climb"
@@ -115,7 +116,9 @@ class Proxy:
         """What the client is at."""
         kind = message.get_type()  # type: ignore[attr-defined]
         seen: When | None = None
-        if kind == "PARAM_SET":
+        if kind == "HEARTBEAT":
+            seen = When.CONNECTING
+        elif kind == "PARAM_SET":
             seen = When.PREFLIGHT
         elif kind == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
             seen = When.FLYING

@@ -1,0 +1,34 @@
+"""The quick part of the table of faults and states; the whole is `make faults`."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.faults.cells import FAULTS, QUICK, fly_cell
+from tests.faults.proxy import Fault, When
+
+BY_NAME = {fault.name: fault for fault in FAULTS}
+
+
+@pytest.mark.parametrize(("name", "when"), QUICK, ids=[f"{name}, {when.value}" for name, when in QUICK])
+def test_a_fault_in_a_state(name: str, when: When, tmp_path: Path) -> None:
+    cell = fly_cell(BY_NAME[name], when, tmp_path / "run")
+    assert cell.ok, f"{cell.ended}: {cell.wrong}"
+
+
+def test_two_vehicles_of_one_system_id_are_refused_before_one_arms(tmp_path: Path) -> None:
+    cell = fly_cell(Fault("twin", 1e6, twin=True), When.CONNECTING, tmp_path / "run")
+    assert cell.ok
+    assert cell.ended.startswith("REFUSED")
+    assert "other vehicles on this link (system 1)" in cell.ended
+
+
+def test_the_tool_sees_a_vehicle_that_is_called_landed_in_the_air(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check of the check: a flight that takes LAND for the landing."""
+    from flighttest.flight.machine import TABLE, Event, FlightState, Next
+
+    monkeypatch.setitem(TABLE, (FlightState.ASKING, Event.LANDS), Next(FlightState.LANDED))
+    cell = fly_cell(BY_NAME["nothing"], When.LANDING, tmp_path / "run")
+    assert not cell.ok
