@@ -200,6 +200,11 @@ class Cockpit:
         return self.state
 
     @property
+    def pace(self) -> float:
+        """Vehicle seconds per second of the host, at least 1."""
+        return max(self.session.clock.pace, 1.0)
+
+    @property
     def stop_asked(self) -> bool:
         """Whether the flight is to end in order: the operator wants it, nothing can be recorded, or the vehicle was set up anew."""
         return self._stops.orderly or bool(self.recorder.failure) or bool(self.meddling.vital)
@@ -264,8 +269,7 @@ class Cockpit:
         now = self.session.now_s()
         if self._on_progress is None or now < self._next_progress_s:
             return
-        pace = max(self.session.clock.pace, 1.0)
-        self._next_progress_s = now + PROGRESS_EVERY_S * pace
+        self._next_progress_s = now + PROGRESS_EVERY_S * self.pace
         since, counts = self._counts
         span = now - since
         rates = {

@@ -294,6 +294,7 @@ class _Flight:
             attitude_age_max_s=0.3 * self._pace,
             position_age_max_s=0.5 * self._pace,
             silence_max_s=0.5 * self._pace,
+            uplink_silence_max_s=1.5 * self._pace,
             mode_age_max_s=2.5 * self._pace,
             held_up_max_s=0.5 * self._pace if preflight.is_simulator(self._parameters) else preflight.TIMEOUT_S,
         )

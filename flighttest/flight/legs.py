@@ -17,6 +17,8 @@ from flighttest.link.ardupilot import LaggedYaw
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
+UNSURE_S = 0.3  # without an answer, at the end of a step
+
 
 @dataclass(frozen=True)
 class Airframe:
@@ -115,6 +117,12 @@ def fly_leg(cockpit: Cockpit, leg: Leg, airframe: Airframe, trace: ThrottleTrace
         tick = max(tick + 1, math.floor((cockpit.session.now_s() - start) / cockpit.period_s + 1e-6) + 1)
         cockpit.until(start + tick * cockpit.period_s)
     cockpit.release()
+    while cockpit.state.uplink_silence_s > UNSURE_S * cockpit.pace:
+        # Whether the step's last targets arrived is not known yet; GUID_TIMEOUT ends what did.
+        if cockpit.state.uplink_silence_s > cockpit.gate.uplink_silence_max_s:
+            return _refused(cockpit, leg, (Refusal.UPLINK,))
+        cockpit.cycle()
+        cockpit.release()
     return finish(cockpit, leg, LegOutcome.FLOWN)
 
 

@@ -206,8 +206,9 @@ def words_as_markdown() -> str:
 def drawing() -> str:
     """The transitions as a Mermaid diagram, without what changes nothing."""
     edges: dict[tuple[str, str], list[str]] = {}
-    for (state, event), following in TABLE.items():
-        if not state.is_end and following.state is not state:
+    for state, event in product(FlightState, Event):
+        following = TABLE.get((state, event))
+        if following is not None and not state.is_end and following.state is not state:
             edges.setdefault((state.name, following.state.name), []).append(event.name)
     lines = [f"    {a} --> {b}: {', '.join(events)}" for (a, b), events in edges.items()]
     return "\n".join(["```mermaid", "stateDiagram-v2", "    [*] --> GROUND", *lines, "```", ""])

@@ -18,7 +18,9 @@ HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.25  # also how the uplink is seen to be alive; 120 bytes a second each way
 LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): whoever waits for an answer is told
 UNANSWERED_S = 10.0
-QUIET_S = 0.5  # a vehicle that is not heard for longer cannot show whether it hears
+QUIET_S = (
+    1.5  # more than from one HEARTBEAT to the next: a vehicle that is not heard for longer cannot show whether it hears
+)
 _DRAIN_MAX = 100  # receives in a row: seconds of a real link, and an end where a simulator sends faster than it is read
 _POLL_S = 0.02  # host seconds one receive may block
 _OVERTAKING_S = 0.2  # a link does not reorder over longer; sequence numbers begin anew after some 0.3 s

@@ -49,12 +49,15 @@ def landing_asked(link: FaultyLink) -> list[float]:
     return times
 
 
-def test_a_lost_uplink_ends_the_step_at_once_and_the_flight_in_time(run_dir: Path) -> None:
+@pytest.mark.parametrize("duration_s", [1.5, 4.0])
+def test_a_lost_uplink_ends_the_step_at_once_and_the_flight_in_time(duration_s: float, run_dir: Path) -> None:
     link = FaultyLink(options())
     began = marked(link, " step")
     link.deaf = lambda t: bool(began) and t > began[0] + 0.1
     seen: list[FlightProgress] = []
-    result = fly(make_plan(make_leg("a", duration_s=4.0)), "sim", run_dir, transport=link, on_progress=seen.append)
+    result = fly(
+        make_plan(make_leg("a", duration_s=duration_s)), "sim", run_dir, transport=link, on_progress=seen.append
+    )
     assert [leg.outcome for leg in result.legs if leg.outcome is LegOutcome.FLOWN] == []
     assert result.outcome.name == "UPLINK_LOST"
     assert result.left.name == "TO_AUTOPILOT"
