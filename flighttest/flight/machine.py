@@ -139,8 +139,8 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.LANDING, E.OVER): Next(S.LANDING_UNSEEN),
         **{(s, E.OVER): Next(S.TO_AUTOPILOT) for s in (*_STEERED, S.ASKING)},
     }  # fmt: skip
-    # Nothing changes an end.
-    return table | {(s, e): Next(s) for s, e in product(ENDS, Event)}
+    table |= {(s, e): Next(s) for s, e in product(ENDS, Event)}  # nothing changes an end
+    return {place: table[place] for place in product(FlightState, Event) if place in table}
 
 
 TABLE = _table()
