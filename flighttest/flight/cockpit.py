@@ -48,11 +48,12 @@ class Stops:
 
 @dataclass(frozen=True)
 class Doubt:
-    """What one HEARTBEAT has shown, heard at t_s."""
+    """What one HEARTBEAT has shown, heard at t_s. overtaken: how many had been: one between two that agree contradicts them."""
 
     event: Event
     mode: int
     t_s: float
+    overtaken: int
 
 
 class Cockpit:
@@ -136,9 +137,9 @@ class Cockpit:
             self.on(Event.LANDS if mode == CopterMode.LAND else Event.HOLDS)
         if foreign or disarmed:
             event = Event.DROPPED if foreign and disarmed else Event.DISARMED if disarmed else Event.FOREIGN_MODE
-            doubt = Doubt(event, mode, t_s)
+            doubt = Doubt(event, mode, t_s, self.session.overtaken)
             # Nothing is sent from the first HEARTBEAT on; the second one decides, since one frame may be damaged or another vehicle's.
-            if self._doubt is None or (self._doubt.event, self._doubt.mode) != (event, mode):
+            if self._doubt is None or replace(self._doubt, t_s=t_s) != doubt:
                 self._doubt, self.session.held = doubt, True
                 return
             self._decide(t_s)
@@ -150,6 +151,8 @@ class Cockpit:
         """The pilot has the vehicle, or it is disarmed."""
         assert self._doubt is not None
         doubt, self._doubt, self.session.held = self._doubt, None, False
+        if self.machine.state is FlightState.ARMING and self._was_armed:
+            self.on(Event.ARMED)
         if doubt.event is Event.FOREIGN_MODE:
             self.session.port.mute()
             self.recorder.event("take_over", mode_name(doubt.mode), t_s, {"mode": doubt.mode})

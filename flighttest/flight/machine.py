@@ -107,7 +107,8 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         # what the pilot, the vehicle and the link do, in each state
         (S.GROUND, E.FOREIGN_MODE): Next(S.GROUND),
         (S.HANDED, E.FOREIGN_MODE): Next(S.HANDED),
-        **{(s, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.TAKE_OVER) for s in OURS - {S.LANDING}},
+        (S.ARMING, E.FOREIGN_MODE): Next(S.NOT_ARMED, Out.TAKE_OVER),
+        **{(s, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.TAKE_OVER) for s in IN_AIR - {S.LANDING}},
         (S.LANDING, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.LEFT_TO_PILOT),
         (S.GROUND, E.DISARMED): Next(S.GROUND),
         (S.HANDED, E.DISARMED): Next(S.HANDED),

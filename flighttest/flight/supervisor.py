@@ -127,7 +127,7 @@ def enter(
     next_ask = -1.0
     while True:
         now = cockpit.session.now_s()
-        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
+        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S and cockpit.state.silence_s < UNHEARD_S:
             cockpit.vehicle.ask_mode(mode)
             next_ask = now + ASK_EVERY_S
         state = cockpit.cycle()

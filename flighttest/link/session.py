@@ -63,6 +63,7 @@ class Session:
         self._next_heartbeat_s = self._next_timesync_s = 0.0
         self.last_heard_s = 0.0
         self.boots = 0
+        self.overtaken = 0  # HEARTBEATs that came after one sent later, or after one of another vehicle
         self.held = False  # a frame may have shown that the pilot has the vehicle: nothing but granted time is sent
         self._sequence = Sequence()
 
@@ -225,7 +226,10 @@ class Session:
         last = self.latest.get("HEARTBEAT")
         if last is None or not 0.0 <= self.clock.now_s() - last.t_s < _OVERTAKING_S:
             return False
-        return bool((heartbeat.get_seq() - last.message.get_seq()) % 256 >= 128)
+        if (heartbeat.get_seq() - last.message.get_seq()) % 256 < 128:
+            return False
+        self.overtaken += 1
+        return True
 
     @property
     def silence_s(self) -> float:

@@ -48,7 +48,7 @@ QUICK: tuple[tuple[str, When], ...] = (
     ("both for good", When.LANDING),
     ("both for good", When.PREFLIGHT),
     ("clock leaps a day", When.FLYING),
-    ("second vehicle", When.FLYING),
+    ("second vehicle", When.CLIMBING),
     ("streams switched off", When.FLYING),
     ("pilot while down 3.2 s", When.ENTERING),
 )
@@ -131,7 +131,7 @@ def _wrong(proxy: Proxy, result: FlightResult) -> list[str]:
     if vehicle.armed and not told_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
         found.append("armed, and not said so")
     if proxy.switched_s is not None and fault.lasts_s < 1e3:
-        if vehicle.armed and vehicle.mode != CopterMode.LOITER:
+        if proxy.when is not When.PREFLIGHT and vehicle.mode != CopterMode.LOITER:
             found.append(f"the pilot chose LOITER, the vehicle is in mode {vehicle.mode}")
         late = [t for t, kind in proxy.sent_after_switch if t > _seen_by(proxy) + SEEN_S and kind.startswith("SET_")]
         if vehicle.armed and late:

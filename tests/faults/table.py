@@ -55,7 +55,13 @@ def main() -> int:
     words = parser.parse_args()
     places = [(fault, when) for fault in FAULTS for when in STATES]
     with ProcessPoolExecutor(words.jobs) as pool:
-        cells = list(pool.map(one, *zip(*places, strict=True)))
+        cells = []
+        for cell in pool.map(one, *zip(*places, strict=True)):
+            cells.append(cell)
+            said = "; ".join(cell.wrong) or "right"
+            sys.stderr.write(
+                f"{len(cells)}/{len(places)} {cell.fault.name}, {cell.when.value}: {cell.ended} ({said})\n"
+            )
     text = page(cells)
     if words.output is None:
         sys.stdout.write(text)
