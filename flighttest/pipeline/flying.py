@@ -360,12 +360,7 @@ def _flown(
     data = {
         "runs": [str(f) for f in folders],
         "flights": [
-            {
-                "run": str(e.run_dir),
-                "outcome": e.outcome.name,
-                "left": e.left.name,
-                "legs": [plain(leg) for leg in e.legs],
-            }
+            {"run": str(e.run_dir), "outcome": e.outcome.name, "left": e.left.name, "legs": [plain(r) for r in e.legs]}
             for e in ends
         ],
         "notes": list(notes),
