@@ -116,8 +116,8 @@ def _until_quiet(session: Session, received: dict[int, tuple[str, float]]) -> No
     """Wait as long as parameters keep coming."""
     last, since = -1, session.now_s()
     while session.now_s() - since < _LIST_QUIET_S * max(session.clock.pace, 1.0):
-        session.require_link()
         session.advance(session.now_s() + 0.05)
+        session.require_link()
         if len(received) != last:
             last, since = len(received), session.now_s()
 

@@ -277,8 +277,9 @@ class Session:
         try:
             deadline = self.now_s() + timeout_s
             while not found and self.now_s() < deadline:
-                self.require_link()
                 self.advance(min(self.now_s() + 0.02, deadline))
+                if not found:
+                    self.require_link()  # after what has waited was read: nobody may have looked for long
         finally:
             self.forget(look)
         return found[0] if found else None

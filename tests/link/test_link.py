@@ -486,3 +486,14 @@ def test_one_vehicle_on_a_bad_link_is_one(fault: str) -> None:
         dropped += sequence.foreign(seq, str(n).encode(), 0.003 * (n if fault == "burst" else number))
     assert sequence.foreign_frames == 0
     assert dropped == 0 or fault == "burst"
+
+
+def test_a_program_that_did_not_look_for_long_finds_the_link_as_it_is() -> None:
+    vehicle = ScriptedVehicle(Host())
+    session = session_of(vehicle)
+    known = parameters.read_all(session)
+    for _ in range(60):  # the vehicle goes on, and its frames wait
+        vehicle.host.now += 1.0
+        vehicle.say(book.MAVLink_heartbeat_message(2, 3, 1, 0, 4, 3))
+    parameters.write(session, "ANGLE_MAX", 4000.0, known)
+    assert vehicle.values["ANGLE_MAX"] == 4000.0
