@@ -20,7 +20,8 @@ from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.search import Search, silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS, Estimator
-from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references, misfit
+from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
+from flighttest.identify.optima import misfit
 from flighttest.identify.selection import able
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue

@@ -7,7 +7,6 @@ found = fit(segments, Model(("body", "linear_drag", "ground_effect")), ties={"d_
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,7 +37,7 @@ from flighttest.identify.identifiability import (
     voltage_varies,
 )
 from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
-from flighttest.identify.optima import rivals
+from flighttest.identify.optima import best_of_starts, rivals
 from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.selection import Select, moves, problem_of
 from flighttest.identify.ties import TieTest, tie_tests
@@ -48,9 +47,6 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-COARSE_STRIDE = 4
-ON_SAMPLE = 0.02  # of the sample interval: clocks are known to a fiftieth of it or better
-BETTER = 10.0  # log-likelihood by which another optimum must be better than rounding of the stopping rule
 _REPORTED_OUTLIER = 0.7  # responses weighted below this are named
 
 
@@ -159,7 +155,7 @@ def fit(
     while True:
         fixed = (*(frozen or {}), *held)
         problem = problem_of(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
-        solution = _best(problem, robust, model.start(start), noise)
+        solution = best_of_starts(problem, robust, model.start(start), noise)
         covariance = covariance_of(problem, solution)
         hopeless = _hopeless(solution, covariance)
         if not hopeless or len(hopeless) == len(covariance.names):
@@ -219,63 +215,6 @@ def _check_names(model: Model, names: Sequence[str]) -> None:
     for name in names:
         if name not in model.names:
             raise InputError(f"the model has no parameter {name!r}", f"it has {', '.join(model.names)}")
-
-
-def _best(problem: Problem, robust: bool, nominal: Mapping[str, float], noise: Noise | None = None) -> Solution:
-    """Solve from the shape-based start; from others too where that did not end well.
-
-    noise: the start is an estimate already, and this its noise: of optima that serve alike, the one next to it is meant.
-    """
-    start, noise_was_estimated = None, noise is None
-    if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
-        # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
-        coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
-        if coarse.status is not FitStatus.DIVERGED:
-            start, noise = coarse.values, coarse.noise
-            problem.values = dict(coarse.values)  # which also sets the integrator's step
-    first = solve(problem, start, robust=robust, noise=noise)
-    if first.status.good:
-        return _off_the_samples(problem, first, robust) if noise_was_estimated else first
-    others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
-    found = [first] + [solve(problem, start, robust=robust) for start in others]
-    finite = [s for s in found if s.status is not FitStatus.DIVERGED]
-    good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
-    return min(good, key=lambda solution: misfit(problem, solution))
-
-
-def _off_the_samples(problem: Problem, found: Solution, robust: bool) -> Solution:
-    """A solution, or a better one from delays half a sample away where one of its delays puts edges on samples.
-
-    There the cost has a kink, since an edge passes from one piece between samples to the next, and a solver may end on it (one did with
-    sigma_t 113 1/s for 41). Scouted on a part of the responses.
-    """
-    steps = [float(np.median(np.diff(s.t_s))) for s in problem.segments if s.t_s.size > 1]
-    interval = float(np.median(steps or [0.0]))
-    if not interval > 0.0:
-        return found
-    delays = [n for n in found.free if n.startswith("T_d")]
-    off = {n: abs(found.values[n] / interval - round(found.values[n] / interval)) for n in delays}
-    on_sample = {n: found.values[n] + 0.5 * interval for n in delays if off[n] < ON_SAMPLE}
-    if not on_sample:
-        return found
-    few = problem.thinned(COARSE_STRIDE) if len(problem.segments) >= 3 * COARSE_STRIDE**2 else problem
-    here, there = (
-        solve(few, {**found.values, **moved}, robust=robust, noise=found.noise, max_iterations=12)
-        for moved in ({}, on_sample)
-    )
-    if FitStatus.DIVERGED in (here.status, there.status) or misfit(few, there) > misfit(few, here) - BETTER:
-        return found
-    other = solve(problem, there.values, robust=robust, noise=there.noise)
-    return other if other.status.good and misfit(problem, other) < misfit(problem, found) else found
-
-
-def misfit(problem: Problem, solution: Solution) -> float:
-    """Log-likelihood's noise part: comparable between solutions, whose noise differs."""
-    return sum(
-        float(part.mask[..., k].sum()) * math.log(solution.noise.channel[c])
-        for part in problem.parts
-        for k, c in enumerate(part.outputs)
-    )
 
 
 def _estimates(

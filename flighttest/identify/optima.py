@@ -8,7 +8,7 @@ by itself, since residuals of a wrong model are no noise, and their likelihood i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.covariance import Covariance, covariance_of, std_of
 from flighttest.estimation.gauss_newton import FitStatus
-from flighttest.estimation.problem import Part, Problem
-from flighttest.estimation.solver import Solution, solve
+from flighttest.estimation.problem import Noise, Part, Problem
+from flighttest.estimation.solver import Solution, finite_or_error, solve
 from flighttest.identify.feedback import steered
 from flighttest.identify.quality import noise_floor
 
 FloatArray = NDArray[np.float64]
 
+COARSE_STRIDE = 4
+ON_SAMPLE = 0.02  # of the sample interval: clocks are known to a fiftieth of it or better
+LIKELIER = 10.0  # log-likelihood by which another optimum must be better, beyond what the stopping rule leaves
 FOLLOWED = 0.98  # of how steps move: with more than this explained, other numbers explain less
 SCOUTED = 24  # responses of each kind of block that are enough to find another optimum
 SCOUT_STEPS, MANY_STEPS = 12, 25
@@ -191,3 +194,62 @@ def _left(part: Part, residual: FloatArray, reference: Solution) -> FloatArray:
     """(m,) squares left of every response, in units of the channels' noise, the noise itself not counted as a difference."""
     std = np.array([reference.noise.channel[c] for c in part.outputs])
     return np.asarray(((residual / std) ** 2 + NOISE_SHARE * part.mask).sum(axis=(1, 2)) + 1e-9)
+
+
+def best_of_starts(
+    problem: Problem, robust: bool, nominal: Mapping[str, float], noise: Noise | None = None
+) -> Solution:
+    """Solve from the shape-based start; from others too where that did not end well.
+
+    noise: the start is an estimate already, and this its noise: of optima that serve alike, the one next to it is meant.
+    """
+    start, noise_was_estimated = None, noise is None
+    if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
+        # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
+        coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
+        if coarse.status is not FitStatus.DIVERGED:
+            start, noise = coarse.values, coarse.noise
+            problem.values = dict(coarse.values)  # which also sets the integrator's step
+    first = solve(problem, start, robust=robust, noise=noise)
+    if first.status.good:
+        return _off_the_samples(problem, first, robust) if noise_was_estimated else first
+    others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
+    found = [first] + [solve(problem, start, robust=robust) for start in others]
+    finite = [s for s in found if s.status is not FitStatus.DIVERGED]
+    good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
+    return min(good, key=lambda solution: misfit(problem, solution))
+
+
+def _off_the_samples(problem: Problem, found: Solution, robust: bool) -> Solution:
+    """A solution, or a better one from delays half a sample away where one of its delays puts edges on samples.
+
+    There the cost has a kink, since an edge passes from one piece between samples to the next, and a solver may end on it (one did with
+    sigma_t 113 1/s for 41). Scouted on a part of the responses.
+    """
+    steps = [float(np.median(np.diff(s.t_s))) for s in problem.segments if s.t_s.size > 1]
+    interval = float(np.median(steps or [0.0]))
+    if not interval > 0.0:
+        return found
+    delays = [n for n in found.free if n.startswith("T_d")]
+    off = {n: abs(found.values[n] / interval - round(found.values[n] / interval)) for n in delays}
+    on_sample = {n: found.values[n] + 0.5 * interval for n in delays if off[n] < ON_SAMPLE}
+    if not on_sample:
+        return found
+    few = problem.thinned(COARSE_STRIDE) if len(problem.segments) >= 3 * COARSE_STRIDE**2 else problem
+    here, there = (
+        solve(few, {**found.values, **moved}, robust=robust, noise=found.noise, max_iterations=12)
+        for moved in ({}, on_sample)
+    )
+    if FitStatus.DIVERGED in (here.status, there.status) or misfit(few, there) > misfit(few, here) - LIKELIER:
+        return found
+    other = solve(problem, there.values, robust=robust, noise=there.noise)
+    return other if other.status.good and misfit(problem, other) < misfit(problem, found) else found
+
+
+def misfit(problem: Problem, solution: Solution) -> float:
+    """Log-likelihood's noise part: comparable between solutions, whose noise differs."""
+    return sum(
+        float(part.mask[..., k].sum()) * math.log(solution.noise.channel[c])
+        for part in problem.parts
+        for k, c in enumerate(part.outputs)
+    )
