@@ -27,7 +27,7 @@ REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S = 10.0
 _TAKE_OFF_S = 40.0
-_CLIMBS_M = 0.3
+_CLIMBS_M, _CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
 _VOLTAGE_WAIT_S = 1.0
 _LAND_S = 120.0
 _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
@@ -109,7 +109,8 @@ class Scheduler:
         if not by_position:
             return self._climb_by_throttle(height)
         answer = vehicle.take_off(height)
-        climbs = (cockpit.after().height_m or 0.0) > _CLIMBS_M  # a repeated request is refused in the air
+        # A repeated request is refused in the air.
+        climbs = answer.tries > 1 and self._reaches(_CLIMBS_M, _CLIMBS_WITHIN_S)
         if answer.result is None and not climbs:
             self.notes.append("the vehicle did not answer the request to take off")
             return FlightOutcome.CLIMB_ENDED
@@ -127,12 +128,16 @@ class Scheduler:
         cockpit.on(Event.OVER)
 
     def _climb(self, height: float) -> FlightOutcome | None:
-        deadline = self.cockpit.session.now_s() + _TAKE_OFF_S
+        return None if self._reaches(height - 0.5, _TAKE_OFF_S) else self._not_climbed(height)
+
+    def _reaches(self, height: float, within_s: float) -> bool:
+        """Whether the vehicle is seen at a height in time, or the operator asks to stop before."""
+        deadline = self.cockpit.session.now_s() + within_s
         while self.cockpit.session.now_s() < deadline:
             state = self.cockpit.cycle()
-            if self.cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
-                return None
-        return self._not_climbed(height)
+            if self.cockpit.stop_asked or (state.height_m is not None and state.height_m >= height):
+                return True
+        return False
 
     def _not_climbed(self, height: float) -> FlightOutcome:
         seen = self.cockpit.state.height_m

@@ -48,10 +48,11 @@ _STREAM_TYPES: dict[str, int] = {
 
 @dataclass(frozen=True)
 class Ack:
-    """The answer to a command. result: MAV_RESULT, None when none came. why: STATUSTEXT that came with it."""
+    """The answer to a command. result: MAV_RESULT, None when none came. why: STATUSTEXT that came with it. tries: how often it was sent."""
 
     result: int | None
     why: str = ""
+    tries: int = 1
 
     @property
     def accepted(self) -> bool:
@@ -107,8 +108,8 @@ class ArduPilot:
                 if answer is not None:
                     if answer.result not in (book.MAV_RESULT_ACCEPTED, book.MAV_RESULT_IN_PROGRESS):
                         self.session.advance(self.session.now_s() + 0.1)  # the reason may come after the answer
-                    return Ack(int(answer.result), "; ".join(dict.fromkeys(texts)))
-            return Ack(None, "; ".join(dict.fromkeys(texts)))
+                    return Ack(int(answer.result), "; ".join(dict.fromkeys(texts)), confirmation + 1)
+            return Ack(None, "; ".join(dict.fromkeys(texts)), tries)
         finally:
             self.session.forget(note)
 

@@ -190,3 +190,18 @@ def test_a_plan_of_which_nothing_was_flown_was_not_flown_to_its_end(run_dir: Pat
     assert [leg.outcome for leg in result.legs] == [LegOutcome.REFUSED]
     assert (result.outcome.name, result.left.name) == ("NOTHING_FLOWN", "LANDED")
     assert not result.as_planned
+
+
+def test_a_take_off_whose_answer_was_lost_is_no_refusal(run_dir: Path) -> None:
+    """The request is repeated then, and refused by a vehicle that has begun to climb."""
+    asked: list[float] = []
+
+    def hook(message: object, t_s: float) -> None:
+        if getattr(message, "command", None) == book.MAV_CMD_NAV_TAKEOFF:
+            asked.append(t_s)
+
+    link = FaultyLink(options(), hook=hook)
+    link.silenced = lambda name, _t: name == "COMMAND_ACK" and len(asked) == 1
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert len(asked) == 2
+    assert result.outcome.name == "COMPLETED"
