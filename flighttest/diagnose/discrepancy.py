@@ -30,6 +30,7 @@ from flighttest.estimation.problem import cells_of
 from flighttest.segments.model import Segment
 
 BIN_S = 0.05  # residuals are averaged over it before they are correlated
+LONGEST_S = 300.0  # from the step: later samples of a response count as if they were this late
 UNCORRELATED = 0.05  # sums of autocorrelations end below it (Sokal's window, by value)
 FEWEST_PAIRS = 20
 
@@ -110,7 +111,7 @@ def correlation_times(rows: Linearisation, residual: FloatArray, segments: Seque
         at = np.flatnonzero(rows.stratum == k)
         if at.size:
             since = times[rows.segment[at], rows.sample[at]]
-            bins = np.floor(since / BIN_S).astype(np.intp)
+            bins = np.floor(np.clip(since, -LONGEST_S, LONGEST_S) / BIN_S).astype(np.intp)
             found[k] = _integrated(residual[at], rows.segment[at], bins - bins.min(), cells)
     return found
 
