@@ -22,6 +22,7 @@ from flighttest.diagnose.overlays import overlays
 from flighttest.diagnose.search import Search, silent
 from flighttest.estimation.estimator import Estimator, part_of
 from flighttest.identify.fit import Fit
+from flighttest.identify.onset import onset_delay, start_values
 from flighttest.identify.selection import able
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -86,7 +87,10 @@ def answer(block: str, asked: Asked) -> Answer:
         return made
     inactive = frozenset({COUPLING}) if block == "roll_pitch" and COUPLING not in model.terms else frozenset()
     pool = tuple(t for t in asked.pool if _acts(t, estimator, own) and not missing_channels(t, asked.segments))
-    search = Search(estimator, pool, asked.groups, inactive, progress=lambda text: asked.tell(f"{block}: {text}"))
+    origin = start_values(asked.segments, model, onset_delay(asked.segments))
+    search = Search(
+        estimator, pool, asked.groups, inactive, origin, progress=lambda text: asked.tell(f"{block}: {text}")
+    )
     try:
         search.run(own, estimator.start(own, asked.base.values))
     except KeyboardInterrupt:

@@ -25,6 +25,7 @@ from flighttest.estimation.linearisation import IntArray, Optimum, orthonormal
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 
+ASTRAY = 3.0  # factor off its shape-based start: lags and gains of real fits stay within it, bent ones came out at five
 MOST_ROUNDS = 12  # linearisations: two effects take two or three
 ALIASED = 0.9  # cosine of two effects beside the rest of the model above which the other is refitted in its place
 CHANCE_NATS = 3.0  # a rival this near is within chance of the best (odds of 20 to 1)
@@ -52,12 +53,13 @@ class Alias:
 @dataclass
 class Search:
     """One block of the model. inactive: terms held at their null values until they are needed; rejected: terms that were refitted and left,
-    with what was found of them; proposed: subsets as last scored; evidence: of the terms of the present model."""
+    with what was found of them; origin: values of base parameters by the shape of the responses; proposed: subsets as last scored; evidence: of the terms of the present model."""
 
     estimator: Estimator
     pool: tuple[Term, ...]
     groups: IntArray
     inactive: frozenset[str] = frozenset()
+    origin: Mapping[str, float] = field(default_factory=dict)
     progress: Callable[[str], None] = silent
     base: Fitted | None = None
     now: Fitted | None = None
@@ -247,7 +249,21 @@ class Search:
         if shape and len(shape) < sum(len(t.params) for t in terms):
             # A nonlinear parameter means nothing until its coefficient has grown: the size comes first.
             first = self.estimator.fit(model, first, [n for n in self._free(model, inactive) if n not in shape])
-        return self._fit(model, first, inactive)
+        fitted = self._fit(model, first, inactive)
+        if not self._astray(among):
+            return fitted
+        # The base bent itself towards what is missing, and small steps from there do not lead back.
+        back = {n: v for n, v in self.origin.items() if n in among.names}
+        again = self.estimator.start(model, among.at.values | (pointed if first is starts[0] else null) | back)
+        other = self._fit(model, again, inactive)
+        return max(fitted, other, key=lambda f: f.at.log_likelihood)
+
+    def _astray(self, fitted: Fitted) -> bool:
+        """Whether a base parameter is further than a factor of `ASTRAY` from where the shape of the responses puts it."""
+        return any(
+            n in fitted.names and v > 0.0 and not v / ASTRAY < fitted.at.values[n] < v * ASTRAY
+            for n, v in self.origin.items()
+        )
 
     def without(self, term: str, fitted: Fitted) -> Fitted:
         """A model refitted without one of its terms; kept."""

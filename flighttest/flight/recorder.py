@@ -187,8 +187,10 @@ class Recorder:
         self.manifest["losses"] = [self.incomplete]
 
     def _recording(self, session: Session, plan: Plan) -> Recording | None:
+        raw = self.run_dir / RAW_NAME
+        # A device in its place may never end.
+        data = (raw.read_bytes() if raw.is_file() else b"") + bytes(self._tlog.waiting)
         try:
-            data = (self.run_dir / RAW_NAME).read_bytes() + bytes(self._tlog.waiting)
             decoded = decoder_of(split(data)).result(session.vehicle_system or None)
         except RecordingError as error:
             self.manifest["losses"] = [*self.manifest.get("losses", []), error.message]

@@ -186,7 +186,8 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     n = 400
     base, effect, other = np.linalg.qr(rng.normal(size=(n, 3)))[0].T
     rows = rows_of(np.zeros(n), base[:, None])
-    without = Fitted(None, ("p0",), SimpleNamespace(objective=1.0), rows)
+    model = SimpleNamespace(term_of=lambda _name: "body")
+    without = Fitted(model, ("p0",), SimpleNamespace(objective=1.0), rows)
     column = (cosine * effect + np.sqrt(1 - cosine**2) * other + 3.0 * base)[:, None]
     alike = Candidate(SimpleNamespace(id="b"), {}, ("b0",), column, column)
     asked = []
