@@ -52,8 +52,9 @@ class Alias:
 
 @dataclass
 class Search:
-    """One block of the model. inactive: terms held at their null values until they are needed; rejected: terms that were refitted and left,
-    with what was found of them; origin: values of base parameters by the shape of the responses; proposed: subsets as last scored; evidence: of the terms of the present model."""
+    """One block of the model. inactive: terms held at their null values until they are needed; origin: base parameters by the shape of the
+    responses; rejected: terms that were refitted and left, with what was found of them; scored: subsets, best first; evidence: of the
+    terms of the present model."""
 
     estimator: Estimator
     pool: tuple[Term, ...]
