@@ -13,6 +13,7 @@ from flighttest.estimation.solver import FitStatus, solve
 from flighttest.identify import optima
 from flighttest.identify.feedback import answered, steered
 from flighttest.identify.fit import fit
+from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 from tests.identify.campaign import second_order
@@ -130,7 +131,7 @@ def test_a_start_from_which_the_response_diverges_is_a_dropped_candidate(monkeyp
 
 
 def test_a_start_that_cannot_be_linearised_is_a_status(monkeypatch):
-    problem = Problem.build(rolled((5.0, 12.0, 17.5, 30.0)), Model())
+    problem = problem_of(rolled((5.0, 12.0, 17.5, 30.0)), Model())
     monkeypatch.setattr(Problem, "evaluate", blown_up(40.0))
     ended = solve(problem, {"omega_phi": 50.0})
     assert ended.status is FitStatus.DIVERGED
