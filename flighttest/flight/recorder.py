@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import datetime as dt
 import errno
+import hashlib
 import json
 import os
 import struct
@@ -29,7 +30,6 @@ from flighttest.recording.store import (
     EVENTS_NAME,
     RAW_NAME,
     events_header,
-    file_sha256,
     write_manifest,
     write_recording,
 )
@@ -189,9 +189,9 @@ class Recorder:
     def _recording(self, session: Session, plan: Plan) -> Recording | None:
         raw = self.run_dir / RAW_NAME
         # A device in its place may never end.
-        data = (raw.read_bytes() if raw.is_file() else b"") + bytes(self._tlog.waiting)
+        on_disk = raw.read_bytes() if raw.is_file() else b""
         try:
-            decoded = decoder_of(split(data)).result(session.vehicle_system or None)
+            decoded = decoder_of(split(on_disk + bytes(self._tlog.waiting))).result(session.vehicle_system or None)
         except RecordingError as error:
             self.manifest["losses"] = [*self.manifest.get("losses", []), error.message]
             self.save_manifest()
@@ -208,9 +208,9 @@ class Recorder:
             series=decoded.series,
             markers=tuple(sorted((*self.markers, *notes), key=lambda m: m.t_s)),
             provenance=Provenance(
-                source=str(self.run_dir / RAW_NAME),
+                source=str(raw),
                 importer="flight",
-                sha256=file_sha256(self.run_dir / RAW_NAME),
+                sha256=hashlib.sha256(on_disk).hexdigest(),
                 firmware=str(self.manifest.get("firmware", "")),
                 parameters=self.manifest.get("parameters", {}),
                 components=plan.vehicle.components,

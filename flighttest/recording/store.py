@@ -5,7 +5,6 @@ RUN/manifest.yaml  script.yaml  plan.json  raw.tlog  events.jsonl  channels/<gro
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -238,12 +237,6 @@ def _read_series(file: Path, group: str) -> Series:
         raise RecordingError(f"{file} holds what is no number: {_first_line(error)}", _REBUILD) from error
     except RecordingError as error:
         raise RecordingError(f"{file}: {error.message}", _REBUILD) from error
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _plain(value: Any) -> Any:

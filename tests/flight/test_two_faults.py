@@ -241,6 +241,17 @@ def test_a_full_disk_is_told_before_the_flight(run_dir: Path) -> None:
     assert not link.sim.vehicle.armed
 
 
+def test_a_device_in_place_of_the_record_is_not_read_to_its_end(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full never ends: what waits in memory is decoded, and nothing is read from the device."""
+    run_dir.mkdir()
+    (run_dir / "raw.tlog").symlink_to("/dev/full")
+    link = FaultyLink(options())
+    monkeypatch.setattr(_Lines, "flush", lambda _lines: None)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert not link.sim.vehicle.armed
+
+
 def test_heights_are_above_the_place_where_it_armed(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """ArduPilot takes home anew when it arms: the estimate may have drifted by metres since the first fix."""
     link = FaultyLink(options())
