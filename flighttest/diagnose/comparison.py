@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flighttest.diagnose.candidates import null_value, usual_size
-from flighttest.diagnose.discrepancy import discrepancy_of, kinds_of
+from flighttest.diagnose.discrepancy import discrepancy_of
 from flighttest.diagnose.held_out import cross_validated, places, size_in_floors
 from flighttest.diagnose.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
+from flighttest.estimation.problem import kinds_of
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model

@@ -17,7 +17,7 @@ kind of maneuver, C counts kinds. More repeats reduce the part of the noise only
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,13 +49,6 @@ class Discrepancy:
         """(n,) of each row: 1 / (variance inflation)."""
         weight = np.append(1.0 / (self.variance * self.inflation), 1.0)
         return np.asarray(weight[rows.stratum])  # -1 is the last
-
-
-def kinds_of(segments: Sequence[Segment]) -> IntArray:
-    """(n_segments,) index of each segment's kind of maneuver; a window of free flight is a kind of its own."""
-    index: dict[Hashable, int] = {}
-    keys = [s.kind if s.kind != "free" else ("free", i) for i, s in enumerate(segments)]
-    return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
 
 
 def discrepancy_of(

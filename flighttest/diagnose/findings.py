@@ -29,7 +29,7 @@ def parameter_table(found: Fit) -> dict[str, dict[str, Any]]:
             "std": e.std,
             "unit": e.unit,
             "interval_95": list(e.interval_95),
-            "scatter": e.std,
+            "scatter": e.scatter,
         } | ({"at_bound": True} if name in found.solution.at_bound else {})
     for name in found.solution.at_bound:
         p, value = found.model.param[name], found.solution.values[name]

@@ -230,10 +230,12 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
     if final == asked.model:
         return asked.base
     start: dict[str, float] = {}
+    held: dict[str, float] = {}
     for search in searches:
         assert search.now is not None
         start |= {n: v for n, v in search.now.at.values.items() if n in final.names}
-    return fit(asked.segments, final, filters=asked.filters, select="all", start=start, robust=False)
+        held |= {n: start[n] for t in search.named for n in search.held(t)}
+    return fit(asked.segments, final, filters=asked.filters, select="all", start=start, frozen=held, robust=False)
 
 
 def _in_units(name: str, unit: str) -> str:

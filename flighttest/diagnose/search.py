@@ -84,6 +84,11 @@ class Search:
         """Terms of the pool that are in the present model."""
         return self._members(self.now) if self.now is not None else frozenset()
 
+    def held(self, term: str) -> tuple[str, ...]:
+        """Coefficients of a named term that are not estimated, since they ran to a bound."""
+        assert self.now is not None
+        return tuple(p.name for p in self.terms[term].amplitudes if not p.alone and p.name not in self.now.names)
+
     def run(self, model: Model, start: Optimum) -> None:
         """Fit the base, then search. What is known when it is interrupted is kept."""
         self.insensitive = self.estimator.insensitive(model, start)
@@ -220,12 +225,25 @@ class Search:
     def _fit(self, model: Model, start: Optimum, inactive: frozenset[str]) -> Fitted:
         names = self._free(model, inactive)
         at = self.estimator.fit(model, start, names)
+        if stuck := self._not_estimates(model, at, names):
+            # What drove them there is not their effect: the rest of the term is judged without them.
+            names = tuple(n for n in names if n not in stuck)
+            at = self.estimator.fit(model, self.estimator.moved(model, at, stuck), names)
         fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
         known = self._fits.get(self._members(fitted))
         if known is not None and known.names == names and known.at.log_likelihood >= at.log_likelihood:
             return known
         self._fits[self._members(fitted)] = fitted
         return fitted
+
+    def _not_estimates(self, model: Model, at: Optimum, names: tuple[str, ...]) -> dict[str, float]:
+        """Coefficients that are their term's effect only beside its others (an upward wind) and ran to a bound: name to null value."""
+        return {
+            p.name: null_value(p)
+            for p in model.params
+            if p.name in names and p.kind == "amplitude" and not p.alone
+            if not p.lower < at.values[p.name] < p.upper
+        }
 
     def _free(self, model: Model, inactive: frozenset[str]) -> tuple[str, ...]:
         """What is estimated of a model."""

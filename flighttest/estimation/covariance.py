@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.discrepancy import discrepancy_covariance
 from flighttest.estimation.distributions import quantile
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem
 from flighttest.estimation.solver import Solution
@@ -26,18 +27,28 @@ MIN_DOF = 2.5  # below this a cluster sum says nothing; the model-based covarian
 
 @dataclass(frozen=True)
 class Covariance:
-    """matrix: (p, p) cluster-robust; model: (p, p) as if the noise model were right; dof: (p,) Student-t degrees of freedom."""
+    """matrix: (p, p) cluster-robust, what differs between cells, as two fits of like flights differ; model: (p, p) as if the noise model
+    were right; dof: (p,) Student-t degrees of freedom of `matrix`; discrepancy: (p, p) what an error of the equations adds that all cells
+    of a kind of maneuver share (`estimation.discrepancy`), None: nothing. Intervals hold both (`of`)."""
 
     names: tuple[str, ...]
     matrix: FloatArray
     model: FloatArray
     dof: FloatArray
+    discrepancy: FloatArray | None = None
+
+    @property
+    def whole(self) -> FloatArray:
+        """(p, p) with the discrepancy."""
+        return self.matrix if self.discrepancy is None else self.matrix + self.discrepancy
 
     def of(self, weights: FloatArray) -> tuple[float, float]:
-        """Standard deviation and degrees of freedom of a linear combination, (p,)."""
-        variance = float(weights @ self.matrix @ weights)
+        """Standard deviation and degrees of freedom of a linear combination, (p,), the discrepancy included (Welch and Satterthwaite: its
+        limit is not estimated from few)."""
+        scatter, variance = float(weights @ self.matrix @ weights), float(weights @ self.whole @ weights)
         used = np.abs(weights) > 0
-        return float(np.sqrt(max(variance, 0.0))), float(self.dof[used].min()) if used.any() else 1.0
+        dof = float(self.dof[used].min()) if used.any() else 1.0
+        return float(np.sqrt(max(variance, 0.0))), dof * (variance / scatter) ** 2 if scatter > 0.0 else dof
 
 
 def interval_factor(dof: float, level: float = 0.95) -> float:
@@ -119,6 +130,7 @@ def covariance_of(problem: Problem, solution: Solution) -> Covariance:
     covariance = cluster_covariance(
         solution.normal.by(problem.cells), active, variance_inflation_of(problem, solution.evaluations, solution.noise)
     )
+    covariance = replace(covariance, discrepancy=discrepancy_covariance(problem, solution, active))
     return with_clock_error(covariance, clock_std_s(problem))
 
 
@@ -144,7 +156,7 @@ def with_clock_error(covariance: Covariance, std_s: float) -> Covariance:
     if std_s <= 0.0 or not delays.any():
         return covariance
     extra = std_s**2 * np.outer(delays, delays)
-    return Covariance(covariance.names, covariance.matrix + extra, covariance.model + extra, covariance.dof)
+    return replace(covariance, matrix=covariance.matrix + extra, model=covariance.model + extra)
 
 
 def widened(covariance: Covariance, extra: Mapping[str, float]) -> Covariance:

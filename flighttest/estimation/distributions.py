@@ -33,6 +33,11 @@ def fisher_beyond(f: float, dof_above: float, dof_below: float) -> float:
     return float(special.fdtrc(dof_above, dof_below, f))
 
 
+def fisher_quantile(p: float, dof_above: float, dof_below: float) -> float:
+    """The value that Fisher's F ratio of these degrees of freedom stays below with probability p."""
+    return float(special.fdtri(dof_above, dof_below, p))
+
+
 def chi2_beyond(value: float, dof: float) -> float:
     """The probability that a chi-squared variable of these degrees of freedom is larger than value."""
     return float(special.chdtrc(dof, value))

@@ -107,6 +107,13 @@ def cells_of(segments: Sequence[Segment]) -> NDArray[np.intp]:
     return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
 
 
+def kinds_of(segments: Sequence[Segment]) -> NDArray[np.intp]:
+    """(n_segments,) index of each segment's kind of maneuver; a window of free flight is a kind of its own."""
+    index: dict[Hashable, int] = {}
+    keys = [s.kind if s.kind != "free" else ("free", i) for i, s in enumerate(segments)]
+    return np.array([index.setdefault(key, len(index)) for key in keys], dtype=np.intp)
+
+
 @dataclass
 class Problem:
     """Segments, model, what is free. Build with `Problem.build`."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_std
+from flighttest.estimation.problem import Noise, Part, PartEvaluation, Problem, prior_std
 
 FloatArray = NDArray[np.float64]
 
@@ -102,13 +102,8 @@ class Weighing:
         backs = []
         position = {name: k for k, name in enumerate(free)}
         for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
-            m, _, _, n_c = made.jacobian.shape
-            n_p = n_c - len(part.locals)
-            std = np.array([self.noise.channel[c] for c in part.outputs])
-            w = self.response[[r.index for r in part.responses]]
-            root = np.sqrt(sample_weights(made.residual, std, self.robust) * part.mask * w[:, None, None] / std**2)
-            a = (made.jacobian * root[..., None]).reshape(m, -1, n_c)
-            r = (made.residual * root).reshape(m, -1, 1)
+            a, r = self._whitened(part, made)
+            m, n_p = a.shape[0], a.shape[2] - len(part.locals)
             full = a.swapaxes(1, 2) @ a
             grad = (a.swapaxes(1, 2) @ r)[..., 0]
             prior = 1.0 / prior_std(part, self.noise) ** 2
@@ -125,6 +120,31 @@ class Weighing:
             hessian[np.ix_(index, columns, columns)] += full[:, :n_p, :n_p] - h_pl @ back_h
             score[np.ix_(index, columns)] += grad[:, :n_p] - np.einsum("mpl,ml->mp", h_pl, back_g)
         return Normal(tuple(free), hessian, score), backs
+
+    def profiled(self, at: State, free: Sequence[str]) -> list[tuple[FloatArray, FloatArray]]:
+        """Per part the whitened residual (m, n, n_outputs) and its Jacobian by `free` (m, n, n_outputs, p), locals eliminated."""
+        found = []
+        for part, made in zip(self.problem.parts, at.made, strict=True):
+            a, r = self._whitened(part, made)
+            n_p = a.shape[2] - len(part.locals)
+            a_l, rest = a[..., n_p:], np.concatenate([r, a[..., :n_p]], axis=2)
+            prior = np.einsum("ml,lk->mlk", 1.0 / prior_std(part, self.noise) ** 2, np.eye(a_l.shape[2]))
+            rest = rest - a_l @ np.linalg.solve(regular(a_l.swapaxes(1, 2) @ a_l + prior), a_l.swapaxes(1, 2) @ rest)
+            jacobian = np.zeros((*made.residual.shape, len(free)))
+            for k, name in enumerate(made.columns[:n_p]):
+                if name in free:
+                    jacobian[..., list(free).index(name)] = rest[..., 1 + k].reshape(made.residual.shape)
+            found.append((rest[..., 0].reshape(made.residual.shape), jacobian))
+        return found
+
+    def _whitened(self, part: Part, made: PartEvaluation) -> tuple[FloatArray, FloatArray]:
+        """Jacobian (m, n n_outputs, n_columns) and residual (m, n n_outputs, 1) of a part over their noise, less where they count less."""
+        std = np.array([self.noise.channel[c] for c in part.outputs])
+        w = self.response[[r.index for r in part.responses]]
+        root = np.sqrt(sample_weights(made.residual, std, self.robust) * part.mask * w[:, None, None] / std**2)
+        m = made.residual.shape[0]
+        a = (made.jacobian * root[..., None]).reshape(m, -1, made.jacobian.shape[-1])
+        return a, (made.residual * root).reshape(m, -1, 1)
 
     def with_noise_of(self, at: State, free: Sequence[str]) -> Weighing:
         """Channel noise from the residuals, disturbance variances from the locals (MacKay's fixed point), between repeats of a cell where

@@ -68,7 +68,7 @@ def alternation(found: Fit) -> Alternation | None:
     z = {
         n: (values[n] - found.values[n]) / float(np.hypot(std, own[n]))
         for n in names
-        if n in own and (std := found.estimates[n].std)
+        if n in own and (std := found.estimates[n].scatter)
     }
     far = [
         n

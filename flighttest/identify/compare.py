@@ -47,11 +47,11 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
             )
             continue
         difference = b.value - a.value
-        if a.std is None or b.std is None or not (a.identifiable and b.identifiable):
+        if a.scatter is None or b.scatter is None or not (a.identifiable and b.identifiable):
             why = "not known in both"
             rows.append(Difference(name, a.unit, a.value, b.value, difference, None, None, None, False, why))
             continue
-        std = math.hypot(a.std, b.std)
+        std = math.hypot(a.scatter, b.scatter)
         z = difference / std if std > 0 else math.copysign(math.inf, difference) if difference else 0.0
         p = normal_beyond(z)
         rows.append(Difference(name, a.unit, a.value, b.value, difference, std, z, p, False, ""))

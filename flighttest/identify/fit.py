@@ -53,7 +53,8 @@ _REPORTED_OUTLIER = 0.7  # responses weighted below this are named
 @dataclass(frozen=True)
 class Estimate:
     """One parameter. source: fit, frozen, tied, derived or assumed (nothing here depends on it); std and interval None where none was
-    estimated; why and fly: what speaks against it and the maneuver script that would make it known, empty where it is known."""
+    estimated; scatter: the part of std by which two fits of like flights differ, without what the equations may err; why and fly: what
+    speaks against it and the maneuver script that would make it known, empty where it is known."""
 
     name: str
     symbol: str
@@ -65,6 +66,7 @@ class Estimate:
     identifiable: bool
     why: str = ""
     fly: str = ""
+    scatter: float | None = None
 
 
 @dataclass(frozen=True)
@@ -238,11 +240,11 @@ def _estimates(
                 name, param.symbol, param.unit, value, None, None, "frozen", False, "it was held at this value"
             )
             continue
-        known_std, interval, partner = None, None, None
+        known_std, interval, partner, scatter = None, None, None, None
         if source_name in covariance.names:
             i = covariance.names.index(source_name)
-            known_std = float(std[i])
-            half = interval_factor(float(covariance.dof[i])) * known_std
+            known_std, dof = covariance.of(np.eye(std.size)[i])
+            half, scatter = interval_factor(dof) * known_std, float(std[i])
             interval = (max(value - half, param.lower), min(value + half, param.upper))
             other = np.abs(correlation[i]) * (np.arange(std.size) != i)
             if std.size > 1:
@@ -255,8 +257,9 @@ def _estimates(
         )  # fmt: skip
         source = "assumed" if insensitive else "tied" if name in problem.ties else "fit"
         found[name] = Estimate(
-            name, param.symbol, param.unit, value, known_std, interval, source, known.identifiable, known.why, known.fly
-        )
+            name, param.symbol, param.unit, value, known_std, interval, source, known.identifiable, known.why, known.fly,
+            scatter,
+        )  # fmt: skip
     if "T_d" not in found:
         found["T_d"] = _mean_delay(found, covariance)
     return found
@@ -289,7 +292,7 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
     missing = [n for n in DELAY_PARAM.values() if n in found and n not in names]
     known = judge(DELAY, value, std, False, False, None, None, "")
     doubted = [n for n in names if not found[n].identifiable]
-    if doubted and known.identifiable:
+    if doubted:
         known = Known(
             False, f"{' and '.join(doubted)} {'is' if len(doubted) == 1 else 'are'} not known", found[doubted[0]].fly
         )
@@ -305,6 +308,7 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
         known.identifiable,
         why,
         known.fly,
+        float(np.sqrt(weights @ covariance.matrix @ weights)),
     )
 
 

@@ -38,12 +38,13 @@ _TOP = (
     "format", "terms", "parameters", "constants", "delays", "covariance", "valid", "fingerprint", "runs", "noise", "fit_quality",
     "notes", "attitude_loops", "channel_delays", "onset_delay",
 )  # fmt: skip
-_PARAMETER = ("value", "unit", "std", "interval_95", "source", "identifiable", "why", "fly", "symbol", "dof")
+_PARAMETER = ("value", "unit", "std", "interval_95", "source", "identifiable", "why", "fly", "symbol", "dof", "scatter")
 
 
 @dataclass(frozen=True)
 class StoredParameter:
-    """One entry of `parameters`."""
+    """One entry of `parameters`. std and interval_95 hold what the equations may err, scatter is the std without it, by which two fits of
+    like flights differ."""
 
     value: float
     unit: str
@@ -53,6 +54,7 @@ class StoredParameter:
     identifiable: bool = True
     why: str = ""
     fly: str = ""
+    scatter: float | None = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,8 @@ def as_data(
     for name, e in found.estimates.items():
         entry: dict[str, Any] = {"value": _number(e.value), "unit": e.unit, "std": _number(e.std)}
         entry["interval_95"] = None if e.interval_95 is None else [_number(v) for v in e.interval_95]
+        if e.scatter is not None:
+            entry["scatter"] = _number(e.scatter)
         entry |= {"source": e.source, "identifiable": e.identifiable}
         if e.why:
             entry["why"] = e.why
@@ -241,7 +245,7 @@ def from_fit(found: Fit) -> ModelFile:
     """A fit as the model file it would be read back from, without the way over a disk."""
     order, matrix = covariance_with_mean_delay(found)
     parameters = {
-        n: StoredParameter(e.value, e.unit, e.std, e.interval_95, e.source, e.identifiable, e.why, e.fly)
+        n: StoredParameter(e.value, e.unit, e.std, e.interval_95, e.source, e.identifiable, e.why, e.fly, e.scatter)
         for n, e in found.estimates.items()
     }
     data = as_data(found)
@@ -291,7 +295,10 @@ def _parameters(document: Document, node: Node | None) -> dict[str, StoredParame
             document.wrong(child, f"parameter {name} has no value", "write `value:`")
             continue
         value = document.number(entry["value"], -1e9, 1e9)
-        std = None if "std" not in entry or entry["std"].value is None else document.number(entry["std"], 0.0, 1e9)
+        std, scatter = (
+            None if key not in entry or entry[key].value is None else document.number(entry[key], 0.0, 1e9)
+            for key in ("std", "scatter")
+        )
         interval = entry["interval_95"].plain() if "interval_95" in entry else None
         pair = None
         if isinstance(interval, list):
@@ -311,7 +318,15 @@ def _parameters(document: Document, node: Node | None) -> dict[str, StoredParame
             document.wrong(entry["identifiable"], "expected true or false")
         if value is not None:
             found[name] = StoredParameter(
-                value, text("unit"), std, pair, text("source", "fit"), bool(identifiable), text("why"), text("fly")
+                value,
+                text("unit"),
+                std,
+                pair,
+                text("source", "fit"),
+                bool(identifiable),
+                text("why"),
+                text("fly"),
+                std if scatter is None else scatter,
             )
     return found
 

@@ -50,7 +50,7 @@ def run_diagnosis(
     """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone."""
     previous = None
     if stored is not None:
-        previous = {name: (p.value, p.std) for name, p in stored.parameters.items()}
+        previous = {name: (p.value, p.scatter) for name, p in stored.parameters.items()}
     progress.stage("looking for what the model leaves out")
     found = search(
         segments,

@@ -77,11 +77,13 @@ def watched(model: ModelFile, name: str) -> Estimates:
     matrix = model.covariance[np.ix_(pick, pick)]
     dof = np.full(len(names), MANY)
     for i, n in enumerate(names):
-        interval, std = model.parameters[n].interval_95, float(matrix[i, i]) ** 0.5
-        if interval is None:
+        stored, scatter = model.parameters[n], float(matrix[i, i]) ** 0.5
+        if stored.interval_95 is None:
             dof[i] = 1.0
-        elif std > 0.0:
-            dof[i] = dof_of((interval[1] - interval[0]) / (2.0 * std))
+        elif stored.std and scatter > 0.0:
+            # Of the interval, which holds more than the scatter (`Covariance.of`).
+            whole = dof_of((stored.interval_95[1] - stored.interval_95[0]) / (2.0 * stored.std))
+            dof[i] = max(1.0, whole * min(scatter / stored.std, 1.0) ** 4)
     volts, nominal = model.valid.get("voltage_v"), model.model.nominal_voltage_v
     there = math.log(float(np.mean(volts)) / nominal) if volts else math.nan
     weak = frozenset(n for n in names if n in TOGETHER and not model.parameters[n].identifiable)

@@ -60,7 +60,7 @@ def reflights(
         return [thrust if n == ABSOLUTE else n for n in names]
 
     minutes = minutes_of((*own(found.fly), SPOT_CHECK), stored, vehicle)
-    known = {n: (p.value, p.std) for n, p in stored.parameters.items() if p.std is not None}
+    known = {n: (p.value, p.scatter) for n, p in stored.parameters.items() if p.scatter is not None}
     flown = {name: load_script(resolve(name)).repeat.each for name in found.fly}
     wanted = found.fly_narrow or found.fly
     repeats = {n.script: n for n in needs(wanted, known, flown)} if found.fly else {}

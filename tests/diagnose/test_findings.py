@@ -15,7 +15,8 @@ SHARE, TAU = "attitude_pole_share", "attitude_pole_tau"
 def fit_of(at_bound=(), **estimates):
     model = Model(("linear_drag", "attitude_extra_pole"))
     table = {
-        n: Estimate(n, n, "1", value, std, interval, "fit", True) for n, (value, std, interval) in estimates.items()
+        n: Estimate(n, n, "1", value, std, interval, "fit", True, scatter=std)
+        for n, (value, std, interval) in estimates.items()
     }
     values = {n: e.value for n, e in table.items()}
     return SimpleNamespace(model=model, estimates=table, solution=SimpleNamespace(at_bound=at_bound, values=values))

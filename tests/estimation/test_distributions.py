@@ -18,6 +18,7 @@ def test_quantiles_and_tails_are_those_of_scipy_stats(dof, p):
     assert distributions.normal_quantile(p) == pytest.approx(stats.norm.ppf(p), rel=1e-12)
     assert distributions.normal_beyond(z) == pytest.approx(2.0 * stats.norm.sf(abs(z)), rel=1e-12)
     assert distributions.chi2_beyond(abs(z), dof) == pytest.approx(stats.chi2.sf(abs(z), dof), rel=1e-9)
+    assert distributions.fisher_quantile(p, 3, dof) == pytest.approx(stats.f.ppf(p, 3, dof), rel=1e-9)
     assert distributions.fisher_beyond(abs(z), 3, dof) == pytest.approx(stats.f.sf(abs(z), 3, dof), rel=1e-12)
 
 

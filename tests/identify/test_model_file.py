@@ -33,7 +33,7 @@ def test_what_is_written_is_read_back(found, written):
 def test_the_mean_delay_is_in_the_covariance(found, written):
     stored = model_file.read(written)
     k = stored.order.index("T_d")
-    assert np.sqrt(stored.covariance[k, k]) == pytest.approx(found.estimates["T_d"].std, rel=1e-4)
+    assert np.sqrt(stored.covariance[k, k]) == pytest.approx(found.estimates["T_d"].scatter, rel=1e-4)
 
 
 def test_a_file_with_the_papers_twelve_is_enough(tmp_path):

@@ -90,7 +90,7 @@ def test_a_height_loop_that_answers_gusts_is_seen_in_the_errors():
     for name in ("K", "d_z"):
         assert moved[name] > 20.0 * still[name]
         known = std_of(covariance_of(gusty.problem, gusty.solution), name)
-        assert gusty.estimates[name].std == pytest.approx(np.hypot(known, moved[name]))
+        assert gusty.estimates[name].scatter == pytest.approx(np.hypot(known, moved[name]))
 
 
 def test_under_a_height_loop_in_gusts_vertical_drag_is_not_called_known():
