@@ -67,13 +67,19 @@ def observed(block: Block, outputs: tuple[str, ...]) -> Vectorised:
     return Vectorised(ca.Function("outputs", arguments, [ca.densify(ca.cse(y))]))
 
 
-def differentiated(block: Block, what: str, outputs: tuple[str, ...], free: tuple[str, ...]) -> Slopes:
-    """The block's rate ('x_dot') or outputs ('y') with its Jacobian by the states, then the columns of `Kernel`."""
+def jacobian_of(
+    block: Block, what: str, outputs: tuple[str, ...], free: tuple[str, ...] | None
+) -> tuple[ca.Function, int, tuple[IntArray, IntArray]]:
+    """The block's rate ('x_dot') or outputs ('y') above the entries of its Jacobian, by the states, then the columns of `Kernel`, that can
+    differ from zero (none of them for free None); how many rows are values; rows and columns of the entries."""
     arguments = _symbols(block)
     x, p, _, _, d = arguments
     value = block.function(*arguments)[0 if what == "x_dot" else 1]
     if what == "y":
         value = value[[block.outputs.index(n) for n in outputs]]
+    if free is None:
+        nothing = np.zeros(0, dtype=np.intp)
+        return ca.Function(what, arguments, [ca.densify(ca.cse(value))]), value.numel(), (nothing, nothing)
     q = ca.vertcat(x, *(p[block.params.index(n)] for n in free), d)
     jacobian = ca.jacobian(value, q)
     rows, columns = (np.array(at, dtype=np.intp) for at in jacobian.sparsity().get_triplet())
@@ -81,4 +87,10 @@ def differentiated(block: Block, what: str, outputs: tuple[str, ...], free: tupl
     columns = np.where(columns >= len(block.states) + len(free), columns + len(block.free_states), columns)
     nonzeros = ca.vertcat(*jacobian.nonzeros()) if rows.size else ca.SX(0, 1)
     both = ca.cse(ca.vertcat(ca.densify(value), nonzeros))
-    return Slopes(Vectorised(ca.Function(what, arguments, [ca.densify(both)])), value.numel(), (rows, columns))
+    return ca.Function(what, arguments, [ca.densify(both)]), value.numel(), (rows, columns)
+
+
+def differentiated(block: Block, what: str, outputs: tuple[str, ...], free: tuple[str, ...]) -> Slopes:
+    """The same for many columns at once, by numpy."""
+    function, rows, at = jacobian_of(block, what, outputs, free)
+    return Slopes(Vectorised(function), rows, at)

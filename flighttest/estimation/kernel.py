@@ -4,9 +4,10 @@ A response is a row of nodes: sample times and delayed input edges, merged (see 
 so one RK4 step per node is smooth in the state, the parameters and the delay: h = h0 + hd * delay(p) is the piece's length, with hd = +1
 for a piece that ends at an edge, -1 for one that starts there.
 
-Three passes. The states are stepped through time by a compiled chain, one response after the other. Once they are known every piece can
-be differentiated by itself: the four stages of all pieces at once, in numpy (`physics.vectorised`), give A and B of S_next = A S + B. What
-is left in sequence is this product of small matrices. Known second-order filters of measured channels follow on top (`estimation.filters`).
+Where a C compiler is at hand this is done by `kernel.c`, else in numpy, in three passes. The states are stepped through time by a compiled
+chain, one response after the other. Once they are known every piece can be differentiated by itself: the four stages of all pieces at once,
+in numpy (`physics.vectorised`), give A and B of S_next = A S + B. What is left in sequence is this product of small matrices. Known
+second-order filters of measured channels follow on top (`estimation.filters`).
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.compiled import CHAIN, Slopes, chain, differentiated, observed
 from flighttest.estimation.filters import Butterworth
+from flighttest.estimation.native import library
+from flighttest.estimation.native_block import NativeBlock
+from flighttest.estimation.responses import Nodes
 from flighttest.physics.blocks import Block
 
 FloatArray = NDArray[np.float64]
-# Numbers of nodes are rounded up to one of these, so that responses of like length are integrated together.
-_BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
+BoolArray = NDArray[np.bool_]
 RESPONSES_PER_CALL = 96
 FLIGHTS_KEPT = 12  # batches of responses of a block whose states are kept
 PIECES_PER_CHUNK = 1024  # differentiated at once: what the processor's cache holds
@@ -64,6 +67,9 @@ class Kernel:
         Returns y (m, k, n_outputs) and dy (m, k, n_outputs, n_columns), the latter empty without sensitivities.
         """
         m, k, _ = nodes.shape
+        if (native := self._native()) is not None:
+            first, target = k * np.arange(m + 1), np.tile(np.arange(k), m)
+            return native.run(p, local, nodes.reshape(m * k, -1), first, target, k, None, slopes=sensitivities)
         y = np.empty((m, k, len(self.outputs)))
         dy = np.empty((m, k, len(self.outputs), self.n_columns if sensitivities else 0))
         # A trial step of a solver may diverge: its cost is then infinite, and it is refused.
@@ -72,6 +78,38 @@ class Kernel:
                 some = slice(first, min(first + RESPONSES_PER_CALL, m))
                 self._run(p, local[some], nodes[some], y[some], dy[some])
         return y, dy
+
+    def at_samples(
+        self, p: FloatArray, local: FloatArray, nodes: Nodes, mask: BoolArray, sensitivities: bool
+    ) -> tuple[FloatArray, FloatArray]:
+        """Simulate m responses at their samples: y (m, n, n_outputs) and dy (m, n, n_outputs, n_columns), the latter 0 where mask (m, n,
+        n_outputs) is."""
+        m, n, n_y = mask.shape
+        if (native := self._native()) is not None:
+            return native.run(p, local, nodes.rows, nodes.first, nodes.target, n, mask, slopes=sensitivities)
+        y = np.zeros((m, n, n_y))
+        dy = np.zeros((m, n, n_y, self.n_columns if sensitivities else 0))
+        for which, stacked, samples in nodes.padded:
+            made, slopes = self.run(p, local[which], stacked, sensitivities)
+            for at, (j, sample) in enumerate(zip(which, samples, strict=True)):
+                y[j, : sample.size] = made[at, sample]
+                if sensitivities:
+                    dy[j, : sample.size] = slopes[at, sample]
+        dy *= mask[..., None]
+        return y, dy
+
+    def _native(self) -> NativeBlock | None:
+        """The block compiled for `kernel.c`, None where that is not to be had."""
+        if library() is None:
+            return None
+        key = ("native", self.outputs, self.free, tuple(self.filters_hz.items()))
+        if key not in self.block.made:
+            try:
+                self.block.made[key] = NativeBlock(self.block, self.outputs, self.free, self.filters_hz)
+            except ValueError:
+                self.block.made[key] = None
+        found: NativeBlock | None = self.block.made[key]
+        return found
 
     def _run(self, p: FloatArray, local: FloatArray, nodes: FloatArray, y: FloatArray, dy: FloatArray) -> None:
         m, k, _ = nodes.shape
@@ -325,11 +363,6 @@ class _Pieces:
     def em(self) -> list[FloatArray]:
         """Measured signals in the middle."""
         return [0.5 * (a + b) for a, b in zip(self.e0, self.e1, strict=True)]
-
-
-def node_bucket(k: int) -> int:
-    """The number of nodes a response of k nodes is padded to."""
-    return next((b for b in _BUCKETS if b >= k), -(-k // 512) * 512)
 
 
 def _chunks(k: int, size: int) -> Iterator[slice]:

@@ -17,8 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
-from flighttest.estimation.kernel import Kernel, node_bucket
-from flighttest.estimation.responses import Response, dead_channels, max_step_s, nodes_of, outputs_of, prepare
+from flighttest.estimation.kernel import Kernel
+from flighttest.estimation.responses import (
+    Nodes,
+    Response,
+    Stacked,
+    dead_channels,
+    max_step_s,
+    node_bucket,
+    outputs_of,
+    prepare,
+)
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -83,13 +92,11 @@ class PartEvaluation:
 
 @dataclass(frozen=True)
 class _Batch:
-    """Responses of one part that are integrated together. members: positions in the part; nodes: (m, k, n_data); samples: node of each
-    sample of each."""
+    """Responses of one part with the same filters, which are integrated together. members: positions in the part."""
 
     cutoffs: Cutoffs
-    members: list[int]
-    nodes: FloatArray
-    samples: list[NDArray[np.intp]]
+    members: NDArray[np.intp]
+    nodes: Nodes
 
 
 @dataclass(frozen=True)
@@ -210,20 +217,18 @@ class Problem:
         free_here = tuple(n for n in part.block.params if n in wanted)
         kernel = self._kernel(i, free_here, ())
         p = np.array([full[n] for n in part.block.params])
-        m, n, n_y = part.y.shape
-        y = np.zeros((m, n, n_y))
-        dy = np.zeros((m, n, n_y, kernel.n_columns if sensitivities else 0))
+        y, dy = np.zeros(part.y.shape), np.zeros((*part.y.shape, kernel.n_columns if sensitivities else 0))
         for batch in self._batches(i, float(part.block.delay_s(p))):
             kernel = self._kernel(i, free_here, batch.cutoffs)
-            made, slopes = kernel.run(p, local[batch.members], batch.nodes, sensitivities)
-            for at, (j, sample) in enumerate(zip(batch.members, batch.samples, strict=True)):
-                y[j, : sample.size] = made[at, sample]
-                if sensitivities:
-                    dy[j, : sample.size] = slopes[at, sample]
+            members = slice(None) if len(batch.members) == len(y) else batch.members
+            made = kernel.at_samples(p, local[members], batch.nodes, part.mask[members], sensitivities)
+            if len(batch.members) == len(y):
+                y, dy = made
+            else:
+                y[members], dy[members] = made
         residual = np.where(part.mask, part.y - y, 0.0)
         if not sensitivities:
             return PartEvaluation(residual, dy, ())
-        dy *= part.mask[..., None]
         columns = list(kernel.free)
         for name in [c for c in columns if c in self.ties]:
             source, at = self.ties[name], columns.index(name)
@@ -236,26 +241,18 @@ class Problem:
         return PartEvaluation(residual, dy, (*columns, *part.locals))
 
     def _batches(self, i: int, delay_s: float) -> list[_Batch]:
-        """The responses of a part for a delay, those of like length and filters together; one point is often asked for twice."""
+        """The responses of a part for a delay, those of like filters together; one point is often asked for twice."""
         part = self.parts[i]
         key = (delay_s, max_step_s(part.block, self.values))
         if i in self._laid_out and self._laid_out[i][0] == key:
             return self._laid_out[i][1]
-        rows = [nodes_of(r, *key) for r in part.responses]
-        alike: dict[tuple[int, Cutoffs], list[int]] = {}
-        for j, (nodes, _) in enumerate(rows):
-            cutoffs = self._cutoffs(part, part.responses[j].index)
-            alike.setdefault((node_bucket(len(nodes)), cutoffs), []).append(j)
-        found = []
-        for (bucket, cutoffs), members in alike.items():
-            stacked = np.zeros((len(members), bucket, rows[members[0]][0].shape[1]))
-            for at, j in enumerate(members):
-                nodes = rows[j][0]
-                stacked[at, : len(nodes)] = nodes
-                stacked[at, len(nodes) :] = nodes[-1]
-                stacked[at, len(nodes) :, :2] = 0.0
-            stacked.flags.writeable = False
-            found.append(_Batch(cutoffs, members, stacked, [rows[j][1] for j in members]))
+        alike: dict[Cutoffs, list[int]] = {}
+        for j, response in enumerate(part.responses):
+            alike.setdefault(self._cutoffs(part, response.index), []).append(j)
+        found = [
+            _Batch(cutoffs, np.array(members), Stacked.of([part.responses[j] for j in members]).nodes(*key))
+            for cutoffs, members in alike.items()
+        ]
         self._laid_out[i] = key, found
         return found
 

@@ -6,6 +6,7 @@ import math
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,12 +19,15 @@ from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
 T = TypeVar("T")
 
 # Longer pieces are split. The step resolves the fastest pole of the block: RK4 then errs by less than 3e-5 in any parameter,
 # which is a tenth of the standard error of the best known one (a damping ratio in a full campaign).
 MAX_STEP_S = 0.0251
 STEP_OF_POLE = {"translation": 1.0, "attitude": 0.25}  # step x pole (1/s), at most
+# Numbers of nodes are rounded up to one of these, so that responses of like length are integrated together.
+_BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
@@ -237,52 +241,127 @@ def max_step_s(block: Block, values: Mapping[str, float]) -> float:
     return MAX_STEP_S / float(min(max(np.ceil(MAX_STEP_S * pole), 1.0), 8.0))
 
 
-def nodes_of(response: Response, delay_s: float, step_s: float = MAX_STEP_S) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Nodes of one response for a delay: rows [h0, hd, u, e start, e end] (k, n_data), and the node of each sample (n,).
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of m responses, one response after the other.
 
-    The piece of a row ends at its node: h = h0 + hd * delay exactly, also for derivatives by the delay.
+    rows (N, n_data): [h0, hd, u, e start, e end]; first (m + 1,): where each response begins; sample (n_samples,): node of each sample;
+    first_sample (m + 1,): where the samples of each response begin.
     """
-    t, edges = response.t_s, response.edges_s
-    moved = edges + delay_s
-    inside = (moved > t[0]) & (moved < t[-1])
-    times = np.concatenate([t, moved[inside]])
-    order = np.argsort(times, kind="stable")
-    times = times[order]
-    constant = np.concatenate([t, edges[inside]])[order]
-    is_edge = order >= t.size
-    sample = np.empty(times.size, dtype=np.intp)
-    sample[order] = np.arange(times.size)
-    sample = sample[: t.size]
 
-    h, h0, hd = np.diff(times), np.diff(constant), np.diff(is_edge.astype(float))
-    e = _interpolated(response, times, inside)
-    # Counted, not looked up: an edge that falls on a sample time still parts an old input from a new one.
-    before = max(int(np.searchsorted(moved, t[0], side="right")) - 1, 0)
-    at = np.minimum(before + np.cumsum(is_edge)[:-1], len(edges) - 1)
-    if int((moved <= t[0]).sum()) == 0:
-        at = np.maximum(at - 1, 0)
-    pieces = np.maximum(1, np.ceil(h / step_s - 1e-6)).astype(int)
-    if pieces.max(initial=1) > 1:
-        which = np.repeat(np.arange(h.size), pieces)
-        ends = np.cumsum(pieces)
-        part = np.arange(which.size) - np.repeat(ends - pieces, pieces)
-        a, b = (part / pieces[which])[:, None], ((part + 1) / pieces[which])[:, None]
-        e0, e1 = e[:-1][which] * (1 - a) + e[1:][which] * a, e[:-1][which] * (1 - b) + e[1:][which] * b
-        h0, hd, at = (h0 / pieces)[which], (hd / pieces)[which], at[which]
-        sample = np.concatenate([[0], ends])[sample]
-    else:
-        e0, e1 = e[:-1], e[1:]
-    rows = np.concatenate([h0[:, None], hd[:, None], response.values[at], e0, e1], axis=1)
-    first = np.concatenate([[0.0, 0.0], response.values[before], e[0], e[0]])
-    return np.concatenate([first[None], rows]), sample
+    rows: FloatArray
+    first: IndexArray
+    sample: IndexArray
+    first_sample: IndexArray
+
+    @cached_property
+    def target(self) -> IndexArray:
+        """(N,) sample of its response that a node is, -1 for none."""
+        found = np.full(len(self.rows), -1)
+        found[self.sample] = _within(self.first_sample)
+        return found
+
+    @cached_property
+    def padded(self) -> list[tuple[IndexArray, FloatArray, list[IndexArray]]]:
+        """Responses of like length together: (which (k,), nodes (k, n, n_data), node of each sample of each). A shorter one stays where it
+        ends."""
+        lengths = np.diff(self.first)
+        buckets = np.array([node_bucket(int(n)) for n in lengths])
+        found = []
+        for bucket in dict.fromkeys(buckets.tolist()):
+            which = np.flatnonzero(buckets == bucket)
+            at = np.minimum(np.arange(bucket), lengths[which, None] - 1)
+            stacked = self.rows[self.first[which, None] + at]
+            stacked[np.arange(bucket) >= lengths[which, None], :2] = 0.0
+            stacked.flags.writeable = False
+            ends = zip(self.first_sample[which], self.first_sample[which + 1], self.first[which], strict=True)
+            found.append((which, stacked, [self.sample[a:b] - begin for a, b, begin in ends]))
+        return found
 
 
-def _interpolated(response: Response, times: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
-    if not inside.any():
-        return response.e
-    if not response.e.shape[1]:
-        return np.empty((times.size, 0))
-    t = response.t_s
-    left = np.clip(np.searchsorted(t, times, side="right") - 1, 0, t.size - 2)
-    share = ((times - t[left]) / (t[left + 1] - t[left]))[:, None]
-    return response.e[left] * (1 - share) + response.e[left + 1] * share
+@dataclass(frozen=True)
+class Stacked:
+    """The samples and edges of m responses, one response after the other, of which nodes are made."""
+
+    t_s: FloatArray
+    e: FloatArray
+    edges_s: FloatArray
+    values: FloatArray
+    first_sample: IndexArray
+    first_edge: IndexArray
+
+    @classmethod
+    def of(cls, responses: Sequence[Response]) -> Stacked:
+        """Of one block."""
+        t, e, edges, values = ([getattr(r, k) for r in responses] for k in ("t_s", "e", "edges_s", "values"))
+        samples, changes = (np.cumsum([0, *(len(one) for one in some)]) for some in (t, edges))
+        joined = [np.concatenate(some) for some in (t, e, edges, values)]
+        return cls(joined[0], joined[1], joined[2], joined[3], samples, changes)
+
+    def nodes(self, delay_s: float, step_s: float = MAX_STEP_S) -> Nodes:
+        """For a delay. The piece of a row ends at its node: h = h0 + hd * delay exactly, also for derivatives by the delay."""
+        of_sample, of_edge = (
+            np.repeat(np.arange(first.size - 1), np.diff(first)) for first in (self.first_sample, self.first_edge)
+        )
+        moved = self.edges_s + delay_s
+        begins, ends = self.t_s[self.first_sample[:-1]], self.t_s[self.first_sample[1:] - 1]
+        inside = (moved > begins[of_edge]) & (moved < ends[of_edge])
+        times, of = np.concatenate([self.t_s, moved[inside]]), np.concatenate([of_sample, of_edge[inside]])
+        order = np.lexsort((times, of))
+        times, of = times[order], of[order]
+        constant = np.concatenate([self.t_s, self.edges_s[inside]])[order]
+        is_edge = order >= self.t_s.size
+        sample = np.flatnonzero(~is_edge)
+        begin = sample[self.first_sample[:-1]]
+
+        h, h0, hd = (np.diff(one, prepend=one[0]) for one in (times, constant, is_edge.astype(float)))
+        for one in (h, h0, hd):
+            one[begin] = 0.0
+        e = self._interpolated(times, is_edge)
+        # Counted, not looked up: an edge that falls on a sample time still parts an old input from a new one.
+        earlier = np.bincount(of_edge[moved <= begins[of_edge]], minlength=begin.size)
+        passed: IndexArray = np.cumsum(is_edge) - is_edge
+        passed -= passed[begin][of]
+        last = np.diff(self.first_edge) - 1
+        at = self.first_edge[of] + np.clip(earlier[of] - 1 + passed, 0, last[of])
+        before = np.maximum(np.arange(times.size) - 1, begin[of])
+        pieces = np.maximum(1, np.ceil(h / step_s - 1e-6)).astype(int)
+        if pieces.max(initial=1) > 1:
+            which, after = np.repeat(np.arange(times.size), pieces), np.cumsum(pieces)
+            share = (np.arange(which.size) - (after - pieces)[which])[:, None]
+            a, b = share / pieces[which, None], (share + 1) / pieces[which, None]
+            old, new = e[before][which], e[which]
+            e0, e1 = old * (1 - a) + new * a, old * (1 - b) + new * b
+            h0, hd, at = (h0 / pieces)[which], (hd / pieces)[which], at[which]
+            sample, begin = after[sample] - 1, after[begin] - 1
+        else:
+            e0, e1 = e[before], e
+        rows = np.concatenate([h0[:, None], hd[:, None], self.values[at], e0, e1], axis=1)
+        return Nodes(rows, np.append(begin, len(rows)), sample, self.first_sample)
+
+    def _interpolated(self, times: FloatArray, is_edge: NDArray[np.bool_]) -> FloatArray:
+        """Measured signals at samples and, linear between them, at edges."""
+        if not is_edge.any():
+            return self.e
+        found = np.empty((times.size, self.e.shape[1]))
+        found[~is_edge] = self.e
+        left = (np.cumsum(~is_edge) - 1)[is_edge]
+        share = ((times[is_edge] - self.t_s[left]) / (self.t_s[left + 1] - self.t_s[left]))[:, None]
+        found[is_edge] = self.e[left] * (1 - share) + self.e[left + 1] * share
+        return found
+
+
+def nodes_of(response: Response, delay_s: float, step_s: float = MAX_STEP_S) -> tuple[FloatArray, IndexArray]:
+    """Nodes (k, n_data) of one response for a delay, and the node of each sample (n,)."""
+    found = Stacked.of([response]).nodes(delay_s, step_s)
+    return found.rows, found.sample
+
+
+def node_bucket(k: int) -> int:
+    """The number of nodes a response of k nodes is padded to."""
+    return next((b for b in _BUCKETS if b >= k), -(-k // 512) * 512)
+
+
+def _within(first: IndexArray) -> IndexArray:
+    """(first[-1],) position of each element in its own group."""
+    return np.arange(first[-1]) - np.repeat(first[:-1], np.diff(first))

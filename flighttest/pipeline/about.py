@@ -146,7 +146,7 @@ def doctor(connect: str | None) -> Result:
         "C compiler",
         compiler or "",
         compiler is not None,
-        "only to compile `export --to c`; install gcc or clang",
+        "estimates take several times as long without one; install gcc or clang",
         needed=False,
     )
     try:

@@ -42,6 +42,7 @@ def test_shipped_folders_and_page_assets_are_inside(repository, unpacked):
         assert wanted <= got, folder
     assert (unpacked / "flighttest/report/style.css").is_file()
     assert (unpacked / "flighttest/report/figures.js").is_file()
+    assert (unpacked / "flighttest/estimation/kernel.c").is_file()
 
 
 def test_a_shipped_script_is_found_from_any_folder(unpacked, tmp_path):
