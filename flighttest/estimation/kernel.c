@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LANES 8
+#define LANES 16
 #define SHORTEST_S 1e-7 /* as `filters.Butterworth.SHORTEST_S` */
 
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double))));
