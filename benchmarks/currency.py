@@ -155,7 +155,7 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
     """What the program says of a campaign: subsets that raise an alarm, the battery's alarm, and the relative change of each parameter."""
     base = watched(stored, "model")
     usable = [s for s in new.segments if s.usable]
-    found = reestimate_segments(stored, usable, "new")
+    found, _ = reestimate_segments(stored, usable, "new")
     tests = subset_tests(base, found, spread=allowance(stored, base, ()), alike=like_with_like(stored, base, usable))
     before = battery_of([recorded(b) for b in own.batteries])
     battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)

@@ -76,13 +76,14 @@ def fit(
 
 @command("diagnose")
 @RUNS
-@click.option("--model", type=FILE, help="Model to start from; otherwise one is fitted to the recordings.")
+@click.option("--model", type=ANY, help="Model to start from; otherwise one is fitted to the recordings.")
 @click.option(
     "-o", "--output", type=FOLDER, metavar="DIR", help="Folder for diagnosis.json, model.yaml, report.html, next.yaml."
 )
 @COLUMNS
 @click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--accept", is_flag=True, help="Make the improved model the vehicle's (see `accept`).")
 def diagnose(
     context: Context,
     runs: tuple[Path, ...],
@@ -91,12 +92,13 @@ def diagnose(
     columns: Path | None,
     vehicle: Path | None,
     workers: int,
+    accept: bool,
 ) -> int:
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
     from flighttest.pipeline import diagnosis
 
     with LiveProgress(context.show) as progress:
-        result = diagnosis.diagnose(runs, model, output, columns, vehicle, workers, progress)
+        result = diagnosis.diagnose(runs, model, output, columns, vehicle, workers, progress, accept)
     return context.finish(result)
 
 

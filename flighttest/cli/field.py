@@ -14,13 +14,16 @@ from flighttest.cli.live import LiveProgress
 @command("check")
 @click.argument("scripts", nargs=-1, required=True, metavar="SCRIPT...")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml: flight zone, hover throttle, nominal voltage.")
-@click.option("--model", type=FILE, help="Prior model flown through the script; otherwise the paper's vehicle.")
+@click.option("--model", type=ANY, help="Prior model flown through the script; otherwise the vehicle's accepted one.")
+@click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where accepted models are.")
 @click.option("-v", "--verbose", is_flag=True, help="Print the phases of every leg.")
-def check(context: Context, scripts: tuple[str, ...], vehicle: Path | None, model: Path | None, verbose: bool) -> int:
+def check(
+    context: Context, scripts: tuple[str, ...], vehicle: Path | None, model: Path | None, out: Path, verbose: bool
+) -> int:
     """Compile scripts without a vehicle: plan, duration, battery, predicted envelope against the zone."""
     from flighttest.pipeline import checking
 
-    return context.finish(checking.check(scripts, vehicle, model, verbose=verbose))
+    return context.finish(checking.check(scripts, vehicle, model, out=out, verbose=verbose))
 
 
 @command("run")
@@ -44,8 +47,9 @@ def check(context: Context, scripts: tuple[str, ...], vehicle: Path | None, mode
     help="The built-in vehicle.",
 )
 @click.option("--hide", multiple=True, metavar="ID:key=value", help="Hide an effect in the built-in vehicle.")
-@click.option("--model", type=FILE, help="Model to compare with; otherwise the last one fitted in --out.")
-@click.option("--only", type=click.Choice(["fly"]), help="Stop after recording.")
+@click.option("--model", type=ANY, help="Model to compare with; otherwise the vehicle's model in use.")
+@click.option("--accept", is_flag=True, help="Make the improved model the vehicle's (see `accept`).")
+@click.option("--only", type=click.Choice(["fly", "fit"]), help="Stop after recording, or after the fit.")
 @click.option("--resume", type=FOLDER, metavar="RUN", help="Fly what is missing in an interrupted run.")
 @click.option("--set-params", is_flag=True, help="Set what the preflight asks for and restore it afterwards.")
 @click.option("--waive", multiple=True, metavar="CHECK", help="Waive one preflight check by name.")
@@ -62,6 +66,7 @@ def run(
     airframe: str,
     hide: tuple[str, ...],
     model: Path | None,
+    accept: bool,
     only: str | None,
     resume: Path | None,
     set_params: bool,
@@ -89,10 +94,12 @@ def run(
         hide=hide,
         model=model,
         fly_only=only == "fly",
+        fit_only=only == "fit",
         resume=resume,
         set_params=set_params,
         waive=waive,
         weather=weather,
+        accept=accept,
     )
     request = flying.as_before(request)
     context.show.say(flying.announce(request))

@@ -1,4 +1,4 @@
-"""Commands that work on fitted models: validate, status, compare, export."""
+"""Commands that work on fitted models: validate, accept, models, status, compare, export."""
 
 from __future__ import annotations
 
@@ -11,31 +11,55 @@ from flighttest.cli.live import LiveProgress
 
 
 @command("validate")
-@click.argument("model", type=FILE)
-@click.argument("runs", nargs=-1, required=True, type=ANY, metavar="RUN")
-@click.option("--previous", type=FILE, metavar="MODEL", help="An earlier model to stand beside.")
+@click.argument("paths", nargs=-1, required=True, type=ANY, metavar="[MODEL] RUN...")
+@click.option("--previous", type=ANY, metavar="MODEL", help="An earlier model to stand beside.")
 @click.option("-o", "--output", type=FILE, metavar="HTML", help="Also write the comparison as an HTML page.")
 @click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
+@click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where the vehicle's model is.")
 def validate(
     context: Context,
-    model: Path,
-    runs: tuple[Path, ...],
+    paths: tuple[Path, ...],
     previous: Path | None,
     output: Path | None,
     columns: Path | None,
+    out: Path,
 ) -> int:
-    """Compare the model and its simplifications with a free flight (paper, section 4)."""
+    """Compare the model and its simplifications with a free flight (paper, section 4).
+
+    MODEL is a model file, or the first of several folders where it holds a model. Without one the model in use of the recorded vehicle is
+    taken.
+    """
     from flighttest.pipeline import validation
 
     with LiveProgress(context.show) as progress:
-        result = validation.validate(model, runs, previous, output, columns, progress)
+        result = validation.validate(None, paths, previous, output, columns, progress, out=out)
     return context.finish(result)
+
+
+@command("accept")
+@click.argument("folder", type=ANY, metavar="DIR")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml, where the model does not say which vehicle it is of.")
+@click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where accepted models are kept.")
+def accept(context: Context, folder: Path, vehicle: Path | None, out: Path) -> int:
+    """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use."""
+    from flighttest.pipeline import models
+
+    return context.finish(models.accept(folder, out, vehicle))
+
+
+@command("models")
+@click.argument("folder", type=FOLDER, default=Path("runs"), metavar="[DIR]")
+def models(context: Context, folder: Path) -> int:
+    """The vehicles' models: which flights, which terms joined when, which change ended each."""
+    from flighttest.pipeline import models as lineage
+
+    return context.finish(lineage.models(folder))
 
 
 @command("status")
 @click.argument("runs", nargs=-1, type=ANY, metavar="[RUN...]")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml as the vehicle is today.")
-@click.option("--model", type=FILE, help="The stored model; otherwise the last one in --out.")
+@click.option("--model", type=ANY, help="The stored model; otherwise the vehicle's model in use.")
 @click.option(
     "--connect", metavar="URL", help="Read the vehicle's firmware and parameters as they are now; nothing is set."
 )
@@ -71,14 +95,20 @@ def compare(context: Context, first: Path, second: Path) -> int:
 
 
 @command("export")
-@click.argument("model", type=FILE)
+@click.argument("model", type=ANY, required=False)
 @click.option("--to", "kind", type=click.Choice(["casadi", "c", "json"]), required=True)
 @click.option("-o", "--output", type=FOLDER, default=Path("export"), show_default=True, metavar="DIR")
-def export(context: Context, model: Path, kind: str, output: Path) -> int:
-    """Write the model for other programs: CasADi functions, C99, or a description in JSON."""
+@click.option("--vehicle", type=FILE, help="vehicle.yaml of the vehicle whose model in use is meant.")
+@click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where the vehicle's model is.")
+def export(context: Context, model: Path | None, kind: str, output: Path, vehicle: Path | None, out: Path) -> int:
+    """Write the model for other programs: CasADi functions, C99, or a description in JSON.
+
+    MODEL is a model file or a folder that holds one; without it the vehicle's model in use is taken.
+    """
     from flighttest.pipeline import keeping
+    from flighttest.pipeline.models import named_or_in_use
 
-    return context.finish(keeping.export(model, kind, output))
+    return context.finish(keeping.export(named_or_in_use(model, out, vehicle), kind, output))
 
 
-COMMANDS: tuple[click.Command, ...] = (validate, status, compare, export)
+COMMANDS: tuple[click.Command, ...] = (validate, accept, models, status, compare, export)

@@ -10,7 +10,17 @@ from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_te
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
 from flighttest.currency.hover import NAME, Hover, hover_test
 from flighttest.currency.matters import matters
-from flighttest.currency.model import ALL_SCRIPTS, SUBSETS, BatteryCheck, Change, Currency, Drift, SubsetTest, Verdict
+from flighttest.currency.model import (
+    ALL_SCRIPTS,
+    SUBSETS,
+    Appeared,
+    BatteryCheck,
+    Change,
+    Currency,
+    Drift,
+    SubsetTest,
+    Verdict,
+)
 from flighttest.currency.sequence import drifts
 
 SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
@@ -28,6 +38,8 @@ def assess(
     battery_reference: tuple[float, float] | None = None,
     hovers: tuple[Hover | None, Hover | None] = (None, None),
     untestable: Sequence[str] = (),
+    subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
+    appeared: Sequence[Appeared] = (),
 ) -> Currency:
     """Is the model still valid?
 
@@ -35,14 +47,14 @@ def assess(
     estimates; runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same
     steps of the model's flights. battery: (Ohm, std) of the newest run or why
     it cannot be told. hovers: the throttle that holds height, of the model's flights and of the newest run. untestable: what the
-    caller could not test, one sentence each.
+    caller could not test, one sentence each. subsets: parameters that are tested together; appeared: effects that the model does not have.
     """
     changes: tuple[Change, ...] = ()
     cannot_tell = list(untestable)
     if vehicle_fingerprint is not None:
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
         cannot_tell += unknown
-    tests = subset_tests(stored, runs[-1], spread=spread, alike=alike) if runs else ()
+    tests = subset_tests(stored, runs[-1], spread=spread, alike=alike, subsets=subsets) if runs else ()
     before, now = hovers
     if before is not None and now is not None:
         alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
@@ -52,7 +64,9 @@ def assess(
         level = hover_test(before, now, alpha, shared)
         if by_gain is None:
             others = list(
-                subset_tests(stored, runs[-1], spread=spread, false_alarm=shared * len(others), alike=alike)
+                subset_tests(
+                    stored, runs[-1], spread=spread, false_alarm=shared * len(others), alike=alike, subsets=subsets
+                )
                 if others
                 else ()
             )
@@ -63,7 +77,7 @@ def assess(
     checked = check(battery, battery_reference) if battery is not None else None
     alarms = [t for t in tests if t.alarm]
     crossed = [d for d in drift if d.crossed_at]
-    stale = bool(changes or alarms or crossed)
+    stale = bool(changes or alarms or crossed or appeared)
     if stale:
         verdict = Verdict.STALE
     elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
@@ -76,12 +90,12 @@ def assess(
     narrow: tuple[str, ...] = ()
     if stale:
         fly = ALL_SCRIPTS
-        subsets = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
-        subsets |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
-        narrow = scripts_for(tuple(s for s in SUBSETS if s in subsets)) or ALL_SCRIPTS
+        moved = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
+        moved |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
+        narrow = scripts_for(tuple(s for s in SUBSETS if s in moved)) or ALL_SCRIPTS
     return Currency(
         verdict=verdict,
-        sentence=_sentence(verdict, changes, alarms, crossed, tests, sides, bool(cannot_tell), compared)
+        sentence=_sentence(verdict, changes, alarms, crossed, tests, sides, bool(cannot_tell), compared, appeared)
         + _of_battery(checked),
         changes=changes,
         tests=tests,
@@ -92,6 +106,7 @@ def assess(
         fly_narrow=narrow,
         could_also_be=_rivals(alarms),
         cannot_tell=tuple(dict.fromkeys(cannot_tell)),
+        appeared=tuple(appeared),
     )
 
 
@@ -121,6 +136,7 @@ def _sentence(
     sides: tuple[Estimates, Estimates] | None,
     in_part: bool,
     compared: str,
+    appeared: Sequence[Appeared],
 ) -> str:
     if verdict is Verdict.UNKNOWN and compared:
         return (
@@ -148,7 +164,10 @@ def _sentence(
         words = "; ".join(t.sentence for t in alarms)
         words += f"; {', '.join(still)} as before" if still else ""
         parts.append(words + _culprit(alarms, sides))
-    elif crossed:
+    if appeared:
+        names = ", ".join(a.title[:1].lower() + a.title[1:] for a in appeared)
+        parts.append(f"the new recording shows what the model does not have: {names}")
+    if crossed and not alarms:
         parts.append(
             "slow drift: "
             + ", ".join(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.currency.discrepancy import prior
+from flighttest.currency.discrepancy import DELAY_STD_S, prior
 from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
 from flighttest.estimation.distributions import beyond, fisher_beyond, quantile
 from flighttest.identify import mass
@@ -100,7 +100,8 @@ def discrepancy(
     """
     table = {n: (spread or {}).get(n, prior(n)) for n in (*names, "alpha")}
     relative = np.array([math.hypot(table[n], table["alpha"] * alpha_away if n == "K" else 0.0) for n in names])
-    return np.diag((relative * np.abs(values)) ** 2)
+    delay = np.array([n.startswith("T_d") for n in names])
+    return np.diag(np.where(delay, DELAY_STD_S, relative * np.abs(values)) ** 2)
 
 
 def subset_tests(

@@ -33,6 +33,8 @@ PRIOR: dict[str, float] = {
     "d_z": 0.10,
 }
 DEFAULT_PRIOR = 0.05
+# Delays, s: a command stream of 50 Hz meets the autopilot's own loop at any phase, 20 ms / sqrt(12).
+DELAY_STD_S = 0.006
 PRIOR_WEIGHT = 2.0  # groups that the prior counts as
 MIN_GROUP = 3  # responses; fewer do not know their own scatter
 MIN_SHARE = 0.1  # of a group in what is known of a parameter
@@ -64,7 +66,7 @@ def measured(
     found = {}
     for i, name in enumerate(names):
         size = abs(values[name])
-        if size > 0.0 and name in PRIOR:
+        if size > 0.0 and not name.startswith("T_d"):
             variance = _variance(influence[:, i] / size, share[:, i], segments, prior(name) ** 2)
             found[name] = float(np.sqrt(variance))
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flighttest.currency.hover import NAME
-from flighttest.currency.model import SUBSETS, Change, SubsetTest
+from flighttest.currency.model import SUBSETS, WORDS, Change, SubsetTest
 from flighttest.frames import G_M_S2
 
 
@@ -47,4 +47,8 @@ def _of_test(test: SubsetTest) -> str:
         return f"thrust takes {much} to come than the model says"
     if name.startswith("d_"):
         return f"drag is {change * 100:+.0f} % of the model's: the speed at which a tilt settles is off by as much"
-    return f"what a throttle gives at another voltage is off: alpha {change * 100:+.0f} %"
+    if name.startswith("T_d"):
+        return f"the {WORDS.get(name, name)} is {change * 100:+.0f} % of the model's: a plan made with it acts too early or too late"
+    if name == "alpha":
+        return f"what a throttle gives at another voltage is off: alpha {change * 100:+.0f} %"
+    return f"{name} of {test.subset} is {change * 100:+.0f} % of the model's: what it stands for is predicted wrong by as much"

@@ -40,6 +40,9 @@ WORDS: dict[str, str] = {
     "d_x": "drag forward",
     "d_y": "drag sideways",
     "d_z": "drag in climb",
+    "T_d_attitude": "delay of the attitude",
+    "T_d_yaw_rate": "delay of the yaw rate",
+    "T_d_thrust": "delay of the thrust",
     "hover_throttle": "the throttle that holds height",
 }
 
@@ -94,6 +97,28 @@ class SubsetTest:
 
 
 @dataclass(frozen=True)
+class Untested:
+    """A parameter of the model that a new recording does not test. smallest: relative change that would have shown, None where none would;
+    fly: scripts that tell it."""
+
+    parameter: str
+    subset: str
+    smallest: float | None
+    fly: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Appeared:
+    """An effect that a new recording shows and the model does not have. term: '' where it has no name; unseen: whether the model's own
+    flights could not have shown it, so that it may be as old as they are."""
+
+    term: str
+    title: str
+    sentence: str
+    unseen: bool
+
+
+@dataclass(frozen=True)
 class Drift:
     """A CUSUM over runs of one parameter: its largest excursion against the limit.
 
@@ -133,5 +158,7 @@ class Currency:
     fly_narrow: tuple[str, ...] = ()
     could_also_be: tuple[str, ...] = ()
     cannot_tell: tuple[str, ...] = ()
+    appeared: tuple[Appeared, ...] = ()
+    untested: tuple[Untested, ...] = ()
     minutes: float | None = None
     evidence: Mapping[str, object] = field(default_factory=dict)

@@ -175,7 +175,9 @@ class _Flight:
             self.held.enter_context(priority.first())
         firmware = vehicle.firmware()
         self.recorder.manifest.update(
-            firmware=f"ArduCopter {firmware}" if firmware else "", parameters=self._parameters
+            firmware=f"ArduCopter {firmware}" if firmware else "",
+            autopilot=vehicle.hardware,
+            parameters=self._parameters,
         )
         self.recorder.save_manifest()
         self._say("asking for telemetry")

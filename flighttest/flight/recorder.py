@@ -220,6 +220,7 @@ class Recorder:
                 filters=known_filters(self.manifest.get("parameters", {})),
                 derived=decoded.derived,
                 reference_clock=decoded.reference_clock,
+                autopilot=str(self.manifest.get("autopilot", "")),
             ),
         )
 

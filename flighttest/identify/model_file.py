@@ -34,9 +34,10 @@ from flighttest.physics.model import NOMINAL_VOLTAGE_V, ROTOR_HEIGHT_M, Model
 
 FloatArray = NDArray[np.float64]
 
+NAMES = ("model.yaml", "fit.yaml")  # in a folder: the improved model of a diagnosis before the fit it began with
 _TOP = (
     "format", "terms", "parameters", "constants", "delays", "covariance", "valid", "fingerprint", "runs", "noise", "fit_quality",
-    "notes", "attitude_loops", "channel_delays", "onset_delay",
+    "notes", "attitude_loops", "channel_delays", "onset_delay", "vehicle", "diagnosed",
 )  # fmt: skip
 _PARAMETER = ("value", "unit", "std", "interval_95", "source", "identifiable", "why", "fly", "symbol", "dof", "scatter")
 
@@ -61,7 +62,8 @@ class StoredParameter:
 class ModelFile:
     """A model.yaml, read. model: the physics; values: every parameter the model needs; covariance over `order`.
 
-    valid, fingerprint, noise, fit_quality: as written; runs: names of the recordings it was fitted to.
+    valid, fingerprint, noise, fit_quality: as written; runs: names of the recordings it was fitted to; vehicle: {name, autopilot, sysid}
+    as far as they are known; diagnosed: what was looked for in its own flights beside its terms, {} where nothing was.
     """
 
     model: Model
@@ -76,6 +78,13 @@ class ModelFile:
     fit_quality: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     path: str = ""
+    vehicle: Mapping[str, Any] = field(default_factory=dict)
+    diagnosed: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def vehicle_name(self) -> str:
+        """The vehicle that it is a model of; '' where that is not known."""
+        return str(self.vehicle.get("name") or "")
 
     @property
     def delays_s(self) -> dict[str, float]:
@@ -171,11 +180,23 @@ def write(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+def held_by(path: Path) -> Path:
+    """The model file that a path stands for: itself, or what a run or diagnosis folder holds, the diagnosis' before the fit's. ModelError
+    where a folder holds none."""
+    if not path.is_dir():
+        return path
+    found = next((path / name for name in NAMES if (path / name).is_file()), None)
+    if found is None:
+        raise ModelError(f"{path} holds no model ({' or '.join(NAMES)})", "make one: flighttest diagnose RUN -o DIR")
+    return found
+
+
 def read(path: Path, *, whole: bool = False) -> ModelFile:
-    """Read model.yaml; ModelError lists everything wrong with it.
+    """Read model.yaml, or the one that a folder holds; ModelError lists everything wrong with it.
 
     whole: it will be flown or exported, so that it has to hold every parameter of its terms; otherwise the body's may be missing.
     """
+    path = held_by(path)
     text = read_text(path, ModelError, "model file")
     document = Document(str(path), text)
     document.check_format("model")
@@ -186,7 +207,8 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
     noise = noise_of(document, root.get("noise"))
     check_valid(document, root.get("valid"))
     check_fingerprint(document, root.get("fingerprint"))
-    plain_block(document, root.get("fit_quality"))
+    for key in ("fit_quality", "vehicle", "diagnosed"):
+        plain_block(document, root.get(key))
     for key in ("runs", "notes"):
         if key in root and root[key].value is not None and not isinstance(root[key].value, list):
             document.wrong(root[key], f"expected a list, found {kind_of(root[key].value)}")
@@ -238,6 +260,8 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
         fit_quality=plain.get("fit_quality") or {},
         notes=tuple(plain.get("notes") or ()),
         path=str(path),
+        vehicle=plain.get("vehicle") or {},
+        diagnosed=plain.get("diagnosed") or {},
     )
 
 

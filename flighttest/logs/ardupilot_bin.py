@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flighttest import frames
 from flighttest.errors import RecordingError
-from flighttest.logs.ardupilot_notes import firmware, markers, parameter_changes, parameters, state
+from flighttest.logs.ardupilot_notes import board, firmware, markers, parameter_changes, parameters, state
 from flighttest.logs.ardupilot_targets import Targets
 from flighttest.logs.dataflash import Dataflash, Table, read_dataflash, stack
 from flighttest.logs.opening import LogFile
@@ -145,6 +145,7 @@ class _Importer:
                 losses=tuple(self.losses),
                 filters=known_filters(self.parameters),
                 derived=self.derived,
+                autopilot=board(self.tables),
             ),
         )
 

@@ -62,6 +62,22 @@ def firmware(tables: Mapping[str, Stamped]) -> str:
     return ""
 
 
+_BOARD = re.compile(r"\S+ ([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})")
+_UID2_BYTES = 18  # of AUTOPILOT_VERSION, which has the twelve bytes of the board's number first
+
+
+def board(tables: Mapping[str, Stamped]) -> str:
+    """The board's own number as AUTOPILOT_VERSION has it, in hexadecimal, '' where the log does not say. The text has each word of four
+    bytes reversed (AP_HAL_ChibiOS, Util::get_system_id)."""
+    if "MSG" not in tables or "Message" not in tables["MSG"][0]:
+        return ""
+    found = next((m for text in tables["MSG"][0].text("Message") if (m := _BOARD.fullmatch(text.strip()))), None)
+    if found is None:
+        return ""
+    number = b"".join(bytes.fromhex(word)[::-1] for word in found.groups())
+    return number.ljust(_UID2_BYTES, b"\0").hex()
+
+
 def state(tables: Mapping[str, Stamped]) -> Series | None:
     """Mode and arming, as they changed. A log that never says "armed" but says "disarmed" was armed when it began."""
     modes = _modes(tables)

@@ -67,6 +67,7 @@ def import_tlog(path: Path) -> Recording:
             filters=filters,
             derived=derived,
             reference_clock=decoded.reference_clock,
+            autopilot=decoded.board,
         ),
     )
 

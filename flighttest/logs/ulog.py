@@ -137,6 +137,7 @@ class _Importer:
                 losses=tuple(self.losses),
                 filters=self.filters,
                 derived=self.derived,
+                autopilot=str(self.log.msg_info_dict.get("sys_uuid") or ""),
             ),
         )
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from flighttest.errors import RecordingError
 from flighttest.mavlink.accepted import taken, throttle_of
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, book, firmware_version, is_armed, is_vehicle
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, board_id, book, firmware_version, is_armed, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.mavlink.modes import mode_name
 from flighttest.mavlink.parameters import in_force
@@ -41,7 +41,8 @@ class Decoded:
     """What a message stream holds. See `Recording` and `Provenance` for the meaning of the fields.
 
     series: group to Series on the vehicle's clock. origin: (latitude, longitude) deg of the local frame, or None. counts: message
-    name to number received. vehicle_system: the system id that was taken as the vehicle; autopilot: what its HEARTBEAT calls itself.
+    name to number received. vehicle_system: the system id that was taken as the vehicle; autopilot: what its HEARTBEAT calls itself;
+    board: its own number, '' where it was not recorded.
     """
 
     series: Mapping[str, Series]
@@ -56,6 +57,7 @@ class Decoded:
     autopilot: int = book.MAV_AUTOPILOT_INVALID
     origin: tuple[float, float] | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
+    board: str = ""
 
 
 class _Rows:
@@ -109,6 +111,7 @@ class StreamDecoder:
         self.texts: list[Text] = []
         self.parameters: dict[Source, list[tuple[float, str, float]]] = {}
         self.firmware: dict[Source, str] = {}
+        self.boards: dict[Source, str] = {}
         self.origins: dict[Source, tuple[float, float]] = {}
         self.asked: dict[int, float] = {}
         self.round_trips: dict[Source, list[tuple[float, float, float]]] = {}
@@ -142,6 +145,7 @@ class StreamDecoder:
             self.parameters.setdefault(source, []).append((t_s, message.param_id, float(message.param_value)))
         elif kind == "AUTOPILOT_VERSION":
             self.firmware[source] = firmware_version(message)
+            self.boards[source] = board_id(message)
         elif message.latitude or message.longitude:
             self.origins.setdefault(source, (message.latitude * 1e-7, message.longitude * 1e-7))
 
@@ -250,6 +254,7 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
         clock=clock,
         parameters=parameters,
         firmware=collected.firmware.get(source, ""),
+        board=collected.boards.get(source, ""),
         losses=tuple(losses),
         derived=derived,
         reference_clock=reference_clock,

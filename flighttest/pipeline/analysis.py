@@ -23,6 +23,7 @@ from flighttest.pipeline.batteries import battery_data
 from flighttest.pipeline.budgets import time_data, time_section
 from flighttest.pipeline.doubts import doubts, once
 from flighttest.pipeline.fingerprints import of_recordings
+from flighttest.pipeline.identities import identity_of
 from flighttest.pipeline.nothing_known import why_nothing
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
@@ -220,7 +221,9 @@ def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | N
         extra["hover"] = plain(level)
     if battery:
         extra["battery"] = dict(battery)
-    return model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
+    data = model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
+    whose = identity_of(recordings, vehicle)
+    return {"format": data.pop("format"), "vehicle": whose.as_data(), **data}
 
 
 def for_currency(found: Fit) -> dict[str, Any]:
@@ -245,7 +248,7 @@ def fit(
     """Estimate the parameters of one or several recordings, jointly; write model.yaml where `output` says."""
     options = options or FitOptions()
     check_writable(None if output is None else output.parent)
-    declared = load_vehicle(vehicle) if vehicle is not None else None
+    declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     recordings = open_recordings(runs, columns, options.workers, progress, options.scheduler)
     doubtful = doubts(recordings)
     recordings = once(recordings)

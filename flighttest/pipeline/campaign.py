@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from flighttest.currency.model import Currency, Verdict
+from flighttest.diagnose import Diagnosis
 from flighttest.errors import FitError
 from flighttest.identify import model_file
 from flighttest.identify.fit import Fit
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
 from flighttest.pipeline.currency import judge
-from flighttest.pipeline.diagnosis import UNFINISHED, run_diagnosis, write_diagnosis
-from flighttest.pipeline.history import FIT_NAME, as_good
+from flighttest.pipeline.diagnosis import MODEL_NAME, UNFINISHED, run_diagnosis, write_diagnosis
+from flighttest.pipeline.history import DEFAULT_RUNS, FIT_NAME, as_good
+from flighttest.pipeline.identities import whose
+from flighttest.pipeline.lineage import model_of
+from flighttest.pipeline.models import accepted
 from flighttest.pipeline.reflights import reflights
 from flighttest.pipeline.repeating import words_of
 from flighttest.pipeline.reporting import REPORT_NAME, keep_segments, provenance, run_document
@@ -25,6 +30,7 @@ from flighttest.pipeline.views import fit_view, segment_views
 from flighttest.recording import Recording
 from flighttest.report import fit_sections, html
 from flighttest.report.currency_page import TONES, status_document
+from flighttest.report.diagnosis_sections import missing_sections
 from flighttest.report.document import Bullets, Document, Section, Tone
 from flighttest.report.views import FitView
 from flighttest.segments import Segment
@@ -43,24 +49,30 @@ class Analysis:
     diagnosis: dict[str, Any] | None = None
     explained: bool = True
     previous: ModelFile | None = None
+    improved: Fit | None = None
 
 
 def analyse(
     folders: Sequence[Path],
     *,
+    out: Path,
     vehicle: Vehicle | None = None,
     previous: ModelFile | None = None,
-    diagnose: bool | None = None,
+    diagnose: bool = True,
+    keep: bool = False,
     notes: Sequence[str] = (),
     usable: bool = True,
     progress: Progress = SILENT,
 ) -> Result:
     """Cut, fit, compare with the previous model, diagnose, and write it all into the run folders.
 
-    diagnose: None diagnoses where there is a previous model to diagnose against. usable: False when the flight was aborted.
+    out: the folder of runs; keep: the model becomes the vehicle's. usable: False when the flight was aborted.
     """
     recordings = open_recordings(folders, progress=progress)
-    found = _analysis(recordings, vehicle, previous, diagnose, folders[-1], progress)
+    name = whose(recordings, vehicle, out)
+    if previous is None and vehicle is not None and not vehicle.name:
+        previous = model_of(out, name)  # a vehicle that nobody named is known by its autopilot once it has been read
+    found = _analysis(recordings, vehicle, name, previous, diagnose, folders[-1], out, progress)
     for folder, recording in zip(folders, recordings, strict=True):
         keep_segments(folder, [s for s in found.segments if s.run == recording.name])
     data: dict[str, Any] = {"runs": [str(f) for f in folders], "notes": list(notes)}
@@ -80,15 +92,35 @@ def analyse(
         data["currency"] = {"verdict": found.currency.verdict.name, "sentence": found.currency.sentence}
     if found.diagnosis is not None:
         data["diagnosis"] = found.diagnosis
-    return Result(_summary(found, view, folders, notes, page, vehicle), data, _status(found, usable), found)
+    status = _status(found, usable)
+    told = _accepting(found, status, folders[-1], name, out, keep)
+    return Result(_summary(found, view, folders, notes, page, vehicle, told), data, status, found)
+
+
+def _accepting(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
+    """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
+    if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
+        return ""
+    words = f"flighttest accept {shlex.quote(str(folder))}" + (
+        f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
+    )
+    if not name:
+        return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
+    if not keep:
+        return words
+    if status is Status.UNUSABLE:
+        return f"not accepted, since the flight did not end as planned: {words}"
+    return accepted(folder, out, None)
 
 
 def _analysis(
     recordings: Sequence[Recording],
     vehicle: Vehicle | None,
+    name: str,
     previous: ModelFile | None,
-    diagnose: bool | None,
+    diagnose: bool,
     folder: Path,
+    out: Path,
     progress: Progress,
 ) -> Analysis:
     segments = cut_all(recordings, progress)
@@ -97,25 +129,27 @@ def _analysis(
         reason = ""
     except FitError as error:
         fitted, reason = None, error.message
-    currency = None
-    if previous is not None and fitted is not None:
-        currency = judge(previous, recordings, vehicle, folder.parent, progress)
-    diagnosis, explained = None, True
-    if fitted is not None and (previous is not None if diagnose is None else diagnose):
+    diagnosis, explained, improved = None, True, None
+    result: Diagnosis | None = None
+    if fitted is not None and diagnose:
         try:
             result = run_diagnosis(segments, recordings, previous, vehicle, progress)
-            diagnosis = write_diagnosis(result, segments, recordings, vehicle, previous, folder, progress)
+            diagnosis, improved = write_diagnosis(result, segments, recordings, vehicle, previous, folder, progress)
             explained = result.verdict not in UNFINISHED
         except FitError as error:
             progress.stage(f"no diagnosis: {error.message}")
-    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained, previous)
+    currency = None
+    if previous is not None and fitted is not None:
+        currency = judge(previous, recordings, vehicle, name, out, progress, diagnosed=result)
+    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained, previous, improved)
 
 
 def renewed(found: Analysis) -> bool:
     """Whether the campaign's own model takes the place of the previous one (a spot check's does not)."""
-    if found.fit is None:
+    own = found.improved or found.fit
+    if own is None:
         return False
-    return found.previous is None or as_good(model_file.from_fit(found.fit), found.previous)
+    return found.previous is None or as_good(model_file.from_fit(own), found.previous)
 
 
 def _status(found: Analysis, usable: bool) -> Status:
@@ -171,14 +205,19 @@ def _summary(
     notes: Sequence[str],
     page: Document,
     vehicle: Vehicle | None,
+    accepting: str,
 ) -> Document:
-    """What the terminal shows: the verdict, the parameters (or what speaks for and against the model in use), where everything is."""
-    sections: list[Section] = []
+    """What the terminal shows: the verdict, what is missing, the parameters (or what speaks for and against the model in use), where
+    everything is."""
+    sections: list[Section] = list(missing_sections(found.diagnosis)) if found.diagnosis is not None else []
     if found.currency is not None and found.previous is not None and not renewed(found):
         rows, _, _ = reflights(found.currency, found.previous, vehicle)
         sections += status_document(found.currency, {}, rows, brief=True).sections
     elif view is not None:
-        sections.append(fit_sections.parameters(view))
+        better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
+        shown = fit_view(found.improved, found.segments) if found.improved is not None and better else view
+        made = fit_sections.parameters(shown)
+        sections.append(replace(made, title="Parameters of the improved model") if better else made)
     else:
         sections.append(fit_sections.segments(segment_views(found.segments)))
     facts = {k: v for k, v in provenance(found.recordings).items() if k in ("vehicle", "firmware", "lost")}
@@ -186,7 +225,10 @@ def _summary(
     facts["responses"] = f"{used} of {len(found.segments)} used"
     if notes:
         facts["notes"] = "; ".join(notes)
-    facts["model"] = str(folders[-1] / FIT_NAME) if found.fit is not None else "-"
+    kept = MODEL_NAME if found.diagnosis is not None else FIT_NAME
+    facts["model"] = str(folders[-1] / kept) if found.fit is not None else "-"
+    if accepting:
+        facts["accept it"] = accepting
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         facts["fly next"] = f"flighttest run {folders[-1] / 'next.yaml'}{words_of(folders[-1])}"

@@ -12,6 +12,8 @@ import numpy as np
 from flighttest.errors import InputError
 from flighttest.identify.expected import Expected, Told, expected_of_told, told_by_plans
 from flighttest.pipeline.halves import in_halves
+from flighttest.pipeline.history import DEFAULT_RUNS, check_runs
+from flighttest.pipeline.lineage import lineage_of
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
 from flighttest.plan import Plan, compile_plans
@@ -44,6 +46,20 @@ def predictor_for(model: Path | None, vehicle: Vehicle) -> ModelPredictor:
     return ModelPredictor(replace(base, nominal_voltage_v=vehicle.nominal_voltage_v), {"K": gain})
 
 
+def prior_of(model: Path | None, out: Path, vehicle: Vehicle) -> tuple[ModelPredictor, Path | None]:
+    """The model given, else the accepted one of this vehicle as far as it knows its thrust, else the paper's as `predictor_for` has it; and
+    the file it is from."""
+    accepted = lineage_of(out, vehicle.name).current if model is None and vehicle.name else None
+    if accepted is not None and hovers(found := predictor_for(accepted, vehicle), vehicle):
+        return found, accepted
+    return predictor_for(model, vehicle), model
+
+
+def hovers(prior: ModelPredictor, vehicle: Vehicle) -> bool:
+    """Whether a model hovers at a throttle that a vehicle has."""
+    return bool(HOVERS[0] < float(prior.hover_throttle(np.array([vehicle.nominal_voltage_v]))[0]) < HOVERS[1])
+
+
 def plans(
     scripts: Sequence[str], vehicle: Vehicle, predictor: ModelPredictor, *, angle_boost: bool = False
 ) -> tuple[Plan, ...]:
@@ -52,12 +68,20 @@ def plans(
     return compile_plans(loaded, vehicle, predictor, angle_boost=angle_boost)
 
 
-def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, verbose: bool = False) -> Result:
-    """Plan, duration, battery and predicted envelope of every script, against the zone."""
+def check(
+    scripts: Sequence[str],
+    vehicle: Path | None,
+    model: Path | None,
+    *,
+    out: Path = DEFAULT_RUNS,
+    verbose: bool = False,
+) -> Result:
+    """Plan, duration, battery and predicted envelope of every script, against the zone. out: where the vehicle's accepted model may be."""
+    check_runs(out)
     declared = load_vehicle(vehicle) if vehicle is not None else DEFAULT_VEHICLE
-    prior = predictor_for(model, declared)
+    prior, source = prior_of(model, out, declared)
     hover = float(prior.hover_throttle(np.array([declared.nominal_voltage_v]))[0])
-    if not HOVERS[0] < hover < HOVERS[1]:
+    if not hovers(prior, declared):
         whose = model or "the vehicle as declared"
         raise InputError(
             f"{whose}: at this vehicle's {declared.nominal_voltage_v:g} V the model hovers at {100 * hover:.1f} % throttle: it is of "
@@ -84,7 +108,7 @@ def check(scripts: Sequence[str], vehicle: Path | None, model: Path | None, *, v
     facts = {
         "vehicle": declared.name + ("" if vehicle is not None else " (the built-in one: no --vehicle was given)"),
         "zone": f"{spans} m, margin {zone.margin_m:g} m",
-        "prior": str(model) if model is not None else "the paper's model, scaled to the hover throttle",
+        "prior": str(source) if source is not None else "the paper's model, scaled to the hover throttle",
     }
     refused = any(not r.ok for r in results)
     data: dict[str, Any] = {"scripts": [plain(r) for r in results], "ok": not refused}

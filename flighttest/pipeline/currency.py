@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from flighttest.currency import alike
+from flighttest.currency.alike import DELAY_S
 from flighttest.currency.assess import assess
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.hover import Hover, hover
-from flighttest.currency.model import SCRIPTS, SUBSETS, Currency, Verdict
+from flighttest.currency.model import Currency, Verdict
+from flighttest.diagnose import Diagnosis
 from flighttest.errors import FitError, InputError
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.identify import model_file
@@ -24,8 +26,11 @@ from flighttest.identify.model_file import ModelFile
 from flighttest.identify.selection import problem_of
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.batteries import battery_of, battery_reference
+from flighttest.pipeline.evidence import NOT_DIAGNOSED, appeared, effects, in_words, not_shown, subsets_of, untested
 from flighttest.pipeline.fingerprints import of_recordings, of_vehicle
-from flighttest.pipeline.history import TESTED, campaigns, standing, watched, when
+from flighttest.pipeline.history import campaigns, watched, when
+from flighttest.pipeline.identities import SAY, whose
+from flighttest.pipeline.lineage import in_use
 from flighttest.pipeline.present import Present
 from flighttest.pipeline.reflights import reflights
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
@@ -56,42 +61,46 @@ def status(
     present: Present | None = None,
 ) -> Result:
     """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign; present: the vehicle as it is now."""
-    declared = load_vehicle(vehicle) if vehicle is not None else None
+    declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     recordings = open_recordings(runs, progress=progress)
-    stored = model_file.read(model) if model is not None else newest_model(out, flown_by(recordings, declared))
-    found = judge(stored, recordings, declared, out, progress, present)
+    name = whose(recordings, declared, out)
+    if model is not None:
+        stored = model_file.read(model)
+        _one_vehicle(stored, name, model)
+        name = name or stored.vehicle_name
+    elif recordings and not name:
+        raise InputError(
+            f"{join([str(r) for r in runs])}: of an unknown vehicle", f"{SAY}, or name a model with --model"
+        )
+    else:
+        stored = in_use(out, name)
+        name = name or stored.vehicle_name
+    found = judge(stored, recordings, declared, name, out, progress, present)
     return finish(found, stored, declared, [str(r) for r in runs], output, present)
 
 
-def flown_by(recordings: Sequence[Recording], vehicle: Vehicle | None) -> str:
-    """The name of the vehicle that is asked about; empty where it is not known."""
-    names = [vehicle.name] if vehicle is not None else [str(r.provenance.vehicle.get("name", "")) for r in recordings]
-    return next((name for name in reversed(names) if name), "")
-
-
-def newest_model(out: Path, vehicle: str = "") -> ModelFile:
-    """The model fitted last in a folder of runs, of the vehicle of this name where it is known."""
-    found = standing(campaigns(out, vehicle))
-    if found is None:
-        whose = f" of a vehicle called {vehicle}" if vehicle else ""
-        raise InputError(
-            f"no model was given, and {out} holds no run{whose} with a fit",
-            "name one with --model, or fly: flighttest run thrust",
-        )
-    return found.model
+def _one_vehicle(stored: ModelFile, name: str, path: Path) -> None:
+    """InputError where a model is of another vehicle than the one that is asked about."""
+    if name and stored.vehicle_name and name != stored.vehicle_name:
+        raise InputError(f"{path} is a model of {stored.vehicle_name}, not of {name}", f"name a model of {name}")
 
 
 def judge(
     stored: ModelFile,
     recordings: Sequence[Recording],
     vehicle: Vehicle | None,
+    name: str = "",
     out: Path | None = None,
     progress: Progress = SILENT,
     present: Present | None = None,
+    diagnosed: Diagnosis | None = None,
 ) -> Currency:
-    """All the evidence. recordings: one new campaign, possibly none; out: where earlier campaigns may lie; present: the vehicle as it is
-    now, which counts more than what the recordings say of it."""
-    base = watched(stored, "model")
+    """All the evidence. recordings: one new campaign, possibly none; name: the vehicle's; out: where its earlier campaigns may lie;
+    present: the vehicle as it is now, which counts more than what the recordings say of it; diagnosed: the new recordings from this model
+    on, found here where it is not given."""
+    subsets = subsets_of(stored.model)
+    tested = [n for names in subsets.values() for n in names]
+    base = watched(stored, "model", tested)
     today = today_fingerprint(recordings, vehicle)
     if present is not None:
         reached = fingerprint(None, present.firmware, present.parameters).as_data()
@@ -99,37 +108,49 @@ def judge(
     untestable: list[str] = []
     series: list[Estimates] = []
     new = {r.name for r in recordings}
-    known = campaigns(out, flown_by(recordings, vehicle)) if out is not None else []
-    earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
-    usable = [s for s in cut_all(recordings, progress) if s.usable] if recordings else []
+    known = campaigns(out, name) if out is not None and name else []
+    earlier = [
+        c.estimates
+        for c in known
+        if c.follows(stored) and c.model.model.terms == stored.model.terms and not new & set(map(str, c.model.runs))
+    ]
+    segments = cut_all(recordings, progress) if recordings else ()
+    usable = [s for s in segments if s.usable]
     paired = None
+    stds: dict[str, float | None] = {}
     if recordings:
+        if diagnosed is None and usable:
+            diagnosed = effects(segments, recordings, stored, vehicle, progress)
         try:
-            series = [*earlier, reestimate(stored, usable, recordings[-1].name, progress)]
+            again, stds = reestimate(stored, usable, recordings[-1].name, progress)
+            series = [*earlier, again]
             paired = like_with_like(stored, base, usable)
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
     battery = battery_of(recordings) if recordings else None
+    spread = allowance(stored, base, earlier)
     found = assess(
         model_fingerprint=stored.fingerprint,
         vehicle_fingerprint=today,
         stored=base,
         runs=series,
         alike=paired,
-        spread=allowance(stored, base, earlier),
+        spread=spread,
         battery=battery,
         battery_reference=battery_reference(stored),
         hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
         untestable=untestable,
+        subsets=subsets,
+        appeared=appeared(diagnosed, stored) if diagnosed is not None else (),
     )
-    told = {t.subset for t in found.tests}
-    blind = [s for s in SUBSETS if recordings and s not in told]
-    unseen = tuple(f"{s}: the model and the new recordings together do not tell; fly {join(SCRIPTS[s])}" for s in blind)
+    missed = untested(stored, subsets, found.tests, stds, spread) if recordings else ()
+    unseen = not_shown(diagnosed) if diagnosed is not None and stored.diagnosed else (NOT_DIAGNOSED,) if usable else ()
     since = flown_until(stored)
     return replace(
         found,
         changes=tuple(c if c.since else replace(c, since=since) for c in found.changes),
-        cannot_tell=(*unseen, *found.cannot_tell),
+        cannot_tell=(*in_words(missed), *found.cannot_tell, *unseen),
+        untested=missed,
     )
 
 
@@ -163,8 +184,10 @@ def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) 
     return seen
 
 
-def reestimate(stored: ModelFile, usable: Sequence[Segment], name: str, progress: Progress = SILENT) -> Estimates:
-    """The stored model's parameters from new responses alone.
+def reestimate(
+    stored: ModelFile, usable: Sequence[Segment], name: str, progress: Progress = SILENT
+) -> tuple[Estimates, dict[str, float | None]]:
+    """The stored model's parameters from new responses alone, and the standard error of each, None where nothing tells it.
 
     What the new recordings cannot tell (alpha over a short flight, say) is held at the stored value, so that it does not blur
     the rest; the test's covariance carries the stored doubt anyway.
@@ -175,15 +198,19 @@ def reestimate(stored: ModelFile, usable: Sequence[Segment], name: str, progress
     return reestimate_segments(stored, usable, name)
 
 
-def reestimate_segments(stored: ModelFile, segments: Sequence[Segment], name: str) -> Estimates:
+def reestimate_segments(
+    stored: ModelFile, segments: Sequence[Segment], name: str
+) -> tuple[Estimates, dict[str, float | None]]:
     """`reestimate` from segments that are already cut."""
     noise = stored_noise(stored, problem_of(segments, stored.model, values=stored.values))
     found = identify(segments, stored.model, start=stored.values, noise=noise)
-    weak = {n: stored.values[n] for n in TESTED if n in found.estimates and _tells_less(found, stored, n)}
+    tested = [n for names in subsets_of(stored.model).values() for n in names]
+    stds = {n: found.estimates[n].std for n in tested if n in found.estimates}
+    weak = {n: stored.values[n] for n in stds if _tells_less(found, stored, n)}
     if weak:
         found = identify(segments, stored.model, start=stored.values, frozen=weak, noise=noise)
-    estimates = watched(model_file.from_fit(found), name)
-    return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v))
+    estimates = watched(model_file.from_fit(found), name, tested)
+    return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v)), stds
 
 
 def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> Alike | None:
@@ -223,7 +250,8 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
     if kept is None or not kept.identifiable:
         return False
     new = found.estimates[name]
-    if new.std is None or (not new.identifiable and new.std > VAGUE * abs(new.value)):
+    size = DELAY_S if name.startswith("T_d") else abs(new.value)
+    if new.std is None or (not new.identifiable and new.std > VAGUE * size):
         return True
     return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
 

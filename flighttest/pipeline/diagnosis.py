@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
 from flighttest.documents import write_text
+from flighttest.errors import InputError
 from flighttest.identify import model_file
 from flighttest.identify.carried_over import carry_over, known_before
 from flighttest.identify.fit import Fit
@@ -20,6 +22,8 @@ from flighttest.pipeline.analysis import base_model, cut_all, model_data
 from flighttest.pipeline.doubts import doubts, once
 from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
+from flighttest.pipeline.history import DEFAULT_RUNS
+from flighttest.pipeline.models import accepted
 from flighttest.pipeline.next_in_zone import held_against_zone
 from flighttest.pipeline.repeating import words_of
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
@@ -27,6 +31,7 @@ from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_
 from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.pipeline.views import fit_view
 from flighttest.recording import Recording
+from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report import html
 from flighttest.report.diagnosis_sections import diagnosis_sections, verdict_tone
 from flighttest.report.document import Document
@@ -37,6 +42,7 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 NEXT_NAME = "next.yaml"
+MODEL_NAME = "model.yaml"
 UNFINISHED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
 
 
@@ -70,10 +76,14 @@ def diagnose(
     vehicle: Path | None = None,
     workers: int = 1,
     progress: Progress = SILENT,
+    keep: bool = False,
 ) -> Result:
-    """Diagnose recordings; with `output` write diagnosis.json, model.yaml, report.html and, where one is due, next.yaml."""
+    """Diagnose recordings; with `output` write diagnosis.json, model.yaml, report.html and, where one is due, next.yaml. keep: the model
+    becomes its vehicle's, in the folder of runs that the recordings are in, else in the usual one."""
     check_writable(output)
-    declared = load_vehicle(vehicle) if vehicle is not None else None
+    if keep and output is None:
+        raise InputError("--accept needs a folder for the model", "name one with -o DIR")
+    declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     stored = model_file.read(model) if model is not None else None
     recordings = open_recordings(runs, columns, workers, progress)
     doubtful = doubts(recordings)
@@ -90,7 +100,12 @@ def diagnose(
         facts["another vehicle"] = f"the model's has {other}; see `flighttest status`"
     if output is not None:
         facts["written to"] = str(output)
-        data = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
+        data, _ = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
+        facts["model"] = str(output / MODEL_NAME)
+        place = _runs_of(runs)
+        words = f"flighttest accept {shlex.quote(str(output))}"
+        words += f" --out {shlex.quote(str(place))}" if place != DEFAULT_RUNS else ""
+        facts["accept it"] = accepted(output, place, vehicle) if keep else words
     data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:
@@ -98,6 +113,11 @@ def diagnose(
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
+
+
+def _runs_of(runs: Sequence[Path]) -> Path:
+    """The folder of runs that recordings are in, where they are runs; else the usual one."""
+    return runs[-1].parent if (runs[-1] / MANIFEST_NAME).is_file() else DEFAULT_RUNS
 
 
 def _base_terms(found: Diagnosis) -> list[str]:
@@ -126,8 +146,9 @@ def write_diagnosis(
     base: ModelFile | None,
     folder: Path,
     progress: Progress = SILENT,
-) -> dict[str, Any]:
-    """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written. base: the model given."""
+) -> tuple[dict[str, Any], Fit]:
+    """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written, and the fit of the improved model.
+    base: the model given."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / NEXT_NAME).unlink(missing_ok=True)  # of an earlier diagnosis
     data = found.to_json()
@@ -138,8 +159,8 @@ def write_diagnosis(
         data["next_flight"] = NEXT_NAME
     (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
     fitted, kept = refit(found, segments, base, progress)
-    model = model_data(fitted, recordings, vehicle)
-    model_file.write(folder / "model.yaml", carry_over(model, base, kept) if base is not None and kept else model)
+    model = model_data(fitted, recordings, vehicle) | {"diagnosed": looked_for(found)}
+    model_file.write(folder / MODEL_NAME, carry_over(model, base, kept) if base is not None and kept else model)
     page = run_document(
         recordings,
         fit_view(fitted, segments),
@@ -150,4 +171,15 @@ def write_diagnosis(
         tone=verdict_tone(data),
     )
     html.write(page, folder / REPORT_NAME)
-    return data
+    return data, fitted
+
+
+def looked_for(found: Diagnosis) -> dict[str, Any]:
+    """What model.yaml keeps of a diagnosis: what else its flights would have shown, and from which size on; what they could not show."""
+    return {
+        "verdict": found.verdict.name,
+        "complete": found.complete,
+        "not_needed": sorted(found.not_needed),
+        "untestable": sorted({u.term for u in found.untestable}),
+        "smallest_detectable": {k: float(f"{v:.4g}") for k, v in found.smallest_detectable.items()},
+    }

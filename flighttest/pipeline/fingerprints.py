@@ -39,6 +39,16 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
     return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
 
 
+def of_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a run, by its manifest alone."""
+    vehicle = manifest.get("vehicle") or {}
+    made = fingerprint(None, str(manifest.get("firmware") or ""), manifest.get("parameters") or {})
+    block = vehicle if isinstance(vehicle, Mapping) else {}
+    components = manifest.get("components") or {}
+    volts, mass = block.get("nominal_voltage_v"), block.get("mass_kg")
+    return replace(made, components=components, nominal_voltage_v=volts, mass_kg=mass).as_data()
+
+
 def differences(stored: Mapping[str, Any], recordings: Sequence[Recording]) -> str:
     """What was declared or set otherwise in recordings than for a model: 'MOT_SPIN_MIN 0.15, here 0.1'; empty where nothing was."""
     changes, _ = declared_changes(stored, of_recordings(recordings, None))

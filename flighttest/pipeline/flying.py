@@ -20,10 +20,10 @@ from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.link.onboard import fetch
 from flighttest.pipeline.campaign import analyse
-from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.pipeline.checking import plans, prior_of
 from flighttest.pipeline.currency import flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
-from flighttest.pipeline.history import campaigns, standing
+from flighttest.pipeline.lineage import model_of
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
@@ -61,10 +61,12 @@ class FlightRequest:
     hide: tuple[str, ...] = ()
     model: Path | None = None
     fly_only: bool = False
+    fit_only: bool = False
     resume: Path | None = None
     set_params: bool = False
     waive: tuple[str, ...] = ()
     weather: str = ""
+    accept: bool = False
 
 
 def as_before(request: FlightRequest) -> FlightRequest:
@@ -104,9 +106,11 @@ def needs_consent(request: FlightRequest) -> bool:
 
 
 def declared_vehicle(request: FlightRequest) -> Vehicle:
-    """The vehicle file, or the built-in one's."""
+    """The vehicle file, the built-in one's, or one without a name in the built-in one's zone."""
     if request.vehicle is not None:
         return load_vehicle(request.vehicle)
+    if target(request) != BUILTIN:  # whatever answers there: not the built-in one, and nobody said which
+        return replace(DEFAULT_VEHICLE, name="", mass_kg=None, components={})
     # The other built-in airframe is another vehicle: its runs must not be compared with the first one's model.
     return (
         DEFAULT_VEHICLE if request.airframe == DEFAULT_VEHICLE.name else replace(DEFAULT_VEHICLE, name=request.airframe)
@@ -143,11 +147,8 @@ def new_run(out: Path, script: str, now: datetime.datetime) -> Path:
 
 
 def previous_model(request: FlightRequest, vehicle: Vehicle) -> ModelFile | None:
-    """The model to compare with: the one named, else the last one fitted in the folder of runs for a vehicle of this name."""
-    if request.model is not None:
-        return model_file.read(request.model)
-    found = standing(campaigns(request.out, vehicle.name))
-    return found.model if found is not None else None
+    """The model to compare with and to plan by: the one named, else the one in use of this vehicle."""
+    return model_file.read(request.model) if request.model is not None else model_of(request.out, vehicle.name)
 
 
 @contextmanager
@@ -185,7 +186,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     _known_waivers(request.waive)
     names = request.scripts or (str(script_of(request.resume)),)
     previous = previous_model(request, vehicle)
-    prior = predictor_for(request.model, vehicle)
+    prior, _ = prior_of(request.model, request.out, vehicle)
     compiled = plans(names, vehicle, prior)
     for plan in compiled:
         _all_flyable(plan)
@@ -228,13 +229,14 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             break
     usable = len(ends) == len(compiled) and all(e.as_planned and not e.incomplete for e in ends)
     # Each step once, to compare with a model: too little to look for unnamed physics in.
-    wanted = False if all(plan.script.name == SPOT_CHECK for plan in compiled) else None
+    wanted = not request.fit_only and any(plan.script.name != SPOT_CHECK for plan in compiled)
     if request.fly_only:
         return _flown(compiled, folders, ends, notes, usable)
     try:
         found = analyse(
-            folders, vehicle=vehicle, previous=previous, diagnose=wanted, notes=notes, usable=usable, progress=progress
-        )
+            folders, out=request.out, vehicle=vehicle, previous=previous, diagnose=wanted, keep=request.accept, notes=notes,
+            usable=usable, progress=progress,
+        )  # fmt: skip
     except (FlighttestError, OSError) as error:
         if usable and not isinstance(error, OSError):
             raise

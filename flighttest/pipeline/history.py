@@ -19,6 +19,7 @@ from flighttest.errors import FlighttestError, InputError
 from flighttest.estimation.distributions import quantile
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.pipeline.identities import known_in, of_manifest, recognised, run_folders
 from flighttest.pipeline.results import Result
 from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest
 from flighttest.report import html
@@ -61,8 +62,8 @@ class Campaign:
         return str(self.model.runs[-1]) > last and not changes
 
 
-def watched(model: ModelFile, name: str) -> Estimates:
-    """The identified parameters that currency watches, with their covariance.
+def watched(model: ModelFile, name: str, tested: Sequence[str] = TESTED) -> Estimates:
+    """The identified ones of the parameters that are tested, with their covariance.
 
     Few responses know their own scatter badly: the degrees of freedom are those of the 95 % intervals (Student's factor).
     """
@@ -70,7 +71,7 @@ def watched(model: ModelFile, name: str) -> Estimates:
     names = tuple(
         n
         for n in model.order
-        if n in TESTED and n in model.parameters and n not in lost and (n in TOGETHER or _tells(model.parameters[n]))
+        if n in tested and n in model.parameters and n not in lost and (n in TOGETHER or _tells(model.parameters[n]))
     )
     values = np.array([model.parameters[n].value for n in names])
     pick = np.array([model.order.index(n) for n in names], dtype=np.intp)
@@ -111,25 +112,19 @@ def dof_of(factor: float) -> float:
     return float(brentq(lambda nu: quantile(0.975, nu) - factor, 1.0, MANY))
 
 
-def run_folders(folder: Path) -> list[Path]:
-    """Run folders below a folder, by name, which begins with their date."""
-    if not folder.is_dir():
-        return []
-    return sorted(p for p in folder.iterdir() if (p / MANIFEST_NAME).is_file())
-
-
-def campaigns(folder: Path, vehicle: str = "") -> list[Campaign]:
-    """Distinct fits in a folder of runs, oldest first; files that cannot be read are passed over (`runs` names them).
-
-    vehicle: only of runs with a vehicle of this name, or of which it is not known.
-    """
+def campaigns(folder: Path, vehicle: str) -> list[Campaign]:
+    """Distinct fits of one vehicle's runs in a folder, with the terms that a diagnosis found, oldest first; files that cannot be read are
+    passed over (`runs` names them)."""
     found: dict[tuple[str, ...], Campaign] = {}
+    known = known_in(folder)
     for run in run_folders(folder):
         path = run / FIT_NAME
-        if not path.is_file() or (vehicle and vehicle_name(run) not in ("", vehicle)):
+        if not path.is_file():
             continue
         try:
-            stored = model_file.read(path)
+            if recognised(of_manifest(read_manifest(run)), known) != vehicle:
+                continue
+            stored = model_file.read(model_file.held_by(run))
         except FlighttestError:
             continue  # an old or broken file must not hide the others
         found[tuple(str(r) for r in stored.runs) or (run.name,)] = Campaign(run, stored)
@@ -166,21 +161,25 @@ def standing(known: Sequence[Campaign]) -> Campaign | None:
 def vehicle_name(run: Path) -> str:
     """The name of the vehicle a run was flown with; empty where it is not known."""
     try:
-        vehicle = read_manifest(run).get("vehicle") or {}
+        return of_manifest(read_manifest(run)).name
     except FlighttestError:
         return ""
-    return str(vehicle.get("name", "")) if isinstance(vehicle, Mapping) else str(vehicle)
 
 
-def history(folder: Path, *, page: bool = False) -> Result:
-    """The table of runs; with `page` also history.html in the folder."""
+def check_runs(folder: Path) -> None:
+    """InputError where a folder of runs that was named is none; the usual one need not be there yet."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder", "name the folder that holds the runs")
     if not folder.exists() and folder != DEFAULT_RUNS:
         raise InputError(
             f"{folder}: there is no such folder", "name the folder that holds the runs, as `run --out` had it"
         )
-    points, units, broken = [], {}, _without_manifest(folder)
+
+
+def history(folder: Path, *, page: bool = False) -> Result:
+    """The table of runs; with `page` also history.html in the folder."""
+    check_runs(folder)
+    points, units, broken, known = [], {}, _without_manifest(folder), known_in(folder)
     for run in run_folders(folder):
         try:
             manifest = read_manifest(run)
@@ -193,7 +192,7 @@ def history(folder: Path, *, page: bool = False) -> Result:
                 stored = model_file.read(run / FIT_NAME)
             except FlighttestError as error:
                 broken.append(_reason(run / FIT_NAME, error))
-        points.append(_point(run, manifest, stored))
+        points.append(_point(run, manifest, stored, recognised(of_manifest(manifest), known)))
         if stored is not None:
             units.update({n: p.unit for n, p in stored.parameters.items()})
     document = history_document(points, units, [line.replace(f"{folder}{os.sep}", "") for line in broken])
@@ -229,7 +228,7 @@ def _written(document: Document, path: Path) -> Document:
     return replace(document, footer=f"page: {path}")
 
 
-def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> HistoryPoint:
+def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None, vehicle: str) -> HistoryPoint:
     parameters = {}
     if stored is not None:
         for name, p in stored.parameters.items():
@@ -239,12 +238,11 @@ def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None) -> 
         str(name): ", ".join(str(v) for k, v in dict(fields or {}).items() if k in ("id", "model"))
         for name, fields in (manifest.get("components") or {}).items()
     }
-    vehicle = manifest.get("vehicle") or {}
     script = manifest.get("script") or {}
     return HistoryPoint(
         run=run.name,
         when=str(manifest.get("started") or manifest.get("created") or when(run.name)),
-        vehicle=str(vehicle.get("name", "") if isinstance(vehicle, Mapping) else vehicle),
+        vehicle=vehicle,
         script=str(script.get("name", "") if isinstance(script, Mapping) else script),
         outcome=str(manifest.get("outcome") or _IMPORTED.get(str(manifest.get("importer")), "")),
         parameters=parameters,

@@ -44,7 +44,7 @@ def open_model(path: Path, progress: Progress = SILENT) -> ModelFile:
     """A model file, or the fit of a run or log."""
     if not path.exists():
         raise InputError(f"{path}: there is no such model or run", "give a model.yaml, a run folder or a log")
-    if path.suffix in (".yaml", ".yml"):
+    if path.suffix in (".yaml", ".yml") or any((path / name).is_file() for name in model_file.NAMES):
         return model_file.read(path)
     recordings = open_recordings([path], progress=progress)
     found = fit_segments(cut_all(recordings, progress), recordings, progress=progress)

@@ -22,7 +22,7 @@ from flighttest.vehicle.model import Vehicle, Zone
 def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle: Vehicle | None) -> Diagnosis:
     """The diagnosis, whose proposal says in `next_reason` and in the script's doc whether it fits the zone of this vehicle, or else of the
     one that was flown last. As it was where neither is known: a script is planned for the zone it is flown in anyway."""
-    where = vehicle or flown_vehicle(recordings)
+    where = vehicle if vehicle is not None and vehicle.flies else flown_vehicle(recordings)
     if where is None or not found.next_script:
         return found
     told: dict[str, Any]

@@ -8,7 +8,8 @@ from pathlib import Path
 from flighttest.errors import InputError
 from flighttest.flight import legs_flown
 from flighttest.flight.changes import Left
-from flighttest.pipeline.history import run_folders, vehicle_name
+from flighttest.pipeline.history import vehicle_name
+from flighttest.pipeline.identities import run_folders
 from flighttest.plan import Plan
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
 

@@ -59,6 +59,7 @@ def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
         vehicle=manifest.get("vehicle") or source.vehicle,
         parameters=manifest.get("parameters") or source.parameters,
         firmware=str(manifest.get("firmware") or source.firmware),
+        autopilot=str(manifest.get("autopilot") or source.autopilot),
         losses=(*source.losses, *unread),
     )
     return Recording(folder.name, recording.series, marks, provenance)
@@ -143,7 +144,7 @@ def import_log(
     rebuilding = (output / MANIFEST_NAME).exists()
     if output.exists() and not rebuilding and (not output.is_dir() or any(output.iterdir())):
         raise InputError(f"{output} exists and is no run folder", "name a folder that does not exist yet")
-    declared = load_vehicle(vehicle) if vehicle is not None else None
+    declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     progress.stage(f"reading {log}")
     same = rebuilding and log.resolve() == (output / RAW_NAME).resolve()
     recording = _rebuilt(output, read_manifest(output), log) if same else open_recording(log, columns)

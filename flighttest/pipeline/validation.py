@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from flighttest.errors import InputError
 from flighttest.identify import model_file
 from flighttest.identify.validate import Validation, Variation, comparable
 from flighttest.identify.validate import validate as compare_models
 from flighttest.pipeline.analysis import cut_all
 from flighttest.pipeline.fingerprints import differences
+from flighttest.pipeline.history import DEFAULT_RUNS, check_runs
+from flighttest.pipeline.identities import whose
+from flighttest.pipeline.lineage import in_use
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.sources import losses_of, open_recordings
 from flighttest.report import html
@@ -21,19 +25,33 @@ from flighttest.segments import Segment
 
 
 def validate(
-    model: Path,
+    model: Path | None,
     runs: Sequence[Path],
     previous: Path | None = None,
     output: Path | None = None,
     columns: Path | None = None,
     progress: Progress = SILENT,
+    *,
+    out: Path = DEFAULT_RUNS,
 ) -> Result:
     """Paper section 4; `output`: also write the page. Free flight and steps, where both are given, are compared apart: they ask
     different things of a model, and an error over both together would say little of either."""
     check_writable(None if output is None else output.parent)
+    check_runs(out)
+    if model is None:
+        model, runs = _parted(runs)
+    recordings = open_recordings(runs, columns, progress=progress) if model is None else ()
+    if model is None:
+        name = whose(recordings, None, out)
+        if not name:
+            raise InputError(
+                f"{join([str(r) for r in runs])}: of an unknown vehicle, and no model was given",
+                "name the model: flighttest validate MODEL RUN",
+            )
+        model = Path(in_use(out, name).path)
     stored = model_file.read(model, whole=True)
     earlier = model_file.read(previous) if previous is not None else None
-    recordings = open_recordings(runs, columns, progress=progress)
+    recordings = recordings or open_recordings(runs, columns, progress=progress)
     segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
     progress.stage("running the models open loop")
     usable = [s for s in segments if comparable(s)]
@@ -65,6 +83,17 @@ def validate(
     if output is not None:
         html.write(document, output)
     return Result(document, data, Status.DONE, found)
+
+
+def _parted(paths: Sequence[Path]) -> tuple[Path | None, Sequence[Path]]:
+    """The model among what was named, and the recordings: a model file, or the first of several folders where it holds one."""
+    first, others = paths[0], paths[1:]
+    if first.suffix in (".yaml", ".yml"):
+        if not others:
+            raise InputError(f"nothing to hold {first} against", "name a recording: flighttest validate MODEL RUN")
+        return first, others
+    holds = first.is_dir() and any((first / name).is_file() for name in model_file.NAMES)
+    return (first, others) if holds and others else (None, paths)
 
 
 def _left_out(segments: Sequence[Segment]) -> str:

@@ -170,6 +170,7 @@ def _write_recording(run_dir: Path, recording: Recording) -> None:
         filters=dict(p.filters),
         derived=dict(p.derived),
         reference_clock=p.reference_clock,
+        autopilot=p.autopilot,
     )
     write_manifest(run_dir, manifest)
 
@@ -214,6 +215,7 @@ def open_run(path: Path | str) -> Recording:
             filters=manifest.get("filters") or {},
             derived={str(k): str(v) for k, v in (manifest.get("derived") or {}).items()},
             reference_clock=str(manifest.get("reference_clock", "vehicle")),
+            autopilot=str(manifest.get("autopilot") or ""),
         ),
     )
 

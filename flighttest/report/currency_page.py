@@ -54,6 +54,8 @@ def status_document(
         sections.append(_changes(found, brief))
     if found.tests:
         sections.append(_tests(found) if brief else _tests_in_full(found))
+    if found.appeared:
+        sections.append(_listed("appeared", "New", tuple(a.sentence for a in found.appeared), brief))
     if found.matters:
         sections.append(_listed("matters", "Why it matters", found.matters, brief))
     if flights and (found.fly or found.verdict is Verdict.UNKNOWN):

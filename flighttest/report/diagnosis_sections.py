@@ -37,6 +37,28 @@ def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]
     return tuple(s for s in found if s is not None)
 
 
+def missing_sections(data: Data) -> tuple[Section, ...]:
+    """For one screen: what the model lacks, with values and intervals, and the prediction error without and with it."""
+    findings = data.get("findings") or ()
+    if not findings:
+        return ()
+    rows: list[tuple[Cell | str, ...]] = []
+    for item in findings:
+        verdict = str(item.get("verdict", ""))
+        name: Cell | str = Cell(str(item["term"]), TERM_TONES.get(verdict, "plain"))
+        for row in _parameters(item.get("parameters") or {}).rows or (("-", "-", "", "-"),):
+            rows.append((name, *row))
+            name = ""
+    align: tuple[Align, ...] = ("left", "left", "right", "left", "right")
+    blocks: list[Block] = [Table(("term", "parameter", "value", "unit", "95 % interval"), tuple(rows), align)]
+    held = _heldout_rows(data)
+    if held:
+        caption = "RMSE on responses that were not used for the choice, without and with what is missing."
+        heads = ("channel", "before", "after", "noise floor", "drop")
+        blocks.append(Table(heads, tuple(held), ("left", "right", "right", "right", "right"), caption))
+    return (Section("missing", "What the model lacked", tuple(blocks)),)
+
+
 def _located(data: Data) -> Section:
     located = data.get("located") or ()
     blocks: list[Block] = []

@@ -26,7 +26,14 @@ KEYS = (
     "rotor_height_m",
     "components",
 )
-REQUIRED = ("format", "name", "firmware", "nominal_voltage_v", "hover_throttle", "zone")
+REQUIRED = (
+    "format",
+    "name",
+    "firmware",
+    "nominal_voltage_v",
+    "hover_throttle",
+    "zone",
+)  # to fly; a recording needs only the name
 ZONE_KEYS = ("origin", "heading_deg", "x_m", "y_m", "z_m", "margin_m")
 FIRMWARES = ("ardupilot", "px4")
 
@@ -35,13 +42,16 @@ _HARMLESS_COMPONENTS = frozenset({"rc_controller", "rc_receiver", "rc_transmitte
 _HARMLESS_FIELDS = frozenset({"url", "notes"})
 
 
-def load_vehicle(path: str | Path) -> Vehicle:
-    """Read vehicle.yaml. VehicleError lists everything wrong with it as `file:line: path: what; hint`."""
+def load_vehicle(path: str | Path, *, to_fly: bool = True) -> Vehicle:
+    """Read vehicle.yaml. VehicleError lists everything wrong with it as `file:line: path: what; hint`.
+
+    to_fly: False where it is for recordings: what only a flight needs (zone, firmware, hover throttle) may be missing then.
+    """
     path = Path(path)
-    return parse_vehicle(read_text(path, VehicleError, "vehicle file"), str(path))
+    return parse_vehicle(read_text(path, VehicleError, "vehicle file"), str(path), to_fly=to_fly)
 
 
-def parse_vehicle(text: str, file: str = "vehicle.yaml") -> Vehicle:
+def parse_vehicle(text: str, file: str = "vehicle.yaml", *, to_fly: bool = True) -> Vehicle:
     """`load_vehicle` for text; `file` names it in messages, and relative component files are looked for beside it."""
     document = Document(file, text)
     document.check_format("vehicle")
@@ -49,7 +59,8 @@ def parse_vehicle(text: str, file: str = "vehicle.yaml") -> Vehicle:
         document.raise_problems(VehicleError)
         raise VehicleError(f"{file}: empty")  # unreachable: a document without root has problems
     fields = document.mapping(document.root, KEYS)
-    require(document, fields, [key for key in REQUIRED if key != "format"], document.root.line)
+    needed = REQUIRED if to_fly else ("format", "name")
+    require(document, fields, [key for key in needed if key != "format"], document.root.line)
     vehicle = _vehicle(document, fields, file)
     document.raise_problems(VehicleError)
     return vehicle
@@ -85,6 +96,7 @@ def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehic
         rotor_height_m=rotor,
         components=_components(document, fields["components"], Path(file).parent) if "components" in fields else {},
         path=file,
+        flies=set(REQUIRED) <= set(fields),
     )
 
 

@@ -40,7 +40,9 @@ class Zone:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle as declared in vehicle.yaml. `components` maps battery, propellers, motors, payload, ... to their fields."""
+    """A vehicle as declared in vehicle.yaml. `components` maps battery, propellers, motors, payload, ... to their fields.
+
+    flies: whether all is declared that a flight needs; otherwise zone, firmware and hover throttle are placeholders."""
 
     name: str
     connect: str | None
@@ -52,3 +54,4 @@ class Vehicle:
     rotor_height_m: float = 0.2
     components: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     path: str = ""
+    flies: bool = True

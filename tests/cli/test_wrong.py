@@ -14,9 +14,9 @@ MOST_S = 20.0  # of one, its imports included: nothing hangs, also on a busy mac
 
 
 def sound(wrong: Wrong) -> bool:
-    """`runs` lists the runs in a folder: one that holds none, or a run itself, is no mistake."""
+    """`runs` and `models` list what is in a folder: one that holds none, or a run itself, is no mistake."""
     folder = wrong.what.removeprefix("folder: ")
-    return wrong.argv[0] == "runs" and (folder == "a folder" or folder.startswith("a run"))
+    return wrong.argv[0] in ("runs", "models") and (folder == "a folder" or folder.startswith("a run"))
 
 
 def test_a_wrong_invocation_is_told_and_nothing_else_happens(

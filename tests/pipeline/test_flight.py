@@ -64,7 +64,7 @@ def call(capsys):
 
 def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
     out_dir = tmp_path / "runs"
-    code, out, err = call("run", script, "--out", out_dir, "--json")
+    code, out, err = call("run", script, "--out", out_dir, "--only", "fit", "--json")
     assert code == 0, err
     assert err.splitlines()[0].startswith("flying the built-in simulated copter")
     data = json.loads(out)
@@ -130,7 +130,7 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     assert first.document.verdict != "Recorded."
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     (run,) = out_dir.iterdir()
-    code, out, err = call("run", "--resume", run, "--out", out_dir, "--json")
+    code, out, err = call("run", "--resume", run, "--out", out_dir, "--only", "fit", "--json")
     assert code == 0, err
     data = json.loads(out)
     assert data["runs"][0] == str(run)
@@ -237,7 +237,7 @@ def test_a_script_that_leaves_the_zone_is_not_flown(call, tmp_path):
 
 def test_before_take_off_the_vehicle_is_compared_with_the_model_in_use(call, script, tmp_path):
     out_dir = tmp_path / "runs"
-    assert call("run", script, "--out", out_dir, "--json")[0] == 0
+    assert call("run", script, "--out", out_dir, "--only", "fit", "--json")[0] == 0
     (run,) = out_dir.iterdir()
     fitted = (run / "fit.yaml").read_text()
     assert "MOT_SPIN_MIN: 0.15" in fitted

@@ -9,7 +9,7 @@ import pytest
 from flighttest.errors import InputError
 from flighttest.identify.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline import currency, history
+from flighttest.pipeline import history, lineage
 from flighttest.pipeline.history import Campaign, campaigns, standing, watched
 
 NAMES = ("omega_phi", "sigma_r", "K", "alpha")
@@ -90,8 +90,10 @@ def test_of_several_vehicles_in_a_folder_the_model_is_of_the_one_asked_about(tmp
         (run / "manifest.yaml").write_text(f"format: run/1\nvehicle: {{name: {vehicle}}}\n")
         (run / "fit.yaml").touch()
     monkeypatch.setattr(history.model_file, "read", lambda path: model(runs=(path.parent.name,)))
-    assert [c.folder.name for c in campaigns(tmp_path)] == ["1-thrust", "2-thrust"]
-    assert currency.newest_model(tmp_path).runs == ("2-thrust",)
-    assert currency.newest_model(tmp_path, "heron").runs == ("1-thrust",)
+    assert [c.folder.name for c in campaigns(tmp_path, "stork")] == ["2-thrust"]
+    assert lineage.in_use(tmp_path, "heron").runs == ("1-thrust",)
+    assert lineage.in_use(tmp_path, "stork").runs == ("2-thrust",)
+    with pytest.raises(InputError, match="holds 2 vehicles: heron and stork"):
+        lineage.in_use(tmp_path)
     with pytest.raises(InputError, match="no run of a vehicle called crow"):
-        currency.newest_model(tmp_path, "crow")
+        lineage.in_use(tmp_path, "crow")

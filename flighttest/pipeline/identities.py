@@ -1,0 +1,98 @@
+"""Which vehicle recordings, runs and models are of. Nothing is taken to be of a vehicle because it lies beside its runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from flighttest.errors import FlighttestError, InputError
+from flighttest.recording import Recording
+from flighttest.recording.store import MANIFEST_NAME, read_manifest
+from flighttest.report.numbers import join
+from flighttest.vehicle.identity import Identity, identity
+from flighttest.vehicle.model import Vehicle
+
+SAY = "say with --vehicle vehicle.yaml (`format: vehicle/1` and `name: ...` are enough)"
+
+
+def run_folders(folder: Path) -> list[Path]:
+    """Run folders below a folder, by name, which begins with their date."""
+    if not folder.is_dir():
+        return []
+    return sorted(p for p in folder.iterdir() if (p / MANIFEST_NAME).is_file())
+
+
+def of_manifest(manifest: Mapping[str, Any]) -> Identity:
+    """Of a run, by its manifest."""
+    vehicle = manifest.get("vehicle") or {}
+    block = vehicle if isinstance(vehicle, Mapping) else {"name": vehicle}
+    return identity(block, manifest.get("parameters") or {}, str(manifest.get("autopilot") or ""))
+
+
+def of_recording(recording: Recording) -> Identity:
+    """Of one recording, by what it carries."""
+    source = recording.provenance
+    return identity(source.vehicle, source.parameters, source.autopilot)
+
+
+def identity_of(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Identity:
+    """Of recordings together: the vehicle file's name first, of everything else what the newest recording knows; of none where they are of
+    two vehicles."""
+    found = Identity()
+    declared = vehicle is not None and bool(vehicle.name)
+    if not declared and len({of_recording(r).key for r in recordings} - {""}) > 1:
+        return found
+    for one in map(of_recording, recordings):
+        found = Identity(
+            one.name or found.name,
+            one.autopilot or found.autopilot,
+            found.sysid if one.sysid is None else one.sysid,
+            one.calibration or found.calibration,
+        )
+    return replace(found, name=vehicle.name) if vehicle is not None and vehicle.name else found
+
+
+def known_in(folder: Path) -> dict[str, list[Identity]]:
+    """The named vehicles of a folder of runs, and what their runs know of their autopilots."""
+    found: dict[str, list[Identity]] = {}
+    for run in run_folders(folder):
+        try:
+            one = of_manifest(read_manifest(run))
+        except FlighttestError:
+            continue
+        if one.name:
+            found.setdefault(one.name, []).append(one)
+    return found
+
+
+def recognised(one: Identity, known: Mapping[str, Iterable[Identity]]) -> str:
+    """What a vehicle is called: its own name, else that of the one whose autopilot it is, else by its autopilot; '' where it is unknown."""
+    if one.name:
+        return one.name
+    names = [name for name, others in known.items() if any(one.same_board(other) for other in others)]
+    return names[0] if len(names) == 1 else one.key
+
+
+def whose(recordings: Sequence[Recording], vehicle: Vehicle | None, folder: Path | None = None) -> str:
+    """The one vehicle that recordings are of, '' where it is not known. InputError where they are of two."""
+    vehicle = vehicle if vehicle is not None and vehicle.name else None
+    known = known_in(folder) if folder is not None else {}
+    named = [recognised(of_recording(r), known) for r in recordings]
+    for recording, name in zip(recordings, named, strict=True):
+        other = vehicle.name if vehicle is not None else next((n for n in named if n), "")
+        if name and name != other and (recording.provenance.vehicle.get("name") or vehicle is None):
+            raise InputError(
+                f"two vehicles in one call: {recording.name} is of {name}, not of {other}",
+                "give the recordings of one vehicle, with its own vehicle file",
+            )
+    return vehicle.name if vehicle is not None else next((n for n in named if n), "")
+
+
+def only_vehicle(names: Sequence[str], folder: Path) -> str:
+    """The vehicle that is meant where nobody names one: the only one there is. InputError where there are several."""
+    distinct = sorted({n for n in names if n})
+    if len(distinct) > 1:
+        raise InputError(f"{folder} holds {len(distinct)} vehicles: {join(distinct)}", SAY)
+    return distinct[0] if distinct else ""

@@ -1,0 +1,62 @@
+"""Which vehicle something is of: by its declared name, else by what an autopilot cannot share with another one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any
+
+# Results of an accelerometer calibration (ArduPilot, PX4): no two boards have the same. Others, as a compass' offsets, change in flight.
+CALIBRATION = ("INS_ACC*OFFS_?", "INS_ACC*SCAL_?", "CAL_ACC*_?OFF", "CAL_ACC*_?SCALE")
+SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV", "MAV_SYS_ID")
+LEAST_CALIBRATION = 3  # numbers: of one sensor
+ROUND_DIGITS = 3  # decimals of a number that somebody typed, or of a default
+
+
+@dataclass(frozen=True)
+class Identity:
+    """name: as declared in vehicle.yaml, '' where nobody did; autopilot: the board's own number, '' where it is not known; sysid: MAVLink
+    system id, None where it is not known; calibration: of the accelerometers, by parameter."""
+
+    name: str = ""
+    autopilot: str = ""
+    sysid: int | None = None
+    calibration: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """What a vehicle is called where nobody named it: by its autopilot; '' where nothing tells it from another."""
+        if self.name or self.autopilot:
+            return self.name or f"autopilot {self.autopilot.rstrip('0')}"
+        if len(self.calibration) < LEAST_CALIBRATION:
+            return ""
+        text = "\n".join([f"{self.sysid}", *(f"{n}={v:.6g}" for n, v in sorted(self.calibration.items()))])
+        return f"autopilot calibrated {hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+    def same_board(self, other: Identity) -> bool | None:
+        """Whether both are one autopilot: by its number, else by calibration and system id. None where it cannot be told."""
+        if self.autopilot and other.autopilot:
+            return self.autopilot == other.autopilot
+        shared = set(self.calibration) & set(other.calibration)
+        if len(shared) < LEAST_CALIBRATION:
+            return None
+        alike = all(abs(self.calibration[n] - other.calibration[n]) < 1e-6 for n in shared)
+        return alike and (self.sysid == other.sysid or None in (self.sysid, other.sysid))
+
+    def as_data(self) -> dict[str, Any]:
+        """For model.yaml."""
+        return {"name": self.name or None, "autopilot": self.autopilot or None, "sysid": self.sysid}
+
+
+def identity(vehicle: Mapping[str, Any], parameters: Mapping[str, Any], autopilot: str = "") -> Identity:
+    """Of what a recording or a manifest carries: the block `vehicle`, all parameters, and the autopilot's own number."""
+    numbers = {str(n): float(v) for n, v in parameters.items() if isinstance(v, int | float)}
+    sysid = next((int(numbers[n]) for n in SYSTEM_IDS if n in numbers), None)
+    measured = {
+        n: v
+        for n, v in numbers.items()
+        if any(fnmatchcase(n, p) for p in CALIBRATION) and abs(v - round(v, ROUND_DIGITS)) > 1e-6
+    }
+    return Identity(str(vehicle.get("name") or ""), autopilot, sysid, measured)

@@ -1,0 +1,108 @@
+"""`status` misses nothing: every parameter of a model is tested or listed, and an effect that came makes it stale."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flighttest.currency.assess import assess
+from flighttest.currency.compare import Estimates, subset_tests
+from flighttest.currency.model import Appeared, Verdict
+from flighttest.diagnose import Verdict as Found
+from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.physics.model import Model
+from flighttest.pipeline.evidence import appeared, in_words, subsets_of, untested
+from flighttest.report.currency_page import status_document
+
+TERMS = ("body", "linear_drag", "quadratic_drag")
+
+
+def stored(terms=TERMS, diagnosed=None):
+    model = Model(terms)
+    values = model.start({n: 0.05 for n in ("k_x", "k_y", "k_z") if n in model.names})
+    known = {n: StoredParameter(v, model.param[n].unit, 0.01 * abs(v) + 1e-6) for n, v in values.items()}
+    order = tuple(known)
+    matrix = np.diag([float(known[n].std) ** 2 for n in order])
+    return ModelFile(model, known, values, order, matrix, {}, diagnosed=diagnosed or {})
+
+
+def estimates(model, names, **factors):
+    values = np.array([model.values[n] * factors.get(n, 1.0) for n in names])
+    return Estimates("x", tuple(names), values, np.diag((0.01 * np.abs(values)) ** 2))
+
+
+@pytest.mark.parametrize("told", [("K", "sigma_t"), ("d_z",), ("d_z", "omega_phi", "T_d_thrust", "k_x")])
+def test_every_parameter_is_tested_or_listed(told):
+    model = stored()
+    subsets = subsets_of(model.model)
+    assert {n for names in subsets.values() for n in names} == set(model.model.names)
+    tests = subset_tests(estimates(model, model.model.names), estimates(model, told), subsets=subsets)
+    missed = untested(model, subsets, tests, {"d_x": 0.1, "d_y": None}, {"d_x": 0.02})
+    shown = {n for t in tests for n in t.shifts}
+    assert shown | {u.parameter for u in missed} == set(model.model.names)
+    assert not shown & {u.parameter for u in missed}
+    d_x = next(u for u in missed if u.parameter == "d_x")
+    expected = np.hypot(np.hypot(0.1, model.parameters["d_x"].std), 0.02 * model.values["d_x"]) / model.values["d_x"]
+    assert 2.5 * expected < d_x.smallest < 4.0 * expected
+    (words,) = [w for w in in_words(missed) if w.startswith("drag: ")]
+    assert "d_x would have shown from" in words
+    assert "d_y" in words.partition("not at all")[0]
+    assert "fly roll_pitch" in words
+
+
+@pytest.mark.parametrize(("name", "subset"), [("k_x", "quadratic_drag"), ("T_d_thrust", "delay"), ("d_x", "drag")])
+def test_a_change_of_any_parameter_makes_the_model_stale(name, subset):
+    model = stored()
+    names = model.model.names
+
+    def verdict(factor):
+        new = estimates(model, names, **{name: factor})
+        both = {"model_fingerprint": {}, "vehicle_fingerprint": None, "subsets": subsets_of(model.model)}
+        return assess(stored=estimates(model, names), runs=[new], spread={"d_x": 0.03}, **both)
+
+    found = verdict(1.6)
+    assert found.verdict is Verdict.STALE
+    assert [t.subset for t in found.tests if t.alarm] == [subset]
+    assert verdict(1.02).verdict is Verdict.CURRENT
+
+
+def finding(term):
+    return SimpleNamespace(term=term, title=term.title(), sentence=f"{term} of some size")
+
+
+def diagnosis(*terms, verdict=Found.EXPLAINED):
+    located = (SimpleNamespace(sentence="f_z below 1 m"),)
+    return SimpleNamespace(findings=tuple(map(finding, terms)), verdict=verdict, located=located)
+
+
+def test_an_effect_that_came_is_told_from_one_that_was_not_looked_for():
+    known = stored(
+        diagnosed={
+            "verdict": "NOTHING_MISSING",
+            "untestable": ["slung_payload"],
+            "smallest_detectable": {"ground_effect": 0.01},
+        }
+    )
+    (new,) = appeared(diagnosis("ground_effect"), known)
+    assert (new.term, new.unseen) == ("ground_effect", False)
+    assert "would have from 0.01 on" in new.sentence
+    (new,) = appeared(diagnosis("slung_payload"), known)
+    assert new.unseen
+    assert appeared(diagnosis("quadratic_drag", "steady_wind"), known) == ()
+    assert appeared(diagnosis("ground_effect"), stored()) == (), (
+        "never diagnosed: it may have been there from the start"
+    )
+    (new,) = appeared(diagnosis(verdict=Found.UNKNOWN_PHYSICS), known)
+    assert new.term == ""
+    assert appeared(diagnosis(verdict=Found.UNKNOWN_PHYSICS), stored(diagnosed={"verdict": "PARTLY"})) == ()
+
+
+def test_an_effect_that_came_makes_the_model_stale():
+    model = stored()
+    same = estimates(model, model.model.names)
+    new = Appeared("ground_effect", "Ground effect", "R2_m2 of 0.1", False)
+    found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=same, runs=[same], appeared=(new,))
+    assert found.verdict is Verdict.STALE
+    assert "what the model does not have: ground effect" in found.sentence
+    assert found.fly
+    assert "New: R2_m2 of 0.1." in str(status_document(found, {}, (), brief=True).sections)

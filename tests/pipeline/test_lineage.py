@@ -1,0 +1,151 @@
+"""One model in use per vehicle: accepted, found by the vehicle's name, with those before it; never another vehicle's."""
+
+import json
+
+import pytest
+import yaml
+
+from flighttest.cli import main as cli_main
+from flighttest.errors import InputError, ModelError
+from flighttest.identify import model_file
+from flighttest.physics.model import Model
+from flighttest.pipeline import lineage
+from flighttest.pipeline.checking import prior_of
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+
+PAPER = ("body", "linear_drag")
+
+
+def write_model(
+    folder, terms=PAPER, vehicle="heron", runs=("a",), unknown=(), components="P1", name="model.yaml", **values
+):
+    model = Model(terms)
+    known = {**model.start(), **values}
+    data = {
+        "format": "model/1",
+        "vehicle": {"name": vehicle},
+        "terms": list(terms),
+        "parameters": {
+            n: {
+                "value": known[n],
+                "unit": model.param[n].unit,
+                "std": 0.01 * abs(known[n]) + 1e-6,
+                "identifiable": n not in unknown,
+            }
+            for n in model.names
+        },
+        "fingerprint": {"components": {"propellers": {"id": components}}},
+        "runs": list(runs),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(yaml.safe_dump(data))
+    return folder
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*argv):
+        code = cli_main.call([str(a) for a in argv])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_path):
+    out = tmp_path / "runs"
+    first, second = (
+        write_model(tmp_path / "one"),
+        write_model(tmp_path / "two", (*PAPER, "quadratic_drag"), runs=("b",)),
+    )
+    assert call("accept", first, "--out", out)[0] == 0
+    assert call("accept", second, "--out", out)[0] == 0
+    used = lineage.in_use(out, "heron")
+    assert used.model.terms == (*PAPER, "quadratic_drag")
+    assert used.vehicle_name == "heron"
+    code, text, _ = call("models", out, "--json")
+    (told,) = json.loads(text)["vehicles"]
+    assert code == 0
+    assert [m["runs"] for m in told["models"]] == [["a"], ["b"]]
+    assert told["models"][1]["joined"] == ["quadratic_drag"]
+    assert told["models"][0]["ended"] == ["quadratic_drag joined"]
+    # The copy is the vehicle's: what becomes of the folder does not touch it.
+    (second / "model.yaml").unlink()
+    assert lineage.in_use(out).model.terms == (*PAPER, "quadratic_drag")
+
+
+def test_a_component_change_ends_a_model_by_name(tmp_path):
+    lineage.accept(write_model(tmp_path / "one"), tmp_path)
+    whole, _ = lineage.accept(write_model(tmp_path / "two", components="P2"), tmp_path)
+    assert whole.generations[0].ended == ("propellers P1 is now P2",)
+
+
+def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
+    folder = write_model(tmp_path / "one", vehicle=None)
+    with pytest.raises(InputError, match="not known which vehicle") as told:
+        lineage.accept(folder, tmp_path)
+    assert "--vehicle" in told.value.hint
+    (tmp_path / "vehicle.yaml").write_text("format: vehicle/1\nname: stork\n")
+    whole, _ = lineage.accept(folder, tmp_path, tmp_path / "vehicle.yaml")
+    assert whole.vehicle == "stork"
+    with pytest.raises(InputError, match="is a model of heron, not of stork"):
+        lineage.accept(write_model(tmp_path / "two"), tmp_path, tmp_path / "vehicle.yaml")
+
+
+def test_a_model_that_knows_less_does_not_take_the_place_of_one_that_knows_more(tmp_path):
+    lineage.accept(write_model(tmp_path / "one"), tmp_path)
+    with pytest.raises(InputError, match="knows less than the model in use: not alpha"):
+        lineage.accept(write_model(tmp_path / "two", unknown=("alpha",)), tmp_path)
+    assert len(lineage.lineage_of(tmp_path, "heron").generations) == 1
+
+
+def test_a_folder_stands_for_the_improved_model_before_the_first_fit(tmp_path):
+    folder = write_model(tmp_path / "run", name="fit.yaml")
+    assert model_file.read(folder).path.endswith("fit.yaml")
+    write_model(folder, (*PAPER, "quadratic_drag"))
+    assert model_file.read(folder).path.endswith("model.yaml")
+    with pytest.raises(ModelError, match="holds no model"):
+        model_file.read(tmp_path)
+
+
+def test_plans_are_made_with_the_accepted_model_of_this_vehicle_only(tmp_path):
+    assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] is None
+    lineage.accept(write_model(tmp_path / "one"), tmp_path)
+    assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] is None
+    lineage.accept(write_model(tmp_path / "two", vehicle="paper"), tmp_path)
+    assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] == tmp_path / "models" / "paper" / "001.yaml"
+
+
+def test_export_takes_a_folder_and_finds_the_model_in_use(call, tmp_path):
+    out = tmp_path / "runs"
+    folder = write_model(tmp_path / "one")
+    assert call("export", folder, "--to", "json", "-o", tmp_path / "a")[0] == 0
+    code, _, err = call("export", "--to", "json", "-o", tmp_path / "b", "--out", out)
+    assert (code, "no model was given" in err) == (2, True)
+    call("accept", folder, "--out", out)
+    assert call("export", "--to", "json", "-o", tmp_path / "b", "--out", out)[0] == 0
+    assert (tmp_path / "b" / "model.json").read_bytes() == (tmp_path / "a" / "model.json").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "format: other/1\n",
+        "format: lineage/1\nvehicle: heron\nmodels: [{number: 1}]\n",
+        "[",
+        "format: lineage/1\nvehicle: heron\nmodels: [{number: 1, file: ../x.yaml, accepted: x}]\n",
+    ],
+)
+def test_a_damaged_lineage_is_one_clear_error(call, tmp_path, text):
+    folder = tmp_path / "models" / "heron"
+    folder.mkdir(parents=True)
+    (folder / "lineage.yaml").write_text(text)
+    code, _, err = call("models", tmp_path)
+    assert code == 2
+    assert "lineage.yaml" in err
+
+
+@pytest.mark.parametrize("name", ["a b", "..", "a/b", "ü"])
+def test_any_name_has_a_folder_of_its_own(tmp_path, name):
+    assert lineage.folder_of(tmp_path, name).parent == tmp_path / "models"
+    assert lineage.folder_of(tmp_path, name) != lineage.folder_of(tmp_path, name + "_")
