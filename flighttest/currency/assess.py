@@ -58,7 +58,7 @@ def assess(
     before, now = hovers
     if before is not None and now is not None:
         alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
-        by_gain = next((t for t in tests if t.subset == "thrust"), None)
+        by_gain = next((t for t in tests if t.subset == "thrust" and "K" in t.shifts), None)
         others = [t for t in tests if t is not by_gain]
         shared = FALSE_ALARM / (len(others) + 1)
         level = hover_test(before, now, alpha, shared)
@@ -150,7 +150,7 @@ def _sentence(
             limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
             alike = f"; {compared} are what they were" if compared else ""
             return f"Current: nothing that is declared has changed since the model was flown{alike}{limit}."
-        told = [t.subset for t in tests]
+        told = list(dict.fromkeys(t.subset for t in tests))
         blind = [s for s in SUBSETS if s not in told]
         nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""
         return f"Current: the new recording agrees with the model in {', '.join(told)}{nothing}."
@@ -160,7 +160,8 @@ def _sentence(
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
         parts.append(f"changed since the model was flown: {', '.join(named)}{more}")
     if alarms:
-        still = [t.subset for t in tests if not t.alarm]
+        moved = {t.subset for t in alarms}
+        still = list(dict.fromkeys(t.subset for t in tests if t.subset not in moved))
         words = "; ".join(t.sentence for t in alarms)
         words += f"; {', '.join(still)} as before" if still else ""
         parts.append(words + _culprit(alarms, sides))

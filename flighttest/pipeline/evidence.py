@@ -123,11 +123,10 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
 
 
 def not_shown(found: Diagnosis) -> tuple[str, ...]:
-    """New effects that a recording could not have shown, one sentence for each maneuver that would."""
+    """New effects that a recording could not have shown, in one sentence, by the maneuver that would."""
     by_script: dict[str, list[str]] = {}
     for u in found.untestable:
         if u.term not in OF_THE_DAY:
             by_script.setdefault(u.fly, []).append(u.term)
-    return tuple(
-        f"this recording could not have shown {', '.join(terms)}; fly {fly}" for fly, terms in by_script.items()
-    )
+    named = [f"{', '.join(terms)} (fly {fly})" for fly, terms in by_script.items()]
+    return (f"new effects that this recording could not have shown: {', '.join(named)}",) if named else ()

@@ -5,7 +5,7 @@ import pytest
 
 from flighttest.currency import battery, compare, sequence
 from flighttest.currency.assess import assess
-from flighttest.currency.compare import Estimates
+from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests
 from flighttest.currency.discrepancy import measured, prior
 from flighttest.currency.hover import hover, hover_test
 from flighttest.currency.model import Verdict
@@ -307,3 +307,16 @@ def test_a_slower_thrust_is_not_called_less_thrust():
         assert found.verdict is Verdict.STALE
         assert ("what delays the thrust" in found.sentence) is lag, found.sentence
         assert ("another mass (weigh it)" in found.could_also_be) is not lag
+
+
+def test_what_like_steps_do_not_tell_the_estimates_are_asked_for():
+    """Like steps told d_z alone and best: that d_x had risen by 22 % went by."""
+    names = ("d_x", "d_z")
+    values, covariance = np.array([0.4, 0.55]), np.diag([1e-4, 1e-4])
+    stored = Estimates("stored", names, values, covariance)
+    new = Estimates("new", names, values * [1.22, 1.0], covariance)
+    steps = Alike(stored.select(("d_z",)), stored.select(("d_z",)), 12)
+    tests = subset_tests(stored, new, spread={"d_x": 0.03, "d_z": 0.03}, alike=steps)
+    assert [tuple(t.shifts) for t in tests] == [("d_z",), ("d_x",)]
+    assert [t.alarm for t in tests] == [False, True]
+    assert sum(t.level for t in tests) == pytest.approx(FALSE_ALARM), "one level for the family of both"

@@ -1,15 +1,20 @@
 """A proposed flight that the vehicle's zone has no room for says so; what is known of the zone decides, not the usual one."""
 
+import re
 from dataclasses import dataclass, field, replace
 
 import pytest
 import yaml
 
+from flighttest.documents import write_text
 from flighttest.physics.model import Model
-from flighttest.pipeline.next_in_zone import held_against_zone
+from flighttest.pipeline.checking import predictor_for
+from flighttest.pipeline.next_in_zone import flyable_in, held_against_zone
+from flighttest.plan import compile_plan
 from flighttest.recording import Provenance, Recording
 from flighttest.report.diagnosis_sections import diagnosis_sections
 from flighttest.report.plain import plain
+from flighttest.script.load import parse_script
 from flighttest.script.shipped import resolve
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.model import Zone
@@ -60,3 +65,26 @@ def test_a_proposal_that_fits_stays_as_it_is(proposal):
 @pytest.mark.parametrize("kept", [{}, {"name": "old"}, {"name": "old", "zone": {"x_m": 3}}])
 def test_where_no_zone_is_known_nothing_is_said(proposal, kept):
     assert held_against_zone(proposal, recorded(kept), None) is proposal
+
+
+@pytest.mark.parametrize("name", ["two_heights", "speed_dash"])
+def test_a_maneuver_is_made_smaller_until_every_step_fits(name):
+    vehicle = replace(DEFAULT_VEHICLE, zone=Zone(0.0, (-5.0, 5.0), (-5.0, 5.0), (1.0, 6.0), 1.0))
+    script = yaml.safe_load(resolve(name).read_text()) | {"repeat": {"each": 1}}
+    made, size = flyable_in([], vehicle)(script, Model(), {})
+    assert 0.0 < size < 1.0
+    prior = predictor_for(None, vehicle)
+    assert not compile_plan(parse_script(write_text(made)), vehicle, prior).refusals
+    assert compile_plan(parse_script(write_text(script)), vehicle, prior).refusals, "as it is it does not fit"
+
+
+def test_where_nothing_fits_the_smallest_zone_that_would_do_is_said(proposal):
+    tiny = replace(DEFAULT_VEHICLE, name="tiny", zone=Zone(0.0, (-1.2, 1.2), (-1.2, 1.2), (0.5, 3.0), 1.0))
+    assert flyable_in([], tiny)(proposal.next_script, Model(), {}) is None
+    found = held_against_zone(proposal, [], tiny)
+    words = found.next_reason["zone"]
+    assert "m would do." in words
+    numbers = [float(w) for w in re.findall(r"-?\d+\.?\d*", words.partition("A zone of")[2])]
+    zone = Zone(0.0, tuple(numbers[0:2]), tuple(numbers[2:4]), tuple(numbers[4:6]), 1.0)
+    script = parse_script(write_text(proposal.next_script))
+    assert not compile_plan(script, replace(tiny, zone=zone), predictor_for(None, tiny)).refusals
