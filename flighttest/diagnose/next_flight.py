@@ -1,8 +1,9 @@
 """Which flight would tell: shipped maneuvers are rehearsed with the fitted model, and the one whose data would separate the rivals
 best, or show best what could not be seen, is written as a script.
 
-The expected odds are those of the information the rehearsed data would carry: half the squared length of what of the effect no rival
-and no base parameter can copy, in noise standard deviations, correlation taken into account, as odds to one.
+Nothing in the recordings prefers either answer now (else there were no question): odds of 1 to 1. The expected odds are those of the
+information the rehearsed data would carry: half the squared length of what of the effect no rival and no base parameter can copy, in noise
+standard deviations, correlation taken into account, as odds to one.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from flighttest.diagnose.candidates import null_value
 from flighttest.diagnose.comparison import Fitted
 from flighttest.diagnose.model import brief
 from flighttest.diagnose.search import Search
+from flighttest.documents import write_text
 from flighttest.errors import FlighttestError
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum, orthonormal
@@ -27,7 +29,7 @@ from flighttest.physics.blocks import Block
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import simulate
-from flighttest.script.load import load_script
+from flighttest.script.load import parse_script
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
 from flighttest.script.shipped import resolve, shipped_names
@@ -43,6 +45,10 @@ CORRELATED = 10.0  # real residuals are correlated over several samples; rehears
 TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop", "thrust_hover", "roll_pitch")
 
 
+# A script's data, the model and its values to the script as it can be flown and its size (share of the shipped one), None where it cannot.
+Flyable = Callable[[dict[str, Any], Model, Mapping[str, float]], tuple[dict[str, Any], float] | None]
+
+
 @dataclass(frozen=True)
 class Question:
     """What the next flight is for: a term, and the rival it must be told from (None: to see the term at all)."""
@@ -52,38 +58,54 @@ class Question:
     size: Mapping[str, float]
 
 
-def propose(search: Search, questions: Sequence[Question], values: Mapping[str, float]) -> dict[str, Any]:
-    """The maneuver with the best odds for the first question that any maneuver can answer; {} when none can."""
+def as_shipped(
+    script: dict[str, Any], _model: Model, _values: Mapping[str, float]
+) -> tuple[dict[str, Any], float] | None:
+    """Where no zone is known: any script, as it is."""
+    return script, 1.0
+
+
+def propose(
+    search: Search, questions: Sequence[Question], values: Mapping[str, float], flyable: Flyable = as_shipped
+) -> dict[str, Any]:
+    """The maneuver with the best odds for the first question that any can answer, of those that can be flown; where none of them answers
+    it, the best of the others, for a larger zone. {} when none can."""
     assert search.now is not None
     for question in questions:
         names = dict.fromkeys([question.term.reveals, *([question.rival.reveals] if question.rival else []), *TRIED])
-        best: tuple[float, str] | None = None
+        best: tuple[bool, float, str, dict[str, Any], float] | None = None
         for name in [n for n in names if n in shipped_names()][:MOST_TRIED]:
             try:
-                script = load_script(resolve(name))
-                segments = rehearsed(script, search.now.model, values, search.estimator.segments)
+                shipped = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
+                fitted = flyable(shipped, search.now.model, values)
+                made, size = fitted or (shipped, 1.0)
+                segments = rehearsed(
+                    parse_script(write_text(made), name), search.now.model, values, search.estimator.segments
+                )
                 odds = log_odds(segments, search.now, search.estimator.block, question)
             except (FlighttestError, np.linalg.LinAlgError):
                 continue  # a maneuver this model cannot rehearse is no proposal
-            if best is None or odds > best[0]:
-                best = odds, name
-        if best is not None and best[0] > 1.0:
-            return _proposal(question, best[1], best[0])
+            if odds > 1.0 and (best is None or (fitted is not None, odds) > best[:2]):
+                best = fitted is not None, odds, name, made, size
+        if best is not None:
+            return _proposal(question, best[2], best[1], best[3], best[4])
     return {}
 
 
-def _proposal(question: Question, name: str, odds: float) -> dict[str, Any]:
-    script = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
+def _proposal(question: Question, name: str, odds: float, made: dict[str, Any], size: float) -> dict[str, Any]:
     rival = question.rival.id if question.rival else None
     aim = f"to tell {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
     to_one = math.exp(min(odds, 23.0))
     worth = f"{brief(to_one)} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
-    script |= {"name": "next", "doc": f"{name}, {aim}; expected odds {worth}"}
+    how = name if size == 1.0 else f"{name} at {100 * size:.0f} % of its size, to fit the zone"
+    script = {**made, "name": "next", "doc": f"{how}, {aim}; odds now 1 to 1, expected after it {worth}"}
     return {
         "maneuver": name,
         "separates": [question.term.id, *([rival] if rival else [])],
+        "size": size,
+        "odds_now": 1.0,
         "expected_odds": to_one,
-        "sentence": f"Fly {name} {aim}: expected odds {worth}.",
+        "sentence": f"Fly {how}, {aim}: odds now 1 to 1, expected after it {worth}.",
         "script": script,
     }
 

@@ -14,7 +14,7 @@ from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.held_out import held_out_groups
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
-from flighttest.diagnose.next_flight import Question, propose
+from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
 from flighttest.diagnose.outlying import set_aside
 from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.search import Search, silent
@@ -63,14 +63,15 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     side_by_side: SideBySide = one_after_the_other,
+    flyable: Flyable = as_shipped,
 ) -> Diagnosis:
     """Locate what the model misses in these recordings and name it.
 
     segments: of one vehicle, from one or several recordings, marked steps or windows of free flight. model: the base (default:
     the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. only: ids of the
     candidates (default: the whole catalogue). side_by_side(work, items, shares of the work): a way to run work(items), one result per
-    item, in more than one process. FitError when there is too little to say anything. An interrupt (KeyboardInterrupt)
-    ends the search and returns what is known, with complete=False.
+    item, in more than one process. flyable: what of a maneuver the vehicle's zone has room for. FitError when there is too little to say
+    anything. An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
     """
     usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
     if len(usable) < LEAST_SEGMENTS:
@@ -117,7 +118,7 @@ def diagnose(
             "no reference moves in any of the responses, so that no part of the model can be tried",
             "a diagnosis needs recorded references: throttle, roll, pitch or yaw rate",
         )
-    found = _assembled(asked, answers, group_name)
+    found = _assembled(asked, answers, group_name, flyable)
     if not aside:
         return found
     count = len(aside["segments"])
@@ -142,7 +143,7 @@ def _fitted(
     return min(found, other, key=lambda f: misfit(f.problem, f.solution))
 
 
-def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diagnosis:
+def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable: Flyable) -> Diagnosis:
     """One diagnosis of the blocks' answers."""
     segments, model, pool = asked.segments, asked.model, asked.pool
     searches = [a.search for a in answers if a.search is not None]
@@ -181,7 +182,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str) -> Diag
         for search in searches:
             formulas += describe(search, segments, asked.groups, _with_forces(staying))
     asked.tell("choosing the next flight")
-    proposal = _next(searches, findings, unseen, {t.id: t for t in pool}) if complete else {}
+    proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else {}
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
         sentence=_sentence(so_far, findings, share, located, complete) + _moved(asked.previous, after),
@@ -253,7 +254,11 @@ def _merged(answers: Sequence[Answer], what: str) -> dict[str, Any]:
 
 
 def _next(
-    searches: Sequence[Search], findings: Sequence[Any], unseen: Sequence[Untestable], terms: Mapping[str, Term]
+    searches: Sequence[Search],
+    findings: Sequence[Any],
+    unseen: Sequence[Untestable],
+    terms: Mapping[str, Term],
+    flyable: Flyable,
 ) -> dict[str, Any]:
     """The flight that tells rivals apart; where there are none, one that shows what could not be seen."""
     for search in searches:
@@ -267,7 +272,7 @@ def _next(
             for r in (r for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE):
                 size = {n: search.now.at.values[n] for n in f.parameters}
                 asked.append(Question(terms[f.term], terms[r.term], size))
-        if asked and (made := propose(search, asked[:2], values)):
+        if asked and (made := propose(search, asked[:2], values, flyable)):
             return made
     hidden = [u for u in unseen if not u.why.startswith("not recorded")]
     for search in searches:
@@ -282,7 +287,7 @@ def _next(
             for u in hidden
             if u.term in here
         ]
-        if asked and (made := propose(search, asked[:1], values)):
+        if asked and (made := propose(search, asked[:1], values, flyable)):
             return made
     return {}
 

@@ -24,7 +24,7 @@ from flighttest.pipeline.fingerprints import differences
 from flighttest.pipeline.halves import in_halves
 from flighttest.pipeline.history import DEFAULT_RUNS
 from flighttest.pipeline.models import accepted
-from flighttest.pipeline.next_in_zone import held_against_zone
+from flighttest.pipeline.next_in_zone import flyable_in, held_against_zone
 from flighttest.pipeline.repeating import words_of
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
@@ -64,6 +64,7 @@ def run_diagnosis(
         previous=previous,
         progress=progress.stage,
         side_by_side=in_halves,
+        flyable=flyable_in(recordings, vehicle),
     )
     return held_against_zone(found, recordings, vehicle)
 

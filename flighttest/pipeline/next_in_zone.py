@@ -1,4 +1,4 @@
-"""The script that a diagnosis proposes, held against the zone of the vehicle that would fly it."""
+"""The script that a diagnosis proposes, fitted to the zone of the vehicle that would fly it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,97 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from flighttest.diagnose import Diagnosis
+from flighttest.diagnose.next_flight import Flyable, as_shipped
 from flighttest.documents import write_text
 from flighttest.errors import FlighttestError
-from flighttest.pipeline.checking import HOVERS, predictor_for
+from flighttest.physics.model import Model
+from flighttest.pipeline.checking import hovers, predictor_for
 from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.plan import compile_plan
 from flighttest.recording import Recording
 from flighttest.script.load import parse_script
+from flighttest.script.model import Script
 from flighttest.vehicle.model import Vehicle, Zone
+
+SIZES = (
+    1.0,
+    0.8,
+    0.6,
+    0.4,
+)  # of a maneuver: tilts, times, and heights and throttles away from the lowest and from hover
+ROOM_KEYS = ("amplitude_rad", "tilt_rad", "hold_s", "dash_s")
+THROTTLES = ("throttle_0", "throttle_1", "throttle")
+GROWTH = (1.25, 1.5, 2.0, 3.0, 4.0)  # of a zone in which nothing fits
+
+
+def flyable_in(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Flyable:
+    """What a vehicle's zone has room for of a script: the largest of `SIZES` of which every step can be flown."""
+    where = vehicle if vehicle is not None and vehicle.flies else flown_vehicle(recordings)
+    if where is None:
+        return as_shipped
+    zone_of = where
+
+    def fitted(
+        script: dict[str, Any], model: Model, values: Mapping[str, float]
+    ) -> tuple[dict[str, Any], float] | None:
+        prior = _prior(model, values, zone_of)
+        for size in SIZES:
+            made = sized(script, size, zone_of.zone)
+            if not compile_plan(parse_script(write_text(made), "next.yaml"), zone_of, prior).refusals:
+                return made, size
+        return None
+
+    return fitted
+
+
+def sized(script: Mapping[str, Any], size: float, zone: Zone) -> dict[str, Any]:
+    """A script's data at another size, its start inside the zone."""
+    hover = script.get("throttle_unit") == "hover"
+
+    def scaled(key: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {k: scaled(key, v) for k, v in value.items()}
+        each = value if isinstance(value, list) else [value]
+        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in each):
+            return value
+        least = min(each) if key == "height_m" else 1.0 if key in THROTTLES and hover else 0.0
+        moves = key in ROOM_KEYS or key == "height_m" or (key in THROTTLES and hover)
+        made = [round(least + size * (v - least), 4) for v in each] if moves else each
+        return made if isinstance(value, list) else made[0]
+
+    steps = [
+        {p: {k: scaled(k, v) for k, v in s.items()} if isinstance(s, Mapping) else s for p, s in step.items()}
+        for step in script["steps"]
+    ]
+    reset = dict(script.get("reset") or {})
+    if "to" in reset:
+        spans = (zone.x_m, zone.y_m, zone.z_m)
+        inside = [lo + zone.margin_m <= v <= hi - zone.margin_m for v, (lo, hi) in zip(reset["to"], spans, strict=True)]
+        reset["to"] = [v if ok else sum(s) / 2.0 for v, ok, s in zip(reset["to"], inside, spans, strict=True)]
+    return (
+        {**script, "steps": steps, **({"reset": reset} if reset else {})}
+        if size < 1.0 or reset != script.get("reset")
+        else dict(script)
+    )
+
+
+def larger_zone(script: Script, vehicle: Vehicle, prior: ModelPredictor) -> str:
+    """The smallest of some larger zones in which a script can be flown, in words; '' where none of them is enough."""
+    for growth in GROWTH:
+        low, high = vehicle.zone.z_m
+        x_m, y_m = _grown(vehicle.zone.x_m, growth), _grown(vehicle.zone.y_m, growth)
+        zone = replace(vehicle.zone, x_m=x_m, y_m=y_m, z_m=(low, low + growth * (high - low)))
+        if not compile_plan(script, replace(vehicle, zone=zone), prior).refusals:
+            words = [f"{n} {a:g} to {b:g}" for n, (a, b) in (("x", zone.x_m), ("y", zone.y_m), ("z", zone.z_m))]
+            return f"A zone of {', '.join(words)} m would do."
+    return ""
+
+
+def _grown(span: tuple[float, float], growth: float) -> tuple[float, float]:
+    """A span about its middle."""
+    middle, half = sum(span) / 2.0, growth * (span[1] - span[0]) / 2.0
+    return middle - half, middle + half
 
 
 def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle: Vehicle | None) -> Diagnosis:
@@ -28,7 +108,8 @@ def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle
     told: dict[str, Any]
     try:
         script = parse_script(write_text(found.next_script), "next.yaml")
-        plan = compile_plan(script, where, _prior(found, where))
+        prior = _prior(found.model, found.values, where)
+        plan = compile_plan(script, where, prior)
     except FlighttestError as error:
         told = {"fits_zone": None, "zone": f"Whether it fits the zone of {where.name} is not known: {error.message}."}
         return replace(found, next_reason={**found.next_reason, **told})
@@ -40,7 +121,8 @@ def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle
     short = f"{asked - len(plan.legs)} of its {asked} steps do not fit the zone of {where.name}"
     told = {
         "fits_zone": False,
-        "zone": f"As it is it cannot be flown: {short}. {leg}: {what}; {remedy}. `flighttest check` names them all.",
+        "zone": f"As it is it cannot be flown: {short}. {leg}: {what}; {remedy}. `flighttest check` names them all. "
+        f"{larger_zone(script, where, prior)}".strip(),
     }
     doc = f"{found.next_script.get('doc', '')}; {short}".removeprefix("; ")
     return replace(found, next_script={**found.next_script, "doc": doc}, next_reason={**found.next_reason, **told})
@@ -74,8 +156,7 @@ def _vehicle(kept: Mapping[str, Any], zone: Mapping[str, Any]) -> Vehicle:
     )
 
 
-def _prior(found: Diagnosis, vehicle: Vehicle) -> ModelPredictor:
+def _prior(model: Model, values: Mapping[str, float], vehicle: Vehicle) -> ModelPredictor:
     """The diagnosis' own model, where it knows what this vehicle hovers at; else the usual one."""
-    made = ModelPredictor(replace(found.model, attitude_loops=True), found.values)
-    hover = float(made.hover_throttle(np.array([vehicle.nominal_voltage_v]))[0])
-    return made if HOVERS[0] < hover < HOVERS[1] else predictor_for(None, vehicle)
+    made = ModelPredictor(replace(model, attitude_loops=True), values)
+    return made if hovers(made, vehicle) else predictor_for(None, vehicle)
