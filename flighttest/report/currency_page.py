@@ -221,7 +221,7 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str], b
     # A run folder's name begins with its date and ends with its script: said once. Numbers are those under the pictures.
     dated = all(p.run[:4].isdigit() for p in points)
     vehicles = list(dict.fromkeys(p.vehicle for p in points if p.vehicle))
-    several = len(vehicles) > 1
+    several = len({p.vehicle for p in points}) > 1
     heads = (
         "", "run", *(() if dated else ("when", "script")), *(("vehicle",) if several else ()), "changed before it", "how it ended",
     )  # fmt: skip
@@ -230,35 +230,50 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str], b
             f"{i}",
             p.run,
             *(() if dated else (p.when, p.script)),
-            *((p.vehicle,) if several else ()),
+            *((p.vehicle or Cell("unknown", "quiet"),) if several else ()),
             Cell("; ".join(marks.get(p.run, ())), "warn"),
             Cell("flown", "quiet") if p.completed else p.outcome,
         )
         for i, p in enumerate(points, 1)
     )
     sections = [Section("runs", "Runs", (Table(heads, rows, ("right",)),))]
-    names = list(dict.fromkeys(n for p in points for n in p.parameters))
-    # Runs that were fitted together carry the same estimates: shown once.
-    before = [p.campaign for p in points]
-    own = [(i, p) for i, p in enumerate(points, 1) if not p.campaign or p.campaign not in before[: i - 1]]
-    numbered = {n: [(i, p) for i, p in own if n in p.parameters] for n in names}
-    panels = tuple(_history_panel(name, numbered[name], units.get(name, ""), marks) for name in names)
-    if panels:
-        table = Table(
-            ("parameter", "latest", "unit", "run", "since the first"),
-            tuple(_latest(n, numbered[n], units.get(n, "")) for n in names),
-            ("left", "right", "left", "right", "right"),
-        )
-        caption = "Each campaign's estimate with its 95 % interval; dashed: a component changed before this run."
-        sections.append(Section("history", "Parameters over runs", (Figure("history", panels, caption, 3, 230), table)))
+    numbered = list(enumerate(points, 1))
+    for vehicle in vehicles:
+        mine = [(i, p) for i, p in numbered if p.vehicle == vehicle]
+        sections += _over_runs(mine, units, marks, vehicle if several else "")
     fitted = sum(1 for p in points if p.parameters)
-    of = f" of {vehicles[0]}" if len(vehicles) == 1 else ""
+    of = f" of {vehicles[0]}" if len(vehicles) == 1 and not several else ""
     verdict = f"{len(points)} run{'s' if len(points) != 1 else ''}{of}, {fitted} with a fit."
     if broken:
         verdict += f" {len(broken)} cannot be read: see below."
     return Document(
         "Runs on this machine", verdict, "warn" if broken else "plain", (*sections[:1], *damage, *sections[1:])
     )
+
+
+def _over_runs(
+    mine: Sequence[tuple[int, HistoryPoint]],
+    units: Mapping[str, str],
+    marks: Mapping[str, Sequence[str]],
+    vehicle: str,
+) -> list[Section]:
+    """Each parameter over the runs of one vehicle, by their numbers; of a run of an unknown vehicle nothing is drawn."""
+    # Runs that were fitted together carry the same estimates: shown once.
+    before = [p.campaign for _, p in mine]
+    own = [(i, p) for k, (i, p) in enumerate(mine) if not p.campaign or p.campaign not in before[:k]]
+    names = list(dict.fromkeys(n for _, p in own for n in p.parameters))
+    numbered = {n: [(i, p) for i, p in own if n in p.parameters] for n in names}
+    panels = tuple(_history_panel(name, numbered[name], units.get(name, ""), marks) for name in names)
+    if not panels:
+        return []
+    table = Table(
+        ("parameter", "latest", "unit", "run", "since the first"),
+        tuple(_latest(n, numbered[n], units.get(n, "")) for n in names),
+        ("left", "right", "left", "right", "right"),
+    )
+    caption = "Each campaign's estimate with its 95 % interval; dashed: a component changed before this run."
+    tail, title = (f"-{mine[0][0]}", f"Parameters over runs of {vehicle}") if vehicle else ("", "Parameters over runs")
+    return [Section(f"history{tail}", title, (Figure(f"history{tail}", panels, caption, 3, 230), table))]
 
 
 def _latest(name: str, numbered: Sequence[tuple[int, HistoryPoint]], unit_text: str) -> tuple[Cell | str, ...]:
@@ -273,7 +288,7 @@ def changes_between(points: Sequence[HistoryPoint]) -> dict[str, tuple[str, ...]
     found: dict[str, tuple[str, ...]] = {}
     last: dict[str, HistoryPoint] = {}
     for p in points:
-        before = last.get(p.vehicle)
+        before = last.get(p.vehicle) if p.vehicle else None
         if before is not None and before.components and p.components:
             names = [
                 n for n in {**before.components, **p.components} if before.components.get(n) != p.components.get(n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -29,7 +30,7 @@ class Identity:
     def key(self) -> str:
         """What a vehicle is called where nobody named it: by its autopilot; '' where nothing tells it from another."""
         if self.name or self.autopilot:
-            return self.name or f"autopilot {self.autopilot.rstrip('0')}"
+            return self.name or f"autopilot {re.sub('(00)+$', '', self.autopilot)}"
         if len(self.calibration) < LEAST_CALIBRATION:
             return ""
         text = "\n".join([f"{self.sysid}", *(f"{n}={v:.6g}" for n, v in sorted(self.calibration.items()))])
