@@ -16,7 +16,7 @@ from flighttest.identify.fit import Fit
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, fit_segments, model_data
 from flighttest.pipeline.currency import judge
-from flighttest.pipeline.diagnosis import MODEL_NAME, UNFINISHED, run_diagnosis, write_diagnosis
+from flighttest.pipeline.diagnosis import MODEL_NAME, NEXT_NAME, UNFINISHED, run_diagnosis, write_diagnosis
 from flighttest.pipeline.history import DEFAULT_RUNS, FIT_NAME, as_good
 from flighttest.pipeline.identities import whose
 from flighttest.pipeline.lineage import model_of
@@ -231,8 +231,10 @@ def _summary(
         facts["accept it"] = accepting
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
-        facts["fly next"] = f"flighttest run {folders[-1] / 'next.yaml'}{words_of(folders[-1])}"
         reason = found.diagnosis.get("next_reason") or {}
-        if reason.get("zone") and not reason.get("fits_zone"):
-            facts["fly next"] += f" ({reason['zone']})"
+        command = f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}"
+        facts["fly next"] = (
+            f"{reason.get('maneuver')}: {reason['zone']}" if reason.get("fits_zone") is False else command
+        )
+        facts["what for"] = str(reason.get("sentence", ""))
     return Document("flight", page.verdict, page.tone, tuple(sections), facts)

@@ -42,7 +42,7 @@ def flyable_in(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Flya
     ) -> tuple[dict[str, Any], float] | None:
         prior = _prior(model, values, zone_of)
         for size in SIZES:
-            made = sized(script, size, zone_of.zone)
+            made = sized(script, size, zone_of)
             if not compile_plan(parse_script(write_text(made), "next.yaml"), zone_of, prior).refusals:
                 return made, size
         return None
@@ -50,9 +50,10 @@ def flyable_in(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Flya
     return fitted
 
 
-def sized(script: Mapping[str, Any], size: float, zone: Zone) -> dict[str, Any]:
+def sized(script: Mapping[str, Any], size: float, vehicle: Vehicle) -> dict[str, Any]:
     """A script's data at another size, its start inside the zone."""
-    hover = script.get("throttle_unit") == "hover"
+    zone = vehicle.zone
+    hover = 1.0 if script.get("throttle_unit") == "hover" else vehicle.hover_throttle
 
     def scaled(key: str, value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -60,8 +61,8 @@ def sized(script: Mapping[str, Any], size: float, zone: Zone) -> dict[str, Any]:
         each = value if isinstance(value, list) else [value]
         if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in each):
             return value
-        least = min(each) if key == "height_m" else 1.0 if key in THROTTLES and hover else 0.0
-        moves = key in ROOM_KEYS or key == "height_m" or (key in THROTTLES and hover)
+        least = min(each) if key == "height_m" else hover if key in THROTTLES else 0.0
+        moves = key in ROOM_KEYS or key == "height_m" or key in THROTTLES
         made = [round(least + size * (v - least), 4) for v in each] if moves else each
         return made if isinstance(value, list) else made[0]
 

@@ -239,10 +239,12 @@ def _next(data: Data, script: str) -> Section | None:
     if not name:
         return None
     said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
-    blocks: list[Block] = [
-        Code(str(said or f"flighttest run {data.get('next_path', name)}{data.get('next_options', '')}"))
-    ]
     reason = data.get("next_reason") or {}
+    command = str(said or f"flighttest run {data.get('next_path', name)}{data.get('next_options', '')}")
+    # A command that cannot be flown is not shown as one.
+    blocks: list[Block] = [] if reason.get("fits_zone") is False else [Code(command)]
+    if reason.get("sentence"):
+        blocks.append(Paragraph(str(reason["sentence"])))
     if reason.get("zone"):
         blocks.append(Paragraph(str(reason["zone"]), "plain" if reason.get("fits_zone") else "warn"))
     if script:
