@@ -84,6 +84,14 @@ def fit(
 @click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--accept", is_flag=True, help="Make the improved model the vehicle's (see `accept`).")
+@click.option(
+    "--against",
+    "simulated",
+    multiple=True,
+    type=ANY,
+    metavar="SIMULATED...",
+    help="A simulator's recordings of the same vehicle: say what the simulator lacks, or has otherwise.",
+)
 def diagnose(
     context: Context,
     runs: tuple[Path, ...],
@@ -93,11 +101,15 @@ def diagnose(
     vehicle: Path | None,
     workers: int,
     accept: bool,
+    simulated: tuple[Path, ...],
 ) -> int:
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
-    from flighttest.pipeline import diagnosis
+    from flighttest.pipeline import against, diagnosis
 
     with LiveProgress(context.show) as progress:
+        if simulated:
+            result = against.against(runs, simulated, model, output, columns, vehicle, workers, progress)
+            return context.finish(result)
         result = diagnosis.diagnose(runs, model, output, columns, vehicle, workers, progress, accept)
     return context.finish(result)
 

@@ -45,8 +45,31 @@ class Context:
         return EXIT[result.status]
 
 
+class _Lists(click.Command):
+    """A command whose options that may be given several times also take several values at once: `--against A B`."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """With such an option repeated before each of its values, up to the next option."""
+        names = {o for p in self.params if isinstance(p, click.Option) and _is_list(p) for o in p.opts}
+        spread: list[str] = []
+        now, values = "", 0
+        for word in args:
+            if word.startswith("-") and word != "-":
+                now, values = (word if word in names else ""), 0
+            elif now:
+                spread += [now] if values else []
+                values += 1
+            spread.append(word)
+        return super().parse_args(ctx, spread)
+
+
+def _is_list(option: click.Option) -> bool:
+    return option.multiple and isinstance(option.metavar, str) and option.metavar.endswith("...")
+
+
 def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A click command called `name` whose function gets the `Context` first and which has `--json`."""
+    """A click command called `name` whose function gets the `Context` first and which has `--json`; an option that may be given several
+    times and whose metavar ends in dots takes several values at once, too."""
 
     def wrap(function: Callable[..., int]) -> click.Command:
         def body(context: Context, **options: Any) -> int:
@@ -60,7 +83,7 @@ def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
         body.__doc__ = function.__doc__
         body.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
         body.__name__ = function.__name__
-        made = click.command(name)(click.pass_obj(body))
+        made = click.command(name, cls=_Lists)(click.pass_obj(body))
         made.help = (function.__doc__ or "").strip()
         made.params.append(click.Option(["--json"], is_flag=True, help="Print the result as JSON."))
         return made

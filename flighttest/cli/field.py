@@ -124,6 +124,7 @@ def run(
     "--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Times real time."
 )
 @click.option("--lockstep", is_flag=True, help="Wait for the client's clock (deterministic for a seed).")
+@click.option("--model", type=FILE, help="Fly this identified model, its twin, instead of an airframe.")
 def sim(
     context: Context,
     airframe: str,
@@ -133,11 +134,12 @@ def sim(
     port: int,
     speed: float,
     lockstep: bool,
+    model: Path | None,
 ) -> int:
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
     from flighttest.pipeline import simulator
 
-    for said in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep):
+    for said in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep, model):
         if isinstance(said, str):
             context.show.say(said)
             continue

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from flighttest.sim.autopilot import Autopilot
 from flighttest.sim.battery import Battery
 from flighttest.sim.noise import Noise
@@ -25,15 +28,26 @@ def build_plant(options: SimOptions) -> Plant:
         capacity = options.capacity_ah or rotor.capacity_ah
         battery = _battery(options, Battery(rotor.cells, capacity, rotor.resistance_ohm))
         return RotorPlant(rotor, options.hide, battery, air)
+    if options.model is not None:
+        return _identified(options, options.model, air)
     battery = _battery(options, Battery(capacity_ah=options.capacity_ah or 5.0))
     drag = options.hide.get("linear_drag", {})
     parameters = PaperParameters().changed({**options.vehicle, **drag})
     beyond = {name: values for name, values in options.hide.items() if name != "linear_drag"}
     if not beyond:
         return PaperPlant(parameters, battery, air)
-    from flighttest.sim.plant_terms import TermsPlant  # only here: CasADi takes its time to load
+    from flighttest.sim import plant_terms  # only here: CasADi takes its time to load
 
-    return TermsPlant(parameters, beyond, battery, air)
+    return plant_terms.TermsPlant(*plant_terms.concealing(*plant_terms.of_paper(parameters), beyond), battery, air)
+
+
+def _identified(options: SimOptions, described: Mapping[str, Any], air: Air | None) -> Plant:
+    """An identified model, with whatever is hidden in it besides."""
+    from flighttest.sim import plant_terms
+
+    battery = Battery(capacity_ah=options.capacity_ah or 5.0, **described.get("battery", {}))
+    model, values = plant_terms.concealing(*plant_terms.of_description(described), options.hide)
+    return plant_terms.TermsPlant(model, values, _battery(options, battery), air)
 
 
 def _battery(options: SimOptions, battery: Battery) -> Battery:
@@ -49,7 +63,7 @@ def build_vehicle(options: SimOptions) -> Autopilot:
     return Autopilot(
         plant,
         seed=options.seed,
-        noise=SensorNoise().scaled(options.noise),
+        noise=SensorNoise(**(options.model or {}).get("noise", {})).scaled(options.noise),
         boot=Boot(options.ready_s, options.gps_s, min(MODE_SWITCH_S, options.ready_s)),
         parameters=options.parameters,
         capacity_ah=plant.battery.capacity_ah,

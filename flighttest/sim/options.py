@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from flighttest.errors import InputError
 from flighttest.sim.plant import Hidden
@@ -24,6 +24,8 @@ class SimOptions:
     the client grants some (see `lockstep`); paced: no sooner than `speed` allows. ready_s, gps_s: when it can arm and has a position, s
     after boot. parameters: autopilot parameters that differ from their defaults.
     voltage_v: at which the battery rests; capacity_ah: None keeps the airframe's.
+    model: an identified model that flies instead of the airframe, as plain data: terms, values (every parameter), constants (further
+    arguments of `physics.model.Model`), and optionally battery (cells, resistance_ohm) and noise (fields of `SensorNoise`).
     """
 
     airframe: Airframe = "paper"
@@ -41,6 +43,7 @@ class SimOptions:
     parameters: Mapping[str, float] = field(default_factory=dict)
     voltage_v: float | None = None
     capacity_ah: float | None = None
+    model: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if self.airframe not in AIRFRAMES:

@@ -1,12 +1,12 @@
-"""The paper's vehicle with concealed physics from the catalogue: the model itself, so its keys are the terms' parameter names.
+"""A composed model in motion: the paper's vehicle with concealed physics from the catalogue, or an identified model.
 
-Each term is evaluated by `physics`, the one place where it is written. For data whose physics the catalogue has never seen, use the
-rotor vehicle.
+Each term is evaluated by `physics`, the one place where it is written; keys are the terms' parameter names. For data whose physics the
+catalogue has never seen, use the rotor vehicle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from difflib import get_close_matches
 from math import cos, sin, sqrt
@@ -21,7 +21,7 @@ from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.sim.battery import Battery
 from flighttest.sim.plant import Command, Delays, Hidden, Motion
-from flighttest.sim.plant_paper import HARD_LANDING_M_S, HOVER_CURRENT_A, TICK_S, PaperParameters, hover_throttle
+from flighttest.sim.plant_paper import HARD_LANDING_M_S, HOVER_CURRENT_A, TICK_S, PaperParameters
 from flighttest.sim.weather import Air
 
 FloatArray = NDArray[np.float64]
@@ -29,21 +29,33 @@ FloatArray = NDArray[np.float64]
 _BASE = ("body", "linear_drag")
 
 
-def _values(model: Model, parameters: PaperParameters, hide: Hidden) -> dict[str, float]:
-    """Every parameter of the model: the paper's, and of the hidden terms what is given or nominal."""
-    found = {p.name: p.nominal for p in model.params}
-    found.update({k: v for k, v in asdict(parameters).items() if k in found})
-    found.update({p.name: parameters.T_d for p in model.params if p.name.startswith("T_d")})
-    terms = {t.id: t for t in model.built_terms}
-    for name, values in hide.items():
+def of_paper(parameters: PaperParameters) -> tuple[Model, dict[str, float]]:
+    """The paper's model and its values."""
+    model = Model(_BASE, nominal_voltage_v=parameters.nominal_voltage_v)
+    own = asdict(parameters)
+    delays = {p.name: parameters.T_d for p in model.params if p.name.startswith("T_d")}
+    return model, {p.name: own.get(p.name, p.nominal) for p in model.params} | delays
+
+
+def of_description(described: Mapping[str, Any]) -> tuple[Model, dict[str, float]]:
+    """The model of `SimOptions.model`, and its values."""
+    return Model(tuple(described["terms"]), **described["constants"]), dict(described["values"])
+
+
+def concealing(model: Model, values: Mapping[str, float], hide: Hidden) -> tuple[Model, dict[str, float]]:
+    """A model with hidden terms: their values as given or nominal."""
+    made = model.with_terms(*hide)
+    found = {p.name: values.get(p.name, p.nominal) for p in made.params}
+    terms = {t.id: t for t in made.built_terms}
+    for name, given in hide.items():
         own = [p.name for p in terms[name].params]
-        for key, value in values.items():
+        for key, value in given.items():
             if key not in own:
                 near = get_close_matches(key, own, 1)
                 hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(own)}"
                 raise InputError(f"term {name} has no parameter {key!r}", hint)
             found[key] = float(value)
-    return found
+    return made, found
 
 
 class TermsPlant:
@@ -52,17 +64,15 @@ class TermsPlant:
     tick_s = TICK_S
 
     def __init__(
-        self, parameters: PaperParameters, hide: Hidden, battery: Battery | None = None, air: Air | None = None
+        self, model: Model, values: Mapping[str, float], battery: Battery | None = None, air: Air | None = None
     ) -> None:
-        self.parameters, self.battery, self._air = parameters, battery or Battery(), air
+        self.battery, self._air = battery or Battery(), air
         self.motion = Motion(voltage=self.battery.voltage)
-        model = Model((*_BASE, *hide), nominal_voltage_v=parameters.nominal_voltage_v)
-        values = _values(model, parameters, hide)
         p = [values[name] for name in model.names]
         system = model.system
         delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
         self.delays = Delays(*(max(delays[c], 0.0) for c in ("attitude", "yaw_rate", "thrust")))
-        self.hover_throttle = hover_throttle(parameters, self.battery.voltage)
+        self.hover_throttle = float(model.hover_throttle(values, self.battery.voltage))
         self._index = {name: i for i, name in enumerate(system.states)}
         self._inputs = tuple(system.inputs)
         self._start = np.array([system.initial.get(name, 0.0) for name in system.states])

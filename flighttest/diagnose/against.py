@@ -1,0 +1,353 @@
+"""A simulator's recordings against real ones: both fitted in one model, and what the simulator lacks, has too much of, or has otherwise.
+
+The model is the base with every term that the diagnosis of either side accepted. A parameter differs where the difference of its two
+estimates is beyond its joint standard error, by Student's t with Welch's degrees of freedom and Holm's correction over all parameters.
+A term without an amplitude (a limit) has no value at which it is absent: it is in the model of the sides whose diagnosis named it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from flighttest.diagnose.held_out import held_out_groups
+from flighttest.diagnose.mass import mass_test
+from flighttest.diagnose.model import Diagnosis, short
+from flighttest.errors import FitError
+from flighttest.estimation.covariance import cluster_covariance, interval_factor
+from flighttest.estimation.distributions import beyond
+from flighttest.estimation.problem import Noise
+from flighttest.estimation.solver import finite_or_error, solve
+from flighttest.identify.fit import Fit, fit
+from flighttest.identify.quality import ChannelQuality, channel_quality
+from flighttest.identify.selection import problem_of
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+LEVEL = (
+    0.01  # chance that any parameter of two equal vehicles is called different (Holm's correction over the parameters)
+)
+
+
+class Kind(StrEnum):
+    """The answer about one parameter. The simulator LACKS its term, has TOO_MUCH of it (reality has none), has it with an OTHER_VALUE, the
+    SAME within the error of both, or it is UNTESTED: one of the sides does not tell it."""
+
+    LACKS = "LACKS"
+    TOO_MUCH = "TOO_MUCH"
+    OTHER_VALUE = "OTHER_VALUE"
+    SAME = "SAME"
+    UNTESTED = "UNTESTED"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter on both sides. difference: real minus simulated; std, interval_95, p_value: of it, None where it is untested, or where
+    its term has no amplitude; why: what speaks against a test."""
+
+    name: str
+    term: str
+    unit: str
+    kind: Kind
+    real: float | None
+    real_std: float | None
+    simulated: float | None
+    simulated_std: float | None
+    difference: float | None = None
+    std: float | None = None
+    interval_95: tuple[float, float] | None = None
+    p_value: float | None = None
+    why: str = ""
+
+    @property
+    def differs(self) -> bool:
+        """Whether the simulator has to change here."""
+        return self.kind in (Kind.LACKS, Kind.TOO_MUCH, Kind.OTHER_VALUE)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side's model and values; errors: parameter to standard error and degrees of freedom; unseen: term to why its recordings could not
+    show it."""
+
+    model: Model
+    values: Mapping[str, float]
+    errors: Mapping[str, tuple[float, float]]
+    unseen: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """RMS error of one channel on the real responses, in its unit: of the simulator as it is, of the simulator corrected (by parameters
+    from other steps than those predicted), of the model fitted to them; floor: their noise."""
+
+    before: float
+    after: float
+    fitted: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class Against:
+    """What a comparison found. real, simulated: fits of one model; prediction: by channel; corrected: parameters of the corrected
+    simulator; held_out: whether `Prediction.after` is of steps the correction has not seen; notes: what the reader must know."""
+
+    real: Fit
+    simulated: Fit
+    differences: tuple[Difference, ...]
+    prediction: Mapping[str, Prediction]
+    corrected: Mapping[str, float]
+    held_out: bool
+    notes: tuple[str, ...] = ()
+
+    @property
+    def differing(self) -> tuple[Difference, ...]:
+        """Those that differ."""
+        return tuple(d for d in self.differences if d.differs)
+
+
+def compare(
+    real: Sequence[Segment], simulated: Sequence[Segment], of_real: Diagnosis, of_simulated: Diagnosis
+) -> Against:
+    """Compare the usable responses of both sides, each already diagnosed from the same base. FitError where either cannot be fitted."""
+    terms = {t.id: t for d in (of_real, of_simulated) for t in d.model.built_terms}
+    sides = [
+        ([s for s in segments if s.usable], found) for segments, found in ((real, of_real), (simulated, of_simulated))
+    ]
+    fits, models = [], []
+    for (segments, found), (_, other) in zip(sides, sides[::-1], strict=True):
+        missing = [terms[t] for t in other.accepted if t not in found.accepted and terms[t].amplitudes]
+        # The shape of an effect that is not there cannot be told: it is held as the other side has it.
+        shapes = {p.name: other.values[p.name] for t in missing for p in t.shapes}
+        models.append(found.model.with_terms(*(t.id for t in missing)))
+        fits.append(_fitted(segments, models[-1], found.values, shapes))
+    for i in (0, 1):
+        # What one side cannot tell is held at what the other found, so that the rest compares.
+        known, unknown = fits[1 - i].covariance.names, fits[i]
+        held = {
+            n: fits[1 - i].values[n]
+            for n in known
+            if n in models[i].names and n not in unknown.covariance.names and n not in unknown.solution.at_bound
+        }
+        if held:
+            frozen = {n: unknown.values[n] for n, e in unknown.estimates.items() if e.source == "frozen" and n != "T_d"}
+            fits[i] = _fitted(sides[i][0], models[i], unknown.values, frozen | held)
+    mine, theirs = fits
+    compared = [side_of(f, d) for f, d in ((mine, of_real), (theirs, of_simulated))]
+    differences = differences_of(*compared)
+    floors = floors_of(mine, of_real)
+    prediction, corrected, held_out = _prediction(sides[0][0], mine, theirs, differences, floors)
+    return Against(mine, theirs, differences, prediction, corrected, held_out, mass_notes(differences, *compared))
+
+
+def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float], frozen: Mapping[str, float]) -> Fit:
+    begin = {n: v for n, v in start.items() if n in model.names}
+    return fit(segments, model, select="all", start=begin, frozen=frozen)
+
+
+def _errors(found: Fit) -> dict[str, tuple[float, float]]:
+    """Standard error and degrees of freedom of every estimated parameter, those on a bound included."""
+    bound = [n for n in found.solution.at_bound if n in found.solution.normal.names]
+    known = found.covariance
+    made = {n: (math.sqrt(float(known.matrix[i, i])), float(known.dof[i])) for i, n in enumerate(known.names)}
+    if bound:
+        wide = cluster_covariance(found.solution.normal.by(found.problem.cells), (*known.names, *bound))
+        made |= {
+            n: (math.sqrt(float(wide.matrix[i, i])), float(wide.dof[i])) for i, n in enumerate(wide.names) if n in bound
+        }
+    return made
+
+
+def side_of(found: Fit, diagnosis: Diagnosis) -> Side:
+    """A fit and its diagnosis as one side of a comparison."""
+    return Side(found.model, found.values, _errors(found), {u.term: u.why for u in diagnosis.untestable})
+
+
+def differences_of(real: Side, simulated: Side) -> tuple[Difference, ...]:
+    """Every parameter of either side, those that differ first."""
+    return (*_limits(real, simulated), *_differences(real, simulated))
+
+
+def _limits(real: Side, simulated: Side) -> tuple[Difference, ...]:
+    """Parameters of terms that are in the model of one side alone."""
+    rows = []
+    for here, there, kind in ((real, simulated, Kind.LACKS), (simulated, real, Kind.TOO_MUCH)):
+        for param in (p for p in here.model.params if p.name not in there.model.names):
+            term, value = here.model.term_of(param.name), here.values[param.name]
+            std = here.errors[param.name][0] if param.name in here.errors else None
+            why = there.unseen.get(term, "")
+            row = Difference(
+                param.name, term, param.unit, Kind.UNTESTED if why else kind, None, None, None, None, why=why
+            )
+            mine = {"real": value, "real_std": std} if here is real else {"simulated": value, "simulated_std": std}
+            rows.append(replace(row, **mine))  # type: ignore[arg-type]
+    return tuple(rows)
+
+
+def _differences(real: Side, simulated: Side) -> tuple[Difference, ...]:
+    model, errors = real.model, (real.errors, simulated.errors)
+    rows: list[Difference] = []
+    for param in (p for p in model.params if p.name in simulated.model.names):
+        name, term = param.name, model.term_of(param.name)
+        a, b = real.values[name], simulated.values[name]
+        known = [e.get(name) for e in errors]
+        stds = [None if k is None else k[0] for k in known]
+        row = Difference(name, term, param.unit, Kind.UNTESTED, a, stds[0], b, stds[1])
+        if known[0] is None or known[1] is None:
+            which = [side for side, k in zip(("the real", "the simulated"), known, strict=True) if k is None]
+            rows.append(replace(row, why=f"{' and '.join(which)} recordings do not tell it"))
+            continue
+        (s_a, dof_a), (s_b, dof_b) = known[0], known[1]
+        std = math.hypot(s_a, s_b)
+        dof = std**4 / (s_a**4 / max(dof_a, 1.0) + s_b**4 / max(dof_b, 1.0)) if std > 0 else 1.0
+        half = interval_factor(dof) * std
+        p = beyond((a - b) / std, dof) if std > 0 else float(a == b)
+        rows.append(replace(row, difference=a - b, std=std, interval_95=(a - b - half, a - b + half), p_value=p))
+    tested = sorted((i for i, r in enumerate(rows) if r.p_value is not None), key=lambda i: rows[i].p_value or 0.0)
+    still = True
+    for k, i in enumerate(tested):
+        still = still and (rows[i].p_value or 0.0) <= LEVEL / (len(tested) - k)
+        kind = _kind(rows[i], model, errors, len(tested)) if still else Kind.SAME
+        rows[i] = replace(rows[i], kind=kind)
+    order = list(Kind)
+    return tuple(sorted(rows, key=lambda r: (order.index(r.kind), r.p_value if r.p_value is not None else 1.0)))
+
+
+def _kind(row: Difference, model: Model, errors: Sequence[Mapping[str, tuple[float, float]]], tests: int) -> Kind:
+    """What the difference of a parameter means: a term is there where any of its amplitudes is beyond its error from `off`."""
+    term = next((t for t in model.built_terms if t.id == row.term), None)
+    if term is None or not term.amplitudes or all(p.name != row.name for p in term.amplitudes):
+        return Kind.OTHER_VALUE
+    param = model.param[row.name]
+    there = []
+    for value, known in ((row.real or 0.0, errors[0]), (row.simulated or 0.0, errors[1])):
+        std, dof = known[row.name]
+        there.append(std <= 0.0 or beyond((value - (param.off or 0.0)) / std, dof) <= LEVEL / tests)
+    return {(True, False): Kind.LACKS, (False, True): Kind.TOO_MUCH}.get((there[0], there[1]), Kind.OTHER_VALUE)
+
+
+def predicted(
+    segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise
+) -> dict[str, ChannelQuality]:
+    """Residuals of responses whose parameters are all held: only initial states and each response's disturbance are estimated."""
+    problem = problem_of(segments, model, select="all", values=values)
+    solution = solve(problem, free=(), robust=False, noise=noise, estimate_noise=False)
+    return channel_quality(problem, finite_or_error(solution))
+
+
+def floors_of(found: Fit, diagnosis: Diagnosis) -> dict[str, float]:
+    """Noise floor of each channel: what the repeats differ by, as the diagnosis has it, else the fast part of the residual."""
+    known = {c: diagnosis.noise_floor.get(short(c), {}).get("value") for c in found.quality}
+    return {c: float(known[c] or q.floor) for c, q in found.quality.items()}
+
+
+def _prediction(
+    segments: Sequence[Segment],
+    real: Fit,
+    simulated: Fit,
+    found: Sequence[Difference],
+    floors: Mapping[str, float],
+) -> tuple[dict[str, Prediction], dict[str, float], bool]:
+    """Errors by channel; the corrected simulator: its own parameters, those that differ fitted to the real recordings."""
+    model, noise = real.model, real.noise
+    keep = {d.name: simulated.values[d.name] for d in found if not d.differs and d.name in simulated.values}
+    keep = {n: v for n, v in keep.items() if n in model.names}
+    before = predicted(segments, simulated.model, simulated.values, noise)
+    fitted, held_out = real.quality, True
+    if not any(d.differs for d in found):
+        same = {c: Prediction(q.rmse, q.rmse, fitted[c].rmse, floors[c]) for c, q in before.items() if c in fitted}
+        return same, dict(simulated.values), True
+    corrected = fit(segments, model, select="all", start=real.values, frozen=keep).values
+    group = held_out_groups(segments)[0] % 2
+    squares: dict[str, list[tuple[float, int]]] = {}
+    try:
+        for half in (0, 1):
+            rest = [s for s, g in zip(segments, group, strict=True) if g != half]
+            here = [s for s, g in zip(segments, group, strict=True) if g == half]
+            values = fit(rest, model, select="all", start=corrected, frozen=keep).values
+            for c, q in predicted(here, model, values, noise).items():
+                squares.setdefault(c, []).append((q.rmse**2 * q.count, q.count))
+        after = {c: math.sqrt(sum(s for s, _ in both) / sum(n for _, n in both)) for c, both in squares.items()}
+    except FitError:  # too little for halves
+        held_out = False
+        after = {c: q.rmse for c, q in predicted(segments, model, corrected, noise).items()}
+    made = {
+        c: Prediction(q.rmse, after[c], fitted[c].rmse, floors[c])
+        for c, q in before.items()
+        if c in after and c in fitted
+    }
+    return made, dict(corrected), held_out
+
+
+def mass_notes(found: Sequence[Difference], real: Side, simulated: Side) -> tuple[str, ...]:
+    """Whether a difference of thrust is one of mass."""
+    if not any(d.differs and d.name == "K" for d in found):
+        return ()
+    both = [n for n in real.errors if n in simulated.errors]
+    test = mass_test(
+        {n: (simulated.values[n], simulated.errors[n][0]) for n in both},
+        {n: {"value": real.values[n], "scatter": real.errors[n][0]} for n in both},
+    )
+    return (f"from the simulator to reality {test['sentence']}",) if test.get("thrust_changed") else ()
+
+
+@dataclass(frozen=True)
+class StepDifference:
+    """One step that both sides flew. rms: of the difference of the mean responses in `channel`; scatter: standard error of that difference
+    by the scatter of the repeats, None with one repeat."""
+
+    kind: str
+    cell: Mapping[str, float]
+    channel: str
+    unit: str
+    repeats: tuple[int, int]
+    rms: float
+    scatter: float | None
+
+
+_STEPPED = {
+    "roll_step": ("roll_rad", "rad"),
+    "pitch_step": ("pitch_rad", "rad"),
+    "yaw_rate_step": ("r_rad_s", "rad/s"),
+    "throttle_step": ("f_z_m_s2", "m/s^2"),
+    "tilt_throttle": ("f_z_m_s2", "m/s^2"),
+}
+_GRID_S = 0.02
+
+
+def step_by_step(real: Sequence[Segment], simulated: Sequence[Segment]) -> tuple[StepDifference, ...]:
+    """Mean responses of the steps that both sides flew, the largest difference first. No model is in it; nor is what repeats differ by,
+    as their voltage."""
+    sides: list[dict[object, list[Segment]]] = [{}, {}]
+    for cells, segments in zip(sides, (real, simulated), strict=True):
+        for s in segments:
+            if s.usable and s.kind in _STEPPED and _STEPPED[s.kind][0] in s.y:
+                cells.setdefault(s.cell_key, []).append(s)
+    found = []
+    for key in sides[0].keys() & sides[1].keys():
+        mine, theirs = sides[0][key], sides[1][key]
+        channel, unit = _STEPPED[mine[0].kind]
+        end = min(float(s.t_s[-1]) - s.t_step_s for s in (*mine, *theirs))
+        grid = np.arange(0.0, end, _GRID_S)
+        if grid.size < 5:
+            continue
+        rows = [[np.interp(grid, s.t_s - s.t_step_s, _known(s, channel)) for s in some] for some in (mine, theirs)]
+        off = np.mean(rows[0], axis=0) - np.mean(rows[1], axis=0)
+        scatter = None
+        if min(len(mine), len(theirs)) > 1:
+            scatter = math.sqrt(sum(float(np.mean(np.var(r, axis=0, ddof=1))) / len(r) for r in rows))
+        cell, repeats = dict(mine[0].cell), (len(mine), len(theirs))
+        found.append(
+            StepDifference(mine[0].kind, cell, channel, unit, repeats, float(np.sqrt(np.mean(off**2))), scatter)
+        )
+    return tuple(sorted(found, key=lambda d: -d.rms / (d.scatter or math.inf)))
+
+
+def _known(segment: Segment, channel: str) -> np.ndarray:
+    y = segment.y[channel]
+    good = np.isfinite(y)
+    return np.asarray(y if good.all() or not good.any() else np.interp(segment.t_s, segment.t_s[good], y[good]))

@@ -1,0 +1,130 @@
+"""Sections about a simulator against reality, from the data of against.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from flighttest.channels import WORDS
+from flighttest.report.document import Align, Block, Bullets, Cell, Section, Table, Tone
+from flighttest.report.numbers import join, number, percent, to_error, unit
+
+Data = Mapping[str, Any]
+_KINDS: dict[str, tuple[str, Tone]] = {
+    "LACKS": ("the simulator lacks it", "bad"),
+    "TOO_MUCH": ("only the simulator has it", "bad"),
+    "OTHER_VALUE": ("another value", "bad"),
+    "SAME": ("same", "good"),
+    "UNTESTED": ("not tested", "quiet"),
+}
+_STEPS_SHOWN = 40
+
+
+def sentence(data: Data) -> str:
+    """The answer in one sentence."""
+    titles = data["titles"]
+    parts = []
+    if data["lacks"]:
+        parts.append(f"lacks {join([_title(titles, t) for t in data['lacks']])}")
+    if data["too_much"]:
+        parts.append(f"has {join([_title(titles, t) for t in data['too_much']])}, which reality has not")
+    if data["other_value"]:
+        parts.append(f"has {join(list(data['other_value']))} with another value")
+    rows = data["parameters"]
+    tested = sum(r["p_value"] is not None for r in rows)
+    if not parts:
+        return f"No difference between simulator and reality is beyond its error ({tested} parameters compared)."
+    return f"The simulator {'; it '.join(parts)}."
+
+
+def _title(titles: Mapping[str, str], term: str) -> str:
+    title = titles.get(term, term)
+    return f"{title[:1].lower()}{title[1:]} ({term})"
+
+
+def against_sections(data: Data) -> tuple[Section, ...]:
+    """Parameters, prediction errors, steps, and what each side's diagnosis said."""
+    return tuple(s for s in (_parameters(data), _prediction(data), _steps(data), _sides(data)) if s is not None)
+
+
+def _parameters(data: Data) -> Section:
+    rows: list[tuple[Cell | str, ...]] = []
+    for r in data["parameters"]:
+        word, tone = _KINDS[r["kind"]]
+        share = r["difference"] / abs(r["simulated"]) if r["difference"] is not None and r["simulated"] else None
+        interval = r["interval_95"]
+        rows.append(
+            (
+                r["name"],
+                to_error(r["real"], r["real_std"]),
+                to_error(r["simulated"], r["simulated_std"]),
+                unit(r["unit"]),
+                "-" if interval is None else f"{number(interval[0], 3)} to {number(interval[1], 3)}",
+                percent(share) if share is not None and abs(share) < 10 else "-",
+                Cell(word, tone, r["why"]),
+            )
+        )
+    align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "right", "left")
+    caption = (
+        "Both sides fitted in one model; difference: real minus simulated, 95 % interval. It differs where it is beyond "
+        "chance at 1 % over all parameters together."
+    )
+    columns = ("parameter", "real", "simulated", "unit", "difference", "change", "")
+    blocks: list[Block] = [Table(columns, tuple(rows), align, caption, roomy=(5,))]
+    if data["notes"]:
+        blocks.insert(0, Bullets(tuple(data["notes"])))
+    return Section("parameters", "What the simulator has otherwise", tuple(blocks))
+
+
+def _prediction(data: Data) -> Section | None:
+    rows: list[tuple[Cell | str, ...]] = []
+    for channel, p in data["prediction"].items():
+        ratio = [p[k] / p["floor"] if p["floor"] else None for k in ("before", "after", "fitted")]
+        tones: list[Tone] = ["good" if r is not None and r <= 1.2 else "plain" for r in ratio]
+        rows.append(
+            (
+                WORDS.get(channel, channel),
+                number(p["floor"], 2),
+                *(Cell(number(r, 3), t) for r, t in zip(ratio, tones, strict=True)),
+            )
+        )
+    if not rows:
+        return None
+    seen = "of steps it was not corrected with" if data["held_out"] else "of the steps it was corrected with"
+    caption = (
+        f"RMS error on the real responses in noise floors: the simulator as it is; corrected in what differs, {seen}; and the same "
+        "model fitted to these responses, the least that this correction can reach. Each response starts as measured, with a constant "
+        "disturbance of its own."
+    )
+    columns = ("channel", "noise floor", "simulator", "corrected", "fitted")
+    return Section(
+        "prediction",
+        "Prediction error of the simulator, before and after",
+        (Table(columns, tuple(rows), ("left", "right", "right", "right", "right"), caption),),
+    )
+
+
+def _steps(data: Data) -> Section | None:
+    steps: Sequence[Data] = data.get("steps") or ()
+    rows: list[tuple[Cell | str, ...]] = []
+    for s in steps[:_STEPS_SHOWN]:
+        cell = ", ".join(f"{k.rsplit('_rad', 1)[0]} {number(v, 3)}" for k, v in s["cell"].items())
+        ratio = s["rms"] / s["scatter"] if s["scatter"] else None
+        repeats = f"{s['repeats'][0]}, {s['repeats'][1]}"
+        rows.append(
+            (f"{s['kind'].replace('_', ' ')}: {cell}", repeats, number(s["rms"], 2), unit(s["unit"]), number(ratio, 2))
+        )
+    if not rows:
+        return None
+    caption = (
+        "Mean response of each step that both sides flew: RMS of the difference, and over the scatter of its repeats. No model is in "
+        "it; nor is what the repeats differ by, such as the battery's voltage."
+    )
+    columns = ("step", "repeats", "difference", "unit", "over scatter")
+    table = Table(columns, tuple(rows), ("left", "right", "right", "left", "right"), caption, fold=True)
+    return Section("steps", f"Step by step ({len(steps)} steps flown on both sides)", (table,))
+
+
+def _sides(data: Data) -> Section:
+    lines = tuple(f"{what}: {data[key]['sentence']}" for what, key in (("real", "real"), ("simulated", "simulated")))
+    return Section("sides", "Each side by itself", (Bullets(lines),), "What the base model misses in each.")

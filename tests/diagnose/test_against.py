@@ -1,0 +1,85 @@
+"""A simulator against reality: what differs beyond the error of both sides, and what that means."""
+
+import numpy as np
+import pytest
+
+from flighttest.diagnose.against import Kind, Side, differences_of, mass_notes, step_by_step
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+MODEL = Model(("linear_drag", "quadratic_drag"))
+
+
+def side(model=MODEL, unseen=(), **values):
+    full = model.start() | values
+    return Side(
+        model, full, {n: (0.01 * max(abs(full[n]), 0.1), 30.0) for n in model.names}, dict.fromkeys(unseen, "not flown")
+    )
+
+
+def kinds(found):
+    return {d.name: d.kind for d in found}
+
+
+def test_two_like_sides_do_not_differ():
+    assert set(kinds(differences_of(side(), side(K=55.0))).values()) == {Kind.SAME}
+
+
+def test_a_term_is_lacking_superfluous_or_of_another_value():
+    quadratic = next(t for t in MODEL.built_terms if t.id == "quadratic_drag").params[0].name
+    assert kinds(differences_of(side(**{quadratic: 0.05}), side()))[quadratic] is Kind.LACKS
+    assert kinds(differences_of(side(), side(**{quadratic: 0.05})))[quadratic] is Kind.TOO_MUCH
+    assert kinds(differences_of(side(**{quadratic: 0.05}), side(**{quadratic: 0.09})))[quadratic] is Kind.OTHER_VALUE
+    assert kinds(differences_of(side(K=60.0), side()))["K"] is Kind.OTHER_VALUE
+
+
+def test_holm_keeps_two_errors_and_a_half_in_one_of_many_parameters_from_counting():
+    found = {d.name: d for d in differences_of(side(K=54.55 * (1 + 0.025 * np.sqrt(2))), side())}
+    assert found["K"].p_value < 0.05
+    assert found["K"].kind is Kind.SAME
+
+
+def test_a_limit_is_in_the_model_of_one_side_alone():
+    limited = MODEL.with_terms("rate_limit")
+    name = next(p.name for p in limited.params if p.name not in MODEL.names)
+    assert kinds(differences_of(side(limited), side()))[name] is Kind.LACKS
+    assert kinds(differences_of(side(), side(limited)))[name] is Kind.TOO_MUCH
+    assert kinds(differences_of(side(limited), side(unseen=["rate_limit"])))[name] is Kind.UNTESTED
+
+
+def test_what_one_side_does_not_tell_is_not_tested():
+    other = side()
+    del other.errors["alpha"]
+    row = next(d for d in differences_of(side(alpha=3.0), other) if d.name == "alpha")
+    assert (row.kind, row.why) == (Kind.UNTESTED, "the simulated recordings do not tell it")
+
+
+def test_all_forces_by_one_ratio_is_mass():
+    start = MODEL.start()
+    lighter = side(**{n: 1.1 * start[n] for n in ("K", "d_x", "d_y", "d_z")})
+    (said,) = mass_notes(differences_of(lighter, side()), lighter, side())
+    assert "the mass changed by -9.1 %" in said
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_steps_that_both_sides_flew_are_compared_by_their_means(offset):
+    t = np.arange(0.0, 1.0, 0.02)
+
+    def step(k, off):
+        wobble = 0.001 * (-1) ** k
+        return Segment(
+            f"s{k}",
+            "r",
+            "roll_step",
+            {"amplitude_rad": 0.2},
+            k,
+            0.0,
+            t,
+            {"roll_rad": 0.2 * (t > 0.1) + off + wobble},
+            {},
+        )
+
+    (found,) = step_by_step([step(k, offset) for k in range(2)], [step(k, 0.0) for k in range(2)])
+    assert found.rms == pytest.approx(offset, abs=1e-9)
+    assert found.scatter == pytest.approx(0.001 * np.sqrt(2), rel=1e-6)
+    assert found.repeats == (2, 2)
