@@ -149,7 +149,7 @@ def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float
     return fit(segments, model, select="all", start=begin, frozen=frozen)
 
 
-def _errors(found: Fit) -> dict[str, tuple[float, float]]:
+def errors_of(found: Fit) -> dict[str, tuple[float, float]]:
     """Standard error and degrees of freedom of every estimated parameter, those on a bound included."""
     bound = [n for n in found.solution.at_bound if n in found.solution.normal.names]
     known = found.covariance
@@ -164,7 +164,7 @@ def _errors(found: Fit) -> dict[str, tuple[float, float]]:
 
 def side_of(found: Fit, diagnosis: Diagnosis) -> Side:
     """A fit and its diagnosis as one side of a comparison."""
-    return Side(found.model, found.values, _errors(found), {u.term: u.why for u in diagnosis.untestable})
+    return Side(found.model, found.values, errors_of(found), {u.term: u.why for u in diagnosis.untestable})
 
 
 def differences_of(real: Side, simulated: Side) -> tuple[Difference, ...]:

@@ -186,9 +186,11 @@ def _hold(
 class _ModelRun:
     """Open-loop runs of a model, or of its linearisation about hover at the heading of each start."""
 
-    def __init__(self, model: Model, values: Mapping[str, float], linear: bool = False) -> None:
+    def __init__(
+        self, model: Model, values: Mapping[str, float], linear: bool = False, p: FloatArray | None = None
+    ) -> None:
         self.model, self.values, self.linear = model, values, linear
-        self.p = np.array([values[n] for n in model.system.params])
+        self.p = np.array([values[n] for n in model.system.params]) if p is None else p  # or one row per start
 
     def __call__(
         self, segments: Sequence[Segment], starts: Sequence[Start], measured: Sequence[Mapping[str, FloatArray]]
@@ -201,7 +203,11 @@ class _ModelRun:
         if self.linear:
             step, output, p = self._linearised(x0, u)
         else:
-            step, output, p = rk4_step(system), system.function, np.broadcast_to(self.p, (len(starts), self.p.size))
+            step, output, p = (
+                rk4_step(system),
+                system.function,
+                np.broadcast_to(self.p, (len(starts), len(system.params))),
+            )
         states = Stepper(step).run(x0, u, p, dt)
         found = []
         for i, sample in enumerate(samples):
@@ -238,6 +244,18 @@ class _ModelRun:
         yaw = x0[:, states.index("yaw_rad")] if "yaw_rad" in states else u[:, 0, inputs.index("yaw_rad")]
         voltage = u[:, 0, inputs.index("voltage_v")]
         return step, output, np.stack([yaw, voltage, model.hover_throttle(self.values, voltage)], axis=1)
+
+
+def open_loop(
+    model: Model,
+    values: Mapping[str, float],
+    segments: Sequence[Segment],
+    starts: Sequence[Start],
+    p: FloatArray | None = None,
+) -> Predicted:
+    """Predictions of a model per start, as measured; p: (n_starts, n_params) where each start has parameters of its own (`values` then
+    gives the delays and the initial thrust alone)."""
+    return _ModelRun(model, values, p=p)(segments, starts, ())
 
 
 class _OnlyDelay(_ModelRun):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.diagnose import Diagnosis, Verdict
-from flighttest.diagnose.against import Against, Kind, compare, step_by_step
+from flighttest.diagnose.against import Against, Difference, Kind, compare, step_by_step
 from flighttest.errors import InputError
 from flighttest.identify import model_file
 from flighttest.pipeline.analysis import cut_all, model_data
@@ -113,7 +113,7 @@ def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> dict
         "lacks": named["LACKS"],
         "too_much": named["TOO_MUCH"],
         "other_value": [d.name for d in found.differences if d.kind is Kind.OTHER_VALUE],
-        "parameters": plain([_row(d) for d in found.differences]),
+        "parameters": plain([difference_data(d) for d in found.differences]),
         "prediction": plain(found.prediction),
         "held_out": found.held_out,
         "corrected": plain(found.corrected),
@@ -123,7 +123,8 @@ def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> dict
     }
 
 
-def _row(d: Any) -> dict[str, Any]:
+def difference_data(d: Difference) -> dict[str, Any]:
+    """One parameter of both sides as plain data."""
     return {**vars(d), "kind": d.kind.value, "differs": d.differs}
 
 

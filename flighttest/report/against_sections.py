@@ -11,8 +11,8 @@ from flighttest.report.numbers import join, number, percent, to_error, unit
 
 Data = Mapping[str, Any]
 _KINDS: dict[str, tuple[str, Tone]] = {
-    "LACKS": ("the simulator lacks it", "bad"),
-    "TOO_MUCH": ("only the simulator has it", "bad"),
+    "LACKS": ("lacking", "bad"),
+    "TOO_MUCH": ("not in reality", "bad"),
     "OTHER_VALUE": ("another value", "bad"),
     "SAME": ("same", "good"),
     "UNTESTED": ("not tested", "quiet"),
@@ -25,9 +25,9 @@ def sentence(data: Data) -> str:
     titles = data["titles"]
     parts = []
     if data["lacks"]:
-        parts.append(f"lacks {join([_title(titles, t) for t in data['lacks']])}")
+        parts.append(f"lacks {join([titled(titles, t) for t in data['lacks']])}")
     if data["too_much"]:
-        parts.append(f"has {join([_title(titles, t) for t in data['too_much']])}, which reality has not")
+        parts.append(f"has {join([titled(titles, t) for t in data['too_much']])}, which reality has not")
     if data["other_value"]:
         parts.append(f"has {join(list(data['other_value']))} with another value")
     rows = data["parameters"]
@@ -37,19 +37,28 @@ def sentence(data: Data) -> str:
     return f"The simulator {'; it '.join(parts)}."
 
 
-def _title(titles: Mapping[str, str], term: str) -> str:
+def titled(titles: Mapping[str, str], term: str) -> str:
+    """A term in words, with its id."""
     title = titles.get(term, term)
     return f"{title[:1].lower()}{title[1:]} ({term})"
 
 
 def against_sections(data: Data) -> tuple[Section, ...]:
     """Parameters, prediction errors, steps, and what each side's diagnosis said."""
-    return tuple(s for s in (_parameters(data), _prediction(data), _steps(data), _sides(data)) if s is not None)
+    return tuple(s for s in (_parameters(data), _prediction(data), steps_section(data), _sides(data)) if s is not None)
 
 
 def _parameters(data: Data) -> Section:
+    blocks: list[Block] = [parameter_table(data["parameters"], "real", "simulated")]
+    if data["notes"]:
+        blocks.insert(0, Bullets(tuple(data["notes"])))
+    return Section("parameters", "What the simulator has otherwise", tuple(blocks))
+
+
+def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Table:
+    """Every parameter on both sides, under these heads."""
     rows: list[tuple[Cell | str, ...]] = []
-    for r in data["parameters"]:
+    for r in parameters:
         word, tone = _KINDS[r["kind"]]
         share = r["difference"] / abs(r["simulated"]) if r["difference"] is not None and r["simulated"] else None
         interval = r["interval_95"]
@@ -66,14 +75,12 @@ def _parameters(data: Data) -> Section:
         )
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "right", "left")
     caption = (
-        "Both sides fitted in one model; difference: real minus simulated, 95 % interval. It differs where it is beyond "
+        f"Both sides fitted in one model; difference: {first} minus {second}, 95 % interval. It differs where it is beyond "
         "chance at 1 % over all parameters together."
     )
-    columns = ("parameter", "real", "simulated", "unit", "difference", "change", "")
-    blocks: list[Block] = [Table(columns, tuple(rows), align, caption, roomy=(5,))]
-    if data["notes"]:
-        blocks.insert(0, Bullets(tuple(data["notes"])))
-    return Section("parameters", "What the simulator has otherwise", tuple(blocks))
+    return Table(
+        ("parameter", first, second, "unit", "difference", "change", ""), tuple(rows), align, caption, roomy=(5,)
+    )
 
 
 def _prediction(data: Data) -> Section | None:
@@ -104,7 +111,8 @@ def _prediction(data: Data) -> Section | None:
     )
 
 
-def _steps(data: Data) -> Section | None:
+def steps_section(data: Data) -> Section | None:
+    """The steps that both sides flew, side by side."""
     steps: Sequence[Data] = data.get("steps") or ()
     rows: list[tuple[Cell | str, ...]] = []
     for s in steps[:_STEPS_SHOWN]:

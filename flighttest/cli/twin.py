@@ -1,0 +1,70 @@
+"""The command about an identified model as a vehicle: twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
+from flighttest.cli.live import LiveProgress
+
+
+@command("twin")
+@click.argument("model", type=FILE)
+@click.option(
+    "--verify",
+    "verified",
+    multiple=True,
+    type=ANY,
+    metavar="RUN...",
+    help="Fly the scripts of these runs on the twin and say what still differs.",
+)
+@click.option(
+    "--replay",
+    "replayed",
+    multiple=True,
+    type=ANY,
+    metavar="RUN...",
+    help="Run the recorded commands on the twin, beside the recording; --set says what is otherwise.",
+)
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="NAME=VALUE...",
+    help="With --replay: payload=KG, battery=V (or +V, -V), propeller=RATIO, or a parameter: K=+10%, w_north=3.",
+)
+@click.option("--offline", is_flag=True, help="With --verify: recorded commands alone, nothing is flown.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the twin's noise.")
+@click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
+@click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for the twin's flights and report.html.")
+def twin(
+    context: Context,
+    model: Path,
+    verified: tuple[Path, ...],
+    replayed: tuple[Path, ...],
+    changes: tuple[str, ...],
+    offline: bool,
+    seed: int,
+    columns: Path | None,
+    output: Path | None,
+) -> int:
+    """The twin, an identified model as a vehicle: compare it with recordings, or ask what if.
+
+    `flighttest sim --model MODEL` lets it fly for any ground station.
+    """
+    from flighttest.pipeline import twin as twins
+
+    if bool(verified) == bool(replayed):
+        raise click.UsageError("give either --verify RUN... or --replay RUN...")
+    if changes and not replayed:
+        raise click.UsageError("--set changes the vehicle of a --replay")
+    with LiveProgress(context.show) as progress:
+        if replayed:
+            return context.finish(twins.replay(model, replayed, changes, output, columns, progress))
+        result = twins.verify(model, verified, output, offline=offline, seed=seed, columns=columns, progress=progress)
+    return context.finish(result)
+
+
+COMMANDS: tuple[click.Command, ...] = (twin,)

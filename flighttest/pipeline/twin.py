@@ -1,0 +1,225 @@
+"""`flighttest twin model.yaml`: an identified model flown as the recorded vehicle was, and what still differs (`--verify RUN...`); recorded
+commands on the vehicle with another battery, payload, propeller, wind or parameter (`--replay RUN --set NAME=VALUE`)."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from flighttest.diagnose import Diagnosis
+from flighttest.diagnose.against import (
+    Difference,
+    Side,
+    differences_of,
+    errors_of,
+    floors_of,
+    mass_notes,
+    predicted,
+    side_of,
+    step_by_step,
+)
+from flighttest.errors import FlighttestError
+from flighttest.flight import FlightOptions, fly
+from flighttest.identify import model_file
+from flighttest.identify.fit import fit
+from flighttest.identify.model_file import ModelFile
+from flighttest.pipeline.against import difference_data, of_one_vehicle
+from flighttest.pipeline.analysis import cut_all
+from flighttest.pipeline.checking import plans
+from flighttest.pipeline.diagnosis import run_diagnosis
+from flighttest.pipeline.doubts import once
+from flighttest.pipeline.fingerprints import differences
+from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.pipeline.repeating import VEHICLE_NAME, flown_with
+from flighttest.pipeline.replanning import ScriptReplanner
+from flighttest.pipeline.reporting import REPORT_NAME
+from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.sources import losses_of, open_recordings
+from flighttest.report import html
+from flighttest.report.document import Document
+from flighttest.report.numbers import join
+from flighttest.report.plain import plain
+from flighttest.report.twin_sections import replay_sections, replay_sentence, verify_sections, verify_sentence
+from flighttest.segments import Segment
+from flighttest.sim import start_simulator
+from flighttest.twin.replay import HORIZON_S
+from flighttest.twin.replay import replay as run_commands
+from flighttest.twin.vehicle import assumed, fly_able, options_of
+from flighttest.twin.what_if import outside, what_if
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+NEAR_FLOOR = 1.2  # noise floors that the twin's error may have in a channel that it predicts
+_DOF = 30.0  # of the model's own standard errors, which a model file does not keep
+_SPEED = 20.0
+
+
+def verify(
+    model: Path,
+    runs: Sequence[Path],
+    output: Path | None = None,
+    *,
+    offline: bool = False,
+    seed: int = 1,
+    columns: Path | None = None,
+    progress: Progress = SILENT,
+) -> Result:
+    """Fly the scripts of recorded runs on the twin and compare; runs without a script, or all of them `offline`, are compared with what the
+    model makes of their recorded commands. With `output` the twin's flights and report.html are kept there."""
+    check_writable(output)
+    stored = model_file.read(model, whole=True)
+    fly_able(stored)
+    recordings = once(open_recordings(runs, columns, progress=progress))
+    of_one_vehicle(recordings)
+    segments = cut_all(recordings, progress)
+    scripted = [] if offline else [run for run in runs if (run / "script.yaml").is_file()]
+    found = run_diagnosis(segments, recordings, stored, None, progress)
+    flown: tuple[Segment, ...] = ()
+    folders: list[Path] = []
+    if scripted:
+        with tempfile.TemporaryDirectory() as scratch:
+            folders = [
+                _fly(stored, run, (output or Path(scratch)) / f"twin-{run.name}", seed + i, progress)
+                for i, run in enumerate(scripted)
+            ]
+            flown = cut_all(open_recordings(folders, progress=progress), progress)
+    progress.stage("comparing the twin with the recordings")
+    data = _compare(stored, segments, found, flown)
+    data |= {
+        "flown": [str(f) for f in folders] if output is not None else [],
+        "flights": len(folders),
+        "assumed": list(assumed(stored)),
+        "losses": losses_of(recordings),
+    }
+    facts = {"model": str(model), "recordings": join([str(r) for r in runs])}
+    other = differences(stored.fingerprint, recordings)
+    if other:
+        facts["another vehicle"] = f"the model's has {other}"
+    good = data["verdict"] == "NOTHING_MISSING"
+    document = Document("twin", verify_sentence(data), "good" if good else "warn", verify_sections(data), facts)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        html.write(document, output / REPORT_NAME)
+        facts["written to"] = str(output)
+    return Result(document, data, Status.DONE if good else Status.UNEXPLAINED, found)
+
+
+def replay(
+    model: Path,
+    runs: Sequence[Path],
+    changes: Sequence[str] = (),
+    output: Path | None = None,
+    columns: Path | None = None,
+    progress: Progress = SILENT,
+) -> Result:
+    """Recorded commands on the vehicle of a model with changes, beside the recording; with `output` write report.html there."""
+    check_writable(output)
+    stored = model_file.read(model, whole=True)
+    fly_able(stored)
+    change = what_if(stored, changes)
+    recordings = once(open_recordings(runs, columns, progress=progress))
+    of_one_vehicle(recordings)
+    segments = cut_all(recordings, progress)
+    progress.stage("running the recorded commands on the twin")
+    found = run_commands(stored, segments, change)
+    data: dict[str, Any] = {
+        "format": "replay/1",
+        "changes": list(change.sentences),
+        "effects": plain(found.effects),
+        "starts": found.starts,
+        "horizon_s": HORIZON_S,
+        "terms": list(change.model.terms),
+        "losses": losses_of(recordings),
+    }
+    facts = {"model": str(model), "recordings": join([str(r) for r in runs])}
+    other = differences(stored.fingerprint, recordings)
+    if other:
+        facts["another vehicle"] = f"the model's has {other}"
+    beyond = outside(stored, change)
+    if beyond:
+        facts["careful"] = beyond
+    sections = replay_sections(data, plain(found.shown))
+    document = Document("what if", replay_sentence(data), "plain", sections, facts)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        html.write(document, output / REPORT_NAME)
+        facts["written to"] = str(output)
+    return Result(document, data, Status.DONE, found)
+
+
+def vehicle_of(run: Path) -> Vehicle:
+    """The vehicle that a run was flown with: its copy of the vehicle file, else the built-in one."""
+    if (run / VEHICLE_NAME).is_file():
+        return load_vehicle(run / VEHICLE_NAME)
+    before = flown_with(run)
+    name = before.airframe if before is not None else DEFAULT_VEHICLE.name
+    return replace(DEFAULT_VEHICLE, name=name)
+
+
+def _fly(stored: ModelFile, run: Path, folder: Path, seed: int, progress: Progress) -> Path:
+    """One recorded script on the twin; gives the run folder."""
+    prior = ModelPredictor(stored.model, stored.values)
+    (plan,) = plans([str(run / "script.yaml")], vehicle_of(run), prior)
+    refused = {leg for leg, _, _ in plan.refusals}
+    progress.stage(f"flying {plan.script.name} on the twin: {len(plan.legs) - len(refused)} steps")
+    options = options_of(stored, seed=seed, speed=_SPEED, lockstep=True)
+    asked = FlightOptions(
+        set_params=True, skip=refused, replanner=ScriptReplanner(plan, prior), on_progress=progress.flight
+    )
+    with start_simulator(options) as simulation:
+        ended = fly(plan, simulation.url, folder, asked)
+    if not ended.outcome.orderly:
+        raise FlighttestError(
+            f"the twin did not fly {plan.script.name}: {ended.sentence}",
+            "see `flighttest check` with this model, or compare recorded commands alone with --offline",
+        )
+    return ended.run_dir
+
+
+def _compare(
+    stored: ModelFile, segments: Sequence[Segment], found: Diagnosis, flown: Sequence[Segment]
+) -> dict[str, Any]:
+    """twin/1: parameters, error by channel in noise floors, steps, and the verdict."""
+    assert found.fit is not None
+    model = stored.model
+    errors = {n: (p.std, _DOF) for n, p in stored.parameters.items() if p.std is not None and n in model.names}
+    values: Mapping[str, float] = stored.values
+    if flown:
+        usable = [s for s in flown if s.usable]
+        again = fit(usable, model, select="all", start=stored.values)
+        known = errors_of(again)
+        # The twin's own recordings, and the error of the model that it flies.
+        errors = {n: (math.hypot(s, known[n][0]), min(d, known[n][1])) for n, (s, d) in errors.items() if n in known}
+        values = again.values
+    real, twin = side_of(found.fit, found), Side(model, values, errors)
+    rows = differences_of(real, twin)
+    usable = [s for s in segments if s.usable]
+    made = predicted(usable, model, stored.values, found.fit.noise)
+    floors, fitted = floors_of(found.fit, found), found.fit.quality
+    channels = {
+        c: {"rmse": q.rmse, "floor": floors[c], "ratio": q.rmse / floors[c], "fitted": fitted[c].rmse / floors[c]}
+        for c, q in made.items()
+        if c in floors and floors[c] > 0
+    }
+    above = [c for c, v in channels.items() if v["ratio"] > NEAR_FLOOR]
+    differing: list[Difference] = [d for d in rows if d.differs]
+    return {
+        "format": "twin/1",
+        "verdict": "NOTHING_MISSING" if not differing and not above else "DIFFERS",
+        "near_floor": NEAR_FLOOR,
+        "terms": list(model.terms),
+        "titles": {t.id: t.title for t in found.model.built_terms},
+        "lacks": list(found.accepted),
+        "differing": [d.name for d in differing],
+        "channels": plain(channels),
+        "above": above,
+        "parameters": plain([difference_data(d) for d in rows]),
+        "notes": list(mass_notes(rows, real, twin)),
+        "steps": plain(step_by_step(segments, flown)) if flown else [],
+        "diagnosis": {"verdict": found.verdict.name, "sentence": found.sentence},
+    }

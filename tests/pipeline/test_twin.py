@@ -1,0 +1,80 @@
+"""`flighttest twin`: wrong inputs get one sentence, and a comparison its verdict."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flighttest.cli.main import call
+from flighttest.errors import InputError, ModelError
+from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.physics.model import Model
+from flighttest.pipeline import simulator, twin
+from flighttest.report.twin_sections import verify_sections, verify_sentence
+
+
+def stored(**options):
+    model = Model(**options)
+    values = model.start()
+    parameters = {n: StoredParameter(values[n], model.param[n].unit, 0.01 * values[n]) for n in model.names}
+    return ModelFile(model, parameters, values, (), np.zeros((0, 0)), {}, path="model.yaml")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "either --verify RUN... or --replay RUN..."),
+        (["--verify", "a", "--replay", "b"], "either --verify RUN... or --replay RUN..."),
+        (["--verify", "a", "--set", "K=1"], "--set changes the vehicle of a --replay"),
+    ],
+)
+def test_what_is_asked_is_one_thing(tmp_path, capsys, words, said):
+    model = tmp_path / "model.yaml"
+    model.write_text("")
+    assert call(["twin", str(model), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("work", [lambda: twin.verify("m", []), lambda: twin.replay("m", [])])
+def test_a_model_without_attitude_loops_has_no_twin(monkeypatch, work):
+    monkeypatch.setattr(twin.model_file, "read", lambda *_args, **_more: stored(attitude_loops=False))
+    monkeypatch.setattr(twin, "check_writable", lambda _folder: None)
+    with pytest.raises(ModelError, match="has no attitude loops"):
+        work()
+
+
+def test_a_model_does_not_fly_under_another_autopilot():
+    with pytest.raises(InputError, match="have its autopilot in them"):
+        next(simulator.serve("paper", "sitl", (), 1, 0, 1.0, False, "model.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "change", "verdict"), [(1.0, 0.0, "NOTHING_MISSING"), (3.0, 0.0, "DIFFERS"), (1.0, 0.3, "DIFFERS")]
+)
+def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, change, verdict):
+    file = stored()
+    values = dict(file.values) | {"K": file.values["K"] * (1.0 + change)}
+    quality = SimpleNamespace(rmse=ratio * 0.1, floor=0.1)
+    fit = SimpleNamespace(quality={"f_z_m_s2": SimpleNamespace(rmse=0.1, floor=0.1)}, noise=None, values=values)
+    found = SimpleNamespace(
+        fit=fit,
+        model=file.model,
+        accepted=(),
+        untestable=(),
+        noise_floor={},
+        sentence="-",
+        verdict=SimpleNamespace(name="-"),
+    )
+    errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
+    monkeypatch.setattr(twin, "predicted", lambda *_: {"f_z_m_s2": quality})
+    monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, values, errors))
+    data = twin._compare(file, [], found, ())
+    data |= {"flights": 0, "assumed": []}
+    assert data["verdict"] == verdict
+    said = verify_sentence(data)
+    assert ("NOTHING_MISSING" in said) == (verdict == "NOTHING_MISSING")
+    if ratio > 2:
+        assert "above 1.2 noise floors in specific force up 3.00" in said
+    if change:
+        assert "K differs" in said
+    assert [s.id for s in verify_sections(data)] == ["channels", "parameters"]
