@@ -8,6 +8,7 @@ import click
 
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
+from flighttest.cli.words import held, ties
 
 RUNS = click.argument("runs", nargs=-1, required=True, type=ANY, metavar="RUN...")
 COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
@@ -68,7 +69,7 @@ def fit(
     """Estimate the model's parameters from one or several recordings, jointly."""
     from flighttest.pipeline import analysis
 
-    options = analysis.FitOptions(terms=terms, freeze=freeze, tie=tie, workers=workers, scheduler=scheduler)
+    options = analysis.FitOptions(terms=terms, freeze=held(freeze), tie=ties(tie), workers=workers, scheduler=scheduler)
     with LiveProgress(context.show) as progress:
         result = analysis.fit(runs, output, columns, vehicle, options, progress)
     return context.finish(result)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
-from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, ROTOR_HEIGHT_M, Model
+from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.pipeline.batteries import battery_data
 from flighttest.pipeline.budgets import time_data, time_section
 from flighttest.pipeline.doubts import doubts, once
@@ -26,7 +26,7 @@ from flighttest.pipeline.fingerprints import of_recordings
 from flighttest.pipeline.identities import identity_of
 from flighttest.pipeline.nothing_known import why_nothing
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
-from flighttest.pipeline.sources import losses_of, open_recordings
+from flighttest.pipeline.sources import Source, losses_of, named, open_recordings
 from flighttest.pipeline.views import fit_view, metrics, segment_views
 from flighttest.recording import Recording
 from flighttest.report import fit_sections
@@ -40,13 +40,18 @@ from flighttest.vehicle.model import Vehicle
 
 @dataclass(frozen=True)
 class FitOptions:
-    """As typed: terms beside the paper's, NAME=VALUE to hold, A=B to tie, how many processes."""
+    """What a fit may be told: terms beside the model's, parameters to hold at a value, parameters to tie to another, how many processes.
+
+    model: where it is not the paper's; its nominal voltage and the height of its rotors count where neither vehicle nor recordings state
+    them.
+    """
 
     terms: tuple[str, ...] = ()
-    freeze: tuple[str, ...] = ()
-    tie: tuple[str, ...] = ()
+    freeze: Mapping[str, float] = field(default_factory=dict)
+    tie: Mapping[str, str] = field(default_factory=dict)
     workers: int = 1
     scheduler: str | None = None
+    model: Model | None = None
 
 
 def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tuple[Segment, ...]:
@@ -55,7 +60,7 @@ def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tup
     return tuple(s for recording in recordings for s in cut(recording))
 
 
-def segment(runs: Sequence[Path], columns: Path | None = None, progress: Progress = SILENT) -> Result:
+def segment(runs: Sequence[Source], columns: Path | None = None, progress: Progress = SILENT) -> Result:
     """Table of responses, each accepted or rejected with its reason."""
     recordings = open_recordings(runs, columns, progress=progress)
     segments = cut_all(recordings, progress)
@@ -102,8 +107,12 @@ def _segment_data(s: Segment) -> dict[str, Any]:
     }
 
 
-def base_model(recordings: Sequence[Recording], vehicle: Vehicle | None, terms: Sequence[str] = ()) -> Model:
-    """The paper's model and further terms, with U_n and the height of the rotors: the vehicle file's, else what the recordings carry."""
+def base_model(
+    recordings: Sequence[Recording], vehicle: Vehicle | None, terms: Sequence[str] = (), model: Model | None = None
+) -> Model:
+    """The paper's model, or the one given, and further terms, with U_n and the height of the rotors: the vehicle file's, else what the
+    recordings carry, else the model's own."""
+    base = model or Model()
     stated = [r.provenance.vehicle for r in recordings] if vehicle is None else [asdict(vehicle)]
 
     def said(key: str, least: float, otherwise: float) -> float:
@@ -111,10 +120,11 @@ def base_model(recordings: Sequence[Recording], vehicle: Vehicle | None, terms: 
             (float(s[key]) for s in stated if isinstance(s.get(key), int | float) and s[key] >= least), otherwise
         )
 
-    return Model(
-        (*PAPER_TERMS, *terms),
-        nominal_voltage_v=said("nominal_voltage_v", 0.1, NOMINAL_VOLTAGE_V),
-        rotor_height_m=said("rotor_height_m", 0.0, ROTOR_HEIGHT_M),
+    return replace(
+        base,
+        terms=(*base.terms, *terms),
+        nominal_voltage_v=said("nominal_voltage_v", 0.1, base.nominal_voltage_v),
+        rotor_height_m=said("rotor_height_m", 0.0, base.rotor_height_m),
     )
 
 
@@ -130,7 +140,7 @@ def fit_segments(
     usable = [s for s in segments if s.usable]
     if not usable:
         raise FitError("no response can be used", "see `flighttest segment` for why each was rejected")
-    known = base_model(recordings, vehicle, _terms(options.terms))
+    known = base_model(recordings, vehicle, _terms(options.terms), options.model)
     model = replace(known, attitude_loops=has_attitude_references(usable))
     progress.stage(f"fitting {len(usable)} responses")
     held, ties = _held(options.freeze, model), _ties(options.tie)
@@ -158,9 +168,9 @@ def _terms(ids: Sequence[str]) -> tuple[str, ...]:
     return tuple(i for i in ids if i not in PAPER_TERMS)
 
 
-def _held(words: Sequence[str], model: Model) -> dict[str, float]:
-    """What --freeze holds, where a model can be simulated with it. T_d, the paper's one delay, holds that of every channel."""
-    found = _pairs(words, "--freeze")
+def _held(asked: Mapping[str, float], model: Model) -> dict[str, float]:
+    """What is to be held, where a model can be simulated with it. T_d, the paper's one delay, holds that of every channel."""
+    found = dict(asked)
     if DELAY.name in found:
         delays = [name for name in DELAY_PARAM.values() if name in model.param]
         both = [name for name in delays if name in found]
@@ -181,35 +191,14 @@ def _held(words: Sequence[str], model: Model) -> dict[str, float]:
     return found
 
 
-def _pairs(words: Sequence[str], option: str) -> dict[str, float]:
-    found = {}
-    for word in words:
-        name, equals, text = word.partition("=")
-        try:
-            found[name.strip()] = float(text)
-        except ValueError:
-            equals = ""
-        if not equals or not name.strip():
-            raise InputError(f"{option} {word!r} is not NAME=VALUE", f"as in {option} alpha=1.7")
-    if len(found) < len(words):
-        raise InputError(f"{option} names a parameter twice", "give it one value")
-    return found
-
-
-def _ties(words: Sequence[str]) -> dict[str, str]:
-    found = {}
-    for word in words:
-        name, equals, source = (part.strip() for part in word.partition("="))
-        if not (name and equals and source) or name == source:
-            raise InputError(f"--tie {word!r} is not A=B", "as in --tie d_y=d_x")
-        found[name] = source
-    chained = [f"{name}={source}" for name, source in found.items() if source in found]
-    if len(found) < len(words) or chained:
-        raise InputError(
-            f"--tie {chained[0] if chained else words[-1]}: a parameter is tied twice, or to one that is tied itself",
-            "tie each to one that is free",
-        )
-    return found
+def _ties(asked: Mapping[str, str]) -> dict[str, str]:
+    for name, source in asked.items():
+        if source in asked:
+            raise InputError(
+                f"--tie {name}={source}: a parameter is tied twice, or to one that is tied itself",
+                "tie each to one that is free",
+            )
+    return dict(asked)
 
 
 def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
@@ -238,7 +227,7 @@ def for_currency(found: Fit) -> dict[str, Any]:
 
 
 def fit(
-    runs: Sequence[Path],
+    runs: Sequence[Source],
     output: Path | None = None,
     columns: Path | None = None,
     vehicle: Path | None = None,
@@ -255,7 +244,7 @@ def fit(
     segments = cut_all(recordings, progress)
     found = fit_segments(segments, recordings, declared, options, progress)
     found = replace(found, notes=(*found.notes, *doubtful))
-    return finish_fit(found, segments, recordings, declared, output, [str(r) for r in runs])
+    return finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])
 
 
 def finish_fit(

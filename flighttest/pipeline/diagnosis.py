@@ -28,7 +28,7 @@ from flighttest.pipeline.next_in_zone import flyable_in, held_against_zone
 from flighttest.pipeline.repeating import words_of
 from flighttest.pipeline.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
-from flighttest.pipeline.sources import losses_of, open_recordings
+from flighttest.pipeline.sources import Source, losses_of, named, open_recordings
 from flighttest.pipeline.views import fit_view
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME
@@ -70,8 +70,8 @@ def run_diagnosis(
 
 
 def diagnose(
-    runs: Sequence[Path],
-    model: Path | None = None,
+    runs: Sequence[Source],
+    model: Path | ModelFile | None = None,
     output: Path | None = None,
     columns: Path | None = None,
     vehicle: Path | None = None,
@@ -85,7 +85,7 @@ def diagnose(
     if keep and output is None:
         raise InputError("--accept needs a folder for the model", "name one with -o DIR")
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
-    stored = model_file.read(model) if model is not None else None
+    stored = model_file.read(model) if isinstance(model, Path) else model
     recordings = open_recordings(runs, columns, workers, progress)
     doubtful = doubts(recordings)
     recordings = once(recordings)
@@ -93,7 +93,7 @@ def diagnose(
     found = run_diagnosis(segments, recordings, stored, declared, progress)
     found = replace(found, notes=(*found.notes, *doubtful))
     data = found.to_json()
-    facts = {"recordings": join([str(r) for r in runs]), "base": ", ".join(_base_terms(found))}
+    facts = {"recordings": join([named(r) for r in runs]), "base": ", ".join(_base_terms(found))}
     if doubtful:
         facts["careful"] = "; ".join(doubtful)
     other = differences(stored.fingerprint, recordings) if stored is not None else ""
@@ -110,15 +110,19 @@ def diagnose(
     data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:
-        data |= {"next_path": str(output / NEXT_NAME), "next_options": words_of(Path(runs[-1]))}
+        data |= {
+            "next_path": str(output / NEXT_NAME),
+            "next_options": words_of(runs[-1]) if isinstance(runs[-1], Path) else "",
+        }
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
 
 
-def _runs_of(runs: Sequence[Path]) -> Path:
+def _runs_of(runs: Sequence[Source]) -> Path:
     """The folder of runs that recordings are in, where they are runs; else the usual one."""
-    return runs[-1].parent if (runs[-1] / MANIFEST_NAME).is_file() else DEFAULT_RUNS
+    last = runs[-1]
+    return last.parent if isinstance(last, Path) and (last / MANIFEST_NAME).is_file() else DEFAULT_RUNS
 
 
 def _base_terms(found: Diagnosis) -> list[str]:

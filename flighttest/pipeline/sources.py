@@ -31,6 +31,13 @@ from flighttest.report.plain import plain
 from flighttest.segments import cut
 from flighttest.vehicle.load import load_vehicle
 
+Source = Path | Recording  # a run folder or log, or a recording that was read before
+
+
+def named(source: Source) -> str:
+    """What a source is called in facts and sentences: its path, or the recording's name."""
+    return source.name if isinstance(source, Recording) else str(source)
+
 
 def open_recording(path: Path, columns: Path | None = None) -> Recording:
     """A run folder or a log of any kind as a Recording. RecordingError says what is wrong with it."""
@@ -66,17 +73,18 @@ def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
 
 
 def open_recordings(
-    paths: Sequence[Path],
+    sources: Sequence[Source],
     columns: Path | None = None,
     workers: int = 1,
     progress: Progress = SILENT,
     scheduler: str | None = None,
 ) -> tuple[Recording, ...]:
-    """All of them, in order; each name is made unique, since segments carry it.
+    """All of them, in order, those that were read before as they are; each name is made unique, since segments carry it.
 
     workers: processes on this machine; scheduler: address of a Dask cluster instead, whose workers see the same paths.
     """
     read = partial(open_recording, columns=columns)
+    paths = [source for source in sources if isinstance(source, Path)]
     if scheduler is not None:
         progress.stage(f"reading {len(paths)} recordings on {scheduler}")
         found = _on_cluster(scheduler, read, [p.resolve() for p in paths])
@@ -94,7 +102,8 @@ def open_recordings(
             progress.stage(f"{path}: {loss}")
     names: set[str] = set()
     unique = []
-    for recording in found:
+    opened = iter(found)
+    for recording in (source if isinstance(source, Recording) else next(opened) for source in sources):
         name, count = recording.name, 2
         while name in names:
             name, count = f"{recording.name}-{count}", count + 1

@@ -8,6 +8,7 @@ from typing import Any
 
 from flighttest.errors import InputError
 from flighttest.identify import model_file
+from flighttest.identify.model_file import ModelFile
 from flighttest.identify.validate import Validation, Variation, comparable
 from flighttest.identify.validate import validate as compare_models
 from flighttest.pipeline.analysis import cut_all
@@ -16,7 +17,8 @@ from flighttest.pipeline.history import DEFAULT_RUNS, check_runs
 from flighttest.pipeline.identities import whose
 from flighttest.pipeline.lineage import in_use
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
-from flighttest.pipeline.sources import losses_of, open_recordings
+from flighttest.pipeline.sources import Source, losses_of, named, open_recordings
+from flighttest.recording import Recording
 from flighttest.report import html
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import join
@@ -25,9 +27,9 @@ from flighttest.segments import Segment
 
 
 def validate(
-    model: Path | None,
-    runs: Sequence[Path],
-    previous: Path | None = None,
+    model: Path | ModelFile | None,
+    runs: Sequence[Source],
+    previous: Path | ModelFile | None = None,
     output: Path | None = None,
     columns: Path | None = None,
     progress: Progress = SILENT,
@@ -45,12 +47,12 @@ def validate(
         name = whose(recordings, None, out)
         if not name:
             raise InputError(
-                f"{join([str(r) for r in runs])}: of an unknown vehicle, and no model was given",
+                f"{join([named(r) for r in runs])}: of an unknown vehicle, and no model was given",
                 "name the model: flighttest validate MODEL RUN",
             )
         model = Path(in_use(out, name).path)
-    stored = model_file.read(model, whole=True)
-    earlier = model_file.read(previous) if previous is not None else None
+    stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
+    earlier = model_file.read(previous) if isinstance(previous, Path) else previous
     recordings = recordings or open_recordings(runs, columns, progress=progress)
     segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
     progress.stage("running the models open loop")
@@ -58,7 +60,7 @@ def validate(
     steps = [s for s in usable if s.kind != "free"]
     found = compare_models(stored, segments, earlier)
     beside = compare_models(stored, steps, earlier) if steps and len(steps) < len(usable) else None
-    facts = {"model": str(model), "flights": join([str(r) for r in runs])}
+    facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
     seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
     if seen:
         facts["careful"] = f"{join(seen)} was used in the fit: this shows the fit, not its power to predict"
@@ -85,9 +87,11 @@ def validate(
     return Result(document, data, Status.DONE, found)
 
 
-def _parted(paths: Sequence[Path]) -> tuple[Path | None, Sequence[Path]]:
+def _parted(paths: Sequence[Source]) -> tuple[Path | None, Sequence[Source]]:
     """The model among what was named, and the recordings: a model file, or the first of several folders where it holds one."""
     first, others = paths[0], paths[1:]
+    if isinstance(first, Recording):
+        return None, paths
     if first.suffix in (".yaml", ".yml"):
         if not others:
             raise InputError(f"nothing to hold {first} against", "name a recording: flighttest validate MODEL RUN")
