@@ -1,7 +1,8 @@
 """`Model`: terms composed into CasADi functions, one declaration for fit, simulation and export.
 
     model = Model(("body", "linear_drag"))          # the paper's
-    model.with_terms("ground_effect").params        # what can be estimated
+    (model + "ground_effect").params                # what can be estimated
+    print(model.equations())                        # symbols, units and references
     model.blocks                                    # what the fit integrates: roll, pitch, yaw, translation
     model.system                                    # everything chained: x_dot, y = system.function(x, u, p)
 
@@ -14,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +27,13 @@ from flighttest.physics.blocks import Block, attitude_blocks, translation_block
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
+from flighttest.physics.equations import Equations, citations_of, equations_of
 from flighttest.physics.system import System, build_system
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from flighttest.physics.simulated import Simulated
 
 NOMINAL_VOLTAGE_V = 22.2
 ROTOR_HEIGHT_M = 0.2
@@ -133,6 +140,42 @@ class Model:
     def without_terms(self, *ids: str) -> Model:
         """This model without some of its terms."""
         return replace(self, terms=tuple(t for t in self.terms if t not in ids))
+
+    def __add__(self, term: str | Term) -> Model:
+        """This model with one more term; ModelError where there is none of this id, or where names clash."""
+        return self.with_terms(term)
+
+    def __sub__(self, term: str | Term) -> Model:
+        """This model without one of its terms; ModelError where it has none of this id."""
+        name = term.id if isinstance(term, Term) else term
+        if name not in self.terms or name == "body":
+            raise ModelError(f"the model has no term {name!r} to leave out", f"its terms are {', '.join(self.terms)}")
+        return self.without_terms(name)
+
+    def equations(self, values: Mapping[str, float] | None = None) -> Equations:
+        """The model written out: equations, symbols, units, references; `print` it. values: parameters by name, to show beside them."""
+        return equations_of(self, values)
+
+    def citations(self) -> tuple[str, ...]:
+        """The literature behind the model, each work once."""
+        return citations_of(self)
+
+    def simulate(
+        self,
+        inputs: Mapping[str, ArrayLike] | pd.DataFrame,
+        values: Mapping[str, float] | None = None,
+        start: Mapping[str, float] | None = None,
+    ) -> Simulated:
+        """Run the model open loop.
+
+        inputs: t_s (n,) s and any of `system.inputs` by channel name, (n,) each: references are held from sample to sample and act one
+        delay later, voltage_v and what has no delay is interpolated; a missing throttle holds height, a missing voltage is the nominal
+        one, other missing inputs are 0. values: parameters by name, `start()` for the rest. start: states by name at t_s[0], 0 for the rest
+        (thrust: hover). InputError names what cannot be used.
+        """
+        from flighttest.physics.simulated import run
+
+        return run(self, inputs, values, start)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.errors import RecordingError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import plotly.graph_objects as go
 
 FloatArray = NDArray[np.float64]
 
@@ -118,6 +122,27 @@ class Recording:
         if series is None or name not in series.columns:
             raise RecordingError(f"{self.name} has no channel {name}")
         return series.t_s, series.columns[name]
+
+    def to_frame(self, group: str | None = None) -> pd.DataFrame:
+        """Channels as columns, indexed by t_s: of one group as they were sampled, or of all on the union of their times, NaN where a
+        channel has no sample. RecordingError where the group was not recorded."""
+        import pandas as pd
+
+        if group is not None and group not in self.series:
+            raise RecordingError(f"{self.name} has no group {group!r}", f"there are {', '.join(self.series)}")
+        chosen = self.series if group is None else {group: self.series[group]}
+        frames = [pd.DataFrame(dict(s.columns), index=pd.Index(s.t_s, name="t_s")) for s in chosen.values()]
+        return pd.concat(frames, axis=1).sort_index() if frames else pd.DataFrame()
+
+    def plot(self, *groups: str) -> go.Figure:
+        """Channels over time, one panel per group: the named groups, else all. RecordingError where a group was not recorded."""
+        from flighttest.plotting import over_time
+
+        for group in groups:
+            if group not in self.series:
+                raise RecordingError(f"{self.name} has no group {group!r}", f"there are {', '.join(self.series)}")
+        chosen = groups or tuple(self.series)
+        return over_time({g: (self.series[g].t_s, self.series[g].columns) for g in chosen}, self.name)
 
     @property
     def t_span_s(self) -> tuple[float, float]:
