@@ -21,6 +21,7 @@ check: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy examples/log_report.py
 	$(BIN)/lint-imports
 
 frozen: .venv/installed  ## diagnose the frozen bench of sealed flights and compare with the answers kept

@@ -1,8 +1,146 @@
-"""Fly a multirotor's test maneuvers, identify its dynamics, and name the physics the model left out."""
+"""Fly a multirotor's test maneuvers, identify its dynamics, and name the physics the model left out.
 
-from importlib.metadata import PackageNotFoundError, version
+    import flighttest as ft
 
-try:
-    __version__ = version("flighttest")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
+    flight = ft.read("flight.BIN")
+    fitted = ft.fit(flight)
+    print(fitted)                                   # the sentence; fitted.to_frame() and fitted.plot() show more
+    print(fitted.model.equations())                 # symbols, units, references
+    found = ft.diagnose(flight, model=fitted.model)
+
+SI units, world North-West-Up, body Forward-Left-Up. Every error is a `FlighttestError` with a hint. What is imported on first use only
+costs nothing before.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from flighttest.api.answers import Diagnosed, Fitted, Flown, Models, Planned, Responses, Validated, Validity
+    from flighttest.api.catalogue import Terms, terms
+    from flighttest.api.fitted_model import FittedModel
+    from flighttest.api.verbs import (
+        check_validity,
+        diagnose,
+        fit,
+        fly,
+        models,
+        plan,
+        read,
+        read_model,
+        segment,
+        simulate,
+        validate,
+    )
+    from flighttest.errors import (
+        FitError,
+        FlighttestError,
+        InputError,
+        LinkError,
+        ModelError,
+        PreflightError,
+        RecordingError,
+        ScriptError,
+        VehicleError,
+    )
+    from flighttest.physics.core import Contribution, Param, Port, Signals, State, Term
+    from flighttest.physics.model import Model
+    from flighttest.physics.simulated import Simulated
+    from flighttest.recording.model import Recording
+    from flighttest.sim.simulation import Simulation
+    from flighttest.version import __version__
+
+__all__ = [
+    "Contribution",
+    "Diagnosed",
+    "FitError",
+    "Fitted",
+    "FittedModel",
+    "FlighttestError",
+    "Flown",
+    "InputError",
+    "LinkError",
+    "Model",
+    "ModelError",
+    "Models",
+    "Param",
+    "Planned",
+    "Port",
+    "PreflightError",
+    "Recording",
+    "RecordingError",
+    "Responses",
+    "ScriptError",
+    "Signals",
+    "Simulated",
+    "Simulation",
+    "State",
+    "Term",
+    "Terms",
+    "Validated",
+    "Validity",
+    "VehicleError",
+    "__version__",
+    "check_validity",
+    "diagnose",
+    "fit",
+    "fly",
+    "models",
+    "plan",
+    "read",
+    "read_model",
+    "segment",
+    "simulate",
+    "terms",
+    "validate",
+]
+
+_WHERE = {
+    "flighttest.api.answers": (
+        "Diagnosed", "Fitted", "Flown", "Models", "Planned", "Responses", "Validated", "Validity",
+    ),
+    "flighttest.api.catalogue": ("Terms", "terms"),
+    "flighttest.api.fitted_model": ("FittedModel",),
+    "flighttest.api.verbs": (
+        "check_validity", "diagnose", "fit", "fly", "models", "plan", "read", "read_model", "segment", "simulate", "validate",
+    ),
+    "flighttest.errors": (
+        "FitError", "FlighttestError", "InputError", "LinkError", "ModelError", "PreflightError", "RecordingError", "ScriptError",
+        "VehicleError",
+    ),
+    "flighttest.physics.core": ("Contribution", "Param", "Port", "Signals", "State", "Term"),
+    "flighttest.physics.model": ("Model",),
+    "flighttest.physics.simulated": ("Simulated",),
+    "flighttest.recording.model": ("Recording",),
+    "flighttest.sim.simulation": ("Simulation",),
+    "flighttest.version": ("__version__",),
+}  # fmt: skip
+_HOME = {name: module for module, names in _WHERE.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'flighttest' has no attribute {name!r}")
+    found = getattr(import_module(_HOME[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """`plan` and `diagnose` are verbs here and packages inside: the import system, which would put the package in the verb's place, must
+    not. `from flighttest.plan import ...` works as ever."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (isinstance(value, ModuleType) and name in _HOME):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

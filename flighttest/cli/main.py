@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import click
 
-from flighttest import __version__
 from flighttest.cli import analyse, field, house, models, twin
 from flighttest.cli.base import Context
 from flighttest.cli.show import Show
 from flighttest.errors import FlighttestError
+from flighttest.version import __version__
 
 
 class InOrder(click.Group):

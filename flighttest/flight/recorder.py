@@ -19,7 +19,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
-import flighttest
 from flighttest.errors import RecordingError
 from flighttest.link.session import Session
 from flighttest.mavlink.dialect import Message
@@ -33,6 +32,7 @@ from flighttest.recording.store import (
     write_manifest,
     write_recording,
 )
+from flighttest.version import __version__
 
 FLUSH_EVERY_S = 0.2
 RESERVE_BYTES = 16 << 20  # landing for minutes (1 MB each), then the channels of half an hour
@@ -231,7 +231,7 @@ def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> d
     return {
         "name": plan.script.name,
         "started": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
-        "versions": {"flighttest": flighttest.__version__},
+        "versions": {"flighttest": __version__},
         "script": {"name": plan.script.name, "sha256": plan.script.sha256, "path": plan.script.path},
         "connect": url,
         "vehicle": {

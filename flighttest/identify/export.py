@@ -11,9 +11,9 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from flighttest import __version__
 from flighttest.identify.model_file import ModelFile
 from flighttest.physics.simulate import rk4
+from flighttest.version import __version__
 
 Kind = Literal["casadi", "c", "json"]
 JACOBIANS = ("step_A", "step_B")

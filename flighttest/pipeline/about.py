@@ -9,7 +9,6 @@ import socket
 from collections.abc import Sequence
 from typing import Any
 
-from flighttest import __version__
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, LinkError
 from flighttest.physics.catalogue import catalogue
@@ -18,6 +17,7 @@ from flighttest.pipeline.results import Result, Status
 from flighttest.report.document import Cell, Document, Facts, Paragraph, Section, Table
 from flighttest.script.shipped import shipped_names
 from flighttest.sim.sitl_launcher import find_arducopter
+from flighttest.version import __version__
 
 LIBRARIES = (
     "casadi",

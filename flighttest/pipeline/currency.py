@@ -34,7 +34,7 @@ from flighttest.pipeline.lineage import in_use
 from flighttest.pipeline.present import Present
 from flighttest.pipeline.reflights import reflights
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.sources import Source, named, open_recordings
 from flighttest.recording import Recording
 from flighttest.report import html
 from flighttest.report.currency_page import status_document
@@ -52,9 +52,9 @@ NOISE = ("channels", "disturbances")  # as model.yaml names them
 
 
 def status(
-    runs: Sequence[Path],
+    runs: Sequence[Source],
     vehicle: Path | None,
-    model: Path | None,
+    model: Path | ModelFile | None,
     out: Path,
     output: Path | None = None,
     progress: Progress = SILENT,
@@ -65,24 +65,24 @@ def status(
     recordings = open_recordings(runs, progress=progress)
     name = whose(recordings, declared, out)
     if model is not None:
-        stored = model_file.read(model)
-        _one_vehicle(stored, name, model)
+        stored = model_file.read(model) if isinstance(model, Path) else model
+        _one_vehicle(stored, name)
         name = name or stored.vehicle_name
     elif recordings and not name:
         raise InputError(
-            f"{join([str(r) for r in runs])}: of an unknown vehicle", f"{SAY}, or name a model with --model"
+            f"{join([named(r) for r in runs])}: of an unknown vehicle", f"{SAY}, or name a model with --model"
         )
     else:
         stored = in_use(out, name)
         name = name or stored.vehicle_name
     found = judge(stored, recordings, declared, name, out, progress, present)
-    return finish(found, stored, declared, [str(r) for r in runs], output, present)
+    return finish(found, stored, declared, [named(r) for r in runs], output, present)
 
 
-def _one_vehicle(stored: ModelFile, name: str, path: Path) -> None:
+def _one_vehicle(stored: ModelFile, name: str) -> None:
     """InputError where a model is of another vehicle than the one that is asked about."""
     if name and stored.vehicle_name and name != stored.vehicle_name:
-        raise InputError(f"{path} is a model of {stored.vehicle_name}, not of {name}", f"name a model of {name}")
+        raise InputError(f"{stored.path} is a model of {stored.vehicle_name}, not of {name}", f"name a model of {name}")
 
 
 def judge(

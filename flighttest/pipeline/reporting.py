@@ -10,7 +10,6 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from flighttest import __version__
 from flighttest.datafiles import read_json, read_text
 from flighttest.errors import FitError, InputError, RecordingError, ScriptError
 from flighttest.identify import model_file
@@ -29,6 +28,7 @@ from flighttest.report.document import Document, Section, Tone
 from flighttest.report.numbers import duration, join
 from flighttest.report.views import FitView
 from flighttest.segments import Segment
+from flighttest.version import __version__
 
 REPORT_NAME = "report.html"
 SEGMENTS_NAME = "segments.parquet"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import flighttest
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.cases import Case, Generator, Kind
@@ -54,7 +53,7 @@ def prove(
             lines = "".join(f"{case.truth()}\n" for case in cases)
             (output / "truths.jsonl").write_text(lines, encoding="utf-8")
 
-    commit = commit_of(Path(flighttest.__file__).parent)
+    commit = commit_of(Path(__file__).parents[1])
     before = begun[1] if begun is not None else ()
     outcomes, used = run_trials(
         trials, seed, workers, scheduler, generator, kind, clean, progress.stage, keep, commit, before, seal

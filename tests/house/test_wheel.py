@@ -43,6 +43,7 @@ def test_shipped_folders_and_page_assets_are_inside(repository, unpacked):
     assert (unpacked / "flighttest/report/style.css").is_file()
     assert (unpacked / "flighttest/report/figures.js").is_file()
     assert (unpacked / "flighttest/estimation/kernel.c").is_file()
+    assert (unpacked / "flighttest/py.typed").is_file(), "type checkers of users look for it"
 
 
 def test_a_shipped_script_is_found_from_any_folder(unpacked, tmp_path):

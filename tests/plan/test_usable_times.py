@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from flighttest.plan import rehearse as module_of_rehearsals
 from flighttest.plan.rehearse import Row, rehearse
 from flighttest.script.profiles import Piece
 
@@ -43,7 +44,7 @@ def test_descents_last_longer_than_is_asked_for(predictor, t0):
 @pytest.mark.parametrize(("timeout", "top"), [(0.2, 10.0), (0.5, 17.5), (3.0, 90.0)])
 def test_how_far_a_lost_link_carries_a_full_throttle_step(predictor, monkeypatch, timeout, top):
     # design/ardupilot.md: 0.10 to 0.40 at 24.5 V, the last target held for GUID_TIMEOUT, then climb rate zero.
-    monkeypatch.setattr("flighttest.plan.rehearse.GUID_TIMEOUT_S", timeout)
+    monkeypatch.setattr(module_of_rehearsals, "GUID_TIMEOUT_S", timeout)
     record = usable(predictor, 0.10, 0.40, 0.6) + predictor.delay_s
     row = pair(0.10, 0.40, 0.6, record, 24.5).losing_link_at(0.9 + record)
     flown = rehearse([row], predictor, 0.02, after_s=timeout + 12.0)
