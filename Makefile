@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check faults frozen sitl docs clean
+.PHONY: demo test check faults frozen sitl docs notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -32,6 +32,9 @@ faults: .venv/installed  ## every fault of the link in every state of a flight, 
 
 docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py
+
+notebooks: .venv/installed  ## execute the notebooks in examples/ and write what they show
+	$(BIN)/python docs/notebooks.py
 
 sitl: .venv/installed  ## fly the demo on a real ArduPilot SITL
 	$(BIN)/python sitl/launch.py --airframe paper --speedup 5 --fly thrust roll_pitch yaw_rate

@@ -5,6 +5,7 @@ docs/cli.md is wholly generated. In the others, the text between `<!-- generated
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import click
 
+import flighttest as ft
 from flighttest.channels import CHANNELS
 from flighttest.cli.main import cli
 from flighttest.flight.machine import drawing, table_as_markdown, words_as_markdown
@@ -126,8 +128,41 @@ def _default(field: Field) -> str:
     return f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
 
 
+def interface() -> str:
+    """The public names of the package: verbs in full, types and errors by their first sentence."""
+    parts: list[str] = []
+    rows = []
+    for name in ft.__all__:
+        found = getattr(ft, name)
+        if inspect.isfunction(found):
+            text = inspect.getdoc(found) or ""
+            parts += [f"### ft.{name}", "", "```text", f"{name}{_signature(found)}", "```", "", text, ""]
+        elif name != "__version__":
+            doc = inspect.getdoc(found) or ""
+            first = " ".join(doc.split("\n\n")[0].split())
+            ours = found.__module__.startswith("flighttest.api") or name in ("Model", "Recording", "Simulated")
+            members = [m for m in vars(found) if not m.startswith("_")] if ours and isinstance(found, type) else []
+            rows.append(f"| `{name}` | {first} | {', '.join(members)} |")
+    return "\n".join([*parts, "| name | what it is | members |", "|---|---|---|", *rows]) + "\n"
+
+
+def _signature(function: Callable[..., object]) -> str:
+    """The parameters, one per line where they do not fit on one."""
+    shown = inspect.signature(function)
+    text = str(shown).replace("'", "")
+    if len(text) <= 90:
+        return text
+    lines: list[str] = []
+    for p in shown.parameters.values():
+        if p.kind is p.KEYWORD_ONLY and not any(line.strip().startswith("*") for line in lines):
+            lines.append("    *,")
+        lines.append(f"    {p},".replace("'", ""))
+    return "(\n" + "\n".join(lines) + f"\n) -> {shown.return_annotation}"
+
+
 BLOCKS: dict[str, Callable[[], str]] = {
     "channels": channels,
+    "interface": interface,
     "terms": terms,
     "term_pages": term_pages,
     "maneuvers": maneuvers,

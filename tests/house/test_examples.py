@@ -1,0 +1,52 @@
+"""The notebooks in examples/ and the README's Python run, and the notebooks show what they print."""
+
+import contextlib
+import importlib.util
+import json
+import lzma
+import re
+
+import pytest
+
+NOTEBOOKS = ("concealed_effect", "recorded_log")
+
+
+@pytest.fixture(scope="module")
+def notebooks(repository):
+    spec = importlib.util.spec_from_file_location("docs_notebooks", repository / "docs" / "notebooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def printed(notebook: dict) -> str:
+    """What the cells print, numbers masked: they differ in their last digits from one machine to another."""
+    outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", ())]
+    text = "\n".join("".join(o["text"]) for o in outputs if o["output_type"] == "stream")
+    return " ".join(re.sub(r"\d+(\.\d+)?", "#", text).split())
+
+
+def test_every_notebook_is_tried(repository):
+    assert tuple(sorted(p.stem for p in (repository / "examples").glob("*.ipynb"))) == NOTEBOOKS
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs_and_shows_what_it_prints(notebooks, repository, name):
+    kept = json.loads((repository / "examples" / f"{name}.ipynb").read_text(encoding="utf-8"))
+    assert printed(notebooks.execute(kept)) == printed(kept), "run: python docs/notebooks.py"
+
+
+def test_a_cell_that_fails_is_not_passed_over(notebooks):
+    cell = {"cell_type": "code", "source": ["assert 1 == 2"], "outputs": []}
+    with pytest.raises(AssertionError):
+        notebooks.execute({"cells": [cell]})
+
+
+def test_the_readmes_python_runs(repository, tmp_path, capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", (repository / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    packed = repository / "tests" / "data" / "sitl_roll_pitch.tlog.xz"
+    (tmp_path / "flight.tlog").write_bytes(lzma.decompress(packed.read_bytes()))
+    with contextlib.chdir(tmp_path):
+        exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    assert "a_t <- a_t / (1 - R^2 / (16 z^2))" in capsys.readouterr().out
+    assert (tmp_path / "model.yaml").is_file()
