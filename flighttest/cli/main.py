@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import click
 
-from flighttest.cli import analyse, field, house, models, twin
+from flighttest.cli import analyse, field, models, tool, twin
 from flighttest.cli.base import Context
 from flighttest.cli.show import Show
 from flighttest.errors import FlighttestError
@@ -39,7 +39,7 @@ def cli() -> None:
     """
 
 
-for module in (field, analyse, models, twin, house):
+for module in (field, analyse, models, twin, tool):
     for command in module.COMMANDS:
         cli.add_command(command)
 

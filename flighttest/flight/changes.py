@@ -34,7 +34,7 @@ SETS = frozenset(
 
 
 @dataclass
-class Meddling:
+class ExternalChanges:
     """Parameters that change while a vehicle is flown, which nobody here has asked for.
 
     known: as they were when the flight began; changed: a sentence for each change; vital: those of `VITAL`.

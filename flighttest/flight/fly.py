@@ -10,8 +10,8 @@ from pathlib import Path
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
 from flighttest.flight import preflight, priority, supervisor
-from flighttest.flight.changes import Left, Meddling, ParameterChanges, record_of, still_left, values_of
-from flighttest.flight.cockpit import Cockpit, Stops
+from flighttest.flight.changes import ExternalChanges, Left, ParameterChanges, record_of, still_left, values_of
+from flighttest.flight.control import FlightControl, Stops
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.legs import Airframe
 from flighttest.flight.machine import Event, FlightState
@@ -83,7 +83,7 @@ class _Flight:
         self._changes: ParameterChanges | None = None
         self._unrestored = values_of(options.left_behind)  # also where the vehicle is never reached
         recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
-        self._meddling = Meddling({})
+        self._external_changes = ExternalChanges({})
 
     def run(self) -> FlightResult:
         """The flight, from connecting to what it leaves."""
@@ -92,13 +92,13 @@ class _Flight:
         outcome = FlightOutcome.VEHICLE_REFUSED
         why = ""
         try:
-            cockpit = self._prepare()
+            control = self._prepare()
             if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
             scheduler = Scheduler(
-                cockpit, self.plan, self._airframe(), frozenset(self.options.skip), self.options.replanner
+                control, self.plan, self._airframe(), frozenset(self.options.skip), self.options.replanner
             )
-            scheduler.on_armed = lambda: place_home(cockpit, self.plan.vehicle.zone)
+            scheduler.on_armed = lambda: place_home(control, self.plan.vehicle.zone)
             try:
                 outcome = scheduler.fly()
             except FlightEnded as ended:
@@ -112,7 +112,7 @@ class _Flight:
                     outcome = ended.outcome
             except BaseException:  # a defect of ours, whatever it is, must not leave the vehicle with a step's throttle; it is raised after
                 with contextlib.suppress(Exception):  # whatever fails again here is the lesser news
-                    supervisor.let_go(cockpit, "the program failed")
+                    supervisor.let_go(control, "the program failed")
                 raise
         except FlighttestError as error:
             self.recorder.manifest["outcome"] = str(error)
@@ -130,7 +130,7 @@ class _Flight:
                 {"id": r.leg, "outcome": r.outcome.name, "why": list(r.why)}
                 for r in (scheduler.results if scheduler else [])
             ],
-            notes=[*self.notes, *(scheduler.notes if scheduler else []), *self._meddling.changed],
+            notes=[*self.notes, *(scheduler.notes if scheduler else []), *self._external_changes.changed],
         )
         self.recorder.save_manifest()
         self._say("writing the channels")
@@ -151,7 +151,7 @@ class _Flight:
 
     # -- before --------------------------------------------------------------------------------------------------------------
 
-    def _prepare(self) -> Cockpit:
+    def _prepare(self) -> FlightControl:
         session, vehicle = self.session, self.vehicle
         set_params, waived = self.options.set_params, frozenset(self.options.waive)
         self._say("connecting")
@@ -183,26 +183,26 @@ class _Flight:
         self._say("asking for telemetry")
         telemetry = Telemetry(vehicle, self.plan, self.recorder.manifest["connect"])
         telemetry.ask()
-        cockpit = Cockpit(
+        control = FlightControl(
             vehicle,
             self._gate(),
             self.recorder,
             rate_hz=self.plan.rate_hz,
             stops=Stops(self.options.stop_requested),
-            meddling=self._meddling,
+            external_changes=self._external_changes,
             on_progress=self.options.on_progress,
         )
         real_time = not simulator or session.lock_step or session.clock.pace == 1.0
         telemetry.measure(real_time)  # what a full link drops may be the position
-        self._wait_for_position(cockpit)
+        self._wait_for_position(control)
         rates = telemetry.measure(real_time)
         self.notes += telemetry.notes
-        cockpit.after()
+        control.after()
         situation = preflight.Situation(
-            self.plan, self._parameters, cockpit.state, rates, firmware, beat.type, simulator,
+            self.plan, self._parameters, control.state, rates, firmware, beat.type, simulator,
             rc_live=simulator or preflight.rc_live(vehicle), pace=self._pace, others=frozenset(session.others),
         )  # fmt: skip
-        cockpit.reader.throttle_channel = int(self._parameters.get("RCMAP_THROTTLE", 3))
+        control.reader.throttle_channel = int(self._parameters.get("RCMAP_THROTTLE", 3))
         if self.recorder.failure:
             raise RecordingError(
                 f"{self.recorder.run_dir} cannot be written: {self.recorder.failure}",
@@ -218,20 +218,20 @@ class _Flight:
         self.options.on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
-        self._tell_battery(cockpit)
+        self._tell_battery(control)
         far = preflight.fence_words(replace(situation, parameters=self._parameters))
         if far:
             self._note(far)
             self._say(far)
-        said = place_zone(cockpit, self.plan.vehicle.zone)
+        said = place_zone(control, self.plan.vehicle.zone)
         if said:
             self.notes.append(said)
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
-        self._meddling.known.update(self._parameters)
+        self._external_changes.known.update(self._parameters)
         session.clock.hold()
-        cockpit.streams = Streams(vehicle, telemetry.granted_hz, rates)
-        return cockpit
+        control.streams = Streams(vehicle, telemetry.granted_hz, rates)
+        return control
 
     def _enter_lock_step(self, offered: float) -> None:
         if offered != 1.0:
@@ -269,10 +269,10 @@ class _Flight:
             self._say(text)
         self._keep_changed(left)
 
-    def _tell_battery(self, cockpit: Cockpit) -> None:
+    def _tell_battery(self, control: FlightControl) -> None:
         """A pack that is not full spreads a script's repeats over less than was asked for."""
         wanted = max((leg.voltage_v or 0.0 for leg in self.plan.legs), default=0.0)
-        voltage = cockpit.state.voltage_v
+        voltage = control.state.voltage_v
         if voltage is not None and voltage < BEGIN_SHARE * wanted:
             self._note(
                 f"the battery begins at {voltage:.1f} V, the script's repeats at {wanted:.1f} V: what depends on voltage (alpha) "
@@ -315,33 +315,33 @@ class _Flight:
             yaw_accel_max_rad_s2=math.radians(accel_deg) if accel_deg and shaped else 0.0,
         )
 
-    def _wait_for_position(self, cockpit: Cockpit) -> None:
+    def _wait_for_position(self, control: FlightControl) -> None:
         """After boot the estimate needs half a minute and more; without a position only its absence is noted."""
         wanted = self.plan.reset.by == "guided"
         began = self.session.now_s()
         self._say("waiting for the vehicle's position estimate")
-        while not cockpit.stop_asked:
-            state, waited_s = cockpit.state, self.session.now_s() - began
+        while not control.stop_asked:
+            state, waited_s = control.state, self.session.now_s() - began
             enough = state.position_ok or (not wanted and waited_s >= _POSITION_PATIENCE_S)
             if (enough and state.ekf_ok and state.attitude_rad) or not 0.0 <= waited_s < POSITION_WAIT_S:
                 break
             self.session.require_link()
-            cockpit.until(self.session.now_s() + 0.5)
-        if not wanted and not cockpit.state.position_ok:
-            source = cockpit.reader.height_source or "nothing: height is not judged"
+            control.until(self.session.now_s() + 0.5)
+        if not wanted and not control.state.position_ok:
+            source = control.reader.height_source or "nothing: height is not judged"
             self.notes.append(f"no position: zone and speed are not judged; height is, from {source}")
 
     # -- after ---------------------------------------------------------------------------------------------------------------
 
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
         silent = isinstance(error, LinkSilent)
-        if silent and scheduler.cockpit.machine.state is FlightState.ARMING:
+        if silent and scheduler.control.machine.state is FlightState.ARMING:
             scheduler.disarm_when_heard()
             return FlightOutcome.LINK_LOST
-        if not self.vehicle.armed and scheduler.cockpit.machine.state in (FlightState.GROUND, FlightState.ARMING):
-            scheduler.cockpit.on(Event.OVER)
+        if not self.vehicle.armed and scheduler.control.machine.state in (FlightState.GROUND, FlightState.ARMING):
+            scheduler.control.on(Event.OVER)
             return FlightOutcome.VEHICLE_REFUSED
-        if not scheduler.cockpit.owned:
+        if not scheduler.control.owned:
             return FlightOutcome.LEFT_TO_PILOT
         self._note(f"landing after: {error.message}")
         scheduler.land()
@@ -349,11 +349,11 @@ class _Flight:
 
     @staticmethod
     def _left(scheduler: Scheduler | None) -> FlightState:
-        return scheduler.cockpit.machine.on(Event.OVER) if scheduler is not None else FlightState.NOT_ARMED
+        return scheduler.control.machine.on(Event.OVER) if scheduler is not None else FlightState.NOT_ARMED
 
     def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
-        self._meddling.known.clear()  # what changes from now on is restored
+        self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
         if self._changes is not None and self._changes.pending:
             self._say("restoring parameters")

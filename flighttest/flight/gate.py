@@ -16,7 +16,7 @@ from flighttest.flight.state import VehicleState
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
-from flighttest.plan.room import BRAKE_M_S2
+from flighttest.plan.clearance import BRAKE_M_S2
 from flighttest.script.model import Limits
 from flighttest.vehicle.model import Zone
 
@@ -190,10 +190,10 @@ def stopping_heights(throttle: float, height_m: float, climb_m_s: float, gate: G
 
 def zone_inside(state: VehicleState, gate: GateLimits) -> bool:
     """Whether the vehicle, braked after the reaction time, stays between the zone's walls."""
-    return zone_room_m(state, gate) >= -EPSILON
+    return zone_clearance_m(state, gate) >= -EPSILON
 
 
-def zone_room_m(state: VehicleState, gate: GateLimits) -> float:
+def zone_clearance_m(state: VehicleState, gate: GateLimits) -> float:
     """Least distance, m, between a wall and any place on the way to a stop; negative outside. An old position has moved on since."""
     assert state.position_m is not None
     assert state.velocity_m_s is not None
@@ -206,7 +206,7 @@ def zone_room_m(state: VehicleState, gate: GateLimits) -> float:
     stopped = later + then * math.hypot(*then) / (2.0 * gate.brake_m_s2)
     places = np.array([here, *(here + gate.zone.from_world([x, y, 0.0]) for x, y in (later, stopped))])[:, :2]
     low, high = np.array([gate.zone.x_m, gate.zone.y_m]).T
-    return float(np.min([places - low, high - places]))  # NaN where a place is not a number: no room
+    return float(np.min([places - low, high - places]))  # NaN where a place is not a number: none
 
 
 def _push(attitude_rad: tuple[float, float, float] | None) -> NDArray[np.float64]:

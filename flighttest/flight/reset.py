@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 
 from flighttest import frames
-from flighttest.flight.cockpit import Cockpit
+from flighttest.flight.control import FlightControl
 from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.machine import Event
 from flighttest.flight.state import VehicleState
@@ -125,10 +125,10 @@ class Settling:
         return float(np.mean(self._throttles)) / (1.0 + pushed)
 
 
-def _commanded_throttle(cockpit: Cockpit) -> float | None:
+def _commanded_throttle(control: FlightControl) -> float | None:
     """What the autopilot's own controller commands now: ATTITUDE_TARGET.thrust is before the tilt boost, which is what we send, too."""
-    heard = cockpit.session.latest.get("ATTITUDE_TARGET")
-    if heard is None or cockpit.session.now_s() - heard.t_s > 0.5:
+    heard = control.session.latest.get("ATTITUDE_TARGET")
+    if heard is None or control.session.now_s() - heard.t_s > 0.5:
         return None
     return float(heard.message.thrust)
 
@@ -138,78 +138,78 @@ def _timeout_s(state: VehicleState, start: Start) -> float:
     return _TIMEOUT_BASE_S + start.settle_s + distance / _SLOWEST_M_S
 
 
-def guided(cockpit: Cockpit, start: Start) -> Arrived:
+def guided(control: FlightControl, start: Start) -> Arrived:
     """By GUIDED's own position control."""
 
     def hold() -> None:
         # The mode keeps its last target, and a step's may have been the last: level until GUIDED has the vehicle.
-        if cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-            cockpit.release()
+        if control.state.mode == CopterMode.GUIDED_NOGPS:
+            control.release()
 
-    if not enter(cockpit, CopterMode.GUIDED, meanwhile=hold):
+    if not enter(control, CopterMode.GUIDED, meanwhile=hold):
         return Arrived(Arrival.NO_GUIDED)
     settling = Settling(start)
-    goal = np.asarray(start.position_m) + cockpit.reader.origin_m
-    deadline = cockpit.session.now_s() + _timeout_s(cockpit.state, start)
+    goal = np.asarray(start.position_m) + control.reader.origin_m
+    deadline = control.session.now_s() + _timeout_s(control.state, start)
     next_ask = -math.inf
-    while cockpit.session.now_s() < deadline:
-        if cockpit.stop_asked:
+    while control.session.now_s() < deadline:
+        if control.stop_asked:
             return Arrived(Arrival.STOPPED)
-        if cockpit.state.mode == CopterMode.GUIDED_NOGPS and not enter(cockpit, CopterMode.GUIDED, meanwhile=hold):
+        if control.state.mode == CopterMode.GUIDED_NOGPS and not enter(control, CopterMode.GUIDED, meanwhile=hold):
             return Arrived(Arrival.NO_GUIDED)  # an earlier request that was carried out late
-        now = cockpit.session.now_s()
-        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S:
+        now = control.session.now_s()
+        if now >= next_ask and control.state.mode_age_s < UNSEEN_S:
             # Streamed: without a new one within GUID_TIMEOUT (0.2 s here) ArduPilot stops turning to the heading (flown).
-            cockpit.vehicle.go_to(goal, start.yaw_rad)
+            control.vehicle.go_to(goal, start.yaw_rad)
             next_ask = now + _ASK_AGAIN_S
-        state = cockpit.cycle()
+        state = control.cycle()
         if state.mode_age_s > UNSEEN_S:
             # The autopilot holds the place by itself; a pilot who takes it meanwhile would not be seen.
             deadline = max(deadline, state.t_s + _SOON_S)
-        if LINK & set(readiness(state, cockpit.gate)):
+        if LINK & set(readiness(state, control.gate)):
             settling = Settling(start)  # what is too old for a step says nothing of its start
-        elif settling.done(state, _commanded_throttle(cockpit)):
+        elif settling.done(state, _commanded_throttle(control)):
             return Arrived(Arrival.SETTLED, settling.hover_throttle)
     return Arrived(Arrival.NOT_SETTLED)
 
 
-def attitude(cockpit: Cockpit, start: Start, angle_boost: bool) -> Arrived:
+def attitude(control: FlightControl, start: Start, angle_boost: bool) -> Arrived:
     """By an outer loop of ours over attitude targets; without horizontal position only height and heading are brought back."""
-    if cockpit.state.mode != CopterMode.GUIDED_NOGPS and not enter_nogps(cockpit):
+    if control.state.mode != CopterMode.GUIDED_NOGPS and not enter_nogps(control):
         return Arrived(Arrival.NO_NOGPS)
-    loop = HoldLoop(cockpit, angle_boost)
+    loop = HoldLoop(control, angle_boost)
     settling = Settling(start, near_m=1.0)
-    deadline = cockpit.session.now_s() + _timeout_s(cockpit.state, start)
-    while cockpit.session.now_s() < deadline:
-        if cockpit.stop_asked:
+    deadline = control.session.now_s() + _timeout_s(control.state, start)
+    while control.session.now_s() < deadline:
+        if control.stop_asked:
             return Arrived(Arrival.STOPPED)
         target, yaw = loop.target(start)
         # Without a position the targets are level: they would let go, and pass, also over a link or a battery that is gone.
-        refused = readiness(cockpit.state, cockpit.gate) or cockpit.steer(target, yaw)
+        refused = readiness(control.state, control.gate) or control.steer(target, yaw)
         if refused:
             return Arrived(Arrival.REFUSED, refused=refused)
-        state = cockpit.cycle()
+        state = control.cycle()
         if settling.done(state, target.throttle * math.cos(target.roll_rad) * math.cos(target.pitch_rad)):
             return Arrived(Arrival.SETTLED, settling.hover_throttle)
     return Arrived(Arrival.NOT_SETTLED)
 
 
-def by_pilot(cockpit: Cockpit, timeout_s: float = 300.0) -> Arrived:
+def by_pilot(control: FlightControl, timeout_s: float = 300.0) -> Arrived:
     """The pilot flies to the start and switches to GUIDED_NOGPS when ready; until then nothing is sent but heartbeats.
 
     The pilot is told by the live view. Never re-enters the mode by itself.
     """
-    cockpit.on(Event.HAND_OVER)
-    cockpit.tell(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
-    deadline = cockpit.session.now_s() + timeout_s
-    left = cockpit.state.mode != CopterMode.GUIDED_NOGPS
-    while cockpit.session.now_s() < deadline:
-        if cockpit.stop_asked:
+    control.on(Event.HAND_OVER)
+    control.tell(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
+    deadline = control.session.now_s() + timeout_s
+    left = control.state.mode != CopterMode.GUIDED_NOGPS
+    while control.session.now_s() < deadline:
+        if control.stop_asked:
             return Arrived(Arrival.STOPPED)
-        state = cockpit.cycle()
+        state = control.cycle()
         left = left or state.mode != CopterMode.GUIDED_NOGPS
         if left and state.mode == CopterMode.GUIDED_NOGPS and state.armed:
-            cockpit.on(Event.HANDED_BACK)
+            control.on(Event.HANDED_BACK)
             return Arrived(Arrival.SETTLED)
     return Arrived(Arrival.NOT_HANDED_OVER)
 
@@ -217,19 +217,19 @@ def by_pilot(cockpit: Cockpit, timeout_s: float = 300.0) -> Arrived:
 class HoldLoop:
     """The outer loop with what it must remember: the heading it turns through and the throttle that holds height."""
 
-    def __init__(self, cockpit: Cockpit, angle_boost: bool) -> None:
-        self._cockpit = cockpit
+    def __init__(self, control: FlightControl, angle_boost: bool) -> None:
+        self._control = control
         self._boost = angle_boost
-        self._loop = OuterLoop(tilt_max_rad=min(0.35, cockpit.gate.limits.tilt_target_max_rad))
-        self._yaw = cockpit.state.attitude_rad[2] if cockpit.state.attitude_rad else 0.0
-        self._hover = cockpit.hover_throttle
+        self._loop = OuterLoop(tilt_max_rad=min(0.35, control.gate.limits.tilt_target_max_rad))
+        self._yaw = control.state.attitude_rad[2] if control.state.attitude_rad else 0.0
+        self._hover = control.hover_throttle
 
     def target(
         self, goal: Start, goal_v_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> tuple[AttitudeTarget, float]:
         """The next target towards a goal, and the heading for its quaternion."""
-        cockpit, state = self._cockpit, self._cockpit.state
-        dt = cockpit.period_s
+        control, state = self._control, self._control.state
+        dt = control.period_s
         turn = float(frames.wrap_angle(goal.yaw_rad - self._yaw))
         self._yaw = float(frames.wrap_angle(self._yaw + min(max(turn, -_YAW_SLEW_RAD_S * dt), _YAW_SLEW_RAD_S * dt)))
         yaw_now = state.attitude_rad[2] if state.attitude_rad else self._yaw
@@ -241,10 +241,10 @@ class HoldLoop:
         wanted_climb = min(max(goal_v_m_s[2] + goal.position_m[2] - height, -1.0), 1.0)
         # Slow integral on the hover throttle: a battery that sags, or a wrong vehicle.yaml, must not leave a lasting height error.
         self._hover *= 1.0 + 0.15 * dt * (wanted_climb - climb)
-        self._hover = min(max(self._hover, 0.5 * cockpit.hover_throttle), 1.6 * cockpit.hover_throttle)
+        self._hover = min(max(self._hover, 0.5 * control.hover_throttle), 1.6 * control.hover_throttle)
         row = self._loop.steer(p, v, yaw_now, goal.position_m, goal_v_m_s, goal.yaw_rad, self._hover, self._boost)[0]
         roll, pitch = (float(row[0]), float(row[1])) if known else (0.0, 0.0)
-        low, high = cockpit.gate.limits.throttle
+        low, high = control.gate.limits.throttle
         # The loop is ours and may saturate; the gate judges what it asks for, and would drop a target beyond the script's range.
         throttle = min(max(float(row[3]), low), high)
         return AttitudeTarget(0.0, roll, pitch, 0.0, throttle), self._yaw

@@ -40,7 +40,7 @@ class Learnt:
 
 
 class Replanner(Protocol):
-    """Plans the same script again for what was learnt in flight. Passed in: the cockpit holds no model."""
+    """Plans the same script again for what was learnt in flight. Passed in: the control holds no model."""
 
     def due(self, learnt: Learnt) -> bool:
         """Whether the present plan rests on something else than this. Quick."""

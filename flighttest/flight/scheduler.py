@@ -11,7 +11,7 @@ from statistics import median
 from flighttest.errors import LinkError
 from flighttest.flight import legs as flying
 from flighttest.flight import reset, supervisor
-from flighttest.flight.cockpit import Cockpit, sentences
+from flighttest.flight.control import FlightControl, sentences
 from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.legs import Airframe
 from flighttest.flight.machine import Event, FlightState
@@ -42,7 +42,7 @@ class Scheduler:
     """Flies a plan. results: one per leg tried, in order. skip: ids of legs that are already there. on_armed: called before the
     take-off."""
 
-    cockpit: Cockpit
+    control: FlightControl
     plan: Plan
     airframe: Airframe
     skip: Collection[str] = ()
@@ -62,15 +62,15 @@ class Scheduler:
         in_air = [leg for leg in todo if not leg.motors_off]
         for leg in on_ground:
             self._show(leg, todo, "resting with motors off")
-            self.results.append(flying.rest(self.cockpit, leg))
-            if self.cockpit.stop_asked:
+            self.results.append(flying.rest(self.control, leg))
+            if self.control.stop_asked:
                 return self._stopped()
         if not in_air:
             return FlightOutcome.COMPLETED
-        if self.cockpit.stop_asked:
+        if self.control.stop_asked:
             return self._stopped()
         outcome = self.take_off() or self._legs(in_air)
-        if not self.cockpit.owned:
+        if not self.control.owned:
             return FlightOutcome.LEFT_TO_PILOT if outcome is FlightOutcome.COMPLETED or self._handed else outcome
         if outcome is not FlightOutcome.OPERATOR_ABORT:
             try:
@@ -83,29 +83,29 @@ class Scheduler:
 
     @property
     def _handed(self) -> bool:
-        return self.cockpit.machine.state is FlightState.HANDED
+        return self.control.machine.state is FlightState.HANDED
 
     # -- up and down ---------------------------------------------------------------------------------------------------------
 
     def take_off(self) -> FlightOutcome | None:
         """Arm and climb to the reset height, or as far as the operator lets it; where the flight ends here, with what."""
-        cockpit, vehicle = self.cockpit, self.cockpit.vehicle
+        control, vehicle = self.control, self.control.vehicle
         height = self.plan.reset.to_m[2]
         by_position = self.plan.reset.by != "attitude"
-        cockpit.tell(
+        control.tell(
             legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
         )
         # Before arming: that may take a minute, and whoever changes the mode meanwhile does not want it to fly.
-        cockpit.on(Event.ARM)
+        control.on(Event.ARM)
         vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
-        if not vehicle.arm(stopped=lambda: cockpit.stop_asked) or cockpit.stop_asked:
+        if not vehicle.arm(stopped=lambda: control.stop_asked) or control.stop_asked:
             vehicle.disarm()
-            cockpit.on(Event.OVER)
+            control.on(Event.OVER)
             return self._stopped()
-        cockpit.on(Event.ARMED)
-        cockpit.recorder.event("note", "armed", cockpit.session.now_s())
+        control.on(Event.ARMED)
+        control.recorder.event("note", "armed", control.session.now_s())
         self.on_armed()
-        cockpit.tell(doing="taking off", next=self.plan.legs[0].id)
+        control.tell(doing="taking off", next=self.plan.legs[0].id)
         if not by_position:
             return self._climb_by_throttle(height)
         answer = vehicle.take_off(height)
@@ -120,73 +120,73 @@ class Scheduler:
 
     def disarm_when_heard(self) -> None:
         """The link was lost while arming: it may be armed by now. FlightEnded where it does not come back."""
-        cockpit = self.cockpit
-        cockpit.after()
-        while max(cockpit.state.mode_age_s, cockpit.state.uplink_silence_s) > supervisor.UNSEEN_S:
-            cockpit.cycle()
-        cockpit.vehicle.disarm()
-        cockpit.on(Event.OVER)
+        control = self.control
+        control.after()
+        while max(control.state.mode_age_s, control.state.uplink_silence_s) > supervisor.UNSEEN_S:
+            control.cycle()
+        control.vehicle.disarm()
+        control.on(Event.OVER)
 
     def _climb(self, height: float) -> FlightOutcome | None:
         return None if self._reaches(height - 0.5, _TAKE_OFF_S) else self._not_climbed(height)
 
     def _reaches(self, height: float, within_s: float) -> bool:
         """Whether the vehicle is seen at a height in time, or the operator asks to stop before."""
-        deadline = self.cockpit.session.now_s() + within_s
-        while self.cockpit.session.now_s() < deadline:
-            state = self.cockpit.cycle()
-            if self.cockpit.stop_asked or (state.height_m is not None and state.height_m >= height):
+        deadline = self.control.session.now_s() + within_s
+        while self.control.session.now_s() < deadline:
+            state = self.control.cycle()
+            if self.control.stop_asked or (state.height_m is not None and state.height_m >= height):
                 return True
         return False
 
     def _not_climbed(self, height: float) -> FlightOutcome:
-        seen = self.cockpit.state.height_m
+        seen = self.control.state.height_m
         known = "its height is not known" if seen is None else f"its height is {seen:.1f} m"
         self.notes.append(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s: {known}")
         return FlightOutcome.CLIMB_ENDED
 
     def _climb_by_throttle(self, height: float) -> FlightOutcome | None:
         """Without a position: throttle up gently over level attitude, hold at the height."""
-        cockpit = self.cockpit
-        cockpit.after()
-        deadline = cockpit.session.now_s() + _TAKE_OFF_S
-        began = cockpit.session.now_s()
-        while cockpit.session.now_s() < deadline:
-            state = cockpit.state
+        control = self.control
+        control.after()
+        deadline = control.session.now_s() + _TAKE_OFF_S
+        began = control.session.now_s()
+        while control.session.now_s() < deadline:
+            state = control.state
             climb = state.climb_m_s or 0.0
-            if cockpit.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
+            if control.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
                 return None
-            found = readiness(state, cockpit.gate)
+            found = readiness(state, control.gate)
             if found:
-                supervisor.abort(cockpit, sentences(found))
+                supervisor.abort(control, sentences(found))
                 self.notes.append(f"the climb was ended: {'; '.join(sentences(found))}")
                 return FlightOutcome.CLIMB_ENDED
-            ramp = min((cockpit.session.now_s() - began) / 4.0, 1.0)
-            low, high = cockpit.gate.stop_throttle
-            throttle = cockpit.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
+            ramp = min((control.session.now_s() - began) / 4.0, 1.0)
+            low, high = control.gate.stop_throttle
+            throttle = control.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
             throttle = min(max(throttle, low), high)
             yaw = state.attitude_rad[2] if state.attitude_rad else 0.0
-            refused = cockpit.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
+            refused = control.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
             assert not refused, "level targets around hover always pass"
-            cockpit.cycle()
+            control.cycle()
         return self._not_climbed(height)
 
     def land(self) -> None:
         """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
-        cockpit = self.cockpit
-        cockpit.tell(doing="landing", next="", phase="")
-        if cockpit.machine.state is not FlightState.LANDING:
-            supervisor.insist(cockpit, (CopterMode.LAND,), self._meanwhile)
-        deadline = cockpit.session.now_s() + _LAND_S
-        while cockpit.machine.state is FlightState.LANDING:
-            if cockpit.session.now_s() > deadline:
-                cockpit.on(Event.NOT_DOWN)
-            cockpit.cycle()
-        cockpit.recorder.event("note", "landed", cockpit.session.now_s())
+        control = self.control
+        control.tell(doing="landing", next="", phase="")
+        if control.machine.state is not FlightState.LANDING:
+            supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
+        deadline = control.session.now_s() + _LAND_S
+        while control.machine.state is FlightState.LANDING:
+            if control.session.now_s() > deadline:
+                control.on(Event.NOT_DOWN)
+            control.cycle()
+        control.recorder.event("note", "landed", control.session.now_s())
 
     def _meanwhile(self) -> None:
-        if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-            self.cockpit.release()
+        if self.control.state.mode == CopterMode.GUIDED_NOGPS:
+            self.control.release()
 
     # -- legs ----------------------------------------------------------------------------------------------------------------
 
@@ -250,53 +250,53 @@ class Scheduler:
         return FlightOutcome.COMPLETED if flown else FlightOutcome.NOTHING_FLOWN
 
     def _asked_to_end(self) -> FlightOutcome | None:
-        if self.cockpit.stop_now:
-            if self.cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-                supervisor.abort(self.cockpit, ("the operator asked to stop at once",))
-            elif self.cockpit.state.mode == CopterMode.GUIDED:
-                supervisor.insist(self.cockpit, supervisor.abort_modes(self.cockpit.state), lambda: None)
+        if self.control.stop_now:
+            if self.control.state.mode == CopterMode.GUIDED_NOGPS:
+                supervisor.abort(self.control, ("the operator asked to stop at once",))
+            elif self.control.state.mode == CopterMode.GUIDED:
+                supervisor.insist(self.control, supervisor.abort_modes(self.control.state), lambda: None)
             return FlightOutcome.OPERATOR_ABORT
-        return self._stopped() if self.cockpit.stop_asked else None
+        return self._stopped() if self.control.stop_asked else None
 
     def _stopped(self) -> FlightOutcome:
-        if self.cockpit.recorder.failure:
+        if self.control.recorder.failure:
             return FlightOutcome.RECORD_LOST
-        return FlightOutcome.SET_UP_ANEW if self.cockpit.meddling.vital else FlightOutcome.OPERATOR_STOP
+        return FlightOutcome.SET_UP_ANEW if self.control.external_changes.vital else FlightOutcome.OPERATOR_STOP
 
     def _why_unfit(self, leg_id: str) -> tuple[str, ...]:
         return tuple(what for leg, what, _ in self.plan.refusals if leg == leg_id)
 
     def _one(self, leg: Leg, remaining: list[Leg], prefix: str) -> LegResult | None:
         """One leg from wherever the vehicle is; None where it was planned again at the start, and the leg is another now."""
-        cockpit = self.cockpit
+        control = self.control
         self._show(leg, remaining, f"{prefix}going to the start")
-        cockpit.on(Event.RETURN)
-        began = cockpit.session.now_s()
+        control.on(Event.RETURN)
+        began = control.session.now_s()
         arrived = self._reset(leg)
         if arrived.how is Arrival.REFUSED:
             why = sentences(arrived.refused)
-            supervisor.abort(cockpit, why)
+            supervisor.abort(control, why)
             outcome = LegOutcome.LINK_LOST if LINK & set(arrived.refused) else LegOutcome.REFUSED
             return LegResult(leg.id, outcome, why, arrived.refused)
         if not arrived.settled:
             why = (arrived.how.value,)
-            cockpit.recorder.event("note", f"{leg.id}: {arrived.how.value}", cockpit.session.now_s())
-            if cockpit.state.mode == CopterMode.GUIDED_NOGPS and cockpit.owned:
-                supervisor.abort(cockpit, why)
+            control.recorder.event("note", f"{leg.id}: {arrived.how.value}", control.session.now_s())
+            if control.state.mode == CopterMode.GUIDED_NOGPS and control.owned:
+                supervisor.abort(control, why)
             return LegResult(
                 leg.id, LegOutcome.STOPPED if arrived.how is Arrival.STOPPED else LegOutcome.NOT_SETTLED, why
             )
         self._use_hover(arrived.hover_throttle)
-        self._reset_s += 0.3 * (cockpit.session.now_s() - began - self._reset_s)
+        self._reset_s += 0.3 * (control.session.now_s() - began - self._reset_s)
         if self._plan_is_due():
             self._plan_again()
             return None
-        if not supervisor.enter_nogps(cockpit):
+        if not supervisor.enter_nogps(control):
             return LegResult(leg.id, LegOutcome.NOT_SETTLED, (Arrival.NO_NOGPS.value,))
         self._show(leg, remaining, "flying")
-        trace = ThrottleTrace(cockpit.hover_throttle, self.airframe.angle_boost)
-        flown = leg.flown_with(cockpit.hover_throttle, self.airframe.angle_boost)
-        result = flying.fly_leg(cockpit, flown, self.airframe, trace)
+        trace = ThrottleTrace(control.hover_throttle, self.airframe.angle_boost)
+        flown = leg.flown_with(control.hover_throttle, self.airframe.angle_boost)
+        result = flying.fly_leg(control, flown, self.airframe, trace)
         age = trace.age_s()
         if age is not None:
             self._ages_s.append(age)
@@ -320,29 +320,29 @@ class Scheduler:
         learnt = self._learnt()
         assert self.replanner is not None
         assert learnt is not None
-        cockpit = self.cockpit
+        control = self.control
         self._plans += 1
-        cockpit.tell(doing="planning again for the thrust that was seen")
+        control.tell(doing="planning again for the thrust that was seen")
         self.plan = self.replanner.plan(learnt)
         # What came in meanwhile is read before anything is asked for: the pilot may have taken the vehicle.
-        cockpit.until(cockpit.session.now_s() + _CATCH_UP_S)
-        cockpit.gate = replace(cockpit.gate, reaction_s=self.plan.reaction_s)
-        cockpit.recorder.save_plan(self.plan)
+        control.until(control.session.now_s() + _CATCH_UP_S)
+        control.gate = replace(control.gate, reaction_s=self.plan.reaction_s)
+        control.recorder.save_plan(self.plan)
         seen = "" if learnt.thrust_age_s is None else f", thrust {1e3 * learnt.thrust_age_s:.0f} ms after its command"
         text = f"planned again for what was seen: hover throttle {learnt.hover_throttle:.3f} at {learnt.voltage_v:.1f} V{seen}"
         self.notes.append(text)
-        cockpit.recorder.event("note", text, cockpit.session.now_s())
+        control.recorder.event("note", text, control.session.now_s())
 
     def _reset(self, leg: Leg) -> reset.Arrived:
-        world = self.cockpit.gate.zone.to_world(leg.start_m)
+        world = self.control.gate.zone.to_world(leg.start_m)
         start = reset.Start(
             (float(world[0]), float(world[1]), float(world[2])), leg.heading_rad, self.plan.reset.settle_s
         )
         if self.plan.reset.by == "guided":
-            return reset.guided(self.cockpit, start)
+            return reset.guided(self.control, start)
         if self.plan.reset.by == "attitude":
-            return reset.attitude(self.cockpit, start, self.airframe.angle_boost)
-        return reset.by_pilot(self.cockpit)
+            return reset.attitude(self.control, start, self.airframe.angle_boost)
+        return reset.by_pilot(self.control)
 
     def _use_hover(self, measured: float | None) -> None:
         stated = self.plan.vehicle.hover_throttle
@@ -352,12 +352,12 @@ class Scheduler:
             self._note(f"measured hover throttle {measured:.3f} is absurd beside the stated {stated:.3f}; not used")
             return
         nominal = self.plan.vehicle.nominal_voltage_v
-        voltage = self.cockpit.state.voltage_v
+        voltage = self.control.state.voltage_v
         if abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.03:
             self._note(
                 f"hover throttle measured {measured:.3f}, stated {stated:.3f}: more than 10 % off; correct vehicle.yaml"
             )
-        self.cockpit.use_hover(measured)
+        self.control.use_hover(measured)
         if voltage:
             self._hover = (measured, voltage)
 
@@ -365,15 +365,15 @@ class Scheduler:
         key = text.split(" measured")[0]
         if not any(note.startswith(key) for note in self.notes):
             self.notes.append(text)
-            self.cockpit.recorder.event("note", text, self.cockpit.session.now_s())
+            self.control.recorder.event("note", text, self.control.session.now_s())
 
     def _battery_low(self) -> bool:
         limit = self.plan.limits.voltage_min_v
-        while limit > 0 and self.cockpit.state.silence_s > _VOLTAGE_WAIT_S:
-            self.cockpit.cycle()
-        if limit > 0 and self.cockpit.state.voltage_v is None:
-            self.cockpit.until(self.cockpit.session.now_s() + _VOLTAGE_WAIT_S)  # the link may only just be back
-        voltage = self.cockpit.state.voltage_v
+        while limit > 0 and self.control.state.silence_s > _VOLTAGE_WAIT_S:
+            self.control.cycle()
+        if limit > 0 and self.control.state.voltage_v is None:
+            self.control.until(self.control.session.now_s() + _VOLTAGE_WAIT_S)  # the link may only just be back
+        voltage = self.control.state.voltage_v
         return limit > 0 and (voltage is None or voltage < limit)
 
     # -- words ---------------------------------------------------------------------------------------------------------------
@@ -384,7 +384,7 @@ class Scheduler:
     def _show(self, leg: Leg, remaining: list[Leg], doing: str) -> None:
         following = remaining[1] if len(remaining) > 1 else None
         number = next((i for i, other in enumerate(self.plan.legs) if other.id == leg.id), 0)
-        self.cockpit.tell(
+        self.control.tell(
             leg=number + 1,
             legs=len(self.plan.legs),
             doing=f"{doing}: {describe(leg)}" if doing else describe(leg),

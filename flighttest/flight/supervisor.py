@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from flighttest.flight.cockpit import Cockpit
+from flighttest.flight.control import FlightControl
 from flighttest.flight.machine import Event, FlightState
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode, mode_name
@@ -43,13 +43,13 @@ def abort_modes(state: VehicleState) -> tuple[CopterMode, ...]:
     return (*modes, CopterMode.LAND)
 
 
-def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
+def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
     """Bring the vehicle into its abort mode and return it. The first release leaves before anything else.
 
     Level targets go out every cycle until HEARTBEAT shows the mode. FlightEnded when the pilot takes over, or the link stays silent.
     """
-    cockpit.release()
-    state = cockpit.state
+    control.release()
+    state = control.state
     modes = abort_modes(state)
     situation = {
         "modes": [m.name for m in modes],
@@ -61,76 +61,76 @@ def abort(cockpit: Cockpit, why: tuple[str, ...]) -> CopterMode:
         "voltage_v": state.voltage_v,
         "silence_s": state.silence_s,
     }
-    cockpit.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
-    return insist(cockpit, modes, cockpit.release)
+    control.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
+    return insist(control, modes, control.release)
 
 
-def insist(cockpit: Cockpit, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
+def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
     """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
 
-    FlightEnded when the pilot takes over, the link stays away (`cockpit`), or the operator wants an end and the vehicle does not answer.
+    FlightEnded when the pilot takes over, the link stays away (`control`), or the operator wants an end and the vehicle does not answer.
     """
     let_go_s = math.inf
-    began = cockpit.session.now_s()
+    began = control.session.now_s()
     next_ask = began
     heard_again = began
     index = 0
     # Only what was asked for: a pilot who chooses another mode meanwhile, be it one of ours, has taken over.
-    cockpit.ask_safe_mode(modes[:1])
+    control.ask_safe_mode(modes[:1])
     while True:
-        now = cockpit.session.now_s()
-        unheard = cockpit.stop_asked and cockpit.state.uplink_silence_s > UPLINK_LOST_S
-        if cockpit.stop_now or unheard:
-            let_go_s = min(let_go_s, now + (LET_GO_AFTER_S if cockpit.stop_now else STOP_AFTER_S))
+        now = control.session.now_s()
+        unheard = control.stop_asked and control.state.uplink_silence_s > UPLINK_LOST_S
+        if control.stop_now or unheard:
+            let_go_s = min(let_go_s, now + (LET_GO_AFTER_S if control.stop_now else STOP_AFTER_S))
             if now > let_go_s:
-                cockpit.on(Event.GIVEN_UP if cockpit.stop_now else Event.UPLINK_GONE)
-        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S and cockpit.state.silence_s < UNHEARD_S:
-            if cockpit.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
+                control.on(Event.GIVEN_UP if control.stop_now else Event.UPLINK_GONE)
+        if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
+            if control.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
                 index = min(index + 1, len(modes) - 1)
-                cockpit.ask_safe_mode(modes[: index + 1])
-            cockpit.vehicle.ask_mode(modes[index])
+                control.ask_safe_mode(modes[: index + 1])
+            control.vehicle.ask_mode(modes[index])
             next_ask = now + ASK_EVERY_S
-        state = cockpit.cycle()
-        if cockpit.machine.state is not FlightState.ASKING:
-            cockpit.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
+        state = control.cycle()
+        if control.machine.state is not FlightState.ASKING:
+            control.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
             return CopterMode(state.mode)
         if state.silence_s >= 1.0:
-            heard_again = cockpit.session.now_s()
+            heard_again = control.session.now_s()
         meanwhile()
 
 
-def let_go(cockpit: Cockpit, why: str) -> None:
+def let_go(control: FlightControl, why: str) -> None:
     """Into the abort mode from wherever the vehicle is ours."""
-    if cockpit.owned and cockpit.state.mode == CopterMode.GUIDED_NOGPS:
-        abort(cockpit, (why,))
-    elif cockpit.owned and cockpit.vehicle.armed and cockpit.state.mode == CopterMode.GUIDED:
-        insist(cockpit, abort_modes(cockpit.state), lambda: None)
+    if control.owned and control.state.mode == CopterMode.GUIDED_NOGPS:
+        abort(control, (why,))
+    elif control.owned and control.vehicle.armed and control.state.mode == CopterMode.GUIDED:
+        insist(control, abort_modes(control.state), lambda: None)
 
 
-def come_to_rest(cockpit: Cockpit) -> None:
+def come_to_rest(control: FlightControl) -> None:
     """Stay in the abort mode until it has stopped the vehicle: the next mode may not brake as hard (GUIDED takes 10 m to stop a climb of
     4 m/s, flown). Only where a position is known, and not for long: LAND does not come to rest in the air.
     """
-    deadline = cockpit.session.now_s() + REST_PATIENCE_S
-    while cockpit.session.now_s() < deadline and not cockpit.stop_asked:
-        state = cockpit.state
+    deadline = control.session.now_s() + REST_PATIENCE_S
+    while control.session.now_s() < deadline and not control.stop_asked:
+        state = control.state
         if state.mode != CopterMode.BRAKE or not state.position_ok or (state.speed_m_s or 0.0) < AT_REST_M_S:
             return
-        cockpit.cycle()
+        control.cycle()
 
 
 def enter(
-    cockpit: Cockpit, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
+    control: FlightControl, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
 ) -> bool:
     """Ask for a mode every 0.2 s until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
-    deadline = cockpit.session.now_s() + timeout_s
+    deadline = control.session.now_s() + timeout_s
     next_ask = -1.0
     while True:
-        now = cockpit.session.now_s()
-        if now >= next_ask and cockpit.state.mode_age_s < UNSEEN_S and cockpit.state.silence_s < UNHEARD_S:
-            cockpit.vehicle.ask_mode(mode)
+        now = control.session.now_s()
+        if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
+            control.vehicle.ask_mode(mode)
             next_ask = now + ASK_EVERY_S
-        state = cockpit.cycle()
+        state = control.cycle()
         if state.mode == mode and state.mode_age_s < UNSEEN_S:
             return True
         if now > deadline:
@@ -139,22 +139,22 @@ def enter(
             meanwhile()
 
 
-def enter_nogps(cockpit: Cockpit) -> bool:
+def enter_nogps(control: FlightControl) -> bool:
     """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle says that it is there: the mode keeps the last flight's
     throttle until the first target.
 
     Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
     """
-    asked_s = cockpit.session.now_s()
+    asked_s = control.session.now_s()
 
     def hover() -> None:
-        ack = cockpit.session.latest.get("COMMAND_ACK")
+        ack = control.session.latest.get("COMMAND_ACK")
         if ack is None or ack.t_s < asked_s:
             return
         if (ack.message.command, ack.message.result) == (book.MAV_CMD_DO_SET_MODE, book.MAV_RESULT_ACCEPTED):
-            cockpit.release()
+            control.release()
 
-    if not enter(cockpit, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
+    if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
         return False
-    cockpit.release()
+    control.release()
     return True

@@ -256,7 +256,7 @@ class ArduPilot:
     def steer(
         self, roll_rad: float, pitch_rad: float, yaw_rad: float, yaw_rate_rad_s: float | None, throttle: float
     ) -> None:
-        """Send one attitude target. Only the helm calls this: every target passes the gate first."""
+        """Send one attitude target. Only `FlightControl.steer` calls this: every target passes the gate first."""
         self.session.send(
             target_message(
                 t_vehicle_s=self.session.now_s(),

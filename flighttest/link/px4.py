@@ -20,7 +20,7 @@ CONNECT_S = 10.0
 
 
 class Px4:
-    """One PX4 vehicle. `offboard` and `action` are MAVSDK's plugins, or what stands in for them."""
+    """One PX4 vehicle. `offboard` and `action` are MAVSDK's plugins, or fakes of them."""
 
     def __init__(self, offboard: Any, action: Any, on_close: Callable[[], None] = lambda: None) -> None:
         self._offboard = offboard

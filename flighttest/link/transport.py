@@ -177,7 +177,7 @@ class TcpTransport:
             try:
                 view = view[self._socket.send(view) :]
             except BlockingIOError:
-                # Half a frame would spoil the next one: wait for room, or treat a stuck peer as gone.
+                # Half a frame would spoil the next one: wait for space, or treat a stuck peer as gone.
                 if not select.select([], [self._socket], [], 0.5)[1]:
                     self._lose()
             except OSError:

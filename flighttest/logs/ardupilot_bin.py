@@ -1,6 +1,6 @@
 """ArduPilot dataflash logs (.BIN) to a Recording: which message of which firmware gives which channel.
 
-The reference is GUIA (each SET_ATTITUDE_TARGET at its arrival). Where a log has none, the autopilot's own targets stand in for it and
+The reference is GUIA (each SET_ATTITUDE_TARGET at its arrival). Where a log has none, the autopilot's own targets are taken for it and
 `derived` says so. NED/FRD become NWU/FLU here and nowhere later.
 """
 

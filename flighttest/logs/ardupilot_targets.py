@@ -83,7 +83,7 @@ class Targets:
         parts = self._own("ref")
         for _, columns in parts:
             for name in columns:
-                self.derived[name] = "the autopilot's own target stands in for the reference: the log has no GUIA"
+                self.derived[name] = "the autopilot's own target is taken for the reference: the log has no GUIA"
         if throttle is not None:
             self.derived["throttle"] = "CTUN: the throttle the mode asked for, before tilt boost; the log has no GUIA"
             parts.append(throttle)

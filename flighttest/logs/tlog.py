@@ -73,7 +73,7 @@ def import_tlog(path: Path) -> Recording:
 
 
 def _with_targets(series: dict[str, Series], derived: dict[str, str]) -> tuple[dict[str, Series], dict[str, str]]:
-    """Where the ground's targets were not recorded, the autopilot's own stand in for them; `derived` says so."""
+    """Where the ground's targets were not recorded, the autopilot's own are taken for them; `derived` says so."""
     shaped, reference = series.get("shaped"), series.get("reference")
     if shaped is None or (reference is not None and "roll_ref_rad" in reference.columns):
         return series, derived
@@ -81,7 +81,7 @@ def _with_targets(series: dict[str, Series], derived: dict[str, str]) -> tuple[d
     parts = [(shaped.t_s, columns)]
     if reference is not None:
         parts.append((reference.t_s, dict(reference.columns)))
-    sentence = "the autopilot's own target stands in for the reference: no SET_ATTITUDE_TARGET was recorded"
+    sentence = "the autopilot's own target is taken for the reference: no SET_ATTITUDE_TARGET was recorded"
     return {**series, "reference": held_union(parts)}, {**derived, **dict.fromkeys(columns, sentence)}
 
 

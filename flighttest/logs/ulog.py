@@ -219,7 +219,7 @@ class _Importer:
             )
             parts.append((one.t_s, dict(one.columns)))
             self.derived["yaw_rate_ref_rad_s"] = (
-                "vehicle_rates_setpoint: the autopilot's own target stands in for the reference"
+                "vehicle_rates_setpoint: the autopilot's own target is taken for the reference"
             )
         if not parts:
             return None

@@ -34,7 +34,7 @@ def minutes_of(names: Sequence[str], stored: ModelFile, vehicle: Vehicle | None)
         script = load_script(resolve(name))
         plan = compile_plan(script, where, predictor)
         if plan.refusals:
-            # A stale or half-known model may find no room for a step: the time it takes is that of the usual vehicle.
+            # A stale or half-known model may find no space for a step: the time it takes is that of the usual vehicle.
             plan = compile_plan(script, where, predictor_for(None, where))
         found[name] = check_plan(plan).duration_s / 60.0
     return found

@@ -1,4 +1,4 @@
-"""From what the rooms found to what the pages show: the few numbers a picture needs are made here, never in `report`."""
+"""From what was found to what the pages show: the few numbers a picture needs are made here, never in `report`."""
 
 from __future__ import annotations
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flighttest.plan.batched import Request, Work, together
+from flighttest.plan.clearance import Clearance, Placement, box, place, worst
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, row_of, useful_s
 from flighttest.plan.free_flight import fly_waypoints
 from flighttest.plan.model import CellPlan, Leg, Phase, Plan, Predictor
 from flighttest.plan.rehearse import Rehearsal, reaction_s
 from flighttest.plan.remedy import remedy
-from flighttest.plan.room import Placement, Room, box, place, worst
-from flighttest.plan.together import Ask, Work, together
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
 from flighttest.vehicle.model import Vehicle
@@ -71,7 +71,7 @@ def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost
     )
     setting = Setting(
         predictor=predictor,
-        room=Room.of(zone, script.limits),
+        clearance=Clearance.of(zone, script.limits),
         voltages_v=(span[0] * (1.0 + VOLTAGE_DOUBT), span[1] * (1.0 - VOLTAGE_DOUBT)),
         hover_throttle=vehicle.hover_throttle,
         throttle=script.limits.throttle,
@@ -156,11 +156,11 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting) -> list[Pla
             order = [headings[(first + k) % len(headings)] for k in range(len(headings))]
             if f.cell.waypoints:
                 # A path says where it is; it is not moved.
-                excess = worst(f.nominal, f.lost, setting.room, np.zeros(3), fence=True)
-                alone = worst(f.nominal, f.lost, setting.room, np.zeros(3), fence=False)
+                excess = worst(f.nominal, f.lost, setting.clearance, np.zeros(3), fence=True)
+                alone = worst(f.nominal, f.lost, setting.clearance, np.zeros(3), fence=False)
                 cache[first] = Placement(f.cell.waypoints[0][1:], order[0], excess, fence=alone is not None)
             else:
-                cache[first] = place(f.nominal, f.lost, setting.room, wish, order, height)
+                cache[first] = place(f.nominal, f.lost, setting.clearance, wish, order, height)
         found.append(cache[first])
     return found
 
@@ -193,7 +193,7 @@ def _legs(
 ) -> Work[tuple[tuple[Leg, ...], dict[int, tuple[tuple[str, float, float], ...]]]]:
     flying = [slot for slot in slots if not fitted[slot.cell].cell.motors_off and not fitted[slot.cell].cell.waypoints]
     rows = [row_of(fitted[slot.cell].cell, fitted[slot.cell].lead, setting, slot.voltage_v) for slot in flying]
-    flown = (yield Ask(rows, STOP_STEP_S)) if rows else None
+    flown = (yield Request(rows, STOP_STEP_S)) if rows else None
     hover = setting.predictor.hover_throttle(np.array([slot.voltage_v for slot in slots])) if slots else np.zeros(0)
     at = {id(slot): j for j, slot in enumerate(flying)}
     stops: dict[int, tuple[tuple[str, float, float], ...]] = {}
@@ -310,6 +310,6 @@ def _notes(fitted: Sequence[Fitted], fenced: int, script: Script, setting: Setti
             f"{fenced} of {len(fitted)} steps drift past the zone's margin when the link is lost: the autopilot's fence has to stop them"
         )
     to = np.array(script.reset.to_m)
-    if bool(np.any(to < setting.room.inner_low - 1e-9) or np.any(to > setting.room.inner_high + 1e-9)):
+    if bool(np.any(to < setting.clearance.inner_low - 1e-9) or np.any(to > setting.clearance.inner_high + 1e-9)):
         notes.append("reset.to lies outside the zone or its margin: each step starts as near to it as it fits")
     return tuple(notes)

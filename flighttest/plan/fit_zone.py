@@ -1,4 +1,4 @@
-"""Fit one distinct step into the zone: shorten what may be shortened, find its stops and the room it takes.
+"""Fit one distinct step into the zone: shorten what may be shortened, find its stops and the space it needs.
 
 Everything is predicted at both ends of the battery's range, since a throttle step climbs most on a full battery and a descent
 falls most on an empty one; what is found holds for every repeat.
@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from flighttest.plan.batched import Request, Work
+from flighttest.plan.clearance import GATE_SLACK_M, Clearance, Track, box
 from flighttest.plan.model import FloatArray, Predictor
 from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, sample
-from flighttest.plan.room import GATE_SLACK_M, Room, Track, box
-from flighttest.plan.together import Ask, Work
 from flighttest.script.profiles import Cell, Piece
 
 # Six time constants of the paper's thrust lag: less than this after the delay shows nothing.
@@ -38,10 +38,10 @@ VERTICAL_STOP, GENTLE_STOP = STOP_SHARES, (0.7, 1.4)
 
 @dataclass(frozen=True)
 class Setting:
-    """What all cells share: the prior, the room, the battery's ends (V), hover throttle, bounds of throttle and speed."""
+    """What all cells share: the prior, where the vehicle may be, the battery's ends (V), hover throttle, bounds of throttle and speed."""
 
     predictor: Predictor
-    room: Room
+    clearance: Clearance
     voltages_v: tuple[float, ...]
     hover_throttle: float
     throttle: tuple[float, float]
@@ -116,13 +116,13 @@ def _has_start(f: Fitted, setting: Setting) -> bool:
     """Whether some height to start from (or the one asked for) keeps every track inside."""
     low, high = (corner[2] for corner in box(f.nominal))
     lost_low, lost_high = (corner[2] for corner in box(f.lost))
-    room = setting.room
-    lowest = max(room.inner_low[2] - low, room.outer_low[2] - lost_low)
-    highest = min(room.inner_high[2] - high, room.outer_high[2] - lost_high)
+    clearance = setting.clearance
+    lowest = max(clearance.inner_low[2] - low, clearance.outer_low[2] - lost_low)
+    highest = min(clearance.inner_high[2] - high, clearance.outer_high[2] - lost_high)
     reach_low = min(track.reach_m[0] for track in f.nominal)
     reach_high = max(track.reach_m[1] for track in f.nominal)
-    lowest = max(lowest, room.gate_m[0] + GATE_SLACK_M - reach_low)
-    highest = min(highest, room.gate_m[1] - GATE_SLACK_M - reach_high)
+    lowest = max(lowest, clearance.gate_m[0] + GATE_SLACK_M - reach_low)
+    highest = min(highest, clearance.gate_m[1] - GATE_SLACK_M - reach_high)
     start = lowest if f.cell.height_m is None else f.cell.height_m
     return bool(lowest - 1e-9 <= start <= highest + 1e-9)
 
@@ -207,26 +207,26 @@ def _slack(
             row = row_of(cell, lead, setting, voltage)
             # The two worst moments: at the end of what comes before the step, and at the end of the record.
             rows += [row, row.losing_link_at(row.lead_s), row.losing_link_at(row.lead_s - float(seconds))]
-    flown = yield Ask(rows, SEARCH_STEP_S, STOP_S, lost_heights=True)
+    flown = yield Request(rows, SEARCH_STEP_S, STOP_S, lost_heights=True)
     p = flown.motion.p_m.reshape(len(options), len(setting.voltages_v), 3, -1, 3)
     speed = np.linalg.norm(flown.motion.v_m_s.reshape(p.shape)[:, :, 0], axis=-1).max(axis=(1, 2))
-    room = setting.room
+    clearance = setting.clearance
     planned = p[:, :, 0]
     heights, gone = planned[..., 2], p[:, :, 1:, :, 2]
     low, high = heights.min(axis=(1, 2)), heights.max(axis=(1, 2))
     lost_low, lost_high = gone.min(axis=(1, 2, 3)), gone.max(axis=(1, 2, 3))
     reach_low = flown.reach_low_m.reshape(p.shape[:-1])[:, :, 0].min(axis=(1, 2))
     reach_high = flown.reach_high_m.reshape(p.shape[:-1])[:, :, 0].max(axis=(1, 2))
-    start_low = np.maximum(room.inner_low[2] - low, room.outer_low[2] - lost_low) + SLACK_M
-    start_high = np.minimum(room.inner_high[2] - high, room.outer_high[2] - lost_high) - SLACK_M
-    start_low = np.maximum(start_low, room.gate_m[0] + GATE_SLACK_M - reach_low)
-    start_high = np.minimum(start_high, room.gate_m[1] - GATE_SLACK_M - reach_high)
+    start_low = np.maximum(clearance.inner_low[2] - low, clearance.outer_low[2] - lost_low) + SLACK_M
+    start_high = np.minimum(clearance.inner_high[2] - high, clearance.outer_high[2] - lost_high) - SLACK_M
+    start_low = np.maximum(start_low, clearance.gate_m[0] + GATE_SLACK_M - reach_low)
+    start_high = np.minimum(start_high, clearance.gate_m[1] - GATE_SLACK_M - reach_high)
     heights = np.array([cells[option.cell].height_m or math.nan for option in options])
     start = np.where(np.isnan(heights), 0.5 * (start_low + start_high), heights)
     tall = np.minimum(start - start_low, start_high - start)
     flat_span = [np.ptp(planned[..., axis], axis=(1, 2)) for axis in (0, 1)]
     spread = np.sort(np.stack(flat_span, axis=1), axis=1)
-    flat = (np.sort((room.inner_high - room.inner_low)[:2]) - spread).min(axis=1)
+    flat = (np.sort((clearance.inner_high - clearance.inner_low)[:2]) - spread).min(axis=1)
     return np.asarray(np.minimum(np.minimum(tall, flat), setting.speed_max_m_s - speed))
 
 
@@ -248,7 +248,9 @@ def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Sett
     lost: list[list[Track]] = [[] for _ in cells]
     speed = [0.0 for _ in cells]
     flown = (
-        (yield Ask([row for _, row in rows], SEARCH_STEP_S, DRIFT_S + 0.5, GUID_TIMEOUT_S + DRIFT_S)) if rows else None
+        (yield Request([row for _, row in rows], SEARCH_STEP_S, DRIFT_S + 0.5, GUID_TIMEOUT_S + DRIFT_S))
+        if rows
+        else None
     )
     for j, (i, row) in enumerate(rows):
         assert flown is not None

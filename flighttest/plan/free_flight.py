@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from flighttest.plan.batched import Request, Work
+from flighttest.plan.clearance import Track
 from flighttest.plan.fit_zone import DRIFT_S, SEARCH_STEP_S, Fitted, Setting, track_of
 from flighttest.plan.rehearse import GUID_TIMEOUT_S, Row
-from flighttest.plan.room import Track
-from flighttest.plan.together import Ask, Work
 
 LOSS_EVERY_S = 1.0
 
@@ -21,7 +21,7 @@ def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> Work[list[Fitted]
     every = [row for some in rows for row in some]
     if not every:
         return []
-    flown = yield Ask(every, SEARCH_STEP_S, DRIFT_S, GUID_TIMEOUT_S + DRIFT_S)
+    flown = yield Request(every, SEARCH_STEP_S, DRIFT_S, GUID_TIMEOUT_S + DRIFT_S)
     tracks = [track_of(flown, j, row) for j, row in enumerate(every)]
     ends = np.cumsum([len(some) for some in rows]).tolist()
     return [_fitted(f, tracks[end - len(some) : end], setting) for f, some, end in zip(free, rows, ends, strict=True)]

@@ -67,7 +67,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class CellPlan:
-    """What was found for one distinct step: durations, start, stop, and the room it takes. `check` prints these.
+    """What was found for one distinct step: durations, start, stop, and the space it needs. `check` prints these.
 
     held_s: (name, length) of the pieces before and during the record, which begins with piece `recorded_from`; stops: (name, length,
     throttle or tilt); useful_s: record left after the delay of a step; low_m, high_m: corners of the predicted envelope about the

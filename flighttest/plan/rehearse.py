@@ -279,7 +279,7 @@ def steps_of(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: fl
 
 
 def rehearse(rows: Sequence[Row], predictor: Predictor, dt_s: float, after_s: float | None = None) -> Rehearsal:
-    """Fly all rows for as long as the longest needs (see `steps_of`), each from its start: the plain way. `plan.together` shares work."""
+    """Fly all rows for as long as the longest needs (see `steps_of`), each from its start: the plain way. `plan.batched` shares work."""
     steps = steps_of(rows, predictor, dt_s, after_s)
     policy = StopPolicy(rows, predictor, steps, dt_s)
     motion = predictor.fly(

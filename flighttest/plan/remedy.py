@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from flighttest.plan.batched import Work
+from flighttest.plan.clearance import Placement, box, place
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, recorded_s
-from flighttest.plan.room import Placement, box, place
-from flighttest.plan.together import Work
 
 SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 
@@ -20,7 +20,7 @@ def remedy(
         return "move the waypoints inwards, or lower speed_m_s"
     if f.cell.height_m is not None:
         wish = (wish_m[0], wish_m[1], placement.start_m[2])
-        free = place(f.nominal, f.lost, setting.room, wish, headings_rad)
+        free = place(f.nominal, f.lost, setting.clearance, wish, headings_rad)
         if free.excess is None:
             step = f.cell.height_m + free.start_m[2] - placement.start_m[2]
             return f"height_m {step:.1f} would fit"
@@ -29,13 +29,13 @@ def remedy(
         return fit
     # What the flight itself needs, or what it takes to be lost in.
     lost = placement.excess.lost
-    room = setting.room
+    clearance = setting.clearance
     low, high = box([*f.nominal, *f.lost] if lost else f.nominal)
     need = high - low
-    have = room.outer_high - room.outer_low if lost else room.inner_high - room.inner_low
+    have = clearance.outer_high - clearance.outer_low if lost else clearance.inner_high - clearance.inner_low
     axis = placement.excess.axis
     if float(have.min()) <= 0.0:
-        return "the zone with its margin and height_m leave no room at all: widen one of them"
+        return "the zone with its margin and height_m leave no space at all: widen one of them"
     words = "with the link lost it needs" if lost else "it needs"
     if axis == 2 and need[2] < have[2]:
         return (
@@ -56,7 +56,7 @@ def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], 
     for tried in (yield from fit_cells(shorter, setting)):
         if (
             tried.complaint
-            or place(tried.nominal, tried.lost, setting.room, wish_m, headings_rad, f.cell.height_m).excess
+            or place(tried.nominal, tried.lost, setting.clearance, wish_m, headings_rad, f.cell.height_m).excess
         ):
             continue
         return f"{recorded_s(tried.lead):.1f} s instead of {wanted:.1f} s would fit"

@@ -95,7 +95,7 @@ class Provenance:
 
     @property
     def polled(self) -> frozenset[str]:
-        """Channels that stand in for another and were read off the autopilot at the logger's own times, not stamped as they changed."""
+        """Channels taken for another, which were read off the autopilot at the logger's own times, not stamped as they changed."""
         return frozenset() if self.importer == "table" else frozenset(self.derived)
 
 

@@ -102,7 +102,7 @@ def test_a_lost_link_ends_the_leg_not_the_flight(run_dir: Path) -> None:
 
 
 def test_a_link_that_stays_away_is_an_outcome(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flighttest.flight.cockpit.GIVE_UP_AFTER_S", 5.0)
+    monkeypatch.setattr("flighttest.flight.control.GIVE_UP_AFTER_S", 5.0)
     link = FaultyLink(options())
     began = step_time(link)
     link.down = lambda t: bool(began) and t > began[0] + 0.1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flighttest.flight.gate import Refusal, refusals, releases, stop_throttles, stopping_heights, zone_room_m
+from flighttest.flight.gate import Refusal, refusals, releases, stop_throttles, stopping_heights, zone_clearance_m
 from flighttest.plan import AttitudeTarget
 from tests.flight.faulty import GATE, GOOD, LIMITS, TILTED
 
@@ -104,10 +104,12 @@ def test_a_stop_that_ends_beyond_the_wall_is_refused_before_the_wall_is_reached(
     assert refusals(TILTED, moving, GATE) == (Refusal.ZONE,)
     assert refusals(TILTED, replace(moving, velocity_m_s=(-6.0, 0.0, 0.0)), GATE) == ()
     reach = 6.0 * (GATE.reaction_s + moving.position_age_s) + 36.0 / (2 * GATE.brake_m_s2)
-    assert zone_room_m(moving, GATE) == pytest.approx(5.0 - reach)
-    assert zone_room_m(replace(moving, attitude_rad=(0.0, 0.4, 0.0)), GATE) < 5.0 - reach - 1.0, "it leans that way"
-    assert zone_room_m(replace(moving, attitude_rad=(0.0, -0.4, 0.0)), GATE) > 5.0 - reach + 1.0
-    assert zone_room_m(replace(moving, attitude_rad=None), GATE) == pytest.approx(5.0 - reach)
+    assert zone_clearance_m(moving, GATE) == pytest.approx(5.0 - reach)
+    assert zone_clearance_m(replace(moving, attitude_rad=(0.0, 0.4, 0.0)), GATE) < 5.0 - reach - 1.0, (
+        "it leans that way"
+    )
+    assert zone_clearance_m(replace(moving, attitude_rad=(0.0, -0.4, 0.0)), GATE) > 5.0 - reach + 1.0
+    assert zone_clearance_m(replace(moving, attitude_rad=None), GATE) == pytest.approx(5.0 - reach)
 
 
 def test_the_zone_turns_with_its_heading() -> None:

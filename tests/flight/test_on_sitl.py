@@ -46,7 +46,7 @@ def full_throttle(t_s: float) -> AttitudeTarget:
 
 CLIMBS = """format: maneuver/1
 name: climbs
-doc: the climbs that need most room
+doc: the climbs that need most space
 identifies: [sigma_t]
 mode: GUIDED_NOGPS
 rate_hz: 50

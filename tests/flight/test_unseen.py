@@ -31,7 +31,7 @@ def marked(link: FaultyLink, word: str, *, then: object = None) -> list[float]:
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flighttest.flight.cockpit.GIVE_UP_AFTER_S", 8.0)
+    monkeypatch.setattr("flighttest.flight.control.GIVE_UP_AFTER_S", 8.0)
 
 
 def asked(link: FaultyLink) -> list[tuple[float, int]]:

@@ -1,4 +1,4 @@
-"""Campaigns shared by the tests of this room."""
+"""Campaigns shared by the tests of this package."""
 
 import pytest
 

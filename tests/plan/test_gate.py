@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.flight.gate import GateLimits, stop_throttles, stopping_heights, zone_room_m
+from flighttest.flight.gate import GateLimits, stop_throttles, stopping_heights, zone_clearance_m
 from flighttest.plan.rehearse import sample
 
 
@@ -51,4 +51,4 @@ def test_the_gate_lets_the_plan_pass(planned, predictor, name):
                 attitude_rad=flown.rpy_rad[j, k],
                 position_age_s=0.02,
             )
-            assert zone_room_m(state, gate) > 0.0, leg.id
+            assert zone_clearance_m(state, gate) > 0.0, leg.id

@@ -1,4 +1,4 @@
-"""The bare client, as a fixture: tests of this room are no package."""
+"""The bare client, as a fixture: tests of this folder are no package."""
 
 import importlib.util
 from pathlib import Path

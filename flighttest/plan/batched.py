@@ -1,6 +1,6 @@
-"""Rehearsals of several plans flown together, and what begins alike flown once.
+"""Batched rehearsal: several plans flown at once, and what begins alike flown once.
 
-A plan is compiled by a generator that yields what it wants flown (`Ask`) and is sent the `Rehearsal`; nothing in it depends on who else
+A plan is compiled by a generator that yields what it wants flown (`Request`) and is sent the `Rehearsal`; nothing in it depends on who else
 asks. A row with the link lost is the row it comes from until then: with a predictor that can take a flight up again only the rest is flown.
 """
 
@@ -32,7 +32,7 @@ IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Ask:
+class Request:
     """Rows to be flown (see `rehearse`). lost_for_s: how long after the loss of its link a row is of interest; None: as all others;
     lost_heights: only heights are, after the loss and before it: the rest of such rows may be left at zero."""
 
@@ -43,7 +43,7 @@ class Ask:
     lost_heights: bool = False
 
 
-Work = Generator[Ask, Rehearsal, T]
+Work = Generator[Request, Rehearsal, T]
 
 
 def finish(work: Work[T], predictor: Predictor) -> T:
@@ -57,7 +57,7 @@ def together(works: Iterable[Work[T]], predictor: Predictor) -> list[T]:
     results: dict[int, T] = {}
     answers: dict[int, Rehearsal | None] = dict.fromkeys(running)
     while running:
-        asks: dict[int, Ask] = {}
+        asks: dict[int, Request] = {}
         for i, work in list(running.items()):
             answer = answers[i]
             try:
@@ -69,7 +69,7 @@ def together(works: Iterable[Work[T]], predictor: Predictor) -> list[T]:
     return [results[i] for i in sorted(results)]
 
 
-def flown(asks: Sequence[Ask], predictor: Predictor) -> list[Rehearsal]:
+def flown(asks: Sequence[Request], predictor: Predictor) -> list[Rehearsal]:
     """What was asked for, in order."""
     if not isinstance(predictor, BranchingPredictor):
         return [rehearse(ask.rows, predictor, ask.dt_s, ask.after_s) for ask in asks]
@@ -77,17 +77,17 @@ def flown(asks: Sequence[Ask], predictor: Predictor) -> list[Rehearsal]:
     for dt_s in {ask.dt_s for ask in asks}:
         wanted = [i for i, ask in enumerate(asks) if ask.dt_s == dt_s]
         made = {i: _Filling(asks[i], steps_of(asks[i].rows, predictor, dt_s, asks[i].after_s)) for i in wanted}
-        mothers = _mothers(made)
+        originals = _planned_rows(made)
         # What only goes up and down is flown apart: the predictor may know a shorter way for it.
         for straight in (True, False):
-            _fly([m for m in mothers if m.row.straight is straight], made, predictor, dt_s)
+            _fly([m for m in originals if m.row.straight is straight], made, predictor, dt_s)
         found |= made
     return [found[i].rehearsal(ask.dt_s) for i, ask in enumerate(asks)]
 
 
 @dataclass
-class _Mother:
-    """A row as planned: whose, for how many steps, its place in the answer (None: nobody asked for it) and those of its like that lose
+class _Planned:
+    """A row as planned: whose request, for how many steps, its place in the answer (None: nobody asked for it) and its like that lose
     the link."""
 
     ask: int
@@ -100,7 +100,7 @@ class _Mother:
 class _Filling:
     """An answer on its way."""
 
-    def __init__(self, ask: Ask, steps: int) -> None:
+    def __init__(self, ask: Request, steps: int) -> None:
         self.ask, self.steps = ask, steps
         n = len(ask.rows)
         self.p, self.v = (np.zeros((n, 3, steps + 1)).transpose(0, 2, 1) for _ in range(2))
@@ -113,64 +113,64 @@ class _Filling:
         return Rehearsal(motion, self.low, self.high, self.counter_s, self.vertical_s, self.throttle)
 
 
-def _mothers(made: dict[int, _Filling]) -> list[_Mother]:
-    found: list[_Mother] = []
+def _planned_rows(made: dict[int, _Filling]) -> list[_Planned]:
+    found: list[_Planned] = []
     for i, filling in made.items():
-        own: dict[int, _Mother] = {}
+        own: dict[int, _Planned] = {}
         for place, row in enumerate(filling.ask.rows):
-            mother = row.of or row
-            if id(mother) not in own:
-                own[id(mother)] = _Mother(i, mother, filling.steps, None, [])
-            if mother is row:
-                own[id(mother)].place = place
+            original = row.of or row
+            if id(original) not in own:
+                own[id(original)] = _Planned(i, original, filling.steps, None, [])
+            if original is row:
+                own[id(original)].place = place
             else:
-                own[id(mother)].lost.append(place)
+                own[id(original)].lost.append(place)
         found += own.values()
-    return sorted(found, key=lambda mother: -mother.steps)
+    return sorted(found, key=lambda original: -original.steps)
 
 
-def _fly(mothers: list[_Mother], made: dict[int, _Filling], predictor: BranchingPredictor, dt_s: float) -> None:
-    if not mothers:
+def _fly(originals: list[_Planned], made: dict[int, _Filling], predictor: BranchingPredictor, dt_s: float) -> None:
+    if not originals:
         return
-    rows = [mother.row for mother in mothers]
-    policy = StopPolicy(rows, predictor, mothers[0].steps, dt_s)
+    rows = [original.row for original in originals]
+    policy = StopPolicy(rows, predictor, originals[0].steps, dt_s)
     trail = predictor.fly_each(
         np.array([row.start_m for row in rows], dtype=float),
         np.array([row.yaw_rad for row in rows], dtype=float),
         np.array([row.voltage_v for row in rows], dtype=float),
         policy,
-        np.array([mother.steps for mother in mothers], dtype=np.intp),
+        np.array([original.steps for original in originals], dtype=np.intp),
         dt_s,
     )
     motion = trail.motion
     low, high = reach(motion, policy.sent.T, policy.hover, reaction_s(predictor))
-    for j, mother in enumerate(mothers):
-        if mother.place is None:
+    for j, original in enumerate(originals):
+        if original.place is None:
             continue
-        into, place, end = made[mother.ask], mother.place, mother.steps + 1
+        into, place, end = made[original.ask], original.place, original.steps + 1
         into.p[place], into.v[place] = motion.p_m[j, :end], motion.v_m_s[j, :end]
         into.low[place], into.high[place] = low[j, :end], high[j, :end]
         into.counter_s[place], into.vertical_s[place] = policy.counter_s[j], policy.vertical_s[j]
         into.throttle[place] = policy.vertical_throttle[j]
-    _lose_links(mothers, trail, policy, made, predictor, dt_s)
+    _lose_links(originals, trail, policy, made, predictor, dt_s)
 
 
 def _lose_links(
-    mothers: list[_Mother],
+    originals: list[_Planned],
     trail: Trail,
     policy: StopPolicy,
     made: dict[int, _Filling],
     predictor: BranchingPredictor,
     dt_s: float,
 ) -> None:
-    branches: list[tuple[int, int, int, int, _Filling, int]] = []  # steps, mother, at, held, into, place
-    for j, mother in enumerate(mothers):
-        into = made[mother.ask]
-        for place in mother.lost:
+    branches: list[tuple[int, int, int, int, _Filling, int]] = []  # steps, original, at, held, into, place
+    for j, original in enumerate(originals):
+        into = made[original.ask]
+        for place in original.lost:
             lost_s = into.ask.rows[place].lost_s
-            begin = min(math.ceil((lost_s - 1e-9) / dt_s), mother.steps)
+            begin = min(math.ceil((lost_s - 1e-9) / dt_s), original.steps)
             wait = math.ceil((lost_s + GUID_TIMEOUT_S - 1e-9) / dt_s) - begin
-            left = mother.steps - begin
+            left = original.steps - begin
             if into.ask.lost_for_s is not None:
                 left = min(left, math.ceil(into.ask.lost_for_s / dt_s) + 1)
             branches.append((left, j, begin, wait, into, place))

@@ -5,9 +5,9 @@ import pytest
 
 from flighttest.pipeline.checking import predictor_for
 from flighttest.plan import compile_plan, compile_plans
+from flighttest.plan.batched import Request, flown
 from flighttest.plan.model import BranchingPredictor
 from flighttest.plan.rehearse import Row, rehearse
-from flighttest.plan.together import Ask, flown
 from flighttest.script.load import load_script
 from flighttest.script.profiles import Piece
 from flighttest.script.shipped import resolve
@@ -45,7 +45,7 @@ def test_links_lost_on_the_way_give_the_flights_that_losing_them_from_the_start_
     ):
         rows += [row, *(row.losing_link_at(t) for t in (0.0, 0.37, 0.8, row.lead_s, row.lead_s + 0.31))]
     apart = rehearse(rows, Plain(PRIOR), 0.04)
-    (together,) = flown([Ask(rows, 0.04)], PRIOR)
+    (together,) = flown([Request(rows, 0.04)], PRIOR)
     np.testing.assert_allclose(together.motion.p_m, apart.motion.p_m, atol=1e-9)
     np.testing.assert_allclose(together.motion.v_m_s, apart.motion.v_m_s, atol=1e-9)
     planned = [i for i, row in enumerate(rows) if row.of is None]
@@ -58,10 +58,10 @@ def test_links_lost_on_the_way_give_the_flights_that_losing_them_from_the_start_
 
 def test_who_else_asks_changes_nothing():
     asks = [
-        Ask([throttle(0.1, 0.3, 0.5, r, 24.5), throttle(0.1, 0.3, 0.5, r, 24.5).losing_link_at(0.9)], 0.04, s)
+        Request([throttle(0.1, 0.3, 0.5, r, 24.5), throttle(0.1, 0.3, 0.5, r, 24.5).losing_link_at(0.9)], 0.04, s)
         for r, s in ((0.6, None), (1.4, 1.0))
     ]
-    asks.append(Ask([tilt(0.3, 22.0)], 0.04))
+    asks.append(Request([tilt(0.3, 22.0)], 0.04))
     for alone, among in zip(asks, flown(asks, PRIOR), strict=True):
         (single,) = flown([alone], PRIOR)
         assert single.motion.p_m.shape == among.motion.p_m.shape

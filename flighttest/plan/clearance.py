@@ -1,4 +1,4 @@
-"""The room a step takes, and where in the zone it can start: boxes about the start, rotated by heading, with the link lost too."""
+"""The space a step needs, and where in the zone it can start: boxes about the start, rotated by heading, with the link lost too."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AXIS_WORDS = ("along the zone", "across the zone", "in height")
 
 
 @dataclass(frozen=True)
-class Room:
+class Clearance:
     """Where the vehicle may be: inner box for the flight as planned, outer for a lost link; (3,) low and high, zone frame.
 
     gate_m: (low, high) heights the gate allows, counting where the supervisor's stop would end.
@@ -34,7 +34,7 @@ class Room:
     gate_m: tuple[float, float]
 
     @classmethod
-    def of(cls, zone: Zone, limits: Limits) -> Room:
+    def of(cls, zone: Zone, limits: Limits) -> Clearance:
         """The zone with its margin, cut to the script's heights; a script's own floor replaces the zone's."""
         low = np.array([zone.x_m[0], zone.y_m[0], zone.z_m[0]])
         high = np.array([zone.x_m[1], zone.y_m[1], zone.z_m[1]])
@@ -75,7 +75,7 @@ def turning(angle_rad: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Excess:
-    """By how much a flight leaves its room: metres, seconds from the leg's start, which axis and side, and when: as planned, with
+    """By how much a flight leaves where it may be: metres, seconds from the leg's start, which axis and side, and when: as planned, with
     the link lost, or stopped by the supervisor."""
 
     metres: float
@@ -119,12 +119,12 @@ def box(tracks: list[Track]) -> tuple[FloatArray, FloatArray]:
 def place(
     nominal: list[Track],
     lost: list[Track],
-    room: Room,
+    clearance: Clearance,
     wish_m: tuple[float, float, float],
     headings_rad: list[float],
     height_m: float | None = None,
 ) -> Placement:
-    """A start near the wish from which every flight stays in its room, under the first heading that allows one.
+    """A start near the wish from which every flight stays where it may be, under the first heading that allows one.
 
     headings_rad: relative to the zone's x axis, in order of preference. height_m: start height, where it is not free.
     """
@@ -132,7 +132,7 @@ def place(
     flights = _Flights(nominal, lost)
     # A heading under which even a lost link stays inside by itself goes before one that needs the fence.
     for heading, fence in [(heading, fence) for fence in (False, True) for heading in headings_rad]:
-        found = _place(flights, room, wish_m, heading, height_m, fence)
+        found = _place(flights, clearance, wish_m, heading, height_m, fence)
         if found.excess is None:
             return found
         if best is None or best.excess is None or found.excess.metres < best.excess.metres:
@@ -156,23 +156,26 @@ class _Flights:
             self._boxes[heading_rad] = [(p.min(axis=1), p.max(axis=1)) for p in turned]
         return self._boxes[heading_rad]
 
-    def worst(self, room: Room, start: FloatArray, heading_rad: float, fence: bool) -> Excess | None:
+    def worst(self, clearance: Clearance, start: FloatArray, heading_rad: float, fence: bool) -> Excess | None:
         """See `worst`. What stays inside by its boxes needs no closer look."""
         (low, high), (lost_low, lost_high) = self.boxes(heading_rad)
         outside = max(
-            float(np.max([room.inner_low - start - low, start + high - room.inner_high])),
-            float(np.max([room.outer_low - start - lost_low, start + lost_high - room.outer_high])),
+            float(np.max([clearance.inner_low - start - low, start + high - clearance.inner_high])),
+            float(np.max([clearance.outer_low - start - lost_low, start + lost_high - clearance.outer_high])),
         )
         below, above = _reach(self.nominal)
-        if max(outside, room.gate_m[0] - start[2] - below, start[2] + above - room.gate_m[1]) <= 0.5 * ROUNDING_M:
+        if (
+            max(outside, clearance.gate_m[0] - start[2] - below, start[2] + above - clearance.gate_m[1])
+            <= 0.5 * ROUNDING_M
+        ):
             return None
         turned = [[track.turned(heading_rad) for track in some] for some in (self.nominal, self.lost)]
-        return worst(turned[0], turned[1], room, start, fence)
+        return worst(turned[0], turned[1], clearance, start, fence)
 
 
 def _place(
     flights: _Flights,
-    room: Room,
+    clearance: Clearance,
     wish_m: tuple[float, float, float],
     heading: float,
     height_m: float | None,
@@ -180,13 +183,13 @@ def _place(
 ) -> Placement:
     (low, high), (lost_low, lost_high) = flights.boxes(heading)
     # Starts that keep the flight as planned inside, and those that contain a lost link without a fence as well.
-    from_inner, to_inner = room.inner_low - low, room.inner_high - high
+    from_inner, to_inner = clearance.inner_low - low, clearance.inner_high - high
     reach = _reach(flights.nominal)
-    from_inner[2] = max(from_inner[2], room.gate_m[0] + GATE_SLACK_M - reach[0])
-    to_inner[2] = min(to_inner[2], room.gate_m[1] - GATE_SLACK_M - reach[1])
+    from_inner[2] = max(from_inner[2], clearance.gate_m[0] + GATE_SLACK_M - reach[0])
+    to_inner[2] = min(to_inner[2], clearance.gate_m[1] - GATE_SLACK_M - reach[1])
     from_outer, to_outer = (
-        np.maximum(from_inner, room.outer_low - lost_low),
-        np.minimum(to_inner, room.outer_high - lost_high),
+        np.maximum(from_inner, clearance.outer_low - lost_low),
+        np.minimum(to_inner, clearance.outer_high - lost_high),
     )
     candidates: list[list[float]] = []
     for axis in range(3):
@@ -205,7 +208,7 @@ def _place(
     for x in candidates[0]:
         for y in candidates[1]:
             start = np.array([x, y, candidates[2][0]])
-            excess = flights.worst(room, start, heading, fence)
+            excess = flights.worst(clearance, start, heading, fence)
             found = Placement((float(x), float(y), float(start[2])), heading, excess, fence)
             if excess is None:
                 return found
@@ -215,24 +218,29 @@ def _place(
     return best
 
 
-def worst(nominal: list[Track], lost: list[Track], room: Room, start: FloatArray, fence: bool) -> Excess | None:
-    """The largest excess of flights that start there (already turned), None when all stay in their room.
+def worst(
+    nominal: list[Track], lost: list[Track], clearance: Clearance, start: FloatArray, fence: bool
+) -> Excess | None:
+    """The largest excess of flights that start there (already turned), None when all stay where they may be.
 
     fence: sideways, a fence at the inner line may brake a vehicle whose link is lost.
     """
     found: Excess | None = None
     for track in nominal:
-        over = _beyond(track.p_m + start, room.inner_low, room.inner_high)
+        over = _beyond(track.p_m + start, clearance.inner_low, clearance.inner_high)
         found = _larger(found, _excess(track, over, lost=False))
     below, above = _reach(nominal)
-    for metres, high in ((room.gate_m[0] - start[2] - below, False), (start[2] + above - room.gate_m[1], True)):
+    for metres, high in (
+        (clearance.gate_m[0] - start[2] - below, False),
+        (start[2] + above - clearance.gate_m[1], True),
+    ):
         if metres > ROUNDING_M:
             found = _larger(found, Excess(float(metres), 0.0, 2, high, lost=False, stopped=True))
     for track in lost:
         p = track.p_m + start
-        over = _beyond(p, room.outer_low, room.outer_high)
+        over = _beyond(p, clearance.outer_low, clearance.outer_high)
         # Sideways the fence brakes at the inner line: what counts is where that stops the vehicle. Before it, nothing does.
-        stop = _beyond(p, room.inner_low, room.inner_high)
+        stop = _beyond(p, clearance.inner_low, clearance.inner_high)
         for axis in (0, 1) if fence else ():
             for side in (0, 1):
                 crossed = stop[:, axis, side] > 0.0
@@ -240,9 +248,9 @@ def worst(nominal: list[Track], lost: list[Track], room: Room, start: FloatArray
                     k = int(np.argmax(crossed))
                     speed = max(0.0, float(track.v_m_s[k, axis]) * (1.0 if side else -1.0))
                     margin = float(
-                        room.outer_high[axis] - room.inner_high[axis]
+                        clearance.outer_high[axis] - clearance.inner_high[axis]
                         if side
-                        else room.inner_low[axis] - room.outer_low[axis]
+                        else clearance.inner_low[axis] - clearance.outer_low[axis]
                     )
                     over[:, axis, side] = np.minimum(over[:, axis, side], speed**2 / (2.0 * BRAKE_M_S2) - margin)
         found = _larger(found, _excess(track, over, lost=True))

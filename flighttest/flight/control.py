@@ -1,4 +1,4 @@
-"""The cockpit: one cycle of the flight, and the helm, the only place from which an attitude target leaves.
+"""`FlightControl`: one cycle of the flight, and `steer`, the only place from which an attitude target leaves.
 
 The pilot always wins: from the HEARTBEAT on that shows a mode nobody here asked for nothing is sent, and the second one ends the flight.
 """
@@ -10,8 +10,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from flighttest.flight.changes import Meddling
-from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_room_m
+from flighttest.flight.changes import ExternalChanges
+from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_clearance_m
 from flighttest.flight.machine import Event, FlightState, Machine
 from flighttest.flight.outcome import FlightProgress, OnProgress
 from flighttest.flight.recorder import Recorder
@@ -56,7 +56,7 @@ class Doubt:
     overtaken: int
 
 
-class Cockpit:
+class FlightControl:
     """Everything a flying procedure needs. `cycle` lets one period pass; `steer` sends one target or says why not."""
 
     def __init__(
@@ -67,7 +67,7 @@ class Cockpit:
         *,
         rate_hz: float,
         stops: Stops,
-        meddling: Meddling,
+        external_changes: ExternalChanges,
         on_progress: OnProgress | None = None,
     ) -> None:
         self.vehicle = vehicle
@@ -79,7 +79,7 @@ class Cockpit:
         self.state: VehicleState = self.reader.read()
         self.hover_throttle = gate.hover_throttle
         self._stops = stops
-        self.meddling = meddling
+        self.external_changes = external_changes
         self._on_progress = on_progress
         self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
         self._next_progress_s = -math.inf
@@ -125,7 +125,7 @@ class Cockpit:
         if not self.machine.ours:
             return
         if message.get_type() == "PARAM_VALUE":
-            text = self.meddling.look(message.param_id, float(message.param_value))
+            text = self.external_changes.look(message.param_id, float(message.param_value))
             if text:
                 self.recorder.event("note", text, t_s)
         if message.get_type() != "HEARTBEAT":
@@ -210,14 +210,14 @@ class Cockpit:
     @property
     def stop_asked(self) -> bool:
         """Whether the flight is to end in order: the operator wants it, nothing can be recorded, or the vehicle was set up anew."""
-        return self._stops.orderly or bool(self.recorder.failure) or bool(self.meddling.vital)
+        return self._stops.orderly or bool(self.recorder.failure) or bool(self.external_changes.vital)
 
     @property
     def stop_reason(self) -> str:
         """Why, as a sentence."""
         if self.recorder.failure:
             return f"the record cannot be written: {self.recorder.failure}"
-        return self.meddling.vital[0] if self.meddling.vital else "the operator asked to stop"
+        return self.external_changes.vital[0] if self.external_changes.vital else "the operator asked to stop"
 
     @property
     def stop_now(self) -> bool:
@@ -283,14 +283,14 @@ class Cockpit:
         if span > 2.0:
             self._counts = (now, dict(self.session.counts))
         state = self.state
-        room = math.nan
+        clearance = math.nan
         if state.position_m is not None and state.velocity_m_s is not None:
-            room = zone_room_m(state, self.gate)
+            clearance = zone_clearance_m(state, self.gate)
         self._on_progress(
             replace(
                 self._progress,
                 t_s=now,
-                zone_margin_m=room,
+                zone_margin_m=clearance,
                 height_m=state.height_m if state.height_m is not None else math.nan,
                 speed_m_s=state.speed_m_s if state.speed_m_s is not None else math.nan,
                 voltage_v=state.voltage_v if state.voltage_v is not None else math.nan,

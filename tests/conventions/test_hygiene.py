@@ -1,4 +1,4 @@
-"""Rules of the house that a machine can check."""
+"""Conventions that a machine can check."""
 
 import ast
 from pathlib import Path
