@@ -86,7 +86,7 @@ class Flown:
 
 
 def script(names: Sequence[str]) -> str:
-    """Shipped scripts as one, every step once, with more air below and above, so that no draw of a vehicle lacks room."""
+    """Shipped scripts as one, every step once, with more air below and above, so that no draw of a vehicle lacks space."""
     parts = [yaml.safe_load(resolve(name).read_text(encoding="utf-8")) for name in names]
     data = dict(parts[0])
     data["steps"] = [step for part in parts for step in part["steps"]]

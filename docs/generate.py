@@ -23,6 +23,9 @@ from flighttest.script.load import load_script
 from flighttest.script.profiles import PROFILES, Duration, Field
 from flighttest.script.shipped import resolve, shipped_names
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import words
+
 DOCS = Path(__file__).resolve().parent
 BLOCK = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -172,9 +175,27 @@ BLOCKS: dict[str, Callable[[], str]] = {
 }
 
 
+def glossary() -> str:
+    """docs/glossary.md: every concept by its one name."""
+    rows = [f"| {e.term} | {e.meaning} | `flighttest/{e.where}` | {e.source} |" for e in words.GLOSSARY]
+    return "\n".join(
+        [
+            "# Glossary",
+            "",
+            "One name per concept, as in the field's textbooks. Generated from `docs/words.py` by `make docs`; tests hold the code to it:",
+            "each term stands in the module that is about it, and words that were replaced do not come back.",
+            "",
+            "| term | what it is | where | source |",
+            "|---|---|---|---|",
+            *rows,
+            "",
+        ]
+    )
+
+
 def pages() -> dict[Path, str]:
     """Every page with generated parts, as it should be."""
-    wanted = {DOCS / "cli.md": commands()}
+    wanted = {DOCS / "cli.md": commands(), DOCS / "glossary.md": glossary()}
     for page in sorted(DOCS.glob("*.md")):
         text = page.read_text(encoding="utf-8")
         if BLOCK.search(text):

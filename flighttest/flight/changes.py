@@ -1,4 +1,5 @@
-"""Parameters that are set for a flight: verified when set, put back when it is over; and those that somebody else sets meanwhile."""
+"""Parameters that are set for a flight: verified when set, put back when it is over; and every
+external parameter change meanwhile."""
 
 from __future__ import annotations
 

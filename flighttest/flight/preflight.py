@@ -28,7 +28,7 @@ _LOG_NEEDED = {
 }
 _FENCE_BRAKE = 4
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
-_FENCE_ROOM_M = 10.0  # between the zone and a fence that is still one for it
+_FENCE_MARGIN_M = 10.0  # between the zone and a fence that is still one for it
 _FENCE_LEAST_M = 30.0  # the smallest circle the firmware is meant for
 _FS_CONTINUE_GUIDED = 4
 _RC_IGNORED = 1
@@ -232,14 +232,14 @@ def _safety(s: Situation) -> list[Check]:
     reach = max(math.ceil(_corner_m(s.plan)) + 1.0, _FENCE_LEAST_M)
     kinds = int(s.value("FENCE_TYPE") or 0)
     # A circle is about home; one about a zone elsewhere is the pilot's to draw.
-    near = _drawn(s) or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _FENCE_ROOM_M
+    near = _drawn(s) or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _FENCE_MARGIN_M
     good = (
         int(s.value("FENCE_ENABLE") or 0) == 1
         and kinds & _FENCE_ALTITUDE
         and (kinds & _FENCE_CIRCLE or _drawn(s))
         and near
         and int(s.value("FENCE_ACTION") or 0) == _FENCE_BRAKE
-        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _FENCE_ROOM_M
+        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _FENCE_MARGIN_M
     )
     if not good:
         wanted_fence = {

@@ -1,4 +1,4 @@
-"""What happens when a target was refused: let go in the same cycle, ask for the abort mode, never fall silent until it is there."""
+"""The supervisor, when a target was refused: let go in the same cycle, ask for the abort mode, never fall silent until it is there."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def write_recording(run_dir: Path, recording: Recording) -> None:
         _write_recording(run_dir, recording)
     except OSError:
         for part in (*run_dir.glob("*.part"), *(run_dir / CHANNELS_DIR).glob("*.part")):
-            part.unlink()  # half a file takes the room that a full disk does not have
+            part.unlink()  # half a file takes the space that a full disk does not have
         raise
 
 

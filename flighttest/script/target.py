@@ -1,4 +1,4 @@
-"""`AttitudeTarget`: what is asked of the vehicle at one moment."""
+"""The attitude target: what is asked of the vehicle at one moment."""
 
 from __future__ import annotations
 

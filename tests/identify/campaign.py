@@ -25,7 +25,7 @@ NOISE = {
 }
 QUIET = dict.fromkeys(NOISE, 0.0)
 COMBINATIONS = [*product((0.05, 0.10, 0.15), (0.20, 0.25, 0.30, 0.35, 0.40)), (0.20, 0.10), (0.25, 0.10), (0.30, 0.10)]
-RECORD_S = {0.2: 2.0, 0.25: 1.2, 0.3: 0.9, 0.35: 0.7, 0.4: 0.55, 0.1: 1.0}  # what the paper's zone leaves room for
+RECORD_S = {0.2: 2.0, 0.25: 1.2, 0.3: 0.9, 0.35: 0.7, 0.4: 0.55, 0.1: 1.0}  # what fits into the paper's zone
 Refs = Mapping[str, list[tuple[float, float]]]
 DT = 1e-3
 BEFORE = 0.4

@@ -341,7 +341,7 @@ def test_a_program_hears_of_an_interrupt(call, monkeypatch, flight_csv):
     assert "stopped" in json.loads(out)["error"]["message"]
 
 
-def test_what_to_fly_takes_time_also_where_the_model_finds_no_room(call, model, tmp_path):
+def test_what_to_fly_takes_time_also_where_the_model_finds_no_space(call, model, tmp_path):
     data = yaml.safe_load(model.read_text())
     data["parameters"]["K"]["value"] *= 4.0  # nonsense, with which no throttle step of the script stays in the zone
     (tmp_path / "odd.yaml").write_text(yaml.safe_dump(data))

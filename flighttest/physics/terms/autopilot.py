@@ -199,11 +199,11 @@ def _turn_axes(s: Signals, p: Values, _x: Values) -> Contribution:
     sin_roll, cos_roll, cos_pitch = _bank(s)
     turn = (s.rates[1] * sin_roll + s.rates[2] * cos_roll) / cos_pitch
     # The rate that goes with the target is turned by the whole target attitude, heading included; a turn about the vertical needs the row.
-    stray = turn * (s.rotation[:2, 2] - s.rotation[2, :2].T)
+    added = turn * (s.rotation[:2, 2] - s.rotation[2, :2].T)
     return Contribution(
         {
-            "roll_ref": s.roll_ref + p["turn_axes_s"] * (stray[0] - s.rotation[2, 0] / cos_pitch * sin_roll * stray[1]),
-            "pitch_ref": s.pitch_ref + p["turn_axes_s"] * cos_roll * stray[1],
+            "roll_ref": s.roll_ref + p["turn_axes_s"] * (added[0] - s.rotation[2, 0] / cos_pitch * sin_roll * added[1]),
+            "pitch_ref": s.pitch_ref + p["turn_axes_s"] * cos_roll * added[1],
         }
     )
 
@@ -215,7 +215,7 @@ turn_axes = Term(
     port=Port.REFERENCE,
     params=(
         Param(
-            "turn_axes_s", "t_x", "s", 0.15, -0.6, 0.6, 0.03, "time for which the stray rate acts on the shaped target",
+            "turn_axes_s", "t_x", "s", 0.15, -0.6, 0.6, 0.03, "time for which the added rate acts on the shaped target",
             "ATC_INPUT_TC, 0.15 s by default", one_sided=True,
         ),
     ),

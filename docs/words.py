@@ -1,0 +1,225 @@
+"""The words of this project: one name per concept (`GLOSSARY`, written to docs/glossary.md), and the words that are gone (`GONE`).
+
+Tests hold the code to both: every term of the glossary stands in the module that it names, and no word that is gone comes back.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Entry(NamedTuple):
+    """One concept. where: the module that is about it, in which the term stands; source: where the name is from."""
+
+    term: str
+    meaning: str
+    where: str
+    source: str = ""
+
+
+TISCHLER = "Tischler & Remple, Aircraft and Rotorcraft System Identification, 2012"
+LJUNG = "Ljung, System Identification, 1999"
+
+GLOSSARY = (
+    Entry(
+        "attitude target",
+        "roll, pitch, yaw rate and throttle asked of the autopilot at one moment",
+        "script/target.py",
+        "MAVLink SET_ATTITUDE_TARGET",
+    ),
+    Entry("batched rehearsal", "predicted flights of many steps integrated together", "plan/batched.py"),
+    Entry(
+        "best subsets",
+        "the sets of candidate terms with the largest marginal likelihood",
+        "diagnose/subsets.py",
+        "Miller, Subset Selection in Regression, 2002",
+    ),
+    Entry(
+        "cell",
+        "the setting that repeats of a step share (amplitude, throttles)",
+        "segments/model.py",
+        "design of experiments",
+    ),
+    Entry("channel", "one measured quantity: name, unit, frame", "channels.py"),
+    Entry("clearance", "where in the zone a step can be flown, its stop and a lost link included", "plan/clearance.py"),
+    Entry("column map", "which column of a foreign table is which channel", "logs/columns.py"),
+    Entry(
+        "CR2",
+        "cluster-robust covariance with a small-sample correction",
+        "estimation/covariance.py",
+        "Bell & McCaffrey 2002",
+    ),
+    Entry(
+        "cross-validated",
+        "a model judged on groups of responses that were not used to fit it",
+        "diagnose/comparison.py",
+        "Stone 1974",
+    ),
+    Entry(
+        "CUSUM",
+        "sum of standardised changes over runs, for slow drift",
+        "currency/sequence.py",
+        "Page 1954; self-starting: Hawkins 1987",
+    ),
+    Entry(
+        "delay",
+        "time from sending a reference to its first effect (dead time), one per channel",
+        "physics/body.py",
+        LJUNG,
+    ),
+    Entry(
+        "external parameter change", "a vehicle parameter that somebody else set during a flight", "flight/changes.py"
+    ),
+    Entry("fingerprint", "components, firmware and parameters that a model is valid for", "vehicle/fingerprint.py"),
+    Entry(
+        "Fisher information",
+        "what a planned flight would make known, before it is flown",
+        "identify/expected.py",
+        LJUNG,
+    ),
+    Entry("free flight", "recorded flight without separate steps, used in windows", "segments/cut.py"),
+    Entry("gate", "decides for each target whether it may leave; drops, never clamps", "flight/gate.py"),
+    Entry(
+        "Gauss-Newton",
+        "the iteration of every estimate, damped and within bounds",
+        "estimation/gauss_newton.py",
+        "Levenberg 1944, Marquardt 1963",
+    ),
+    Entry(
+        "identifiable",
+        "whether the data make a parameter known (identifiability)",
+        "identify/identifiability.py",
+        LJUNG,
+    ),
+    Entry(
+        "integrated autocorrelation time",
+        "samples that count as one in a correlated residual",
+        "diagnose/discrepancy.py",
+        "Sokal 1997",
+    ),
+    Entry(
+        "lack of fit",
+        "error that repeats of a cell have in common",
+        "diagnose/discrepancy.py",
+        "Draper & Smith, Applied Regression Analysis",
+    ),
+    Entry(
+        "Laplace approximation",
+        "a marginal likelihood by its second derivatives at the maximum",
+        "diagnose/subsets.py",
+        "Tierney & Kadane 1986",
+    ),
+    Entry("leg", "one response to be flown: start, profile, phases", "plan/model.py"),
+    Entry("linearisation", "whitened residuals and Jacobian at an optimum", "estimation/linearisation.py", TISCHLER),
+    Entry("maneuver", "steps of one kind in a script", "script/model.py", TISCHLER),
+    Entry(
+        "marginal likelihood",
+        "probability of the data under a model, parameters integrated out",
+        "diagnose/subsets.py",
+        "MacKay 1992",
+    ),
+    Entry(
+        "minimum detectable effect",
+        "the smallest size of a term that the data would have shown",
+        "diagnose/detectability.py",
+        "Bloom 1995",
+    ),
+    Entry(
+        "model discrepancy",
+        "what an equation gets wrong, as a random effect",
+        "diagnose/discrepancy.py",
+        "Kennedy & O'Hagan 2001",
+    ),
+    Entry("noise floor", "error that no model can remove: the difference between repeats", "diagnose/lack_of_fit.py"),
+    Entry(
+        "nuisance parameter",
+        "initial state and disturbance of one response, eliminated before anything is compared",
+        "estimation/linearisation.py",
+        TISCHLER,
+    ),
+    Entry(
+        "onset",
+        "time between an applied input and the first observed change; the paper's estimate of the delay",
+        "identify/onset.py",
+        "paper, section 3",
+    ),
+    Entry("open loop", "a model driven by recorded inputs alone", "identify/validate.py", TISCHLER),
+    Entry("parameter", "a number of a term: symbol, unit, bounds, source", "physics/core.py"),
+    Entry("port", "where a term acts in the chain from reference to measurement", "physics/core.py"),
+    Entry("prior model", "the model that predicts a flight before it is flown", "pipeline/predictor.py"),
+    Entry("profile", "the course of targets within a step", "script/profiles/declare.py"),
+    Entry(
+        "recording", "channels of one flight on the vehicle's clock, with marks and provenance", "recording/model.py"
+    ),
+    Entry("reference", "what was commanded, held until the next sample", "channels.py", LJUNG),
+    Entry("response", "what the vehicle did after a step: the unit that is fitted", "segments/model.py"),
+    Entry(
+        "Satterthwaite",
+        "degrees of freedom of a variance estimated from few clusters",
+        "estimation/covariance.py",
+        "Satterthwaite 1946",
+    ),
+    Entry(
+        "Schur complement",
+        "how nuisance parameters are eliminated from normal equations",
+        "estimation/linearisation.py",
+    ),
+    Entry(
+        "sparse regression",
+        "residual regression: the shape of what no catalogue entry fits, as few functions of the state",
+        "diagnose/residual_regression.py",
+        "Brunton, Proctor, Kutz 2016",
+    ),
+    Entry("specific force", "what an accelerometer measures: acceleration without gravity", "channels.py"),
+    Entry("supervisor", "what happens when a target was refused", "flight/supervisor.py"),
+    Entry("term", "one piece of physics that can be added to a model", "physics/core.py"),
+    Entry("tied", "parameters that share one value (equality constraint)", "identify/ties.py"),
+    Entry("zone", "the box that a flight must stay in", "vehicle/model.py"),
+)
+
+# What is gone: pattern and what to say. Matched as a whole word, in any case, also as a part of names like zone_room_m.
+GONE = {
+    "house": "architecture, conventions",
+    "rooms?": "package; clearance, space",
+    "waist": "interface",
+    "hourglass": "interface",
+    "cockpit": "flight code; FlightControl",
+    "helm": "FlightControl.steer",
+    "meddl(?:ing|ed|es?)": "external parameter change",
+    "strangers?": "what it is",
+    "stands? in for": "is taken for, is used in place of",
+    "nobody can explain": "noise floor",
+    "mothers?": "original, planned row",
+    "look_ahead": "two-step forward selection",
+    "another_way": "restart",
+    "remainders": "backward elimination; what is left",
+    "strays?": "outlying clusters",
+    "dormant": "inactive",
+    "carriers": "effective clusters",
+    "secants?": "finite difference",
+    "valley": "quadratic model",
+    "in_halves": "parallel",
+    "whole truth": "all of it",
+}
+
+# Where such a word is still found, and how often: a number may only fall, and an entry without its word must go.
+STILL: dict[str, dict[str, int]] = {
+    "rooms?": {
+        "flighttest/currency/model.py": 1,
+        "flighttest/estimation/problem.py": 1,
+        "flighttest/report/flight_view.py": 3,
+        "flighttest/report/terminal.py": 1,
+    },
+    "strangers?": {"flighttest/identify/feedback.py": 1},
+    "stands? in for": {
+        "flighttest/estimation/voltage_interpolation.py": 1,
+        "flighttest/report/diagnosis_sections.py": 1,
+    },
+    "in_halves": {
+        "flighttest/pipeline/checking.py": 2,
+        "flighttest/pipeline/diagnosis.py": 2,
+        "flighttest/pipeline/halves.py": 1,
+        "tests/diagnose/test_diagnose.py": 2,
+        "tests/pipeline/test_halves.py": 9,
+    },
+}

@@ -1,0 +1,76 @@
+"""One name per concept: the glossary is current, its terms stand in the code, and words that are gone do not come back."""
+
+import importlib.util
+import re
+import subprocess
+
+import pytest
+
+SUFFIXES = (".py", ".md", ".toml", ".yaml", ".js", ".css", "Makefile")
+OWN = ("docs/words.py", "docs/glossary.md", "tests/conventions/test_words.py")
+
+
+@pytest.fixture(scope="module")
+def words(repository):
+    spec = importlib.util.spec_from_file_location("docs_words", repository / "docs" / "words.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def texts(repository):
+    """Every text of the project by path, lower case: what git knows, where this is a work tree."""
+    listed = subprocess.run(["git", "ls-files"], cwd=repository, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("not a work tree: which files are the project's is not known")
+    names = [n for n in listed.stdout.split() if n.endswith(SUFFIXES) and n not in OWN and (repository / n).is_file()]
+    return {name: (repository / name).read_text(encoding="utf-8").lower() for name in names}
+
+
+def found(pattern: str, texts: dict[str, str]) -> dict[str, int]:
+    """How often a word stands in each file, its name included; letters on neither side."""
+    whole = re.compile(rf"(?<![a-z]){pattern}(?![a-z])")
+    counts = {name: len(whole.findall(f"{name}\n{text}")) for name, text in texts.items()}
+    return {name: n for name, n in counts.items() if n}
+
+
+def test_words_that_are_gone_do_not_come_back(words, texts):
+    more = {}
+    for pattern, say in words.GONE.items():
+        allowed = words.STILL.get(pattern, {})
+        for name, n in found(pattern, texts).items():
+            if n > allowed.get(name, 0):
+                more[f"{name}: {pattern}"] = f"{n} times, {allowed.get(name, 0)} allowed; say: {say}"
+    assert not more
+
+
+def test_what_is_still_allowed_is_still_there(words, texts):
+    over = [f"{n}: {p}" for p, files in words.STILL.items() for n in files if n not in found(p, texts)]
+    assert not over, "take these out of STILL in docs/words.py"
+    assert set(words.STILL) <= set(words.GONE)
+
+
+def test_the_search_sees_words_in_names_and_in_any_case():
+    texts = {"a.py": "zone_room_m, cookroom", "the/room.py": "", "b.py": "rooms"}
+    assert found("rooms?", texts) == {"a.py": 1, "the/room.py": 1, "b.py": 1}
+
+
+def test_every_term_of_the_glossary_stands_in_its_module(words, repository):
+    missing = [
+        f"{e.term} in {e.where}"
+        for e in words.GLOSSARY
+        if not (repository / "flighttest" / e.where).is_file()
+        or e.term.lower()
+        not in " ".join((repository / "flighttest" / e.where).read_text(encoding="utf-8").lower().split())
+    ]
+    assert not missing
+
+
+def test_the_glossary_is_sorted_and_without_synonyms(words):
+    terms = [e.term.lower() for e in words.GLOSSARY]
+    assert len(terms) == len(set(terms))
+    for pattern in words.GONE:
+        assert not any(
+            re.search(rf"(?<![a-z]){pattern}(?![a-z])", f"{e.term} {e.meaning}".lower()) for e in words.GLOSSARY
+        )
