@@ -92,11 +92,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Untestable:
-    """What could not be seen. fly: the maneuver script that would show it."""
+    """What could not be seen. fly: the maneuver script that would show it; recorded: whether all channels were that it needs, without which
+    no flight would show it."""
 
     term: str
     why: str
     fly: str
+    recorded: bool = True
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     for term in pool:
         missing = missing_channels(term, segments)
         if missing and term.id not in {u.term for u in unseen}:
-            unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals))
+            unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False))
     tried = {t.id for a in answers if a.complete and a.search for t in a.search.pool}
     told = tried | {u.term for u in unseen} | {f.term for f in findings}
     unseen += [Untestable(t.id, UNMOVED if complete else UNTRIED, t.reveals) for t in pool if t.id not in told]
@@ -274,7 +274,7 @@ def _next(
                 asked.append(Question(terms[f.term], terms[r.term], size))
         if asked and (made := propose(search, asked[:2], values, flyable)):
             return made
-    hidden = [u for u in unseen if not u.why.startswith("not recorded")]
+    hidden = [u for u in unseen if u.recorded]
     for search in searches:
         assert search.now is not None
         values = {
