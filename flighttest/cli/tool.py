@@ -44,9 +44,11 @@ def prove(
 ) -> int:
     """Hide effects in simulated flights, diagnose them blind, and print the scoreboard."""
     from flighttest.proof import proving
+    from flighttest.proof.prove import Asked
 
+    asked = Asked(trials, seed, generator, kind, clean, workers, scheduler)
     with LiveProgress(context.show) as progress:
-        result = proving.prove(trials, generator, seed, workers, scheduler, output, kind, clean, progress)
+        result = proving.prove(asked, output, progress)
     return context.finish(result)
 
 

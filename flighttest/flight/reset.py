@@ -19,7 +19,7 @@ from flighttest.flight.state import VehicleState
 from flighttest.flight.supervisor import UNSEEN_S, enter, enter_nogps
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget
-from flighttest.plan.outer_loop import OuterLoop
+from flighttest.plan.outer_loop import Moving, OuterLoop
 
 NEAR_M = 0.6
 SLOW_M_S = 0.35
@@ -242,7 +242,8 @@ class HoldLoop:
         # Slow integral on the hover throttle: a battery that sags, or a wrong vehicle.yaml, must not leave a lasting height error.
         self._hover *= 1.0 + 0.15 * dt * (wanted_climb - climb)
         self._hover = min(max(self._hover, 0.5 * control.hover_throttle), 1.6 * control.hover_throttle)
-        row = self._loop.steer(p, v, yaw_now, goal.position_m, goal_v_m_s, goal.yaw_rad, self._hover, self._boost)[0]
+        there = Moving(goal.position_m, goal_v_m_s, goal.yaw_rad)
+        row = self._loop.steer(Moving(p, v, yaw_now), there, self._hover, self._boost)[0]
         roll, pitch = (float(row[0]), float(row[1])) if known else (0.0, 0.0)
         low, high = control.gate.limits.throttle
         # The loop is ours and may saturate; the gate judges what it asks for, and would drop a target beyond the script's range.

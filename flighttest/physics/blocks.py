@@ -55,44 +55,46 @@ class Block:
         return {**self.__dict__, "made": {}}
 
 
-def _finish(
-    name: str,
-    delay: str,
-    delay_expr: Expr,
-    x: Mapping[str, Expr],
-    x_dot: Mapping[str, Expr],
-    p: Mapping[str, Expr],
-    u: Mapping[str, Expr],
-    e: Mapping[str, Expr],
-    d: Mapping[str, Expr],
-    y: Mapping[str, Expr],
-    initial: Mapping[str, float],
-    spread: Mapping[str, float],
-) -> Block:
-    """Drop what the block does not depend on and build its functions."""
-    out = ca.vertcat(*x_dot.values(), *y.values())
-    p = {k: v for k, v in p.items() if ca.depends_on(ca.vertcat(out, delay_expr), v)}
-    e = {k: v for k, v in e.items() if ca.depends_on(out, v)}
-    u = {k: v for k, v in u.items() if ca.depends_on(out, v)}
-    args = [ca.vertcat(*group.values()) if group else ca.SX(0, 1) for group in (x, p, u, e, d)]
-    function = ca.Function(
-        name, args, [ca.vertcat(*x_dot.values()), ca.vertcat(*y.values())], ["x", "p", "u", "e", "d"], ["x_dot", "y"]
-    )
-    return Block(
-        name=name,
-        states=tuple(x),
-        free_states=tuple(k for k in x if k not in initial),
-        initial=dict(initial),
-        spread={k: v for k, v in spread.items() if k in x},
-        params=tuple(p),
-        inputs=tuple(u),
-        exogenous=tuple(e),
-        disturbances=tuple(d),
-        outputs=tuple(y),
-        delay=delay,
-        function=function,
-        delay_s=ca.Function(f"{name}_delay", [args[1]], [delay_expr]),
-    )
+@dataclass(frozen=True)
+class _Draft:
+    """A block as expressions by name, as `Block` names its parts; delay: channel, delay_s: its value in p."""
+
+    name: str
+    delay: str
+    delay_s: Expr
+    x: Mapping[str, Expr]
+    x_dot: Mapping[str, Expr]
+    p: Mapping[str, Expr]
+    u: Mapping[str, Expr]
+    e: Mapping[str, Expr]
+    d: Mapping[str, Expr]
+    y: Mapping[str, Expr]
+    initial: Mapping[str, float]
+    spread: Mapping[str, float]
+
+    def block(self) -> Block:
+        """Drop what the block does not depend on and build its functions."""
+        out = ca.vertcat(*self.x_dot.values(), *self.y.values())
+        p = {k: v for k, v in self.p.items() if ca.depends_on(ca.vertcat(out, self.delay_s), v)}
+        e = {k: v for k, v in self.e.items() if ca.depends_on(out, v)}
+        u = {k: v for k, v in self.u.items() if ca.depends_on(out, v)}
+        args = [ca.vertcat(*group.values()) if group else ca.SX(0, 1) for group in (self.x, p, u, e, self.d)]
+        results = [ca.vertcat(*self.x_dot.values()), ca.vertcat(*self.y.values())]
+        return Block(
+            name=self.name,
+            states=tuple(self.x),
+            free_states=tuple(k for k in self.x if k not in self.initial),
+            initial=dict(self.initial),
+            spread={k: v for k, v in self.spread.items() if k in self.x},
+            params=tuple(p),
+            inputs=tuple(u),
+            exogenous=tuple(e),
+            disturbances=tuple(self.d),
+            outputs=tuple(self.y),
+            delay=self.delay,
+            function=ca.Function(self.name, args, results, ["x", "p", "u", "e", "d"], ["x_dot", "y"]),
+            delay_s=ca.Function(f"{self.name}_delay", [args[1]], [self.delay_s]),
+        )
 
 
 def _symbols(names: Sequence[str]) -> dict[str, Expr]:
@@ -142,7 +144,7 @@ def translation_block(terms: Sequence[Term], params: Sequence[Param], constants:
     a = s.rotation @ f - ca.vertcat(0, 0, s.g)
     y = dict(zip(TRANSLATION_OUTPUTS, [*ca.vertsplit(f), *ca.vertsplit(v), *ca.vertsplit(a)], strict=True))
     delay = delays(terms, p)["thrust"]
-    return _finish("translation", "thrust", delay, x, x_dot, p, u, e, d, y, initial, spread)
+    return _Draft("translation", "thrust", delay, x, x_dot, p, u, e, d, y, initial, spread).block()
 
 
 def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> tuple[Block, ...]:
@@ -175,7 +177,7 @@ def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: M
         axes = [name for name, names in AXES if names[0] in states]
         channel = "yaw_rate" if axes == ["yaw"] else "attitude"
         found.append(
-            _finish(
+            _Draft(
                 "_".join(axes) or "_".join(states),
                 channel,
                 channel_delay[channel],
@@ -188,7 +190,7 @@ def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: M
                 {k: v for k, v in y.items() if k in states},
                 {k: v for k, v in initial.items() if k in states},
                 spread,
-            )
+            ).block()
         )
     return tuple(b for b in found if b.outputs)
 

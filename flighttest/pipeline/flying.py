@@ -15,7 +15,6 @@ from flighttest.currency.model import ALL_SCRIPTS, SUBSETS
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
 from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOutcome, fly, preflight
-from flighttest.flight.options import OnVehicle
 from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.link.onboard import fetch
@@ -24,7 +23,6 @@ from flighttest.pipeline.checking import plans, prior_of
 from flighttest.pipeline.currency import flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
 from flighttest.pipeline.lineage import model_of
-from flighttest.pipeline.predictor import ModelPredictor
 from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
 from flighttest.pipeline.repeating import FlownWith, flown_with, keep
@@ -118,7 +116,7 @@ def declared_vehicle(request: FlightRequest) -> Vehicle:
 
 
 @contextmanager
-def connection(request: FlightRequest, flight: int = 0) -> Iterator[str]:
+def connection(request: FlightRequest) -> Iterator[str]:
     """The URL to fly at; starts the built-in vehicle, with a fresh battery, where that is what flies."""
     url = target(request)
     if url != BUILTIN:
@@ -131,7 +129,7 @@ def connection(request: FlightRequest, flight: int = 0) -> Iterator[str]:
         return
     # In lock-step from the first moment: a seed gives the same flight again, whatever the host was doing meanwhile.
     speed = request.speed or BUILTIN_SPEED
-    made = options(request.airframe, request.hide, request.seed + flight, speed, lockstep=True)
+    made = options(request.airframe, request.hide, request.seed, speed, lockstep=True)
     made = replace(made, paced=request.speed is not None)
     with start_simulator(made) as simulation:
         yield simulation.url
@@ -205,7 +203,14 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     ends: list[FlightResult] = []
     for index, plan in enumerate(compiled):
         try:
-            ended = _one(request, plan, earlier, prior, index, len(compiled), compare, progress)
+            behind = left_behind(request.out, plan.vehicle.name)
+            folder = new_run(request.out, plan.script.name, datetime.datetime.now())
+            number = f"{index + 1} of {len(compiled)}"
+            progress.stage(f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}")
+            asked = FlightOptions(
+                left_behind=behind, skip=flown_in(earlier), replanner=ScriptReplanner(plan, prior), on_vehicle=compare
+            )
+            ended = _one(replace(request, seed=request.seed + index), plan, folder, asked, progress)
         except FlighttestError as error:
             if not folders:
                 raise
@@ -311,38 +316,23 @@ def _say_changes(previous: ModelFile, today: Mapping[str, object], said: set[str
     )
 
 
-def _one(
-    request: FlightRequest,
-    plan: Plan,
-    earlier: Sequence[Path],
-    prior: ModelPredictor,
-    index: int,
-    count: int,
-    on_vehicle: OnVehicle,
-    progress: Progress,
-) -> FlightResult:
-    name = plan.script.name
-    behind = left_behind(request.out, plan.vehicle.name)
-    folder = new_run(request.out, name, datetime.datetime.now())
-    progress.stage(f"{name} ({index + 1} of {count}): {len(plan.legs)} steps, recorded in {folder}")
-    with connection(request, index) as url, counted_interrupts() as stops:
+def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions, progress: Progress) -> FlightResult:
+    """One script, flown and recorded in a folder. asked: what the flight needs to know beside the request."""
+    with connection(request) as url, counted_interrupts() as stops:
         keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
-        asked = FlightOptions(
+        wanted = replace(
+            asked,
             set_params=request.set_params,
             waive=request.waive,
-            left_behind=behind,
             resume=request.resume,
-            skip=flown_in(earlier),
-            replanner=ScriptReplanner(plan, prior),
             on_progress=progress.flight,
             on_stage=progress.stage,
-            on_vehicle=on_vehicle,
             stop_requested=stops,
             weather=request.weather,
         )
-        ended = fly(plan, url, folder, asked)
+        ended = fly(plan, url, folder, wanted)
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
-    progress.stage(f"{name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
+    progress.stage(f"{plan.script.name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
     return ended
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from flighttest.frames import G_M_S2
 
 FloatArray = NDArray[np.float64]
+
+
+class Moving(NamedTuple):
+    """Where vehicles are and how they move: position, velocity (n, 3) in the world, NWU, and yaw (n,)."""
+
+    p_m: ArrayLike
+    v_m_s: ArrayLike
+    yaw_rad: ArrayLike
 
 
 @dataclass(frozen=True)
@@ -29,24 +38,14 @@ class OuterLoop:
     yaw_gain: float = 1.0
     yaw_rate_max_rad_s: float = 0.8
 
-    def steer(
-        self,
-        p_m: ArrayLike,
-        v_m_s: ArrayLike,
-        yaw_rad: ArrayLike,
-        goal_m: ArrayLike,
-        goal_v_m_s: ArrayLike,
-        goal_yaw_rad: ArrayLike,
-        hover_throttle: ArrayLike,
-        angle_boost: bool = False,
-    ) -> FloatArray:
-        """Targets (n, 4) - roll, pitch, yaw rate, throttle - of n vehicles, from world NWU vectors (n, 3) and yaws (n,).
+    def steer(self, now: Moving, goal: Moving, hover_throttle: ArrayLike, angle_boost: bool = False) -> FloatArray:
+        """Targets (n, 4) - roll, pitch, yaw rate, throttle - that bring n vehicles to their goals.
 
         One vehicle may be given without the leading axis; the result then is (1, 4).
         """
-        p, v = np.atleast_2d(np.asarray(p_m, float)), np.atleast_2d(np.asarray(v_m_s, float))
-        goal, goal_v = np.atleast_2d(np.asarray(goal_m, float)), np.atleast_2d(np.asarray(goal_v_m_s, float))
-        wanted = goal_v + self.position_gain * (goal - p)
+        p, v = np.atleast_2d(np.asarray(now.p_m, float)), np.atleast_2d(np.asarray(now.v_m_s, float))
+        to, to_v = np.atleast_2d(np.asarray(goal.p_m, float)), np.atleast_2d(np.asarray(goal.v_m_s, float))
+        wanted = to_v + self.position_gain * (to - p)
         flat = np.linalg.norm(wanted[:, :2], axis=1, keepdims=True)
         wanted = np.column_stack(
             [
@@ -55,7 +54,7 @@ class OuterLoop:
             ]
         )
         a = self.velocity_gain * (wanted - v)
-        yaw = np.broadcast_to(np.asarray(yaw_rad, float), p.shape[:1])
+        yaw = np.broadcast_to(np.asarray(now.yaw_rad, float), p.shape[:1])
         c, s = np.cos(yaw), np.sin(yaw)
         forward, left = c * a[:, 0] + s * a[:, 1], -s * a[:, 0] + c * a[:, 1]
         # Nose down (positive pitch) accelerates forward, left side up (positive roll) accelerates to the right.
@@ -65,7 +64,7 @@ class OuterLoop:
         throttle = np.asarray(hover_throttle, float) * lift / G_M_S2
         if not angle_boost:
             throttle = throttle / (np.cos(roll) * np.cos(pitch))
-        turn = (np.asarray(goal_yaw_rad, float) - yaw + math.pi) % (2.0 * math.pi) - math.pi
+        turn = (np.asarray(goal.yaw_rad, float) - yaw + math.pi) % (2.0 * math.pi) - math.pi
         yaw_rate = np.clip(self.yaw_gain * turn, -self.yaw_rate_max_rad_s, self.yaw_rate_max_rad_s)
         return np.stack(np.broadcast_arrays(roll, pitch, yaw_rate, throttle), axis=-1)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flighttest.frames import G_M_S2
 from flighttest.plan.model import FloatArray, Motion, Predictor, Snapshot
-from flighttest.plan.outer_loop import OuterLoop, all_along
+from flighttest.plan.outer_loop import Moving, OuterLoop, all_along
 from flighttest.script.profiles import Piece, Timeline
 from flighttest.script.profiles.timeline import at
 
@@ -202,7 +202,7 @@ class StopPolicy:
         if still:
             i, (goal, goal_v) = self.steered[:still], (part[k, :still] for part in self.goals)
             targets[i] = self.loop.steer(
-                now.p_m[i], now.v_m_s[i], now.rpy_rad[i, 2], goal, goal_v, self.yaw[i], self.hover[i]
+                Moving(now.p_m[i], now.v_m_s[i], now.rpy_rad[i, 2]), Moving(goal, goal_v, self.yaw[i]), self.hover[i]
             )
 
     def _stop(self, now: Snapshot, a: FloatArray, active: BoolArray, targets: FloatArray) -> None:

@@ -6,7 +6,7 @@ import json
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -21,31 +21,38 @@ from flighttest.proof.trial import run
 Tell = Callable[[str], None]
 
 
+@dataclass(frozen=True)
+class Asked:
+    """A proof as it is asked for. seed: a new one is drawn where None; kind: only such trials; clean: at least so many with nothing hidden,
+    as `cases_of`; workers: processes of this machine; scheduler: address of a Dask scheduler instead."""
+
+    trials: int
+    seed: int | None = None
+    generator: Generator = "rotor"
+    kind: Kind | None = None
+    clean: int = 0
+    workers: int = 1
+    scheduler: str | None = None
+
+
 def prove(
-    trials: int,
-    seed: int | None = None,
-    workers: int = 1,
-    scheduler: str | None = None,
-    generator: Generator = "rotor",
-    kind: Kind | None = None,
-    clean: int = 0,
+    asked: Asked,
     tell: Tell = lambda _text: None,
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
     code: str = "",
     before: Sequence[Outcome] = (),
     seal: Callable[[Sequence[Case]], None] = lambda _cases: None,
 ) -> tuple[list[Outcome], int]:
-    """Outcomes in order of the trials, and the seed they were drawn from (a new one where None).
+    """Outcomes in order of the trials, and the seed they were drawn from.
 
-    kind: only such trials. clean: at least so many with nothing hidden, as `cases_of`. keep: given the outcomes so far, and the seed,
-    whenever a trial is opened. scheduler: address of a Dask scheduler instead of processes of this machine. code: as `Outcome.code`.
+    keep: given the outcomes so far, and the seed, whenever a trial is opened. code: as `Outcome.code`.
     before: outcomes of an earlier part of the same proof, which are not flown again. seal: given all cases before the first is flown.
     Every seal is told before its trial starts. An interrupt ends the proof and keeps the trials that are done.
     """
-    if trials < 1:
-        raise InputError(f"{trials} trials prove nothing", "ask for 1 or more")
-    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    cases = cases_of(seed, trials, generator, kind, clean)
+    if asked.trials < 1:
+        raise InputError(f"{asked.trials} trials prove nothing", "ask for 1 or more")
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if asked.seed is None else asked.seed
+    cases = cases_of(seed, asked.trials, asked.generator, asked.kind, asked.clean)
     seals = {case.index: case.sha256() for case in cases}
     done = list(before)
     if any(seals.get(outcome.index) != outcome.sha256 for outcome in done):
@@ -58,7 +65,7 @@ def prove(
     for case in left:
         tell(f"sealed trial {case.index}: SHA-256 {seals[case.index]}")
     try:
-        for outcome in _outcomes(left, workers, scheduler):
+        for outcome in _outcomes(left, asked.workers, asked.scheduler):
             done.append(replace(outcome, code=code))
             keep(in_order(done), seed)
             tell(f"trial {outcome.index} opened ({len(done)} of {len(cases)})")

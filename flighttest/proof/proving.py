@@ -7,35 +7,25 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.proof.cases import Case, Generator, Kind
+from flighttest.proof.cases import Case
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.prove import commit_of, read, write
+from flighttest.proof.prove import Asked, commit_of, read, write
 from flighttest.proof.prove import prove as run_trials
 from flighttest.proof.scoreboard import code_of, markdown, rates, score, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl_launcher import find_arducopter
 
 
-def prove(
-    trials: int,
-    generator: Generator = "rotor",
-    seed: int | None = None,
-    workers: int = 1,
-    scheduler: str | None = None,
-    output: Path | None = None,
-    kind: Kind | None = None,
-    clean: int = 0,
-    progress: Progress = SILENT,
-) -> Result:
+def prove(asked: Asked, output: Path | None = None, progress: Progress = SILENT) -> Result:
     """Sealed trials and their scoreboard; with `output` the truths are written there before the first flight (truths.jsonl), and proof.json
     and proof.md anew with every trial.
 
     A proof of the same seed that is there already is continued; InputError for one of another, which would be lost.
     """
-    if generator == "sitl":
+    if asked.generator == "sitl":
         find_arducopter()  # raises, with what to do, where there is none
     begun = read(output) if output is not None else None
-    if begun is not None and begun[0] != seed:
+    if begun is not None and begun[0] != asked.seed:
         raise InputError(
             f"{output} holds a proof of seed {begun[0]}",
             f"continue it with --seed {begun[0]}, or give --output another folder",
@@ -44,7 +34,7 @@ def prove(
     def keep(done: Sequence[Outcome], drawn_from: int) -> None:
         if output is not None:
             write(done, drawn_from, output)
-            page = markdown(done, drawn_from, generator, kind)
+            page = markdown(done, drawn_from, asked.generator, asked.kind)
             (output / "proof.md").write_text(page, encoding="utf-8")
 
     def seal(cases: Sequence[Case]) -> None:
@@ -55,9 +45,7 @@ def prove(
 
     commit = commit_of(Path(__file__).parents[1])
     before = begun[1] if begun is not None else ()
-    outcomes, used = run_trials(
-        trials, seed, workers, scheduler, generator, kind, clean, progress.stage, keep, commit, before, seal
-    )
+    outcomes, used = run_trials(asked, progress.stage, keep, commit, before, seal)
     code = code_of(outcomes)
     found = score(outcomes)
     misses = tuple((str(m["index"]), m["hidden"], f"{m['size']:.1f}", m["why"]) for m in found["misses"])
@@ -70,7 +58,7 @@ def prove(
         "format": "proof/1",
         "seed": used,
         "commit": code,
-        "generator": generator,
+        "generator": asked.generator,
         "score": found,
         "outcomes": [o.to_json() for o in outcomes],
     }

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from flighttest.plan.outer_loop import OuterLoop, along
+from flighttest.plan.outer_loop import Moving, OuterLoop, along
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
@@ -11,7 +11,7 @@ def test_it_brings_the_vehicle_there_and_stops_it(predictor, yaw, goal):
     hover = predictor.hover_throttle(np.array([23.0]))
 
     def policy(now):
-        return loop.steer(now.p_m, now.v_m_s, now.rpy_rad[:, 2], goal, (0.0, 0.0, 0.0), 0.5, hover)
+        return loop.steer(Moving(now.p_m, now.v_m_s, now.rpy_rad[:, 2]), Moving(goal, (0.0, 0.0, 0.0), 0.5), hover)
 
     flown = predictor.fly(np.zeros((1, 3)), np.array([yaw]), np.array([23.0]), policy, 14.0, 0.02)
     assert flown.p_m[0, -1] == pytest.approx(goal, abs=0.1)
@@ -22,7 +22,7 @@ def test_it_brings_the_vehicle_there_and_stops_it(predictor, yaw, goal):
 
 
 def test_targets_stay_bounded_however_far_the_goal():
-    row = OuterLoop().steer((0, 0, 0), (0, 0, 0), 0.0, (1e4, -1e4, 1e4), (0, 0, 0), 3.0, 0.2)[0]
+    row = OuterLoop().steer(Moving((0, 0, 0), (0, 0, 0), 0.0), Moving((1e4, -1e4, 1e4), (0, 0, 0), 3.0), 0.2)[0]
     assert abs(row[0]) <= 0.35
     assert abs(row[1]) <= 0.35
     assert row[0] > 0 < row[1]  # goal ahead (nose down) and to the right (left side up)
