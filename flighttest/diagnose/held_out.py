@@ -151,14 +151,20 @@ def compare(
 
 
 def places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:
-    """(channel, kind of maneuver) to its rows, where there are enough of them."""
-    kinds = np.array([s.kind for s in segments])[rows.segment]
+    """(channel, kind of maneuver) to its rows, where there are enough of them. segments: of these rows."""
+    return rows.once("places", lambda: _places(rows, segments))
+
+
+def _places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:
+    names, code = np.unique([s.kind for s in segments], return_inverse=True)
+    kinds = code[rows.segment]
     found = {}
     for c, name in enumerate(rows.channels):
-        for kind in np.unique(kinds):
-            at = np.flatnonzero((rows.channel == c) & (kinds == kind))
+        mine = np.flatnonzero(rows.channel == c)
+        for k in np.unique(kinds[mine]):
+            at = mine[kinds[mine] == k]
             if at.size >= LEAST_ROWS:
-                found[name, str(kind)] = at
+                found[name, str(names[k])] = at
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from flighttest.estimation.linearisation import Linearisation
+from flighttest.estimation.linearisation import IntArray, Linearisation
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -126,7 +126,11 @@ def covariates(segment: Segment) -> FloatArray:
 
 
 def floor_of(rows: Linearisation, segments: Sequence[Segment], resolution: Mapping[str, float]) -> NoiseFloor:
-    """Pure error of repeats, covariates regressed out; the high-frequency residual where there are no repeats."""
+    """Pure error of repeats, covariates regressed out; the high-frequency residual where there are no repeats. segments: of these rows."""
+    return rows.once(("floor", *resolution.items()), lambda: _floor(rows, segments, resolution))
+
+
+def _floor(rows: Linearisation, segments: Sequence[Segment], resolution: Mapping[str, float]) -> NoiseFloor:
     fast = high_frequency(rows)
     cells: dict[object, list[int]] = {}
     for i, s in enumerate(segments):
@@ -164,46 +168,40 @@ def _pure_error(
     at = at[np.argsort(rows.segment[at], kind="stable")]
     starts = np.searchsorted(rows.segment[at], np.arange(len(segments) + 1))
     by_segment = {i: at[starts[i] : starts[i + 1]] for members in cells.values() for i in members}
-    known = {i: covariates(segments[i]) for i in by_segment}
+    known = rows.once("covariates", lambda: {i: covariates(segments[i]) for i in by_segment})
     square, dof, lack, lack_dof = 0.0, 0.0, 0.0, 0.0
-    bins: dict[tuple[str, int], list[tuple[FloatArray, float, float]]] = {}
+    bins: dict[tuple[str, int], list[tuple[FloatArray, FloatArray]]] = {}
     apart: dict[str, dict[int, list[tuple[int, float]]]] = {}
     for key, members in cells.items():
-        table: dict[int, list[tuple[int, float]]] = {}
-        cells_of[str(key[0])] = cells_of.get(str(key[0]), 0) + 1  # type: ignore[index]
-        for i in members:
-            rows_i = by_segment[i]
-            if not rows_i.size:
-                continue
-            since = segments[i].t_s[rows.sample[rows_i]] - segments[i].t_step_s
-            which = np.floor(since / BIN_S).astype(int)
-            x = raw[rows_i]
-            first = int(which.min())
-            count = np.bincount(which - first)
-            total = np.bincount(which - first, x)
-            for k in np.flatnonzero(count):
-                table.setdefault(int(k) + first, []).append((i, float(total[k] / count[k])))
-        for b, entries in table.items():
-            if len(entries) < 2:
-                continue
-            means = np.array([e[1] for e in entries])
-            covs = np.array([known[e[0]] for e in entries])
-            covs = covs - covs.mean(axis=0)
-            spread = means - means.mean()
-            for (i, _), z, d in zip(entries, covs, spread, strict=True):
-                bins.setdefault((str(key[0]) if isinstance(key, tuple) else "", b), []).append(
-                    (z, d, 1 - 1 / len(entries))
-                )
-                apart.setdefault(str(key[0]), {}).setdefault(i, []).append((b, float(d)))  # type: ignore[index]
-            lack += len(entries) * means.mean() ** 2
-            kinds.setdefault(str(key[0]), []).append((b, len(entries) * means.mean() ** 2))  # type: ignore[index]
-            lack_dof += 1
+        kind = str(key[0])  # type: ignore[index]
+        cells_of[kind] = cells_of.get(kind, 0) + 1
+        present = [i for i in members if by_segment[i].size]
+        if not present:
+            continue
+        means, first = _binned([(segments[i], rows.sample[by_segment[i]], raw[by_segment[i]]) for i in present])
+        seen = np.isfinite(means)
+        count = seen.sum(axis=0)
+        common = np.where(seen, means, 0.0).sum(axis=0) / np.maximum(count, 1)
+        z = np.array([known[i] for i in present])
+        middle = (seen.T @ z) / np.maximum(count, 1)[:, None]
+        between = count * common**2
+        repeated = np.flatnonzero(count >= 2)
+        for k in repeated:
+            who = seen[:, k]
+            bins.setdefault((kind, first + int(k)), []).append((z[who] - middle[k], means[who, k] - common[k]))
+            lack += between[k]
+            kinds.setdefault(kind, []).append((first + int(k), float(between[k])))
+        for r, i in enumerate(present):
+            own = repeated[seen[r, repeated]]
+            apart.setdefault(kind, {}).setdefault(i, []).extend(
+                zip((own + first).tolist(), (means[r, own] - common[own]).tolist(), strict=True)
+            )
+        lack_dof += repeated.size
     each: list[tuple[float, float]] = []
     at_time: dict[int, tuple[float, float]] = {}
     for (_, b), same in bins.items():
-        z = np.stack([e[0] for e in same])
-        d = np.array([e[1] for e in same])
-        free = sum(e[2] for e in same)
+        z, d = np.concatenate([e[0] for e in same]), np.concatenate([e[1] for e in same])
+        free = float(d.size - len(same))
         moving = z.std(axis=0) > 1e-9
         z = z[:, moving]
         if z.shape[1] and free >= EQUATIONS_PER_COVARIATE * z.shape[1]:
@@ -227,6 +225,18 @@ def _pure_error(
         several = _independent_times(list(apart.get(kind, {}).values()), at_time)
         shared[kind] = ratio, cells_of[kind], repeats, several
     return square / dof, dof, lack / lack_dof, lack_dof, shared, usual
+
+
+def _binned(responses: Sequence[tuple[Segment, IntArray, FloatArray]]) -> tuple[FloatArray, int]:
+    """Means (m, bins) over `BIN_S` of time since the step of residuals at samples of m responses, NaN where there are none; the first
+    bin."""
+    which = [np.floor((s.t_s[sample] - s.t_step_s) / BIN_S).astype(int) for s, sample, _ in responses]
+    first, last = min(int(w.min()) for w in which), max(int(w.max()) for w in which)
+    made = np.full((len(which), last - first + 1), np.nan)
+    for row, w, (_, _, x) in zip(made, which, responses, strict=True):
+        count, total = np.bincount(w - first), np.bincount(w - first, x)
+        row[: count.size] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return made, first
 
 
 def _shared(values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[float, float]]) -> tuple[float, float]:

@@ -28,7 +28,7 @@ from flighttest.identify.selection import able
 from flighttest.physics.blocks import Block
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
-from flighttest.physics.simulate import simulate
+from flighttest.physics.simulate import Edges, Run, simulate_many
 from flighttest.script.load import parse_script
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
@@ -132,15 +132,19 @@ def rehearsed(
     volts = [float(np.nanmean(s.y["voltage_v"])) for s in flown if "voltage_v" in s.y] or [model.nominal_voltage_v]
     headings = script.reset.heading_rad or (0.0,)
     unit = hover if script.throttle_unit == "hover" else 1.0
-    found = []
+    planned = []
     for repeat in range(min(script.repeat.each, MOST_REPEATS)):
         for k, cell in enumerate(cells_of(script, unit)):
             voltage = float(np.quantile(volts, (repeat + 0.5) / max(script.repeat.each, 1)))
-            found.append(_segment(cell, model, values, headings[repeat % len(headings)], voltage, script, repeat, k))
-    return tuple(found)
+            planned.append(_planned(cell, model, values, headings[repeat % len(headings)], voltage, script, repeat, k))
+    runs = [Run(s.t_s, start, s.u, signals) for s, start, signals in planned]
+    return tuple(
+        replace(s, y={**y, **s.y, "height_m": y["p_z_m"]})
+        for (s, _, _), y in zip(planned, simulate_many(model, values, runs), strict=True)
+    )
 
 
-def _segment(
+def _planned(
     cell: Cell,
     model: Model,
     values: Mapping[str, float],
@@ -149,7 +153,8 @@ def _segment(
     script: Script,
     repeat: int,
     k: int,
-) -> Segment:
+) -> tuple[Segment, dict[str, float], dict[str, Edges]]:
+    """One step as it would be recorded, but for what the vehicle does; where it starts, and the signals besides the references."""
     level = float(model.hover_throttle(values, voltage))
     pieces: list[Piece] = list(cell.lead)
     if cell.counter is not None:
@@ -170,12 +175,11 @@ def _segment(
     step = float(next((sum(q.duration_s for q in pieces[:i]) for i, q in enumerate(pieces) if q.record), 0.0))
     at_step, ends = 30.0 + 8.0 * k + 120.0 * repeat, t[[0, -1]]
     signals = {"voltage_v": (ends, np.full(2, voltage)), "time_s": (ends, at_step + ends - step)}
-    y = simulate(model, values, t, start, u, signals)
-    y |= {"voltage_v": np.full(t.size, voltage), "height_m": y["p_z_m"]}
-    return Segment(
-        name=f"{script.name}-{k}-{repeat}", run="rehearsal", kind=cell.kind, cell=cell.values, repeat=repeat, t_step_s=step,
-        t_s=t, y=y, u=u, maneuver=script.name, heading_rad=heading, time_since_takeoff_s=at_step,
+    segment = Segment(
+        name=f"{script.name}-{k}-{repeat}", run="rehearsal", kind=cell.kind, cell=cell.values, repeat=repeat, t_step_s=step, t_s=t,
+        y={"voltage_v": np.full(t.size, voltage)}, u=u, maneuver=script.name, heading_rad=heading, time_since_takeoff_s=at_step,
     )  # fmt: skip
+    return segment, start, signals
 
 
 def log_odds(

@@ -7,9 +7,9 @@ problem in which l_i is marginalised (Schur complement), so that models can be c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from flighttest.estimation.problem import Noise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,14 @@ class Linearisation:
     disturbances: tuple[str, ...]
     names: tuple[str, ...]
     projections: tuple[Projection, ...] = ()
+    _known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def once(self, key: Any, work: Callable[[], T]) -> T:
+        """The result of `work` on these rows, which is done once."""
+        if key not in self._known:
+            self._known[key] = work()
+        found: T = self._known[key]
+        return found
 
     @property
     def channel(self) -> IntArray:

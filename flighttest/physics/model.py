@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 NOMINAL_VOLTAGE_V = 22.2
 ROTOR_HEIGHT_M = 0.2
 PAPER_TERMS = ("body", "linear_drag")
+BLOCKS_KEPT = 64  # of attitude, and of translation: a diagnosis tries about so many
+Constants = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Model:
     terms: ids, 'body' first; ids not in the catalogue come with their `Term` in `extra`. channel_delays: each channel (attitude, yaw
     rate, thrust) has a delay of its own (T_d_attitude, T_d_yaw_rate, T_d_thrust; T_d is their mean), else one T_d. rotor_height_m: of the
     rotors above the landing gear's feet.
-    Equal models compare equal and share their compiled functions only when they are the same object: keep it.
+    Equal models compare equal and share what was compiled of their blocks.
     """
 
     terms: tuple[str, ...] = PAPER_TERMS
@@ -181,10 +183,18 @@ class Model:
     def blocks(self) -> tuple[Block, ...]:
         """The independent parts the fit integrates: attitude axes (joined where a term couples them) and translation.
 
-        The translation takes the measured attitude, rates, height and voltage as known signals.
+        The translation takes the measured attitude, rates, height and voltage as known signals. Models that agree in the terms of a block
+        share it, with all that was compiled of it.
         """
-        loops = attitude_blocks(self.built_terms, self.params, self.constants) if self.attitude_loops else ()
-        return (*loops, translation_block(self.built_terms, self.params, self.constants))
+        constants = tuple(self.constants.items())
+        loops = _attitude_blocks(*self._only("attitude"), constants) if self.attitude_loops else ()
+        return (*loops, _translation_block(*self._only("translation"), constants))
+
+    def _only(self, block: str) -> tuple[tuple[Term, ...], tuple[Param, ...]]:
+        """Terms that act in a block, and the parameters without those of other terms."""
+        own = tuple(t for t in self.built_terms if block_of(t) in (block, "delay"))
+        others = {p.name for t in self.built_terms if t not in own for p in t.params}
+        return own, tuple(p for p in self.params if p.name not in others)
 
     @cached_property
     def system(self) -> System:
@@ -195,3 +205,13 @@ class Model:
     def constants(self) -> dict[str, Any]:
         """As in model.yaml: g m/s^2, nominal_voltage_v, rotor_height_m."""
         return {"g": self.g_m_s2, "nominal_voltage_v": self.nominal_voltage_v, "rotor_height_m": self.rotor_height_m}
+
+
+@lru_cache(maxsize=BLOCKS_KEPT)
+def _attitude_blocks(terms: tuple[Term, ...], params: tuple[Param, ...], constants: Constants) -> tuple[Block, ...]:
+    return attitude_blocks(terms, params, dict(constants))
+
+
+@lru_cache(maxsize=BLOCKS_KEPT)
+def _translation_block(terms: tuple[Term, ...], params: tuple[Param, ...], constants: Constants) -> Block:
+    return translation_block(terms, params, dict(constants))

@@ -179,6 +179,8 @@ def simulate_many(
     model: Model, values: Mapping[str, float], runs: Sequence[Run], max_step_s: float = MAX_STEP_S
 ) -> list[dict[str, FloatArray]]:
     """The same for many runs at once."""
+    if not runs:
+        return []
     system = model.system
     p = np.array([values[n] for n in system.params])
     delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
