@@ -94,16 +94,19 @@ def analyse(
         data["diagnosis"] = found.diagnosis
     status = _status(found, usable)
     told = _accepting(found, status, folders[-1], name, out, keep)
-    return Result(_summary(found, view, folders, notes, page, vehicle, told), data, status, found)
+    return Result(_summary(found, view, folders, notes, page, vehicle, told, out), data, status, found)
+
+
+def _out_words(out: Path) -> str:
+    """The option that names a folder of runs, '' for the usual one."""
+    return f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
 
 
 def _accepting(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
     """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
     if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
         return ""
-    words = f"flighttest accept {shlex.quote(str(folder))}" + (
-        f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
-    )
+    words = f"flighttest accept {shlex.quote(str(folder))}{_out_words(out)}"
     if not name:
         return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
     if not keep:
@@ -206,6 +209,7 @@ def _summary(
     page: Document,
     vehicle: Vehicle | None,
     accepting: str,
+    out: Path,
 ) -> Document:
     """What the terminal shows: the verdict, what is missing, the parameters (or what speaks for and against the model in use), where
     everything is."""
@@ -232,7 +236,7 @@ def _summary(
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         reason = found.diagnosis.get("next_reason") or {}
-        command = f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}"
+        command = f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{_out_words(out)}"
         facts["fly next"] = (
             f"{reason.get('maneuver')}: {reason['zone']}" if reason.get("fits_zone") is False else command
         )

@@ -22,6 +22,7 @@ from flighttest.pipeline.campaign import analyse
 from flighttest.pipeline.checking import plans, prior_of
 from flighttest.pipeline.currency import flown_until
 from flighttest.pipeline.fingerprints import of_vehicle
+from flighttest.pipeline.history import DEFAULT_RUNS
 from flighttest.pipeline.lineage import model_of
 from flighttest.pipeline.present import BUILTIN
 from flighttest.pipeline.reflights import SPOT_CHECK
@@ -68,7 +69,9 @@ class FlightRequest:
 
 
 def as_before(request: FlightRequest) -> FlightRequest:
-    """The request; where it resumes a run and names no vehicle and no link, with those of that run."""
+    """The request; where it resumes a run, beside that run and, where it names no vehicle and no link, with those of that run."""
+    if request.resume is not None and request.out == DEFAULT_RUNS:
+        request = replace(request, out=request.resume.parent)
     named = request.vehicle or request.connect or request.hide or request.airframe != DEFAULT_VEHICLE.name
     before = flown_with(request.resume) if request.resume is not None and not named else None
     if before is None:
@@ -144,11 +147,6 @@ def new_run(out: Path, script: str, now: datetime.datetime) -> Path:
     return folder
 
 
-def previous_model(request: FlightRequest, vehicle: Vehicle) -> ModelFile | None:
-    """The model to compare with and to plan by: the one named, else the one in use of this vehicle."""
-    return model_file.read(request.model) if request.model is not None else model_of(request.out, vehicle.name)
-
-
 @contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
     """While this is open, Ctrl-C is counted instead of raised: once lands, twice lets go. A closed terminal or a shutdown lands."""
@@ -183,7 +181,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     vehicle = declared_vehicle(request)
     _known_waivers(request.waive)
     names = request.scripts or (str(script_of(request.resume)),)
-    previous = previous_model(request, vehicle)
+    previous = model_of(request.out, vehicle.name) if request.model is None else model_file.read(request.model)
     prior, _ = prior_of(request.model, request.out, vehicle)
     compiled = plans(names, vehicle, prior)
     for plan in compiled:

@@ -296,7 +296,7 @@ def test_what_another_vehicle_flew_is_not_gone_on_with(call, script, tmp_path):
         resuming.worth_resuming(run, [replace(plan, vehicle=replace(plan.vehicle, name="mine"))])
 
 
-@pytest.mark.parametrize("only", [("--only", "fly"), ()], ids=["fly", "all"])
+@pytest.mark.parametrize("only", ["fly", "fit"])
 def test_a_disk_that_is_full_at_the_end_is_the_headline(call, script, tmp_path, monkeypatch, only):
     finish = Recorder.finish
 
@@ -309,7 +309,7 @@ def test_a_disk_that_is_full_at_the_end_is_the_headline(call, script, tmp_path, 
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
     monkeypatch.setattr(Recorder, "finish", full)
-    code, out, _ = call("run", script, "--out", tmp_path / "runs", *only)
+    code, out, _ = call("run", script, "--out", tmp_path / "runs", "--only", only)
     assert code == 1
     words = " ".join(out.replace("│", " ").split())
     assert "The record is not complete: the channels could not be written" in words
@@ -348,9 +348,10 @@ def test_a_run_is_resumed_as_printed(call, script, tmp_path, monkeypatch, gone):
     assert printed, out
     if gone:
         vehicle.unlink()
-    _, out, err = call(*shlex.split(printed[1])[1:], "--yes", "--out", out_dir)
+    _, out, err = call(*shlex.split(printed[1])[1:], "--yes")
     assert f"flying the vehicle at {link}" in out + err, "and is asked for"
     assert flown == [("x", link)] * 2, err
+    assert len(list(out_dir.iterdir())) == 2, "beside the run that it goes on with"
 
 
 def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):

@@ -1,6 +1,7 @@
 """One model in use per vehicle: accepted, found by the vehicle's name, with those before it; never another vehicle's."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -9,8 +10,10 @@ from flighttest.cli import main as cli_main
 from flighttest.errors import InputError, ModelError
 from flighttest.identify import model_file
 from flighttest.physics.model import Model
-from flighttest.pipeline import lineage
+from flighttest.pipeline import campaign, lineage
 from flighttest.pipeline.checking import prior_of
+from flighttest.pipeline.results import Status
+from flighttest.report.diagnosis_sections import missing_sections
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 PAPER = ("body", "linear_drag")
@@ -149,3 +152,32 @@ def test_a_damaged_lineage_is_one_clear_error(call, tmp_path, text):
 def test_any_name_has_a_folder_of_its_own(tmp_path, name):
     assert lineage.folder_of(tmp_path, name).parent == tmp_path / "models"
     assert lineage.folder_of(tmp_path, name) != lineage.folder_of(tmp_path, name + "_")
+
+
+def test_what_a_campaign_found_is_accepted_where_that_was_asked_for(tmp_path):
+    """Of a vehicle that is known; of an unknown one the command says what is missing, and nothing is lost."""
+    found = campaign.Analysis((), (), SimpleNamespace(status=SimpleNamespace(good=True)))  # type: ignore[arg-type]
+
+    def accepting(folder, name, status=Status.DONE, keep=True):
+        return campaign._accepting(found, status, folder, name, tmp_path, keep)
+
+    heron, nobody = write_model(tmp_path / "1"), write_model(tmp_path / "2", vehicle=None)
+    assert accepting(heron, "heron", keep=False) == f"flighttest accept {heron} --out {tmp_path}"
+    assert "did not end as planned" in accepting(heron, "heron", Status.UNUSABLE)
+    assert "--vehicle vehicle.yaml" in accepting(nobody, "")
+    assert lineage.lineages(tmp_path) == []
+    assert "done: body + linear_drag is now model 1 of heron." in accepting(heron, "heron")
+    assert lineage.in_use(tmp_path, "heron").runs == ("a",)
+
+
+def test_the_last_screen_shows_what_was_missing_with_its_interval_and_the_errors_without_and_with_it():
+    finding = {
+        "term": "ground_effect",
+        "verdict": "SUPPORTED",
+        "parameters": {"R2_m2": {"value": 0.0941, "std": 0.018, "unit": "m^2", "interval_95": [0.058, 0.13]}},
+    }
+    held = {"f_z": {"all": {"rmse_before": 0.113, "rmse_after": 0.103, "floor": 0.11, "gain_95": [0.007, 0.014]}}}
+    (section,) = missing_sections({"findings": [finding], "heldout": held})
+    shown = str(section)
+    assert all(word in shown for word in ("ground_effect", "0.058 to 0.130", "0.113", "0.103", "0.11"))
+    assert missing_sections({"findings": []}) == ()
