@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -99,17 +100,22 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _write_c(stored: ModelFile, folder: Path) -> list[Path]:
-    """flighttest_model.c with its header, and example.c with numbers to check against."""
-    made = functions(stored)
+def c_code(made: Sequence[ca.Function], folder: Path) -> None:
+    """flighttest_model.c with its header."""
     generator = ca.CodeGenerator(
         "flighttest_model.c", {"with_header": True, "casadi_int": "int", "casadi_real": "double"}
     )
-    for function in made.values():
+    for function in made:
         generator.add(function)
     generator.generate(str(folder) + "/")
     source = folder / "flighttest_model.c"
     source.write_text(_quieted(source.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def _write_c(stored: ModelFile, folder: Path) -> list[Path]:
+    """flighttest_model.c with its header, and example.c with numbers to check against."""
+    made = functions(stored)
+    c_code(list(made.values()), folder)
     system = stored.model.system
     x, u = hover_state(stored), hover_input(stored)
     x = x + 0.01 * np.arange(1, x.size + 1)
