@@ -151,7 +151,7 @@ class FlightControl:
         """The pilot has the vehicle, or it is disarmed."""
         assert self._doubt is not None
         doubt, self._doubt, self.session.held = self._doubt, None, False
-        if self.machine.state is FlightState.ARMING and self._was_armed:
+        if self.machine.state is FlightState.ARMING and (self._was_armed or self.vehicle.armed):
             self.on(Event.ARMED)
         if doubt.event is Event.FOREIGN_MODE:
             self.session.port.mute()

@@ -51,6 +51,7 @@ QUICK: tuple[tuple[str, When], ...] = (
     ("second vehicle", When.CLIMBING),
     ("streams switched off", When.FLYING),
     ("pilot while down 3.2 s", When.ENTERING),
+    ("pilot while down 3.2 s", When.ARMING),
 )
 """The cells that were wrong first, and cost little: part of the default suite."""
 SEEN_S = 0.35  # from a pilot's switch to the last frame that is sent: a HEARTBEAT every 0.1 s, and a frame that is not the next one
