@@ -10,15 +10,12 @@
 #include <string.h>
 
 #define LANES 16
+#define WIDTH 5 /* numbers of an instruction */
 #define SHORTEST_S 1e-7 /* as `filters.Butterworth.SHORTEST_S` */
 
 typedef double lanes __attribute__((vector_size(LANES * sizeof(double))));
 
-enum { CONST, ADD, SUB, MUL, DIV, NEG, SQ, TWICE, INV, SQRT, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, ASINH, ACOSH, ATANH, EXP,
-       EXPM1, LOG, LOG1P, FABS, SIGN, FLOOR, CEIL, ASSIGN, POW, FMIN, FMAX, FMOD, COPYSIGN, HYPOT, ATAN2, LT, LE, EQ, NE, AND, OR, NOT,
-       IF_ELSE_ZERO };
-
-/* Instructions (operation, result, first, second); a constant's first is its index. Inputs are the first slots: x, p, u, e, d. */
+/* Instructions (operation, result, first, second, third); a constant's first is its index. Inputs are the first slots: x, p, u, e, d. */
 typedef struct {
     int64_t count, by_parameters, by_signals, slots;
     const int32_t *code;
@@ -59,63 +56,71 @@ typedef struct {
 } machine;
 
 #define EACH for (int l = 0; l < LANES; l++)
-#define APPLY(f) EACH w[o][l] = f(w[a][l]); break
-#define APPLY2(f) EACH w[o][l] = f(w[a][l], w[b][l]); break
-#define TRUTH(e) EACH w[o][l] = (e) ? 1.0 : 0.0; break
+#define WITH(name, act) name: act; NEXT;
+#define APPLY(name, f) name: EACH w[at[1]][l] = f(w[at[2]][l]); NEXT;
+#define APPLY2(name, f) name: EACH w[at[1]][l] = f(w[at[2]][l], w[at[3]][l]); NEXT;
+#define TRUTH(name, e) name: EACH { const double x = w[at[2]][l], y = w[at[3]][l]; (void)y; w[at[1]][l] = (e) ? 1.0 : 0.0; } NEXT;
+/* Each operation jumps to the next by itself, which processors foresee better than one jump for all. */
+#define NEXT do { at += WIDTH; if (at == end) return; goto *jump[at[0]]; } while (0)
 
 static void execute(const program *of, lanes *w, int64_t from, int64_t to) {
-    for (int64_t i = from; i < to; i++) {
-        const int32_t *at = of->code + 4 * i;
-        const int32_t o = at[1], a = at[2], b = at[3];
-        switch (at[0]) {
-        case CONST: EACH w[o][l] = of->constants[a]; break;
-        case ADD: w[o] = w[a] + w[b]; break;
-        case SUB: w[o] = w[a] - w[b]; break;
-        case MUL: w[o] = w[a] * w[b]; break;
-        case DIV: w[o] = w[a] / w[b]; break;
-        case NEG: w[o] = -w[a]; break;
-        case SQ: w[o] = w[a] * w[a]; break;
-        case TWICE: w[o] = w[a] + w[a]; break;
-        case INV: w[o] = 1.0 / w[a]; break;
-        case ASSIGN: w[o] = w[a]; break;
-        case SQRT: APPLY(sqrt);
-        case SIN: APPLY(sin);
-        case COS: APPLY(cos);
-        case TAN: APPLY(tan);
-        case ASIN: APPLY(asin);
-        case ACOS: APPLY(acos);
-        case ATAN: APPLY(atan);
-        case SINH: APPLY(sinh);
-        case COSH: APPLY(cosh);
-        case TANH: APPLY(tanh);
-        case ASINH: APPLY(asinh);
-        case ACOSH: APPLY(acosh);
-        case ATANH: APPLY(atanh);
-        case EXP: APPLY(exp);
-        case EXPM1: APPLY(expm1);
-        case LOG: APPLY(log);
-        case LOG1P: APPLY(log1p);
-        case FABS: APPLY(fabs);
-        case FLOOR: APPLY(floor);
-        case CEIL: APPLY(ceil);
-        case SIGN: EACH w[o][l] = w[a][l] > 0 ? 1.0 : w[a][l] < 0 ? -1.0 : w[a][l]; break;
-        case POW: APPLY2(pow);
-        case FMIN: APPLY2(fmin);
-        case FMAX: APPLY2(fmax);
-        case FMOD: APPLY2(fmod);
-        case COPYSIGN: APPLY2(copysign);
-        case HYPOT: APPLY2(hypot);
-        case ATAN2: APPLY2(atan2);
-        case LT: TRUTH(w[a][l] < w[b][l]);
-        case LE: TRUTH(w[a][l] <= w[b][l]);
-        case EQ: TRUTH(w[a][l] == w[b][l]);
-        case NE: TRUTH(w[a][l] != w[b][l]);
-        case AND: TRUTH(w[a][l] != 0.0 && w[b][l] != 0.0);
-        case OR: TRUTH(w[a][l] != 0.0 || w[b][l] != 0.0);
-        case NOT: TRUTH(w[a][l] == 0.0);
-        case IF_ELSE_ZERO: EACH w[o][l] = w[a][l] != 0.0 ? w[b][l] : 0.0; break;
-        }
-    }
+    static const void *const jump[] = {
+        &&CONST_, &&ADD, &&SUB, &&MUL, &&DIV, &&NEG, &&SQ, &&TWICE, &&INV, &&SQRT, &&SIN, &&COS, &&TAN, &&ASIN, &&ACOS, &&ATAN, &&SINH,
+        &&COSH, &&TANH, &&ASINH, &&ACOSH, &&ATANH, &&EXP, &&EXPM1, &&LOG, &&LOG1P, &&FABS, &&SIGN, &&FLOOR, &&CEIL, &&ASSIGN, &&POW,
+        &&FMIN, &&FMAX, &&FMOD, &&COPYSIGN, &&HYPOT, &&ATAN2, &&LT, &&LE, &&EQ, &&NE, &&AND, &&OR, &&NOT, &&IF_ELSE_ZERO, &&MUL_ADD,
+        &&MUL_SUB, &&SUB_MUL}; /* in the order of `native._NAMES` */
+    const int32_t *at = of->code + WIDTH * from, *end = of->code + WIDTH * to;
+    if (at == end) return;
+    goto *jump[at[0]];
+    WITH(CONST_, EACH w[at[1]][l] = of->constants[at[2]])
+    WITH(ADD, w[at[1]] = w[at[2]] + w[at[3]])
+    WITH(SUB, w[at[1]] = w[at[2]] - w[at[3]])
+    WITH(MUL, w[at[1]] = w[at[2]] * w[at[3]])
+    WITH(DIV, w[at[1]] = w[at[2]] / w[at[3]])
+    WITH(MUL_ADD, w[at[1]] = w[at[2]] * w[at[3]] + w[at[4]])
+    WITH(MUL_SUB, w[at[1]] = w[at[2]] * w[at[3]] - w[at[4]])
+    WITH(SUB_MUL, w[at[1]] = w[at[4]] - w[at[2]] * w[at[3]])
+    WITH(NEG, w[at[1]] = -w[at[2]])
+    WITH(SQ, w[at[1]] = w[at[2]] * w[at[2]])
+    WITH(TWICE, w[at[1]] = w[at[2]] + w[at[2]])
+    WITH(INV, w[at[1]] = 1.0 / w[at[2]])
+    WITH(ASSIGN, w[at[1]] = w[at[2]])
+    APPLY(SQRT, sqrt)
+    APPLY(SIN, sin)
+    APPLY(COS, cos)
+    APPLY(TAN, tan)
+    APPLY(ASIN, asin)
+    APPLY(ACOS, acos)
+    APPLY(ATAN, atan)
+    APPLY(SINH, sinh)
+    APPLY(COSH, cosh)
+    APPLY(TANH, tanh)
+    APPLY(ASINH, asinh)
+    APPLY(ACOSH, acosh)
+    APPLY(ATANH, atanh)
+    APPLY(EXP, exp)
+    APPLY(EXPM1, expm1)
+    APPLY(LOG, log)
+    APPLY(LOG1P, log1p)
+    APPLY(FABS, fabs)
+    APPLY(FLOOR, floor)
+    APPLY(CEIL, ceil)
+    APPLY2(POW, pow)
+    APPLY2(FMIN, fmin)
+    APPLY2(FMAX, fmax)
+    APPLY2(FMOD, fmod)
+    APPLY2(COPYSIGN, copysign)
+    APPLY2(HYPOT, hypot)
+    APPLY2(ATAN2, atan2)
+    TRUTH(LT, x < y)
+    TRUTH(LE, x <= y)
+    TRUTH(EQ, x == y)
+    TRUTH(NE, x != y)
+    TRUTH(AND, x != 0.0 && y != 0.0)
+    TRUTH(OR, x != 0.0 || y != 0.0)
+    TRUTH(NOT, x == 0.0)
+    WITH(SIGN, EACH w[at[1]][l] = w[at[2]][l] > 0 ? 1.0 : w[at[2]][l] < 0 ? -1.0 : w[at[2]][l])
+    WITH(IF_ELSE_ZERO, EACH w[at[1]][l] = w[at[2]][l] != 0.0 ? w[at[3]][l] : 0.0)
 }
 
 /* Run a program for states x and signals (u, then e); results lie in its slots. */

@@ -14,6 +14,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -25,17 +26,21 @@ from numpy.typing import NDArray
 
 SOURCE = Path(__file__).with_name("kernel.c")
 COMPILERS = ("cc", "gcc", "clang")
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+# Sums and products are rounded one by one: outputs then are the same numbers with and without their derivatives.
+FLAGS = ("-O3", "-march=native", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 COMPILE_S = 120.0
 IntArray = NDArray[np.int32]
 
-# As `enum` in kernel.c.
+# In the order of kernel.c; the last three are products of the first two with a third added, subtracted, subtracted from.
 _NAMES = (
     "CONST", "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH",
     "TANH", "ASINH", "ACOSH", "ATANH", "EXP", "EXPM1", "LOG", "LOG1P", "FABS", "SIGN", "FLOOR", "CEIL", "ASSIGN", "POW", "FMIN", "FMAX",
     "FMOD", "COPYSIGN", "HYPOT", "ATAN2", "LT", "LE", "EQ", "NE", "AND", "OR", "NOT", "IF_ELSE_ZERO",
+    "MUL_ADD", "MUL_SUB", "SUB_MUL",
 )  # fmt: skip
-_CODES = {getattr(ca, f"OP_{name}"): code for code, name in enumerate(_NAMES)} | {ca.OP_CONSTPOW: _NAMES.index("POW")}
+_CODES = {getattr(ca, f"OP_{name}"): code for code, name in enumerate(_NAMES[:-3])} | {
+    ca.OP_CONSTPOW: _NAMES.index("POW")
+}
 PARAMETERS, SIGNALS, STATES = range(3)  # what a part of a program depends on
 _DEPENDS = (
     STATES,
@@ -83,9 +88,12 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()}"
 
 
+Instruction = tuple[int, int, tuple[int, ...]]  # operation, value it makes, values it reads (of a constant: its index)
+
+
 @dataclass(frozen=True)
 class Program:
-    """A function (x, p, u, e, d) of columns as `program` in kernel.c. code (n, 4); results: slot of each row of its result."""
+    """A function (x, p, u, e, d) of columns as `program` in kernel.c. code (n, 5); results: slot of each row of its result."""
 
     code: IntArray
     by_parameters: int
@@ -102,18 +110,18 @@ class Program:
         lies = [
             d for d, size in zip(_DEPENDS, sizes, strict=True) for _ in range(size)
         ]  # of each value: which part makes it
-        made: list[tuple[int, int, int, int]] = []  # operation, value, first, second
+        made: list[Instruction] = []
         constants = [0.0]
         work: dict[int, int] = {}
         results: dict[int, int] = {}
         zero = _value(lies, PARAMETERS)
-        made.append((0, zero, 0, 0))
+        made.append((0, zero, (0,)))
         for k in range(function.n_instructions()):
             operation, out = function.instruction_id(k), function.instruction_output(k)
             if operation == ca.OP_CONST:
                 constants.append(float(function.instruction_constant(k)))
                 work[out[0]] = _value(lies, PARAMETERS)
-                made.append((0, work[out[0]], len(constants) - 1, 0))
+                made.append((0, work[out[0]], (len(constants) - 1,)))
                 continue
             into = function.instruction_input(k)
             if operation == ca.OP_INPUT:
@@ -121,18 +129,18 @@ class Program:
             elif operation == ca.OP_OUTPUT:
                 results[out[1]] = work.get(into[0], zero)
             elif operation in _CODES:
-                first, second = work[into[0]], work[into[1]] if len(into) > 1 else zero
-                work[out[0]] = _value(lies, max(lies[first], lies[second]))
-                made.append((_CODES[operation], work[out[0]], first, second))
+                read = tuple(work[i] for i in into)
+                work[out[0]] = _value(lies, max(PARAMETERS, *(lies[v] for v in read)))
+                made.append((_CODES[operation], work[out[0]], read))
             else:
                 raise ValueError(f"operation {operation} of {function.name()} is not known to the compiled kernel")
         kept = [results.get(i, zero) for i in range(function.size1_out(0))]
-        return cls._laid_out(made, lies, int(begin[-1]), np.array(constants), kept)
+        return cls._laid_out(_fused(made, lies, kept), lies, int(begin[-1]), np.array(constants), kept)
 
     @classmethod
     def _laid_out(
         cls,
-        made: Sequence[tuple[int, int, int, int]],
+        made: Sequence[Instruction],
         lies: Sequence[int],
         inputs: int,
         constants: NDArray[np.float64],
@@ -142,26 +150,26 @@ class Program:
         ordered = sorted(made, key=lambda one: lies[one[1]])
         last: dict[int, int] = {}
         needed = set(results)
-        for at, (_, value, first, second) in enumerate(ordered):
-            for read in (first, second):
-                last[read] = at
-                if read >= inputs and lies[read] != lies[value]:
-                    needed.add(read)
+        for at, (operation, value, read) in enumerate(ordered):
+            for one in read if operation else ():
+                last[one] = at
+                if one >= inputs and lies[one] != lies[value]:
+                    needed.add(one)
         slot = {i: i for i in range(inputs)}
         free: dict[int, list[int]] = {PARAMETERS: [], SIGNALS: [], STATES: []}
         slots, code = inputs, []
-        for at, (operation, value, first, second) in enumerate(ordered):
+        for at, (operation, value, read) in enumerate(ordered):
             part = lies[value]
-            a, b = (first, 0) if operation == 0 else (slot[first], slot[second])
-            for read in {first, second} if operation else ():
-                if read >= inputs and read not in needed and last[read] == at:
-                    free[part].append(slot[read])
+            numbers = [slot[one] for one in read] if operation else list(read)
+            for one in set(read) if operation else ():
+                if one >= inputs and one not in needed and last[one] == at:
+                    free[part].append(slot[one])
             if free[part]:
                 slot[value] = free[part].pop()
             else:
                 slot[value], slots = slots, slots + 1
-            code.append((operation, slot[value], a, b))
-        parts = [lies[value] for _, value, _, _ in ordered]
+            code.append((operation, slot[value], *numbers, *([0] * (3 - len(numbers)))))
+        parts = [lies[value] for _, value, _ in ordered]
         return cls(
             np.array(code, dtype=np.int32), parts.count(PARAMETERS), len(parts) - parts.count(STATES), slots, constants,
             np.array([slot[r] for r in results], dtype=np.int32),
@@ -172,3 +180,23 @@ def _value(lies: list[int], part: int) -> int:
     """A further value, made by a part."""
     lies.append(part)
     return len(lies) - 1
+
+
+def _fused(made: Sequence[Instruction], lies: Sequence[int], results: Sequence[int]) -> list[Instruction]:
+    """The same with a product that only one sum or difference of its part reads taken into it."""
+    multiply, plus, minus = (_NAMES.index(n) for n in ("MUL", "ADD", "SUB"))
+    times = Counter([*results, *(one for operation, _, read in made if operation for one in read)])
+    products = {value: read for operation, value, read in made if operation == multiply and times[value] == 1}
+    gone: set[int] = set()
+    found: list[Instruction] = []
+    for operation, value, read in made:
+        mine = [v for v in read if v in products and lies[v] == lies[value]] if operation in (plus, minus) else []
+        if not mine:
+            found.append((operation, value, read))
+            continue
+        product = mine[0]
+        other = read[1] if product == read[0] else read[0]
+        name = "MUL_ADD" if operation == plus else "MUL_SUB" if product == read[0] else "SUB_MUL"
+        gone.add(product)
+        found.append((_NAMES.index(name), value, (*products[product], other)))
+    return [one for one in found if one[1] not in gone]
