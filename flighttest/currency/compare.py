@@ -17,6 +17,7 @@ from flighttest.identify import mass
 FALSE_ALARM = 0.01
 # Without one of these a subset is not told.
 LEADING: dict[str, tuple[str, ...]] = {"thrust": ("K",), "attitude": ("omega_phi", "omega_theta")}
+DOUBLED = 1.0  # relative change: a comparison that would not show a parameter doubled tells nothing of it
 TOLD = 0.1  # relative standard error below which thrust per throttle at the voltage flown counts as known
 
 
@@ -144,7 +145,8 @@ def subset_tests(
     for subset in subsets:
         ways = [(by_steps, pairs[subset])] if subset in pairs else []
         ways += [(by_estimates, testable[subset])] if subset in testable else []
-        ways.sort(key=lambda way: _finest(way[0](subset, way[1], false_alarm), LEADING.get(subset, ())))
+        seen = [(_finest(way(subset, names, false_alarm), LEADING.get(subset, ())), way, names) for way, names in ways]
+        ways = [(way, names) for least, way, names in sorted(seen, key=lambda one: one[0]) if least <= DOUBLED]
         told: set[str] = set()
         for way, names in ways:
             own = tuple(n for n in names if n not in told)

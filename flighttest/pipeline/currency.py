@@ -302,6 +302,8 @@ def finish(
     facts = {"model": stored.path or "the last one fitted"}
     if vehicle is not None:
         facts["vehicle"] = vehicle.path or vehicle.name
+    elif stored.vehicle_name:
+        facts["vehicle"] = stored.vehicle_name
     if present is not None:
         facts["read"] = present.sentence
     if runs:

@@ -7,13 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.errors import FlighttestError, InputError
+from flighttest.datafiles import read_yaml
+from flighttest.errors import FlighttestError, InputError, ModelError
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
 from flighttest.report.numbers import join
-from flighttest.vehicle.identity import Identity, identity
+from flighttest.vehicle.identity import Identity, from_data, identity
 from flighttest.vehicle.model import Vehicle
 
+MODELS_DIR = "models"  # in a folder of runs: the accepted models of each vehicle (see `lineage`)
+LINEAGE_NAME = "lineage.yaml"
+LINEAGE_REPAIR = "restore the file, or move its folder away and accept a model again"
 SAY = "say with --vehicle vehicle.yaml (`format: vehicle/1` and `name: ...` are enough)"
 
 
@@ -55,8 +59,13 @@ def identity_of(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Ide
 
 
 def known_in(folder: Path) -> dict[str, list[Identity]]:
-    """The named vehicles of a folder of runs, and what their runs know of their autopilots."""
+    """The named vehicles of a folder of runs, and what their runs and accepted models know of their autopilots."""
     found: dict[str, list[Identity]] = {}
+    for path in sorted((folder / MODELS_DIR).glob(f"*/{LINEAGE_NAME}")):
+        data = read_yaml(path, ModelError, "lineage", LINEAGE_REPAIR)
+        if isinstance(data, dict) and isinstance(data.get("vehicle"), str):
+            kept = data.get("identity")
+            found.setdefault(data["vehicle"], []).append(from_data(kept if isinstance(kept, dict) else {}))
     for run in run_folders(folder):
         try:
             one = of_manifest(read_manifest(run))

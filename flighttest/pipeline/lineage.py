@@ -20,16 +20,22 @@ from flighttest.identify.model_file import ModelFile
 from flighttest.physics.model import PAPER_TERMS
 from flighttest.pipeline.fingerprints import of_manifest
 from flighttest.pipeline.history import campaigns, standing
-from flighttest.pipeline.identities import SAY, known_in, only_vehicle, recognised, run_folders
+from flighttest.pipeline.identities import (
+    LINEAGE_NAME,
+    LINEAGE_REPAIR,
+    MODELS_DIR,
+    SAY,
+    known_in,
+    only_vehicle,
+    recognised,
+    run_folders,
+)
 from flighttest.recording.store import read_manifest
 from flighttest.report.numbers import join
-from flighttest.vehicle.identity import Identity
+from flighttest.vehicle.identity import from_data
 from flighttest.vehicle.load import load_vehicle
 
-MODELS_DIR = "models"
-LINEAGE_NAME = "lineage.yaml"
 FORMAT = "lineage/1"
-_REPAIR = "restore the file, or move its folder away and accept a model again"
 
 
 @dataclass(frozen=True)
@@ -86,17 +92,17 @@ def lineages(out: Path) -> list[Lineage]:
 
 
 def _read(path: Path) -> Lineage:
-    data = read_yaml(path, ModelError, "lineage", _REPAIR)
+    data = read_yaml(path, ModelError, "lineage", LINEAGE_REPAIR)
     if not isinstance(data, dict) or data.get("format") != FORMAT or not isinstance(data.get("vehicle"), str):
-        raise ModelError(f"{path} is not a {FORMAT} file", _REPAIR)
+        raise ModelError(f"{path} is not a {FORMAT} file", LINEAGE_REPAIR)
     made = []
     for row in data.get("models") or ():
         try:
             made.append(_generation(row))
         except (TypeError, KeyError, ValueError, AttributeError) as error:
-            raise ModelError(f"{path}: a model in it is no whole entry", _REPAIR) from error
+            raise ModelError(f"{path}: a model in it is no whole entry", LINEAGE_REPAIR) from error
         if Path(made[-1].file).name != made[-1].file:
-            raise ModelError(f"{path}: {made[-1].file!r} is no file beside it", _REPAIR)
+            raise ModelError(f"{path}: {made[-1].file!r} is no file beside it", LINEAGE_REPAIR)
     return Lineage(data["vehicle"], path.parent, tuple(made))
 
 
@@ -130,7 +136,7 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
         whose = f" of a vehicle called {vehicle}" if vehicle else ""
         raise InputError(
             f"no model was given, and {out} holds no run{whose} with a fit",
-            "name one with --model, or fly: flighttest run thrust",
+            f"name one with --model, fly: flighttest run thrust, or {SAY}",
         )
     return found
 
@@ -179,10 +185,14 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage,
 
 def _whose(stored: ModelFile, path: Path, out: Path, vehicle: Path | None) -> str:
     declared = load_vehicle(vehicle, to_fly=False).name if vehicle is not None else ""
-    named = Identity(stored.vehicle_name, str(stored.vehicle.get("autopilot") or ""))
-    name = recognised(named, known_in(out))
+    of = from_data(stored.vehicle)
+    known = recognised(of, known_in(out))
+    name = (
+        known if of.name or known != of.key else ""
+    )  # what its autopilot is called is no name against that of a vehicle file
     if declared and name and declared != name:
         raise InputError(f"{path} is a model of {name}, not of {declared}", f"give the vehicle file of {name}")
+    name = name or of.key
     if not (declared or name):
         raise InputError(f"{path}: it is not known which vehicle this is a model of", SAY)
     return declared or name
@@ -206,12 +216,14 @@ def _ended(changes: Sequence[Any], made: Generation) -> list[str]:
 def _write(whole: Lineage, stored: ModelFile, made: Generation) -> None:
     """The copy first, then the list that names it: a program killed between them leaves the model before in use."""
     whole.folder.mkdir(parents=True, exist_ok=True)
-    data = read_yaml(Path(stored.path), ModelError, "model file", _REPAIR)
+    data = read_yaml(Path(stored.path), ModelError, "model file", LINEAGE_REPAIR)
     data["vehicle"] = {**(data.get("vehicle") or {}), "name": whole.vehicle}
     model_file.write(whole.folder / made.file, data)
     rows = [{k: list(v) if isinstance(v, tuple) else v for k, v in asdict(one).items()} for one in whole.generations]
     part = whole.folder / f"{LINEAGE_NAME}.part"
-    part.write_text(write_text({"format": FORMAT, "vehicle": whole.vehicle, "models": rows}), encoding="utf-8")
+    known = {k: v for k, v in data["vehicle"].items() if k != "name"}
+    text = write_text({"format": FORMAT, "vehicle": whole.vehicle, "identity": known, "models": rows})
+    part.write_text(text, encoding="utf-8")
     os.replace(part, whole.folder / LINEAGE_NAME)
 
 

@@ -48,7 +48,17 @@ class Identity:
 
     def as_data(self) -> dict[str, Any]:
         """For model.yaml."""
-        return {"name": self.name or None, "autopilot": self.autopilot or None, "sysid": self.sysid}
+        board = {"autopilot": self.autopilot or None, "sysid": self.sysid, "calibration": dict(self.calibration)}
+        return {"name": self.name or None, **{k: v for k, v in board.items() if v not in (None, {})}}
+
+
+def from_data(data: Mapping[str, Any]) -> Identity:
+    """What `as_data` gave, as it was read back; what is not of its kind is left out."""
+    sysid, calibration = data.get("sysid"), data.get("calibration")
+    numbers = calibration.items() if isinstance(calibration, Mapping) else ()
+    measured = {str(n): float(v) for n, v in numbers if isinstance(v, int | float)}
+    named = str(data.get("name") or ""), str(data.get("autopilot") or "")
+    return Identity(*named, sysid if isinstance(sysid, int) else None, measured)
 
 
 def identity(vehicle: Mapping[str, Any], parameters: Mapping[str, Any], autopilot: str = "") -> Identity:

@@ -320,3 +320,12 @@ def test_what_like_steps_do_not_tell_the_estimates_are_asked_for():
     assert [tuple(t.shifts) for t in tests] == [("d_z",), ("d_x",)]
     assert [t.alarm for t in tests] == [False, True]
     assert sum(t.level for t in tests) == pytest.approx(FALSE_ALARM), "one level for the family of both"
+
+
+def test_a_comparison_that_would_not_show_a_doubling_is_none():
+    """Drag to a factor of fifteen was called 'as before'."""
+    names, values = ("sigma_r", "d_y"), np.array([21.0, 0.02])
+    known = Estimates("a", names, values, np.diag([0.04, 0.01]))
+    tests = subset_tests(known, known, subsets={"yaw": ("sigma_r",), "drag": ("d_y",)})
+    assert [t.subset for t in tests] == ["yaw"]
+    assert tests[0].level == pytest.approx(FALSE_ALARM)

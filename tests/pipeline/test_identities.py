@@ -49,6 +49,11 @@ def test_a_log_is_known_by_its_autopilot_and_else_unknown(tmp_path):
     assert name() == ""
     assert name(**DEFAULTS) == "", "what every simulator has tells none apart"
     assert name(**{**OFFSETS, "MAV_SYSID": 7.0}).startswith("autopilot calibrated"), "another system id"
+    models = tmp_path / "models" / "crow"
+    models.mkdir(parents=True)
+    board = {"autopilot": "cd" + BOARD[2:]}
+    (models / "lineage.yaml").write_text(yaml.safe_dump({"format": "lineage/1", "vehicle": "crow", "identity": board}))
+    assert name(autopilot="cd" + BOARD[2:]) == "crow", "by its accepted model alone"
     assert name(autopilot="ab" + BOARD[2:], **OFFSETS) == f"autopilot ab{BOARD[2:24]}", "another board"
 
 
