@@ -19,7 +19,7 @@ from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, short
 from flighttest.errors import FitError
 from flighttest.estimation.covariance import cluster_covariance, interval_factor
-from flighttest.estimation.distributions import beyond
+from flighttest.estimation.distributions import beyond, quantile
 from flighttest.estimation.problem import Noise
 from flighttest.estimation.solver import finite_or_error, solve
 from flighttest.identify.fit import Fit, fit
@@ -28,6 +28,7 @@ from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
+NO_LOOPS = "one side has no attitude references"
 LEVEL = (
     0.01  # chance that any parameter of two equal vehicles is called different (Holm's correction over the parameters)
 )
@@ -47,7 +48,8 @@ class Kind(StrEnum):
 @dataclass(frozen=True)
 class Difference:
     """One parameter on both sides. difference: real minus simulated; std, interval_95, p_value: of it, None where it is untested, or where
-    its term has no amplitude; why: what speaks against a test."""
+    its term has no amplitude; why: what speaks against a test; detectable: the smallest difference that is found in four of five
+    such pairs."""
 
     name: str
     term: str
@@ -62,6 +64,7 @@ class Difference:
     interval_95: tuple[float, float] | None = None
     p_value: float | None = None
     why: str = ""
+    detectable: float | None = None
 
     @property
     def differs(self) -> bool:
@@ -179,7 +182,7 @@ def _limits(real: Side, simulated: Side) -> tuple[Difference, ...]:
         for param in (p for p in here.model.params if p.name not in there.model.names):
             term, value = here.model.term_of(param.name), here.values[param.name]
             std = here.errors[param.name][0] if param.name in here.errors else None
-            why = there.unseen.get(term, "")
+            why = NO_LOOPS if term == "body" else there.unseen.get(term, "")
             row = Difference(
                 param.name, term, param.unit, Kind.UNTESTED if why else kind, None, None, None, None, why=why
             )
@@ -191,6 +194,7 @@ def _limits(real: Side, simulated: Side) -> tuple[Difference, ...]:
 def _differences(real: Side, simulated: Side) -> tuple[Difference, ...]:
     model, errors = real.model, (real.errors, simulated.errors)
     rows: list[Difference] = []
+    dofs: dict[int, float] = {}
     for param in (p for p in model.params if p.name in simulated.model.names):
         name, term = param.name, model.term_of(param.name)
         a, b = real.values[name], simulated.values[name]
@@ -206,15 +210,21 @@ def _differences(real: Side, simulated: Side) -> tuple[Difference, ...]:
         dof = std**4 / (s_a**4 / max(dof_a, 1.0) + s_b**4 / max(dof_b, 1.0)) if std > 0 else 1.0
         half = interval_factor(dof) * std
         p = beyond((a - b) / std, dof) if std > 0 else float(a == b)
+        dofs[len(rows)] = dof
         rows.append(replace(row, difference=a - b, std=std, interval_95=(a - b - half, a - b + half), p_value=p))
     tested = sorted((i for i, r in enumerate(rows) if r.p_value is not None), key=lambda i: rows[i].p_value or 0.0)
     still = True
     for k, i in enumerate(tested):
         still = still and (rows[i].p_value or 0.0) <= LEVEL / (len(tested) - k)
         kind = _kind(rows[i], model, errors, len(tested)) if still else Kind.SAME
-        rows[i] = replace(rows[i], kind=kind)
+        rows[i] = replace(rows[i], kind=kind, detectable=_detectable(rows[i], dofs[i], len(tested)))
     order = list(Kind)
     return tuple(sorted(rows, key=lambda r: (order.index(r.kind), r.p_value if r.p_value is not None else 1.0)))
+
+
+def _detectable(row: Difference, dof: float, tests: int) -> float:
+    """At the level of the strictest of so many tests, with a power of 80 %."""
+    return (quantile(1.0 - 0.5 * LEVEL / tests, dof) + quantile(0.8, dof)) * (row.std or 0.0)
 
 
 def _kind(row: Difference, model: Model, errors: Sequence[Mapping[str, tuple[float, float]]], tests: int) -> Kind:

@@ -70,7 +70,7 @@ def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Tabl
                 unit(r["unit"]),
                 "-" if interval is None else f"{number(interval[0], 3)} to {number(interval[1], 3)}",
                 percent(share) if share is not None and abs(share) < 10 else "-",
-                Cell(word, tone, r["why"]),
+                Cell(word, tone, r["why"] or _would_show(r)),
             )
         )
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "right", "left")
@@ -81,6 +81,14 @@ def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Tabl
     return Table(
         ("parameter", first, second, "unit", "difference", "change", ""), tuple(rows), align, caption, roomy=(5,)
     )
+
+
+def _would_show(row: Data) -> str:
+    """Of a parameter that is the same: what would have shown."""
+    least, size = row.get("detectable"), abs(row["simulated"] or 0.0)
+    if row["kind"] != "SAME" or not least:
+        return ""
+    return f"{percent(least / size)} would show" if size > least else f"{number(least, 2)} would show"
 
 
 def _prediction(data: Data) -> Section | None:

@@ -1,5 +1,7 @@
 """A simulator against reality: what differs beyond the error of both sides, and what that means."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,17 @@ def test_holm_keeps_two_errors_and_a_half_in_one_of_many_parameters_from_countin
     assert found["K"].kind is Kind.SAME
 
 
+def test_a_difference_of_the_size_that_would_show_does_so_in_four_of_five_pairs():
+    least = next(d for d in differences_of(side(), side()) if d.name == "K").detectable
+    rng = np.random.default_rng(3)
+    std = np.sqrt(2) * 0.01 * 54.55
+    shown = [
+        next(d for d in differences_of(side(K=54.55 + least + std * e), side()) if d.name == "K").differs
+        for e in rng.standard_normal(60)
+    ]
+    assert 0.65 < np.mean(shown) < 0.93
+
+
 def test_a_limit_is_in_the_model_of_one_side_alone():
     limited = MODEL.with_terms("rate_limit")
     name = next(p.name for p in limited.params if p.name not in MODEL.names)
@@ -52,6 +65,13 @@ def test_what_one_side_does_not_tell_is_not_tested():
     del other.errors["alpha"]
     row = next(d for d in differences_of(side(alpha=3.0), other) if d.name == "alpha")
     assert (row.kind, row.why) == (Kind.UNTESTED, "the simulated recordings do not tell it")
+
+
+def test_attitude_loops_that_one_side_could_not_show_are_no_difference():
+    blind = replace(MODEL, attitude_loops=False)
+    for found in (differences_of(side(blind), side()), differences_of(side(), side(blind))):
+        assert {d.kind for d in found} == {Kind.SAME, Kind.UNTESTED}
+        assert next(d for d in found if d.name == "omega_phi").why == "one side has no attitude references"
 
 
 def test_all_forces_by_one_ratio_is_mass():
