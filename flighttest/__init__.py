@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from flighttest.api.catalogue import Terms, terms
     from flighttest.api.fitted_model import FittedModel
     from flighttest.api.verbs import (
+        accept,
         check_validity,
         diagnose,
         fit,
@@ -85,6 +86,7 @@ __all__ = [
     "Validity",
     "VehicleError",
     "__version__",
+    "accept",
     "check_validity",
     "diagnose",
     "fit",
@@ -106,7 +108,8 @@ _WHERE = {
     "flighttest.api.catalogue": ("Terms", "terms"),
     "flighttest.api.fitted_model": ("FittedModel",),
     "flighttest.api.verbs": (
-        "check_validity", "diagnose", "fit", "fly", "models", "plan", "read", "read_model", "segment", "simulate", "validate",
+        "accept", "check_validity", "diagnose", "fit", "fly", "models", "plan", "read", "read_model", "segment", "simulate",
+        "validate",
     ),
     "flighttest.errors": (
         "FitError", "FlighttestError", "InputError", "LinkError", "ModelError", "PreflightError", "RecordingError", "ScriptError",

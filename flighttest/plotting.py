@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 PANEL_HEIGHT_PX = 190
+GAP = 0.25  # between panels, of a panel's height
 
 
 def over_time(groups: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]], title: str = "") -> go.Figure:
@@ -23,7 +24,11 @@ def over_time(groups: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]],
     from plotly.subplots import make_subplots
 
     figure = make_subplots(
-        rows=max(len(groups), 1), cols=1, shared_xaxes=True, subplot_titles=list(groups), vertical_spacing=0.06
+        rows=max(len(groups), 1),
+        cols=1,
+        shared_xaxes=True,
+        subplot_titles=list(groups),
+        vertical_spacing=GAP / max(len(groups), 1),
     )
     for row, (t_s, columns) in enumerate(groups.values(), 1):
         for name, values in columns.items():
@@ -33,7 +38,7 @@ def over_time(groups: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]],
         units = dict.fromkeys(CHANNELS[n].unit for n in columns if n in CHANNELS)
         figure.update_yaxes(title_text=", ".join(units), row=row, col=1)
     figure.update_xaxes(title_text="t, s", row=max(len(groups), 1), col=1)
-    figure.update_layout(title=title, height=90 + PANEL_HEIGHT_PX * max(len(groups), 1))
+    figure.update_layout(title=title, template="plotly_white", height=90 + PANEL_HEIGHT_PX * max(len(groups), 1))
     return figure
 
 

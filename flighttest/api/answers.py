@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flighttest.api.fitted_model import FittedModel
+from flighttest.api.fitted_model import FittedModel, fitted_model
 from flighttest.currency.model import Currency
 from flighttest.currency.model import Verdict as ValidityVerdict
 from flighttest.diagnose.model import Diagnosis, Located, Verdict
@@ -17,6 +17,7 @@ from flighttest.flight.outcome import LegOutcome
 from flighttest.flight.result import FlightResult
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.identify.validate import UNITS, Validation
+from flighttest.pipeline.lineage import Lineage
 from flighttest.plan.check import CheckResult
 from flighttest.plan.model import Plan
 from flighttest.recording.model import Recording
@@ -302,17 +303,48 @@ class Flown(Answer):
 
 @dataclass(frozen=True, kw_only=True)
 class Models(Answer):
-    """`models`: those fitted in a folder of runs, oldest first. current: the one in use; None where there is none."""
+    """`models`: those accepted for each vehicle. lineages: by vehicle, oldest model first."""
 
-    models: tuple[FittedModel, ...]
-    current: FittedModel | None
+    lineages: tuple[Lineage, ...]
+
+    def in_use(self, vehicle: str = "") -> FittedModel:
+        """The model in use of a vehicle; of the only one where none is named. InputError where there is none."""
+        found = [one for one in self.lineages if one.current is not None and vehicle in ("", one.vehicle)]
+        if len(found) != 1 or found[0].current is None:
+            known = ", ".join(one.vehicle for one in self.lineages) or "none: accept one"
+            raise InputError(
+                f"{len(found)} models are in use{f' of {vehicle}' if vehicle else ''}", f"there are {known}"
+            )
+        return fitted_model(found[0].current)
 
     def to_frame(self) -> pd.DataFrame:
-        """One row per model and parameter: runs, parameter, value, std, low_95, high_95, unit, identifiable."""
+        """One row per accepted model: vehicle, number, accepted, file, in_use, runs, terms, joined, left, ended."""
         import pandas as pd
 
-        columns = ["parameter", "value", "std", "low_95", "high_95", "unit", "identifiable"]
-        frames = [
-            m.to_frame().rename_axis("parameter").reset_index()[columns].assign(path=m.stored.path) for m in self.models
-        ]
-        return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=[*columns, "path"])
+        columns = ["vehicle", "number", "accepted", "file", "in_use", "runs", "terms", "joined", "left", "ended"]
+        rows = [
+            {
+                "vehicle": one.vehicle, "number": g.number, "accepted": g.accepted, "file": str(one.folder / g.file),
+                "in_use": g is one.generations[-1], "runs": g.runs, "terms": g.terms, "joined": g.joined, "left": g.left,
+                "ended": "; ".join(g.ended),
+            }
+            for one in self.lineages
+            for g in one.generations
+        ]  # fmt: skip
+        return pd.DataFrame(rows, columns=columns)
+
+    def _figures(self) -> dict[str, Figure]:
+        figures = {}
+        for one in self.lineages:
+            held = {g.number: fitted_model(one.folder / g.file).parameters for g in one.generations}
+            names = dict.fromkeys(name for parameters in held.values() for name in parameters)
+            panels = []
+            for name in names:
+                mine = {number: p[name] for number, p in held.items() if name in p}
+                half = [(p.interval_95[1] - p.interval_95[0]) / 2.0 if p.interval_95 else 0.0 for p in mine.values()]
+                values = [p.value for p in mine.values()]
+                unit = next(p.unit for p in mine.values())
+                trace = Trace(list(mine), values, name, "model", "errorbars", spread=half)  # type: ignore[arg-type]
+                panels.append(Panel(name, "model", unit, (trace,)))
+            figures[one.vehicle] = Figure(one.vehicle, tuple(panels), "", 3, 230)
+        return figures

@@ -108,12 +108,7 @@ def fitted_model(source: FittedModel | str | PathLike[str]) -> FittedModel:
     wrong."""
     if isinstance(source, FittedModel):
         return source
-    path = Path(source)
-    if path.is_dir():
-        held = [path / name for name in ("fit.yaml", "model.yaml") if (path / name).is_file()]
-        if not held:
-            raise InputError(f"{path} holds no model", "name a model.yaml, or a folder with fit.yaml or model.yaml")
-        path = held[0]
+    path = model_file.held_by(Path(source))
     stored = model_file.read(path)
     root = Document(str(path), read_text(path, ModelError, "model file")).root
     return FittedModel(stored, root.plain() if root is not None else {})

@@ -110,6 +110,7 @@ def _model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
     from flighttest.identify import model_file
 
     stored = replace(model_file.from_fit(found), fingerprint=data["fingerprint"], fit_quality=data["fit_quality"])
+    stored = replace(stored, vehicle=data.get("vehicle") or {})
     return FittedModel(stored, data)
 
 
@@ -173,8 +174,8 @@ def check_validity(
 ) -> Validity:
     """Does a stored model still hold for this vehicle: declared changes, its parameters today, and new recordings, possibly none.
 
-    model: the last one fitted in `runs` where none is given; vehicle: vehicle.yaml as it is today; connect: URL of the vehicle, whose
-    firmware and parameters are read, and nothing is set.
+    model: the vehicle's model in use in `runs` where none is given; vehicle: vehicle.yaml as it is today; connect: URL of the vehicle,
+    whose firmware and parameters are read, and nothing is set.
     """
     from flighttest.api.answers import Validity
     from flighttest.api.fitted_model import fitted_model
@@ -188,18 +189,27 @@ def check_validity(
     return Validity(document=result.document, data=result.data, currency=result.value)
 
 
-def models(runs: AnyPath = "runs", *, vehicle: str = "") -> Models:
-    """The models fitted in a folder of runs, oldest first, and the one in use. vehicle: only those of the vehicle of this name."""
+def models(runs: AnyPath = "runs") -> Models:
+    """The models accepted for each vehicle in a folder of runs: which flights, which terms joined when, which change ended each."""
     from flighttest.api.answers import Models
-    from flighttest.api.fitted_model import fitted_model
-    from flighttest.pipeline.history import FIT_NAME, campaigns, history, standing
+    from flighttest.pipeline.lineage import lineages
+    from flighttest.pipeline.models import models as listed
 
-    known = campaigns(Path(runs), vehicle)
-    found = {campaign.folder: fitted_model(campaign.folder / FIT_NAME) for campaign in known}
-    in_use = standing(known)
-    result = history(Path(runs))
-    current = None if in_use is None else found[in_use.folder]
-    return Models(document=result.document, data=result.data, models=tuple(found.values()), current=current)
+    result = listed(Path(runs))
+    return Models(document=result.document, data=result.data, lineages=tuple(lineages(Path(runs))))
+
+
+def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "runs") -> Models:
+    """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use; gives all accepted ones.
+
+    vehicle: vehicle.yaml, where the model does not say which vehicle it is of. InputError where that is not known at all.
+    """
+    from flighttest.api.answers import Models
+    from flighttest.pipeline.lineage import lineages
+    from flighttest.pipeline.models import accept as accept_model
+
+    result = accept_model(Path(model), Path(runs), _path(vehicle))
+    return Models(document=result.document, data=result.data, lineages=tuple(lineages(Path(runs))))
 
 
 def plan(*scripts: AnyPath, vehicle: AnyPath | None = None, model: AnyPath | None = None) -> Planned:
@@ -251,6 +261,7 @@ def fly(
 def simulate(
     airframe: Literal["paper", "rotor"] = "paper",
     *,
+    model: FittedModel | AnyPath | None = None,
     hide: Mapping[str, Mapping[str, float]] | None = None,
     seed: int = 1,
     speed: float = 20.0,
@@ -260,11 +271,18 @@ def simulate(
 ) -> Simulation:
     """A MAVLink copter on this machine, for tests of whatever talks to one: `with ft.simulate() as vehicle: connect(vehicle.url)`.
 
-    airframe: 'paper' (the paper's model) or 'rotor' (rotor-level first principles). hide: concealed physics, catalogue id to its values.
+    airframe: 'paper' (the paper's model) or 'rotor' (rotor-level first principles). model: an identified model flies instead. hide:
+    concealed physics, catalogue id to its values.
     speed: times real time; port: 0 takes any free one; lockstep: deterministic for a seed, time stands still until the client grants some.
     options: further fields of `sim.SimOptions`. It ends with the block, or with this process. InputError for options that cannot be.
     """
     from flighttest.sim import SimOptions, start_simulator
 
+    if model is not None:
+        from flighttest.api.fitted_model import fitted_model
+        from flighttest.twin.vehicle import options_of
+
+        twin = options_of(fitted_model(model).stored, hide, seed=seed, speed=speed, lockstep=lockstep, **options)
+        return start_simulator(twin, port=port)
     made = SimOptions(airframe=airframe, hide=hide or {}, seed=seed, speed=speed, lockstep=lockstep, **options)
     return start_simulator(made, port=port)

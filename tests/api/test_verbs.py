@@ -114,11 +114,16 @@ def test_terms_are_found_by_name_and_by_attribute():
         ft.terms.ground_efect  # noqa: B018
 
 
-def test_a_folder_without_fits_has_no_models(tmp_path):
-    found = ft.models(tmp_path)
-    assert found.models == ()
-    assert found.current is None
-    assert found.to_frame().empty
+def test_a_model_is_accepted_and_in_use(fitted, tmp_path):
+    (tmp_path / "runs").mkdir()
+    assert ft.models(tmp_path / "runs").to_frame().empty
+    with pytest.raises(ft.InputError, match="0 models are in use"):
+        ft.models(tmp_path / "runs").in_use()
+    kept = fitted.model.write(tmp_path / "model.yaml")
+    found = ft.accept(kept, runs=tmp_path / "runs")
+    assert list(found.to_frame()["in_use"]) == [True]
+    assert ft.models(tmp_path / "runs").in_use().values == pytest.approx(fitted.model.values, rel=1e-6)
+    assert len(found.plot().data) == len(fitted.model.parameters)
 
 
 def test_a_real_vehicle_flies_only_where_that_is_said(tmp_path):
@@ -134,6 +139,12 @@ def test_a_simulated_vehicle_is_reached_at_its_url_and_ends_with_its_block():
     assert not vehicle.alive
     with pytest.raises(ft.InputError, match="airframe"):
         ft.simulate("heptacopter")
+
+
+def test_an_identified_model_flies(fitted):
+    with ft.simulate(model=fitted.model) as vehicle:
+        assert vehicle.alive
+        assert vehicle.options.seed == 1
 
 
 def test_errors_are_typed_and_say_what_to_do():
