@@ -189,6 +189,15 @@ def glossary() -> str:
             "|---|---|---|---|",
             *rows,
             "",
+            "## Where is it?",
+            "",
+            "Ten questions of a reader who does not know the code, the word to search `flighttest/` for, and the module that answers.",
+            "A test keeps each among the four files that hold the word most often.",
+            "",
+            "| question | search for | where |",
+            "|---|---|---|",
+            *(f"| {question} | {word} | `flighttest/{where}` |" for question, word, where in words.QUESTIONS),
+            "",
         ]
     )
 

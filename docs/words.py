@@ -177,6 +177,20 @@ GLOSSARY = (
     Entry("zone", "the box that a flight must stay in", "vehicle/model.py"),
 )
 
+# What a reader asks, the word to search `flighttest/` for, and the module that answers: among the four files that hold the word most often.
+QUESTIONS = (
+    ("Where do standard errors come from?", "covariance", "estimation/covariance.py"),
+    ("Which terms are tried, and how are sets of them ranked?", "marginal likelihood", "diagnose/subsets.py"),
+    ("How is a term judged on data that it was not fitted to?", "cross-validated", "diagnose/comparison.py"),
+    ("How does a term get into the report?", "finding", "report/diagnosis_sections.py"),
+    ("How is a change of mode told from a pilot's?", "change of mode", "link/requests.py"),
+    ("What happens when a target is refused?", "abort mode", "flight/supervisor.py"),
+    ("How are parameters put back after a flight?", "restored", "flight/changes.py"),
+    ("Who says that a model is stale?", "stale", "currency/assess.py"),
+    ("How is the model integrated?", "Runge-Kutta", "physics/simulate.py"),
+    ("Why was a response rejected?", "take-over", "segments/quality.py"),
+)
+
 # What is gone: pattern and what to say. Matched as a whole word, in any case, also as a part of names like zone_room_m.
 GONE = {
     "house": "architecture, conventions",

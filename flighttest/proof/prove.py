@@ -1,4 +1,4 @@
-"""`prove`: draw, fly, diagnose blind, open, score; over the cores of this machine or of others."""
+"""The trials of a proof: draw, fly, diagnose without the truth, open; over the cores of this machine or of others."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Asked:
     scheduler: str | None = None
 
 
-def prove(
+def run_trials(
     asked: Asked,
     tell: Tell = lambda _text: None,
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,

@@ -9,8 +9,7 @@ from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.cases import Case
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.prove import Asked, commit_of, read, write
-from flighttest.proof.prove import prove as run_trials
+from flighttest.proof.prove import Asked, commit_of, read, run_trials, write
 from flighttest.proof.scoreboard import code_of, markdown, rates, score, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl_launcher import find_arducopter

@@ -22,6 +22,28 @@ def test_no_module_swells(repository):
     assert not long, f"split by meaning: modules above {MAX_LINES} lines: {long}"
 
 
+# Public names that two modules of one package still share.
+TWICE = {
+    "diagnose": {"compare"},
+    "pipeline": {"accept", "of_manifest", "status"},
+    "report": {"render"},
+    "sim": {"serve_inherited"},
+}
+
+
+def test_a_public_name_is_defined_once_in_its_package(repository):
+    where: dict[tuple[str, str], list[str]] = {}
+    for path in modules(repository):
+        package = path.relative_to(repository).parts[1]
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                where.setdefault((package, node.name), []).append(path.name)
+    twice = {key: files for key, files in where.items() if len(files) > 1}
+    assert not {key: files for key, files in twice.items() if key[1] not in TWICE.get(key[0], set())}
+    gone = {(package, name) for package, names in TWICE.items() for name in names} - set(twice)
+    assert not gone, "take these out of TWICE"
+
+
 def printing_calls(source: str) -> list[int]:
     """Lines that print: print(), click.echo/secho, sys.stdout/stderr.write, or a rich Console being made."""
     lines = []

@@ -67,6 +67,18 @@ def test_every_term_of_the_glossary_stands_in_its_module(words, repository):
     assert not missing
 
 
+def test_a_search_for_the_word_leads_to_the_module_that_answers(words, texts):
+    astray = {}
+    for _, word, where in words.QUESTIONS:
+        hits = {n: t.count(word.lower()) for n, t in texts.items() if n.startswith("flighttest/") and n.endswith(".py")}
+        first = sorted((n for n in hits if hits[n]), key=lambda n: -hits[n])
+        fourth = hits[first[3]] if len(first) > 3 else 1
+        if hits[f"flighttest/{where}"] < max(fourth, 1):
+            astray[word] = first[:4]
+    assert len(words.QUESTIONS) == 10
+    assert not astray
+
+
 def test_the_glossary_is_sorted_and_without_synonyms(words):
     terms = [e.term.lower() for e in words.GLOSSARY]
     assert len(terms) == len(set(terms))

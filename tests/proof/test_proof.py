@@ -14,7 +14,7 @@ from flighttest.proof import proving, trial
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.outcome import Outcome, closed_loop_pole_s
-from flighttest.proof.prove import Asked, prove
+from flighttest.proof.prove import Asked, run_trials
 from flighttest.proof.scoreboard import interval, markdown, score
 from flighttest.sim.options import SimOptions
 from flighttest.sim.rotor_effects import EFFECTS
@@ -203,7 +203,7 @@ def test_a_folder_with_something_else_is_not_written_over(tmp_path):
 
 def test_no_trials_prove_nothing():
     with pytest.raises(InputError, match="prove nothing"):
-        prove(Asked(0))
+        run_trials(Asked(0))
 
 
 def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_both_have():
