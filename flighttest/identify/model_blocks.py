@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import yaml
+
 from flighttest.documents import Document, Node, kind_of
 from flighttest.physics.catalogue import catalogue
 
@@ -81,3 +83,26 @@ def terms_of(document: Document, node: Node | None) -> list[str]:
         if not isinstance(child.value, str) or child.value not in known:
             document.wrong(child, f"no term is called {child.plain()!r}", "see `flighttest terms`")
     return [str(child.plain()) for child in node.value]
+
+
+class ModelDumper(yaml.SafeDumper):
+    """Block style with short lists and small mappings on one line."""
+
+    def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> Any:
+        """On one line where nothing in it is nested."""
+        flat = all(not isinstance(v, dict | list | tuple) for v in sequence)
+        return super().represent_sequence(tag, sequence, flow_style=flat if flow_style is None else flow_style)
+
+    def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> Any:
+        """On one line where it is small and flat."""
+        short = len(mapping) <= 8 and not any(_deep(v) for v in mapping.values())
+        return super().represent_mapping(tag, mapping, flow_style=short if flow_style is None else flow_style)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Write every value out."""
+        return True
+
+
+def _deep(value: Any) -> bool:
+    """Whether a value does not read well on one line."""
+    return isinstance(value, dict) or (isinstance(value, list) and any(isinstance(v, list | dict) for v in value))

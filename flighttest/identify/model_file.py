@@ -21,6 +21,7 @@ from flighttest.frames import G_M_S2
 from flighttest.identify.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
 from flighttest.identify.model_blocks import (
+    ModelDumper,
     check_fingerprint,
     check_valid,
     children_of,
@@ -176,7 +177,7 @@ def covariance_with_mean_delay(found: Fit) -> tuple[tuple[str, ...], FloatArray]
 def write(path: Path, data: Mapping[str, Any]) -> None:
     """Write model.yaml from `as_data`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    text = yaml.dump(dict(data), Dumper=ModelDumper, sort_keys=False, allow_unicode=True, width=120)
     path.write_text(text, encoding="utf-8")
 
 
@@ -277,26 +278,6 @@ def from_fit(found: Fit) -> ModelFile:
         found.model, parameters, found.values, order, matrix, data["valid"], {}, tuple(data["runs"]), data["noise"],
         data["fit_quality"], found.notes,
     )  # fmt: skip
-
-
-class _Dumper(yaml.SafeDumper):
-    """Block style with short lists and small mappings on one line."""
-
-    def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> Any:
-        flat = all(not isinstance(v, dict | list | tuple) for v in sequence)
-        return super().represent_sequence(tag, sequence, flow_style=flat if flow_style is None else flow_style)
-
-    def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> Any:
-        short = len(mapping) <= 8 and not any(_deep(v) for v in mapping.values())
-        return super().represent_mapping(tag, mapping, flow_style=short if flow_style is None else flow_style)
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _deep(value: Any) -> bool:
-    """Whether a value does not read well on one line."""
-    return isinstance(value, dict) or (isinstance(value, list) and any(isinstance(v, list | dict) for v in value))
 
 
 def _number(value: float | None) -> float | None:
