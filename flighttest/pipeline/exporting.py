@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.identify import model_file
+from flighttest.identify.export import export as write_export
 from flighttest.identify.model_file import ModelFile
-from flighttest.pipeline import keeping
 from flighttest.pipeline.results import Result, check_writable
 from flighttest.report.document import Bullets, Document, Section, Table
 from flighttest.report.numbers import join, number
@@ -15,10 +15,10 @@ from flighttest.report.numbers import join, number
 
 def export(model: Path, kind: str, output: Path) -> Result:
     """Write a model for other programs. casadi, c, json: the model itself; fmu, rotorpy: as a vehicle of another simulator."""
-    if kind not in ("fmu", "rotorpy"):
-        return keeping.export(model, kind, output)
-    check_writable(output)
     stored = model_file.read(model, whole=True)
+    if kind not in ("fmu", "rotorpy"):
+        return _itself(stored, kind, output)
+    check_writable(output)
     path, what, data = (_fmu if kind == "fmu" else _rotorpy)(stored, output)
     table = Table(("file", "what it is"), ((str(path), what),))
     blocks = (table, Bullets(tuple(data["left_out_sentences"])))
@@ -26,18 +26,38 @@ def export(model: Path, kind: str, output: Path) -> Result:
     return Result(document, {"files": [str(path)], "to": kind} | data)
 
 
+def _itself(stored: ModelFile, kind: str, output: Path) -> Result:
+    written = write_export(stored, kind, output)  # type: ignore[arg-type]
+    rows = tuple((str(path), _what(path)) for path in written)
+    verdict = f"{len(written)} file{'s' if len(written) != 1 else ''} written to {output}."
+    section = Section("files", "", (Table(("file", "what it is"), rows),))
+    return Result(Document("export", verdict, "good", (section,)), {"files": [str(p) for p in written], "to": kind})
+
+
+def _what(path: Path) -> str:
+    return {
+        "model.json": "states, inputs, delays, parameters, covariance, validity",
+        "dynamics.casadi": "x_dot = dynamics(x, u)",
+        "step.casadi": "x_next = step(x, u, dt), one RK4 step",
+        "step_jacobian.casadi": "A, B = step_jacobian(x, u, dt)",
+        "flighttest_model.c": "the same functions in C99",
+        "flighttest_model.h": "its header",
+        "example.c": "a small program that calls them",
+    }.get(path.name, "")
+
+
 def _fmu(stored: ModelFile, output: Path) -> tuple[Path, str, dict[str, Any]]:
     from flighttest.twin import fmu
 
     said = ["every term of the model and its delays are in it; the battery's voltage is an input"]
     what = "FMI 2.0 co-simulation, compiled for this system, with its C source"
-    return fmu.write(stored, output), what, {"left_out": [], "left_out_sentences": said}
+    return fmu.write_fmu(stored, output), what, {"left_out": [], "left_out_sentences": said}
 
 
 def _rotorpy(stored: ModelFile, output: Path) -> tuple[Path, str, dict[str, Any]]:
     from flighttest.twin import rotorpy
 
-    path = rotorpy.write(stored, output)
+    path = rotorpy.write_vehicle(stored, output)
     lacking, error = rotorpy.lacking(stored), rotorpy.left_error(stored)
     said = [
         f"RotorPy's vehicle has no {join(list(lacking), 'or')}" if lacking else "no term of the model is left out",

@@ -1,4 +1,4 @@
-"""Keeping models: export, compare, currency (`status`), and the runs on this machine."""
+"""Keeping models: compare, currency (`status`), and the runs on this machine."""
 
 from __future__ import annotations
 
@@ -9,35 +9,12 @@ from flighttest.errors import InputError
 from flighttest.identify import model_file
 from flighttest.identify.compare import LEVEL, Difference
 from flighttest.identify.compare import compare as compare_models
-from flighttest.identify.export import export as write_export
 from flighttest.identify.model_file import ModelFile
 from flighttest.pipeline.analysis import cut_all, fit_segments
 from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.pipeline.sources import open_recordings
 from flighttest.report.document import Align, Cell, Document, Section, Table
 from flighttest.report.numbers import join, percent, to_error, unit
-
-
-def export(model: Path, kind: str, output: Path) -> Result:
-    """Write a model for other programs."""
-    stored = model_file.read(model, whole=True)
-    written = write_export(stored, kind, output)  # type: ignore[arg-type]
-    rows = tuple((str(path), _what(path)) for path in written)
-    verdict = f"{len(written)} file{'s' if len(written) != 1 else ''} written to {output}."
-    section = Section("files", "", (Table(("file", "what it is"), rows),))
-    return Result(Document("export", verdict, "good", (section,)), {"files": [str(p) for p in written], "to": kind})
-
-
-def _what(path: Path) -> str:
-    return {
-        "model.json": "states, inputs, delays, parameters, covariance, validity",
-        "dynamics.casadi": "x_dot = dynamics(x, u)",
-        "step.casadi": "x_next = step(x, u, dt), one RK4 step",
-        "step_jacobian.casadi": "A, B = step_jacobian(x, u, dt)",
-        "flighttest_model.c": "the same functions in C99",
-        "flighttest_model.h": "its header",
-        "example.c": "a small program that calls them",
-    }.get(path.name, "")
 
 
 def open_model(path: Path, progress: Progress = SILENT) -> ModelFile:
@@ -125,6 +102,6 @@ def status(
 
 def runs(folder: Path, *, html: bool = False) -> Result:
     """The runs in a folder, oldest first."""
-    from flighttest.pipeline.history import history
+    from flighttest.pipeline.runs_table import history
 
     return history(folder, page=html)

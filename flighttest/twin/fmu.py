@@ -27,7 +27,7 @@ _SOURCES = (f"{NAME}.c", f"{NAME}.h", "fmu_data.h", "fmu.c")
 _OUTPUT_REF, _START_REF = 100, 200
 
 
-def write(stored: ModelFile, folder: Path) -> Path:
+def write_fmu(stored: ModelFile, folder: Path) -> Path:
     """Write flighttest_model.fmu for this machine's system. InputError without a C compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:

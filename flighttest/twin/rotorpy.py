@@ -30,7 +30,7 @@ MOTOR_S = 0.001  # the identified lag is in the commands
 STEPS_RAD = 0.015  # what RotorPy's own motors and steps of 2 ms leave of the attitude on the test maneuver (flown with RotorPy 3.0)
 
 
-def write(stored: ModelFile, folder: Path) -> Path:
+def write_vehicle(stored: ModelFile, folder: Path) -> Path:
     """Write rotorpy_vehicle.py. ModelError where the model has no attitude loops."""
     fly_able(stored)
     folder.mkdir(parents=True, exist_ok=True)

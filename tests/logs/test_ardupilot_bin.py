@@ -57,13 +57,13 @@ def test_the_first_of_several_imus_is_taken_and_named(flight, tmp_path):
     assert "instance 0 of 0, 1" in r.provenance.clock["IMU"]
 
 
-def test_without_guia_the_autopilots_targets_stand_in_and_it_is_said(flight, tmp_path):
+def test_without_guia_the_autopilots_targets_are_taken_and_it_is_said(flight, tmp_path):
     w = flight()
     kind = w.kinds["GUIA"][0]
     data = bytes(w.data).replace(b"\xa3\x95" + bytes([kind]), b"\xa3\x95\xc9")
     (tmp_path / "a.BIN").write_bytes(data)
     r = import_log(tmp_path / "a.BIN")
-    assert "stands in" in r.provenance.derived["roll_ref_rad"]
+    assert "is taken for the reference" in r.provenance.derived["roll_ref_rad"]
     t, roll = r.channel("roll_ref_rad")
     assert t[np.flatnonzero(np.diff(roll) > 0.1)[0] + 1] == pytest.approx(51.0, abs=0.002)
     assert any("type 201" in loss for loss in r.provenance.losses)

@@ -86,7 +86,7 @@ def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
     assert data["model"]["parameters"]["sigma_r"]["value"] == pytest.approx(21.54, rel=0.06)
     # In lock-step both ends share one clock: half a millisecond off would show.
     assert data["model"]["parameters"]["T_d_yaw_rate"]["value"] == pytest.approx(0.1, abs=3e-4)
-    assert data["model"]["parameters"]["T_d_yaw_rate"]["std"] < 3e-4
+    assert data["model"]["parameters"]["T_d_yaw_rate"]["scatter"] < 3e-4
     assert data["model"]["fingerprint"]["components"]["propellers"]
     # raw.tlog is the truth: the same can be rebuilt from it.
     code, out, _ = call("import", run / "raw.tlog", "-o", tmp_path / "again", "--json")

@@ -29,7 +29,7 @@ def stored(*terms, **values):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 def test_the_unit_steps_as_the_casadi_function_with_its_inputs_delayed(tmp_path):
     file = stored("thrust_fade", "reference_shaping")
-    with zipfile.ZipFile(fmu.write(file, tmp_path)) as archive:
+    with zipfile.ZipFile(fmu.write_fmu(file, tmp_path)) as archive:
         archive.extractall(tmp_path)
     root = ElementTree.parse(tmp_path / "modelDescription.xml").getroot()
     ref = {v.get("name"): int(v.get("valueReference")) for v in root.iter("ScalarVariable")}
@@ -82,12 +82,12 @@ def test_the_unit_steps_as_the_casadi_function_with_its_inputs_delayed(tmp_path)
 def test_without_a_compiler_there_is_no_unit(tmp_path, monkeypatch):
     monkeypatch.setattr(fmu.shutil, "which", lambda _name: None)
     with pytest.raises(InputError, match="no C compiler is found"):
-        fmu.write(stored(), tmp_path)
+        fmu.write_fmu(stored(), tmp_path)
 
 
 def test_rotorpys_commands_close_the_attitude_loops_as_identified(tmp_path):
     file = stored("rate_limit")
-    path = rotorpy.write(file, tmp_path)
+    path = rotorpy.write_vehicle(file, tmp_path)
     spec = importlib.util.spec_from_file_location("made", path)
     made = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(made)
@@ -125,7 +125,7 @@ def test_what_a_simulator_cannot_hold_is_said_with_the_error_it_leaves(tmp_path,
         in exporting.export("m", "rotorpy", tmp_path).data["left_out_sentences"][0]
     )
     with pytest.raises(ModelError, match="no attitude loops"):
-        rotorpy.write(replace(file, model=replace(file.model, attitude_loops=False)), tmp_path)
+        rotorpy.write_vehicle(replace(file, model=replace(file.model, attitude_loops=False)), tmp_path)
 
 
 def test_a_target_that_is_not_known_is_a_usage_error(tmp_path, capsys):
