@@ -19,7 +19,7 @@ from flighttest.pipeline.currency import judge
 from flighttest.pipeline.diagnosis import MODEL_NAME, NEXT_NAME, UNFINISHED, run_diagnosis, write_diagnosis
 from flighttest.pipeline.history import DEFAULT_RUNS, FIT_NAME, as_good
 from flighttest.pipeline.identities import whose
-from flighttest.pipeline.lineage import model_of
+from flighttest.pipeline.lineage import model_of, together, worse
 from flighttest.pipeline.models import accepted
 from flighttest.pipeline.reflights import reflights
 from flighttest.pipeline.repeating import words_of
@@ -102,11 +102,19 @@ def _out_words(out: Path) -> str:
     return f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
 
 
+def _changed(found: Analysis) -> bool:
+    """Whether what is declared of the vehicle has changed since the model in use: flights of both are not to be fitted together."""
+    return found.currency is not None and bool(found.currency.changes)
+
+
 def _accepting(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
     """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
     if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
         return ""
     words = f"flighttest accept {shlex.quote(str(folder))}{_out_words(out)}"
+    used, own = found.previous, found.improved or found.fit
+    if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
+        return f"with the flights of the model in use, which knows more: {together(out, used, folder)}"
     if not name:
         return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
     if not keep:

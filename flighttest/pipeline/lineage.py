@@ -6,6 +6,7 @@ import datetime
 import hashlib
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from flighttest.identify import model_file
 from flighttest.identify.model_file import ModelFile
 from flighttest.physics.model import PAPER_TERMS
 from flighttest.pipeline.fingerprints import of_manifest
-from flighttest.pipeline.history import campaigns, standing
+from flighttest.pipeline.history import AS_GOOD, campaigns, standing
 from flighttest.pipeline.identities import (
     LINEAGE_NAME,
     LINEAGE_REPAIR,
@@ -143,7 +144,7 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
 
 def accept(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage, Generation]:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use. InputError where the vehicle is not known
-    or another one's, or the model knows less than the one in use and has no term more."""
+    or another one's, or where the model knows less than the one in use, of an unchanged vehicle and without its flights."""
     if not path.exists():
         raise InputError(
             f"{path}: there is no such model or folder", "name what `flighttest diagnose -o` or `run` wrote"
@@ -171,11 +172,11 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage,
             left=tuple(t for t in last.terms if t not in made.terms),
         )
         changes, _ = declared_changes(old.fingerprint, stored.fingerprint)
-        lost = [n for n in _known(old) if n not in _known(stored)]
-        if lost and not made.joined and not changes:
+        lost = worse(stored, old)
+        if lost and not changes:
             raise InputError(
-                f"{path} knows less than the model in use: not {join(lost)}",
-                f"keep what these flights do not tell: flighttest diagnose RUN --model {before.current} -o DIR, then accept DIR",
+                f"{path} knows less than the model in use, of {join(lost)}",
+                f"fit its flights with those of the model in use: {together(out, old, path)}; or declare in vehicle.yaml what has changed",
             )
         generations[-1] = replace(last, ended=tuple(_ended(changes, made)), ended_on=now)
     whole = Lineage(name, before.folder, (*generations, made))
@@ -198,9 +199,26 @@ def _whose(stored: ModelFile, path: Path, out: Path, vehicle: Path | None) -> st
     return declared or name
 
 
-def _known(stored: ModelFile) -> list[str]:
-    """The parameters that a model tells."""
-    return [n for n, p in stored.parameters.items() if p.identifiable and p.std is not None]
+def worse(new: ModelFile, old: ModelFile) -> list[str]:
+    """What a model knows less well than another one, by `AS_GOOD`. Nothing where it is fitted to the other's flights too: a term that
+    joined widens what it is confused with, and rightly so."""
+    if set(map(str, old.runs)) <= set(map(str, new.runs)):
+        return []
+    mine, theirs = _known(new), _known(old)
+    return [n for n, std in theirs.items() if n not in mine or mine[n] > AS_GOOD * std]
+
+
+def together(out: Path, old: ModelFile, path: Path) -> str:
+    """The command that diagnoses a run with the flights of a model, and accepts what comes out."""
+    runs = [*(out / str(r) for r in old.runs), path]
+    words = " ".join(shlex.quote(str(r)) for r in runs)
+    return f"flighttest diagnose {words} -o {shlex.quote(str(path / 'together'))} --accept"
+
+
+def _known(stored: ModelFile) -> dict[str, float]:
+    """The parameters that a model tells, with their standard errors."""
+    kept = {n: p for n, p in stored.parameters.items() if n in stored.model.names}  # without T_d, a mean of others
+    return {n: p.std for n, p in kept.items() if p.identifiable and p.std is not None}
 
 
 def _ended(changes: Sequence[Any], made: Generation) -> list[str]:

@@ -97,9 +97,17 @@ def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
 
 def test_a_model_that_knows_less_does_not_take_the_place_of_one_that_knows_more(tmp_path):
     lineage.accept(write_model(tmp_path / "one"), tmp_path)
-    with pytest.raises(InputError, match="knows less than the model in use: not alpha"):
-        lineage.accept(write_model(tmp_path / "two", unknown=("alpha",)), tmp_path)
+    with pytest.raises(InputError, match="knows less than the model in use, of alpha") as told:
+        lineage.accept(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
+    both = f"flighttest diagnose {tmp_path / 'a'} {tmp_path / 'two'} -o {tmp_path / 'two' / 'together'} --accept"
+    assert both in told.value.hint
+    # Also where a term joined: the two heights of a ground effect tell less of the drag than a campaign.
+    longer = (*PAPER, "ground_effect")
+    with pytest.raises(InputError, match="of alpha"):
+        lineage.accept(write_model(tmp_path / "two", longer, runs=("b",), unknown=("alpha",)), tmp_path)
     assert len(lineage.lineage_of(tmp_path, "heron").generations) == 1
+    lineage.accept(write_model(tmp_path / "two", longer, runs=("a", "b"), unknown=("alpha",)), tmp_path)
+    assert len(lineage.lineage_of(tmp_path, "heron").generations) == 2
 
 
 def test_a_folder_stands_for_the_improved_model_before_the_first_fit(tmp_path):
