@@ -109,11 +109,7 @@ def judge(
     series: list[Estimates] = []
     new = {r.name for r in recordings}
     known = campaigns(out, name) if out is not None and name else []
-    earlier = [
-        c.estimates
-        for c in known
-        if c.follows(stored) and c.model.model.terms == stored.model.terms and not new & set(map(str, c.model.runs))
-    ]
+    earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
     segments = cut_all(recordings, progress) if recordings else ()
     usable = [s for s in segments if s.usable]
     paired = None

@@ -45,7 +45,9 @@ class Campaign:
         return watched(self.model, self.folder.name)
 
     def follows(self, stored: ModelFile) -> bool:
-        """Whether this campaign came after a model's own and nothing declared has changed since."""
+        """Whether this campaign came after a model's own, has its terms (others move the parameters), and nothing declared has changed."""
+        if self.model.model.terms != stored.model.terms:
+            return False
         if not self.model.runs or set(map(str, self.model.runs)) & set(map(str, stored.runs)):
             return False
         last = max((str(r) for r in stored.runs), default="")

@@ -97,3 +97,11 @@ def test_of_several_vehicles_in_a_folder_the_model_is_of_the_one_asked_about(tmp
         lineage.in_use(tmp_path)
     with pytest.raises(InputError, match="no run of a vehicle called crow"):
         lineage.in_use(tmp_path, "crow")
+
+
+def test_a_fit_with_other_terms_is_no_later_estimate_of_the_same_parameters():
+    """Of a model with quadratic drag the paper's model of a spot check has 27 % less d_x: that is no drift."""
+    stored = model(runs=("1",))
+    assert campaign("2", runs=("2",)).follows(stored)
+    other = replace(stored, model=Model(("body", "linear_drag", "quadratic_drag")))
+    assert not campaign("2", runs=("2",)).follows(other)
