@@ -25,6 +25,7 @@ from flighttest.estimation.solver import finite_or_error, solve
 from flighttest.identify.fit import Fit, fit
 from flighttest.identify.quality import ChannelQuality, channel_quality
 from flighttest.identify.selection import problem_of
+from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -144,7 +145,7 @@ def compare(
     differences = differences_of(*compared)
     floors = floors_of(mine, of_real)
     prediction, corrected, held_out = _prediction(sides[0][0], mine, theirs, differences, floors)
-    return Against(mine, theirs, differences, prediction, corrected, held_out, mass_notes(differences, *compared))
+    return Against(mine, theirs, differences, prediction, corrected, held_out, notes_of(differences, *compared))
 
 
 def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float], frozen: Mapping[str, float]) -> Fit:
@@ -291,6 +292,21 @@ def _prediction(
         if c in after and c in fitted
     }
     return made, dict(corrected), held_out
+
+
+def notes_of(found: Sequence[Difference], real: Side, simulated: Side) -> tuple[str, ...]:
+    """What else the differences may mean."""
+    return (*mass_notes(found, real, simulated), *hidden_notes(found, real.model))
+
+
+def hidden_notes(found: Sequence[Difference], model: Model) -> tuple[str, ...]:
+    """Terms that hide in the parameters that differ, too small in these recordings to be named."""
+    names = {"T_d" if d.name.startswith("T_d") else d.name for d in found if d.kind is Kind.OTHER_VALUE}
+    terms = [t for t in catalogue().values() if t.id not in model.terms and names and names <= set(t.hides_in)]
+    if not terms:
+        return ()
+    rivals = " or ".join(f"{t.id} (fly {t.reveals})" for t in terms)
+    return (f"another value of {', '.join(sorted(names))} may stand for {rivals}, too small here to be named",)
 
 
 def mass_notes(found: Sequence[Difference], real: Side, simulated: Side) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from flighttest.diagnose.against import (
     differences_of,
     errors_of,
     floors_of,
-    mass_notes,
+    notes_of,
     predicted,
     side_of,
     step_by_step,
@@ -219,7 +219,7 @@ def _compare(
         "channels": plain(channels),
         "above": above,
         "parameters": plain([difference_data(d) for d in rows]),
-        "notes": list(mass_notes(rows, real, twin)),
+        "notes": list(notes_of(rows, real, twin)),
         "steps": plain(step_by_step(segments, flown)) if flown else [],
         "diagnosis": {"verdict": found.verdict.name, "sentence": found.sentence},
     }

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flighttest.diagnose.against import Kind, Side, differences_of, mass_notes, step_by_step
+from flighttest.diagnose.against import Kind, Side, differences_of, hidden_notes, mass_notes, step_by_step
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -79,6 +79,15 @@ def test_all_forces_by_one_ratio_is_mass():
     lighter = side(**{n: 1.1 * start[n] for n in ("K", "d_x", "d_y", "d_z")})
     (said,) = mass_notes(differences_of(lighter, side()), lighter, side())
     assert "the mass changed by -9.1 %" in said
+
+
+def test_terms_that_hide_in_what_differs_are_named_with_the_flight_that_shows_them():
+    start = MODEL.start()
+    base = MODEL.without_terms("quadratic_drag")
+    more = side(base, **{n: 1.2 * start[n] for n in ("d_x", "d_y", "d_z")})
+    (said,) = hidden_notes(differences_of(more, side(base)), base)
+    assert "another value of d_x, d_y, d_z may stand for quadratic_drag (fly speed_dash)" in said
+    assert hidden_notes(differences_of(side(base), side(base)), base) == ()
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.05])
