@@ -12,7 +12,6 @@ from flighttest.datafiles import read_text
 from flighttest.documents import Document
 from flighttest.errors import InputError, ModelError
 from flighttest.identify import model_file
-from flighttest.identify.export import export
 from flighttest.identify.model_file import ModelFile, StoredParameter
 from flighttest.physics.equations import Equations
 from flighttest.physics.model import Model
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
     from numpy.typing import ArrayLike
-
-KINDS = ("casadi", "c", "json")
 
 
 @dataclass(frozen=True)
@@ -71,10 +68,12 @@ class FittedModel:
         return Path(path)
 
     def export(self, kind: str, folder: str | PathLike[str]) -> tuple[Path, ...]:
-        """Write it for other programs: 'casadi', 'c' or 'json'; gives the files written. InputError for another kind."""
+        """Write it for other programs: 'casadi', 'c', 'json', 'fmu' or 'rotorpy'; gives the files written. InputError for another kind."""
+        from flighttest.pipeline.exporting import KINDS, export
+
         if kind not in KINDS:
             raise InputError(f"there is no export called {kind!r}", f"there are {', '.join(KINDS)}")
-        return tuple(export(self.stored, kind, Path(folder)))  # type: ignore[arg-type]
+        return tuple(Path(file) for file in export(self.stored, kind, Path(folder)).data["files"])
 
     def to_frame(self) -> pd.DataFrame:
         """One row per parameter, indexed by name: value, std, low_95, high_95, unit, source, identifiable, why, fly."""

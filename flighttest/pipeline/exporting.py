@@ -13,9 +13,12 @@ from flighttest.report.document import Bullets, Document, Section, Table
 from flighttest.report.numbers import join, number
 
 
-def export(model: Path, kind: str, output: Path) -> Result:
+KINDS = ("casadi", "c", "json", "fmu", "rotorpy")
+
+
+def export(model: Path | ModelFile, kind: str, output: Path) -> Result:
     """Write a model for other programs. casadi, c, json: the model itself; fmu, rotorpy: as a vehicle of another simulator."""
-    stored = model_file.read(model, whole=True)
+    stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
     if kind not in ("fmu", "rotorpy"):
         return _itself(stored, kind, output)
     check_writable(output)

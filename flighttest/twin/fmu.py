@@ -15,11 +15,11 @@ from xml.sax.saxutils import quoteattr
 
 import casadi as ca
 
-from flighttest import __version__
 from flighttest.channels import CHANNELS
 from flighttest.errors import InputError
 from flighttest.identify.export import c_code, functions, hover_input, hover_state
 from flighttest.identify.model_file import ModelFile
+from flighttest.version import __version__
 
 NAME = "flighttest_model"
 MOST_STEP_S = 0.005  # below a fifth of the shortest lag a fit may find (150 1/s)
