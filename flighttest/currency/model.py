@@ -1,4 +1,4 @@
-"""What the currency room answers with: verdict, changes, tests, and what to fly."""
+"""Whether a model is still valid, as an answer: verdict, changes, tests, and what to fly."""
 
 from __future__ import annotations
 

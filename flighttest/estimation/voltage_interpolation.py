@@ -18,7 +18,7 @@ SAMPLES = "voltage_samples"  # in Segment.context: (t_s (n,), voltage_v (n,)) as
 SLOW = 2.0  # a monitor at less than this share of the segment's rate is slow
 FEWEST = 5
 # What is known beforehand, as standard deviations: noise of a sample V, sag at hover V, drain V/s. Over a second of samples drain and
-# sag could stand in for one another otherwise.
+# sag could take one another's place otherwise.
 NOISE_V = 0.02
 SAG_V = 1.0
 DRAIN_V_S = 0.02

@@ -169,7 +169,7 @@ def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
 
 
 def _moved(data: Data) -> Table | None:
-    """Base parameters before and after: they move when they no longer stand in for what was missing."""
+    """Base parameters before and after: they move when they no longer absorb what was missing."""
     before, after = data.get("before") or {}, data.get("after") or {}
     rows = []
     for name, a in after.items():
