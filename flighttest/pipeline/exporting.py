@@ -12,7 +12,6 @@ from flighttest.pipeline.results import Result, check_writable
 from flighttest.report.document import Bullets, Document, Section, Table
 from flighttest.report.numbers import join, number
 
-
 KINDS = ("casadi", "c", "json", "fmu", "rotorpy")
 
 

@@ -25,10 +25,9 @@ def test_no_module_swells(repository):
 # Public names that two modules of one package still share.
 TWICE = {
     "diagnose": {"compare"},
-    "pipeline": {"accept", "export", "of_manifest", "status"},
+    "pipeline": {"accept", "of_manifest", "status"},
     "report": {"render"},
     "sim": {"serve_inherited"},
-    "twin": {"write"},
 }
 
 

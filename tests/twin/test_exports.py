@@ -113,16 +113,15 @@ def test_rotorpys_commands_close_the_attitude_loops_as_identified(tmp_path):
     assert thrusts[-1] == pytest.approx(2.0 * loop["K"] * 0.2, rel=1e-6)
 
 
-def test_what_a_simulator_cannot_hold_is_said_with_the_error_it_leaves(tmp_path, monkeypatch):
+def test_what_a_simulator_cannot_hold_is_said_with_the_error_it_leaves(tmp_path):
     file = stored("rate_limit", rate_max=2.0)
     assert rotorpy.lacking(file) == ("rate_limit",)
     assert rotorpy.left_error(file)["attitude_rad"] > 0.1
     assert rotorpy.left_error(stored())["attitude_rad"] == rotorpy.STEPS_RAD
     assert 0.001 < rotorpy.left_error(stored())["velocity_m_s"] < 0.1
-    monkeypatch.setattr(exporting.model_file, "read", lambda *_args, **_more: file)
     assert (
         "RotorPy's vehicle has no rate_limit"
-        in exporting.export("m", "rotorpy", tmp_path).data["left_out_sentences"][0]
+        in exporting.export(file, "rotorpy", tmp_path).data["left_out_sentences"][0]
     )
     with pytest.raises(ModelError, match="no attitude loops"):
         rotorpy.write_vehicle(replace(file, model=replace(file.model, attitude_loops=False)), tmp_path)
