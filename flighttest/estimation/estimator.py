@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.estimation.covariance import Covariance, covariance_of
 from flighttest.estimation.linearisation import (
     FloatArray,
     Linearisation,
@@ -134,6 +135,15 @@ class Estimator:
             scale += sum(n * np.log(found.noise.channel[c]) for n, c in zip(count, part.outputs, strict=True))
             scale += len(part.responses) * sum(np.log(found.noise.disturbance[d]) for d in part.block.disturbances)
         return replace(made, objective=objective, log_likelihood=float(-scale - 0.5 * objective))
+
+    def covariance(self, model: Model, at: Optimum, names: Sequence[str]) -> Covariance:
+        """Covariance of `names` at an optimum of them, as a fit has it (`estimation.covariance`)."""
+        problem = self.problem(model)
+        found = solve(
+            problem, at.values, free=names, robust=False, noise=at.noise, local=self.nuisance(problem, at),
+            estimate_noise=False, max_iterations=1,
+        )  # fmt: skip
+        return covariance_of(problem, found)
 
     def linearise(self, model: Model, at: Optimum, names: Sequence[str]) -> Linearisation:
         """Whitened, profiled rows at a point, with Jacobian columns for `names` (coefficients at their null value included)."""

@@ -134,7 +134,9 @@ def test_the_probability_of_a_term_has_the_catalogue_in_its_prior():
 
 def found(probability=0.999, floors=5.0, inadmissible=""):
     nothing = np.zeros(0)
-    return Evidence("t", 9.0, probability, floors, ("f_z_m_s2", "roll_step"), nothing, nothing, inadmissible, None)
+    return Evidence(
+        "t", 9.0, probability, floors, ("f_z_m_s2", "roll_step"), nothing, nothing, inadmissible, None, ("f_z_m_s2",)
+    )
 
 
 @pytest.mark.parametrize(("probability", "named"), [(0.98, False), (0.985, False), (0.992, True)])
@@ -211,3 +213,8 @@ def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
     at = Optimum({"omega_phi": 20.0, "zeta_phi": 0.5, **limit}, {}, NOISE, 0.0)
     model = Fitted(Model((term,)), tuple(limit), at, None)
     assert (inadmissible(catalogue()[term], model, [step], 30) == "") is reached
+
+
+def test_what_improves_no_prediction_of_unused_steps_is_not_named():
+    assert found().why_not == ""
+    assert "not used" in replace(found(), improved=()).why_not

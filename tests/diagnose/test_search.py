@@ -25,7 +25,9 @@ def fitted(*terms):
 def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None):
     nothing = np.zeros(0)
     place = ("f_z_m_s2", "roll_step")
-    return Evidence(term, nats, float(nats > 10.0), floors, place, nothing, nothing, inadmissible, without)
+    return Evidence(
+        term, nats, float(nats > 10.0), floors, place, nothing, nothing, inadmissible, without, ("f_z_m_s2",)
+    )
 
 
 @dataclass
@@ -37,9 +39,13 @@ class Scripted(Search):
     refits: list = field(default_factory=list)
     lacking: bool = False
     bare: tuple = ()  # terms without a linear coefficient
+    worse: tuple = ()  # terms with which what was not used is predicted worse
 
     def _fit(self, model, start, inactive):
         return fitted()
+
+    def _held_out_error(self, some):
+        return float(bool(self._members(some) & set(self.worse)))
 
     def linearise(self):
         self.candidates = [
@@ -132,6 +138,12 @@ def test_a_model_is_never_replaced_by_one_that_holds_less(searched):
     assert search.refits == ["a", "ab"]
     assert search.named == set(search.evidence) == {"a"}
     assert set(search.rejected) == {"b"}
+
+
+def test_a_model_that_predicts_worse_what_was_not_used_is_refused(searched):
+    search = searched({"ab": 20.0, "a": 10.0}, {}, worse=("b",))
+    assert search.refits == ["ab", "a"]
+    assert search.named == {"a"}
 
 
 @pytest.mark.parametrize(("better", "named"), [(0.5, {"b"}), (-0.5, {"a"})])
