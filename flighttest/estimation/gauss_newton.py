@@ -108,8 +108,8 @@ class Objective(Protocol[P, N]):
     def normal_equations(self, at: P) -> tuple[FloatArray, FloatArray, N]:
         """Gauss-Newton Hessian (p, p) and minus half the gradient (p,), nuisance parameters profiled out."""
 
-    def stepped(self, at: P, target: FloatArray, nuisance: N, *, jacobian: bool) -> P:
-        """At other parameters; with the Jacobian of `at` (stale) unless one is asked for."""
+    def stepped(self, at: P, target: FloatArray, nuisance: N) -> P:
+        """At other parameters, with the Jacobian of `at` (stale)."""
 
     def refreshed(self, at: P) -> P:
         """The same point with its own Jacobian."""
@@ -217,12 +217,15 @@ def _descend(
     """A point of no higher cost, its cost, and the damping that led there; None where no step found one."""
     for _ in range(MAX_REJECTIONS):
         target = space.moved(now.theta, quadratic.step(damping))
-        # So near that the Jacobian is known: residuals alone cost a fifth.
+        # So near that the Jacobian is known.
         near = bool(quadratic.active.size) and quadratic.small(target - now.theta, chord)
-        trial = objective.stepped(now, target, quadratic.nuisance, jacobian=not near)
+        # Residuals alone cost a fifth: a Jacobian is for points that are kept.
+        trial = objective.stepped(now, target, quadratic.nuisance)
         cost = objective.cost(trial)
         if trial.finite and np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
-            return trial, cost, damping
+            kept = trial if near else objective.refreshed(trial)
+            if kept.finite:
+                return kept, cost, damping
         if now.stale:
             break
         damping = max(damping * 10.0, 1e-3)

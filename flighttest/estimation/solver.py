@@ -83,15 +83,13 @@ class _PenalisedCost:
         normal, backs = self.weighing.normal_equations(at, self.names)
         return normal.hessian.sum(axis=0), normal.score.sum(axis=0), backs
 
-    def stepped(self, at: State, target: FloatArray, nuisance: Backs, *, jacobian: bool) -> State:
+    def stepped(self, at: State, target: FloatArray, nuisance: Backs) -> State:
         """With the nuisance parameters where the quadratic model has them for these parameters."""
         moved = target - at.theta
         local = [
             x + back_g - np.einsum("mlp,p->ml", back_h, moved)
             for x, (back_g, back_h) in zip(at.local, nuisance, strict=True)
         ]
-        if jacobian:
-            return self.begun(target, local)
         fresh = self.problem.evaluate(self.values(target), local)
         made = [replace(old, residual=new.residual) for old, new in zip(at.made, fresh, strict=True)]
         return State(target, local, made, stale=True)

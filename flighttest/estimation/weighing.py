@@ -59,7 +59,8 @@ class State:
     @property
     def finite(self) -> bool:
         """Whether a step can be computed from here: residuals and Jacobian are numbers, and small enough to be squared and summed."""
-        return all(within_bounds(part.residual) and within_bounds(part.jacobian) for part in self.made)
+        # A stale Jacobian was looked at where it was made.
+        return all(within_bounds(p.residual) and (self.stale or within_bounds(p.jacobian)) for p in self.made)
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def _between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.in
 
 def within_bounds(values: FloatArray) -> bool:
     """Whether these are numbers that can be squared and summed."""
-    return bool(np.all(np.abs(values) < LARGEST))  # false for NaN
+    return not values.size or bool(values.max() < LARGEST and values.min() > -LARGEST)  # false for NaN
 
 
 def regular(matrices: FloatArray) -> FloatArray:

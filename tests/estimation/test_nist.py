@@ -59,9 +59,8 @@ class PlainSquares:
     def normal_equations(self, at: At) -> tuple[np.ndarray, np.ndarray, None]:
         return at.jacobian.T @ at.jacobian / self.std**2, -at.jacobian.T @ at.residual / self.std**2, None
 
-    def stepped(self, at: At, target: np.ndarray, nuisance: None, *, jacobian: bool) -> At:
-        fresh = self.at(target)
-        return fresh if jacobian else replace(fresh, jacobian=at.jacobian, stale=True)
+    def stepped(self, at: At, target: np.ndarray, nuisance: None) -> At:
+        return replace(self.at(target), jacobian=at.jacobian, stale=True)
 
     def refreshed(self, at: At) -> At:
         return self.at(at.theta)
