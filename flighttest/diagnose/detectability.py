@@ -55,8 +55,9 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
     assert floor is not None
     segments = search.estimator.segments
     root = np.sqrt(weights_of(now, segments)(now.rows))[:, None]
-    base = now.rows.columns(now.names)
-    basis = orthonormal(base * root)
+    base = now.rows.columns(now.names) * root
+    basis = orthonormal(base)
+    inverse = np.linalg.pinv(base, rcond=1e-10)
     at_places = places(now.rows, segments)
     unprofiled = now.rows.unprofiled_columns(now.names)
     asked = math.sqrt(2.0 * log_odds_asked(len(search.pool))) + POWER
@@ -70,8 +71,7 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
             length = float(np.linalg.norm(alone))
             level = np.inf
             if length > ABSORBED * float(np.linalg.norm(whitened[:, k])):
-                copied = np.linalg.lstsq(base * root, whitened[:, k], rcond=1e-10)[0]
-                effect = c.unprofiled[:, k] - unprofiled @ copied
+                effect = c.unprofiled[:, k] - unprofiled @ (inverse @ whitened[:, k])
                 largest = max(
                     (float(np.sqrt(np.mean(effect[at] ** 2))) / floor.of(name) for (name, _), at in at_places.items()),
                     default=0.0,
