@@ -70,25 +70,25 @@ def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Tabl
                 unit(r["unit"]),
                 "-" if interval is None else f"{number(interval[0], 3)} to {number(interval[1], 3)}",
                 percent(share) if share is not None and abs(share) < 10 else "-",
-                Cell(word, tone, r["why"] or _would_show(r)),
+                Cell(word + _to(r), tone, r["why"]),
             )
         )
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "right", "left")
     caption = (
         f"Both sides fitted in one model; difference: {first} minus {second}, 95 % interval. It differs where it is beyond "
-        "chance at 1 % over all parameters together."
+        "chance at 1 % over all parameters together; 'same to': the difference that four of five such pairs would show."
     )
     return Table(
         ("parameter", first, second, "unit", "difference", "change", ""), tuple(rows), align, caption, roomy=(5,)
     )
 
 
-def _would_show(row: Data) -> str:
-    """Of a parameter that is the same: what would have shown."""
-    least, size = row.get("detectable"), abs(row["simulated"] or 0.0)
-    if row["kind"] != "SAME" or not least:
+def _to(r: Data) -> str:
+    """Of a parameter that is the same: to which difference."""
+    least, size = r.get("detectable"), abs(r["simulated"] or 0.0)
+    if r["kind"] != "SAME" or not least:
         return ""
-    return f"{percent(least / size)} would show" if size > least else f"{number(least, 2)} would show"
+    return f" to {percent(least / size)}" if size > least else f" to {number(least, 2)}"
 
 
 def _prediction(data: Data) -> Section | None:
