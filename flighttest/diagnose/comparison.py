@@ -51,8 +51,8 @@ class Evidence:
     """What a term adds. nats: difference of the log predictive densities; probability: that it is needed, against its absence; floors: its
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
-    estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved: channels in which
-    groups that were not used are predicted better with it (95 % bootstrap interval of the fall in RMSE above zero); nothing: the
+    estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: channels
+    in which groups that were not used are predicted better or worse with it (95 % bootstrap interval of the fall in RMSE); nothing: the
     estimate, where its 95 % interval holds its null value."""
 
     term: str
@@ -65,6 +65,7 @@ class Evidence:
     inadmissible: str
     without: Fitted
     improved: tuple[str, ...]
+    worsened: tuple[str, ...] = ()
     nothing: str = ""
 
     @property
@@ -76,6 +77,9 @@ class Evidence:
             return f"its effect is {self.floors:.2g} noise floors, too small to be told from a clean vehicle"
         if not self.improved:
             return "no channel of what was not used is predicted better with it"
+        if len(self.worsened) > len(self.improved):
+            counts = f"{len(self.worsened)} and {len(self.improved)}"
+            return f"of what was not used, more channels are predicted worse with it than better ({counts})"
         if self.nothing:
             return self.nothing
         if not self.probability >= PROBABILITY:
@@ -156,6 +160,7 @@ def evidence_of(
         without=without,
         nothing=_nothing(term, fitted, estimator) if floor.repeated(*place) else "",
         improved=tuple(name for name, h in gains.items() if h.gain_95[0] > 0.0),
+        worsened=tuple(name for name, h in gains.items() if h.gain_95[1] < 0.0),
     )
 
 

@@ -218,3 +218,5 @@ def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
 def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert found().why_not == ""
     assert "not used" in replace(found(), improved=()).why_not
+    assert replace(found(), worsened=("f_x_m_s2",)).why_not == ""
+    assert "worse" in replace(found(), worsened=("f_x_m_s2", "v_x_m_s")).why_not
