@@ -1,5 +1,5 @@
-"""Columns of every candidate term at the optimum of the present model: sensitivities to its linear coefficients at their null values, its
-nonlinear parameters on their declared grids."""
+"""Columns of every candidate term for the score test (Rao): sensitivities to its linear coefficients at their null values, at the optimum
+of the present model, its nonlinear parameters on their declared grids. The tests of all subsets are in `subsets`."""
 
 from __future__ import annotations
 
