@@ -203,6 +203,7 @@ class _Flight:
             rc_live=simulator or preflight.rc_live(vehicle), pace=self._pace, others=frozenset(session.others),
         )  # fmt: skip
         control.reader.throttle_channel = int(self._parameters.get("RCMAP_THROTTLE", 3))
+        self.recorder.flush(force=True)  # what comes in half a second is still in memory
         if self.recorder.failure:
             raise RecordingError(
                 f"{self.recorder.run_dir} cannot be written: {self.recorder.failure}",
