@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 
 README = Path(__file__).resolve().parents[1] / "README.md"
+PICTURE = README.parent / "docs" / "demo.svg"  # of the demo whose transcript is shown
 BLOCK = re.compile(r"(<!-- transcript: (.+?) -->\n```\n).*?(```\n<!-- end -->)", re.DOTALL)
 WIDTH = 96
 
@@ -64,6 +65,9 @@ def main() -> None:
     wanted = [c for c in commands_in(text) if not sys.argv[1:] or any(word in c for word in sys.argv[1:])]
     with tempfile.TemporaryDirectory() as folder:
         README.write_text(written(text, outputs_of(wanted, Path(folder))), encoding="utf-8")
+        made = Path(folder) / "demo" / "figure.svg"
+        if made.is_file():
+            PICTURE.write_bytes(made.read_bytes())
 
 
 if __name__ == "__main__":

@@ -164,4 +164,23 @@ def fetch_log(context: Context, connect: str, output: Path, log_id: int | None) 
     return context.finish(result)
 
 
-COMMANDS: tuple[click.Command, ...] = (check, run, sim, fetch_log)
+@command("demo")
+@click.option("--hide", multiple=True, metavar="ID:key=value", help="Conceal another effect; otherwise a slung load.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the simulated vehicle.")
+@click.option("--airframe", type=click.Choice(["paper", "rotor"]), default="rotor", show_default=True)
+@click.option(
+    "--out", type=FOLDER, default=Path("demo"), show_default=True, help="New folder for the page and the runs."
+)
+def demo(context: Context, hide: tuple[str, ...], seed: int, airframe: str, out: Path) -> int:
+    """A simulated vehicle conceals an effect: find it, model it, and predict a flight that was not used.
+
+    Two minutes, no vehicle needed. What was concealed is shown last.
+    """
+    from flighttest.pipeline import demo as demos
+
+    request = demos.DemoRequest(out, seed, hide or demos.HIDE, airframe)
+    with LiveProgress(context.show) as progress:
+        return context.finish(demos.demo(request, progress))
+
+
+COMMANDS: tuple[click.Command, ...] = (demo, check, run, sim, fetch_log)

@@ -61,13 +61,8 @@ class Replay:
 
 def replay(stored: ModelFile, segments: Sequence[Segment], change: WhatIf, seed: int = 0) -> Replay:
     """Run the commands of usable segments on both vehicles. FitError where none can be run."""
-    usable = [s for s in segments if comparable(s) and not s.between_steps]
-    usable = [*(s for s in usable if s.kind != "free"), *merged([s for s in usable if s.kind == "free"])]
-    if not usable:
-        raise FitError(
-            "nothing here can be replayed", "give a recording with the throttle recorded and at least 0.6 s long"
-        )
-    starts = _starts(usable)
+    usable = runnable(segments)
+    starts = starts_in(usable)
     plain = [voltage_for(stored, s) for s in usable]
     model, names = change.model, change.model.system.params
     twin = open_loop(model, change.base, plain, starts)
@@ -107,13 +102,25 @@ def replay(stored: ModelFile, segments: Sequence[Segment], change: WhatIf, seed:
     return Replay(effects, tuple(sorted(apart, key=lambda s: -_liveliness(s, effects))[:SHOWN]), len(starts))
 
 
-def _starts(segments: Sequence[Segment]) -> list[Start]:
+def runnable(segments: Sequence[Segment]) -> list[Segment]:
+    """Usable segments that can be run open loop, free flight in pieces as long as it was flown. FitError where there is none."""
+    usable = [s for s in segments if comparable(s) and not s.between_steps]
+    usable = [*(s for s in usable if s.kind != "free"), *merged([s for s in usable if s.kind == "free"])]
+    if not usable:
+        raise FitError(
+            "nothing here can be replayed", "give a recording with the throttle recorded and at least 0.6 s long"
+        )
+    return usable
+
+
+def starts_in(segments: Sequence[Segment], horizon_s: float = HORIZON_S) -> list[Start]:
+    """Starts one horizon apart, at most `MOST_STARTS`, each run to its horizon or the end of its segment."""
     found = []
     for i, s in enumerate(segments):
         t = s.t_s
-        for begin in np.arange(t[0], t[-1] - 0.5, HORIZON_S):
+        for begin in np.arange(t[0], t[-1] - 0.5, horizon_s):
             first = int(np.searchsorted(t, begin))
-            last = int(np.searchsorted(t, t[first] + HORIZON_S + 1e-6, side="right")) - 1
+            last = int(np.searchsorted(t, t[first] + horizon_s + 1e-6, side="right")) - 1
             found.append(Start(i, first, last))
     return found[:: -(-len(found) // MOST_STARTS)]
 

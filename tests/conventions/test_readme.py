@@ -6,7 +6,8 @@ import re
 import pytest
 
 from flighttest.physics.model import Model
-from flighttest.pipeline import flying
+from flighttest.pipeline import demo, flying
+from flighttest.sim import parse_hide
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +40,21 @@ def test_the_flight_transcript_is_current_in_its_stable_parts(transcript, text):
     names = [*Model().names, "T_d"]
     assert [line.split()[0] for line in table[: len(names)]] == names
     assert all(line.rstrip().endswith("known") for line in table[: len(names)])
+
+
+def test_the_demo_transcript_shows_what_the_demo_hides_and_its_picture_is_small(transcript, text, repository):
+    (command,) = [c for c in transcript.commands_in(text) if " demo " in c]
+    lines = transcript.shown(text, command).splitlines()
+    assert len(lines) == int(command.split()[-1])
+    for term, values in parse_hide(demo.HIDE).items():
+        for name, truth in values.items():
+            (row,) = [line for line in lines if line.startswith(f"{term} {name}")]
+            low, high = re.search(r"(\S+) to (\S+)", row).groups()
+            assert float(row.split()[2]) == truth
+            assert float(low) <= truth <= float(high)
+    run = re.search(r"accept (\S+)", "\n".join(lines))[1]
+    assert run.endswith(demo.CAMPAIGN[-1])
+    assert 1_000 < (repository / "docs" / "demo.svg").stat().st_size < 100_000
 
 
 def test_links_in_the_readme_exist(repository, text):
