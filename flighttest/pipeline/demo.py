@@ -29,7 +29,7 @@ from flighttest.pipeline.sources import open_recordings
 from flighttest.report import html
 from flighttest.report.demo_sections import demo_document, figure_of
 from flighttest.report.plain import plain
-from flighttest.report.svg import drawn as svg_of
+from flighttest.report.svg import as_svg
 from flighttest.segments import Segment
 from flighttest.sim import parse_hide
 from flighttest.sim.build import build_plant
@@ -126,7 +126,7 @@ def composed(
     document = demo_document(data, [f"flighttest {c}" for c in commands], str(out / REPORT_NAME))
     figure = figure_of(data)
     if figure is not None:
-        (out / FIGURE_NAME).write_text(svg_of(figure), encoding="utf-8")
+        (out / FIGURE_NAME).write_text(as_svg(figure), encoding="utf-8")
     html.write(document, out / REPORT_NAME)
     return Result(document, data, value=verified.value)
 

@@ -18,7 +18,7 @@ _DASHED = {"before": "6 3", "limit": "2 3", "reference": "2 3"}
 _WIDTHS = {"measured": 2.4, "before": 1.6, "after": 1.6}
 
 
-def drawn(figure: Figure) -> str:
+def as_svg(figure: Figure) -> str:
     """The panels of a figure side by side, under the names of their traces."""
     width, height = WIDTH * len(figure.panels), TOP + PANEL_HEIGHT
     names = {t.name: t for panel in figure.panels for t in panel.traces}

@@ -17,7 +17,7 @@ from flighttest.pipeline.results import Result, Status
 from flighttest.pipeline.sources import open_recordings
 from flighttest.report.demo_sections import demo_document
 from flighttest.report.document import Document, Figure, Panel, Trace
-from flighttest.report.svg import drawn
+from flighttest.report.svg import as_svg
 
 HIDE = ("slung_payload:payload_ratio=0.137,cable_m=1.0",)
 FINDING = {
@@ -135,7 +135,7 @@ def test_a_figure_becomes_a_picture_of_its_lines():
     gap = np.where(t > 2.0, np.nan, np.sin(t))
     lines = (Trace(t, np.sin(t), "measured", "measured"), Trace(t, gap, "base <model>", "before"))
     flat = Panel("flat", "time, s", "y", (Trace(t, np.zeros(50), "measured", "measured"),))
-    svg = ElementTree.fromstring(drawn(Figure("f", (Panel("a & b", "time, s", "y, m", lines), flat), "caption")))
+    svg = ElementTree.fromstring(as_svg(Figure("f", (Panel("a & b", "time, s", "y, m", lines), flat), "caption")))
     found = [e for e in svg.iter() if e.tag.endswith("polyline")]
     assert [len(e.get("points").split()) for e in found] == [50, int((t <= 2.0).sum()), 50]
     numbers = np.array([p.split(",") for e in found for p in e.get("points").split()], dtype=float)
