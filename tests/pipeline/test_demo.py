@@ -110,7 +110,7 @@ def test_the_simulator_alone_is_told_and_the_printed_commands_exist(tmp_path, mo
     for block in found.document.sections[-1].blocks:
         program, name, *words = shlex.split(block.text.replace("\\\n", ""))  # as a shell joins lines
         assert program == "flighttest"
-        assert cli.commands[name].make_context(name, words, obj=None, resilient_parsing=False)
+        assert cli.commands[name].make_context(name, words, parent=cli.make_context("flighttest", ["doctor"]))
 
 
 def test_the_stretch_shown_is_where_the_improved_model_is_better(flight_csv):
