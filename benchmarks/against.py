@@ -1,9 +1,9 @@
 """Sealed pairs of simulators: `python -m benchmarks.against --pairs 20 --seed 1`.
 
 Of each pair one side plays reality. A third differ in nothing but noise and gusts, a third in one parameter by 10 % (a delay by 20 ms), a
-third in an effect of the catalogue at its usual size. Drawn by seed from the built-in rotor vehicle, which knows no term; told to nobody
-before the comparison is made. Printed: what was changed, what was found, and the counts; 'small': the change is below the smallest that the
-comparison said would show.
+third in an effect of the catalogue at its usual size. Drawn by seed from the built-in rotor vehicle, whose equations are not those of the
+catalogue; the comparison is made before the truth is read. Printed: what was changed, what was found, and the counts; 'small': the change
+is below the smallest that the comparison said would show.
 """
 
 from __future__ import annotations

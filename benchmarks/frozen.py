@@ -76,7 +76,7 @@ def line_of(case: Case, outcome: Outcome, digest: str) -> str:
 def code() -> str:
     """Of all that a diagnosis may depend on."""
     root, digest = Path(flighttest.__file__).parent, hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".c")):
         if path.relative_to(root).parts[0] not in NOT_OF_THE_ANSWER:
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

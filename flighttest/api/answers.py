@@ -268,7 +268,7 @@ class Flown(Answer):
 
     @property
     def as_planned(self) -> bool:
-        """Whether every flight was flown to its end and left a vehicle that nobody has to look after."""
+        """Whether every flight was flown to its end and left the vehicle on the ground, or with the pilot."""
         return all(flight.as_planned for flight in self.flights)
 
     def recordings(self) -> tuple[Recording, ...]:

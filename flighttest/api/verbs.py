@@ -240,8 +240,8 @@ def fly(
 ) -> Flown:
     """Fly maneuver scripts and record them; nothing is fitted.
 
-    connect: URL of the vehicle; 'sim' is the built-in one. A real vehicle flies only with arm=True, after whoever calls has seen to it
-    that the area is clear and a pilot is ready. hide: effects concealed in the built-in vehicle, as 'ground_effect:R2_m2=0.1'. options:
+    connect: URL of the vehicle; 'sim' is the built-in one. A real vehicle flies only with arm=True: set it when
+    the area is clear and a pilot is ready. hide: effects concealed in the built-in vehicle, as 'ground_effect:R2_m2=0.1'. options:
     further fields of `pipeline.flying.FlightRequest`. LinkError, PreflightError; how a flight ended is an outcome, not an error.
     """
     from flighttest.api.answers import Flown

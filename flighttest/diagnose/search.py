@@ -18,7 +18,6 @@ import numpy as np
 from flighttest.diagnose.candidates import Candidate, candidates_at, null_value
 from flighttest.diagnose.comparison import Evidence, Fitted, evidence_of, inadmissible, log_evidence, probability_of
 from flighttest.diagnose.discrepancy import discrepancy_of
-from flighttest.diagnose.held_out import held_out, mean_squares
 from flighttest.diagnose.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
@@ -125,23 +124,15 @@ class Search:
         return False
 
     def _better(self, kept: Fitted, before: Fitted) -> bool:
-        """Whether a model holds more than one before, or predicts better with other terms; and what was not used no worse in the sum."""
+        """Whether a model holds more than one before, or predicts better with other terms."""
         new, old = self._members(kept), self._members(before)
         if new <= old:
             return False
-        assert self.floor is not None
-        if self._held_out_error(kept) > self._held_out_error(before):
-            return False
         if new > old:
             return True
+        assert self.floor is not None
         floor = floor_of(kept.rows, self.estimator.segments, RESOLUTION)
         return log_evidence(kept, before, self.estimator, self.groups, floor)[0] > 0.0
-
-    def _held_out_error(self, fitted: Fitted) -> float:
-        """Mean square of held-out residuals in squared noise floors, summed over the channels."""
-        assert self.floor is not None
-        squares = mean_squares(fitted.rows, held_out(fitted.rows, fitted.names, self.groups), self.groups)
-        return sum(float(s.sum() / max(n.sum(), 1.0)) / self.floor.of(name) ** 2 for name, (s, n) in squares.items())
 
     def _proposals(self) -> list[Scored]:
         """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient: a

@@ -44,7 +44,7 @@ class FlightState(Enum):
 
     @property
     def is_safe(self) -> bool:
-        """Whether nobody has to look after a vehicle that was left so: it is on the ground, or the pilot has it."""
+        """Whether a vehicle that was left so is on the ground, or with the pilot."""
         return self in (FlightState.NOT_ARMED, FlightState.LANDED, FlightState.WITH_PILOT)
 
 

@@ -33,7 +33,7 @@ class FlightResult:
 
     @property
     def as_planned(self) -> bool:
-        """Whether the flight was flown to its end and left a vehicle that nobody has to look after."""
+        """Whether the flight was flown to its end and left the vehicle on the ground, or with the pilot."""
         return self.outcome.complete and self.left.is_safe and any(r.outcome is LegOutcome.FLOWN for r in self.legs)
 
 

@@ -220,3 +220,7 @@ def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert "not used" in replace(found(), improved=()).why_not
     assert replace(found(), worsened=("f_x_m_s2",)).why_not == ""
     assert "worse" in replace(found(), worsened=("f_x_m_s2", "v_x_m_s")).why_not
+
+
+def test_an_estimate_that_may_be_nothing_is_not_named():
+    assert replace(found(), nothing="k is 0.1 +- 0.2 1, which may be nothing").why_not.endswith("may be nothing")

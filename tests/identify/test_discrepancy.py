@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from flighttest.estimation.discrepancy import discrepancy_covariance
 from flighttest.identify.fit import fit
@@ -46,3 +47,40 @@ def test_without_repeats_all_of_the_residual_may_be_discrepancy(yaw):
     again = fit(yaw)
     assert once.estimates["sigma_r"].std > 2 * once.estimates["sigma_r"].scatter
     assert once.estimates["sigma_r"].std > 1.5 * again.estimates["sigma_r"].std
+
+
+def noisy(segments, std, seed):
+    rng = np.random.default_rng(seed)
+    return [replace(s, y={**s.y, "r_rad_s": s.y["r_rad_s"] + rng.normal(0.0, std, s.t_s.size)}) for s in segments]
+
+
+def rates(found):
+    """The part of the problem that compares yaw rates, and what was evaluated there."""
+    return next(
+        (part, made)
+        for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True)
+        if part.outputs == ("r_rad_s",)
+    )
+
+
+def limit_of(found):
+    """The discrepancy's variance in noise variances: one channel, one kind of maneuver."""
+    k = found.covariance.names.index("sigma_r")
+    own = discrepancy_covariance(found.problem, found.solution, found.covariance.names)[k, k]
+    return own / (found.covariance.model[k, k] * rates(found)[0].mask.sum())
+
+
+def test_behind_noise_the_equations_err_by_five_per_cent_of_the_response_at_most(yaw):
+    found = fit(noisy(yaw, 3.0, 1))
+    part, made = rates(found)
+    modelled = np.where(part.mask, part.y - made.residual, np.nan)[..., 0]
+    moved = np.nanmean((modelled - np.nanmean(modelled, axis=1, keepdims=True)) ** 2)
+    assert limit_of(found) == pytest.approx(0.05**2 * moved / found.noise.channel["r_rad_s"] ** 2, rel=0.02)
+
+
+def test_of_equations_that_hold_the_limit_is_that_of_an_f_test_at_95_per_cent(yaw):
+    """White noise of std 1 in means over 0.1 s, of 5 samples, has variance 1/5; 24 of these in each of 4 cells, 6 repeats."""
+    limits = [limit_of(fit(noisy(yaw, 0.05, seed))) for seed in range(16)]
+    groups, repeats = 4 * 24, 6
+    expected = 0.2 * (stats.f.ppf(0.95, groups * (repeats - 1), groups) - 1.0) / repeats
+    assert np.mean(limits) == pytest.approx(expected, rel=0.3)

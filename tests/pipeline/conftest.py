@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from flighttest.cli import main as cli_main
+
 
 def _module():
     spec = importlib.util.spec_from_file_location("synthetic", Path(__file__).with_name("synthetic.py"))
@@ -29,3 +31,15 @@ def flight_csv(synthetic, tmp_path_factory):
 def worn_csv(synthetic, tmp_path_factory):
     """The same vehicle with 6 % less thrust."""
     return synthetic.write_csv(tmp_path_factory.mktemp("worn") / "worn.csv", seed=1, gain=0.94)
+
+
+@pytest.fixture
+def call(capsys):
+    """Run a command line: its exit code, standard output and standard error."""
+
+    def run(*argv):
+        code = cli_main.call([str(a) for a in argv])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run

@@ -23,16 +23,6 @@ TRUTH = {
 }
 
 
-@pytest.fixture
-def call(capsys):
-    def run(*argv):
-        code = cli_main.call([str(a) for a in argv])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def model(flight_csv, tmp_path_factory):
     path = tmp_path_factory.mktemp("model") / "model.yaml"

@@ -15,7 +15,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.cli import main as cli_main
 from flighttest.errors import InputError
 from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult, preflight
 from flighttest.flight.recorder import Recorder, first_manifest
@@ -50,16 +49,6 @@ def script(tmp_path):
     path = tmp_path / "short.yaml"
     path.write_text(SHORT % 2)
     return path
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*argv):
-        code = cli_main.call([str(a) for a in argv])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):

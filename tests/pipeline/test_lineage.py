@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from flighttest.cli import main as cli_main
 from flighttest.errors import InputError, ModelError
 from flighttest.identify import model_file
 from flighttest.physics.model import Model
@@ -43,16 +42,6 @@ def write_model(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(yaml.safe_dump(data))
     return folder
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*argv):
-        code = cli_main.call([str(a) for a in argv])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_path):
