@@ -205,7 +205,8 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
         value = values[p.name]
         # Where the usual value is the bound, as of a pure pole, to be there is usual.
         at_bound = (value <= p.lower or value >= p.upper) and value != p.nominal
-        if at_bound and (p.kind == "amplitude" or len(p.screen) > 1):
+        # A coefficient that shapes may stand in for runs to its bound though data hardly prefer it there.
+        if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
             return f"{p.name} is at its bound, {value:.3g} {p.unit}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
         # One of several may be there by chance.
@@ -214,6 +215,11 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
         if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
             return f"{p.name} is {value:.3g} {p.unit}, and no more than {most:.3g} was flown"
     return ""
+
+
+def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:
+    """Whether data tell an estimate from the coefficient's usual value."""
+    return abs(fitted.at.values[p.name] - p.nominal) > 1.96 * standard_errors(fitted, segments)[p.name]
 
 
 def _by_chance(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:

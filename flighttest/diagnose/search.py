@@ -5,12 +5,13 @@
    needed leaves, until all that are left are.
 3. The model is linearised anew at its optimum and the search repeated, until the best subset stays.
 
-A term that left is not proposed again from the same model: its column is known by then, and its refit has been tried.
+A term that left is not proposed again from the model that stayed without it: its refit has been tried. One that left earlier, beside
+another that left after it, is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -119,7 +120,10 @@ class Search:
                 continue
             self.now, self.evidence = kept, evidence
             # What was not needed beside another model may be needed beside this one; what is inadmissible stays out.
-            self.rejected = {t: e for t, e in self.rejected.items() if e.inadmissible} | left
+            beside = {
+                t: e for t, e in left.items() if e.inadmissible or self._members(e.without) == self._members(kept)
+            }
+            self.rejected = {t: e for t, e in self.rejected.items() if e.inadmissible} | beside
             return True
         return False
 
@@ -165,12 +169,16 @@ class Search:
         """A model without the terms that are not needed, and the evidence of those that are and of those that left."""
         left: dict[str, Evidence] = {}
         while True:
-            evidence = {t: self._evidence(t, fitted) for t in sorted(self._members(fitted))}
-            doubted = [e for e in evidence.values() if e.why_not]
-            if not doubted:
+            members = sorted(self._members(fitted))
+            evidence = {t: self._evidence(t, fitted) for t in members if t in proposed}
+            worst = _least_needed(evidence.values())
+            if worst is None or worst.inadmissible:
+                evidence |= {t: self._evidence(t, fitted) for t in members if t not in proposed}
+                # An estimate outside its prior may be the fault of another term, or of the newcomer: these leave first.
+                old = _least_needed(e for t, e in evidence.items() if t not in proposed)
+                worst = min((e for e in (worst, old) if e), key=lambda e: bool(e.inadmissible), default=None)
+            if worst is None:
                 return fitted, evidence, left
-            # An estimate outside its prior may be the fault of a term that is not needed, or of the newcomer: these leave first.
-            worst = min(doubted, key=lambda e: (bool(e.inadmissible), e.term not in proposed, e.nats))
             left[worst.term] = worst
             self.progress(f"{worst.term} is not needed: {worst.why_not}")
             fitted = worst.without
@@ -278,10 +286,14 @@ class Search:
         return max(fitted, other, key=lambda f: f.at.log_likelihood)
 
     def _astray(self, fitted: Fitted) -> bool:
-        """Whether a base parameter is further than a factor of `ASTRAY` from where the shape of the responses puts it."""
+        """Whether a gain or lag of the base is further than a factor of `ASTRAY` from where the shape of the responses puts it.
+
+        Delays are not asked: they share their time with the lag after them, and a few milliseconds may be any factor.
+        """
         return any(
             n in fitted.names and v > 0.0 and not v / ASTRAY < fitted.at.values[n] < v * ASTRAY
             for n, v in self.origin.items()
+            if not n.startswith("T_d")
         )
 
     def without(self, term: str, fitted: Fitted) -> Fitted:
@@ -299,6 +311,12 @@ class Search:
     def probabilities(self) -> Mapping[str, float]:
         """Of every term that was refitted: that it is needed."""
         return {t: e.probability for t, e in {**self.rejected, **self.evidence}.items()}
+
+
+def _least_needed(evidence: Iterable[Evidence]) -> Evidence | None:
+    """Of the terms that are not needed the one that leaves first, those whose estimates are inadmissible last."""
+    doubted = [e for e in evidence if e.why_not]
+    return min(doubted, key=lambda e: (bool(e.inadmissible), e.nats), default=None)
 
 
 __all__ = ["Alias", "Search", "probability_of", "silent"]

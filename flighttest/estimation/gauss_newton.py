@@ -19,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 MAX_ITERATIONS = 40
 INSENSITIVE = 1e-4
 MAX_REJECTIONS = 9
-FLAT_STEPS = 4  # steps in a row that do not lower the cost: a kink (an edge passing a sample) or a flat direction
+SHORT = 3.0  # standard errors
 
 
 class FitStatus(Enum):
@@ -42,14 +42,15 @@ class Tolerances:
     """When the loop ends.
 
     step: root mean square parameter step, in standard errors; end: the same where no step lowers the cost; cost: relative decrease of the
-    cost by the last step, or decrease, absolute; chord: steps smaller than this, in standard errors, keep the Jacobian.
+    cost by the last step, or decrease, absolute; flat: steps in a row that lower it by no more (a kink, where an edge passes a sample, or a
+    flat direction).
     """
 
     step: float = 0.05
     end: float = 0.2
     cost: float = 1e-6
     decrease: float = 0.01
-    chord: float = 3.0
+    flat: int = 4
 
 
 @dataclass(frozen=True)
@@ -76,16 +77,11 @@ class Space:
 
 
 class Point(Protocol):
-    """Where the loop stands. theta (p,); stale: whether the Jacobian is that of a point close by; finite: whether residuals and Jacobian
-    are numbers that can be squared and summed."""
+    """Where the loop stands. theta (p,); finite: whether residuals and Jacobian are numbers that can be squared and summed."""
 
     @property
     def theta(self) -> FloatArray:
         """Parameters."""
-
-    @property
-    def stale(self) -> bool:
-        """Whether the Jacobian is another point's."""
 
     @property
     def finite(self) -> bool:
@@ -108,11 +104,11 @@ class Objective(Protocol[P, N]):
     def normal_equations(self, at: P) -> tuple[FloatArray, FloatArray, N]:
         """Gauss-Newton Hessian (p, p) and minus half the gradient (p,), nuisance parameters profiled out."""
 
-    def stepped(self, at: P, target: FloatArray, nuisance: N) -> P:
-        """At other parameters, with the Jacobian of `at` (stale)."""
+    def stepped(self, at: P, target: FloatArray, nuisance: N, share: float, *, differentiated: bool) -> P:
+        """At other parameters; differentiated: with its Jacobian. share: of their own step that nuisance parameters take."""
 
     def refreshed(self, at: P) -> P:
-        """The same point with its own Jacobian."""
+        """The same point with its Jacobian."""
 
     def nuisance_settled(self, before: P, after: P) -> bool:
         """Whether the nuisance parameters have stopped moving."""
@@ -177,31 +173,24 @@ def minimise(
     """The minimum reached from `start`, which lies within the bounds."""
     limits = tolerances or Tolerances()
     now, damping, status, iteration, flat = start, 1e-3, FitStatus.MAX_ITERATIONS, 0, 0
-    insensitive = np.zeros(start.theta.size, dtype=bool)
     if not start.finite:
         nothing = np.ones(start.theta.size, dtype=bool)
         return Minimum(start, FitStatus.DIVERGED, nothing, ~nothing, 0)
+    insensitive = _QuadraticModel.at(start, objective, space).insensitive
     for iteration in range(1, max_iterations + 1):
         settled = objective.learn(now, iteration)
         quadratic = _QuadraticModel.at(now, objective, space)
         insensitive = quadratic.insensitive
         full_step = space.moved(now.theta, quadratic.step(1e-9)) - now.theta
-        trial, new_cost, damping = _descend(now, quadratic, objective, space, damping, limits.chord)
-        if trial is None and now.stale and (fresh := objective.refreshed(now)).finite:
-            now = fresh
-            continue
+        trial, new_cost, damping = _descend(now, quadratic, objective, space, damping)
         if trial is None:
             status = FitStatus.CONVERGED if quadratic.small(full_step, limits.end) else FitStatus.NO_DESCENT
             break
         flat = flat + 1 if quadratic.cost - new_cost <= max(limits.cost * quadratic.cost, limits.decrease) else 0
         still = bool(quadratic.active.size) or objective.nuisance_settled(now, trial)
-        old_jacobian, now = now.stale, trial
-        near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= FLAT_STEPS
+        now = trial
+        near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= limits.flat
         if still and near and settled and iteration >= least_iterations:
-            if old_jacobian and (fresh := objective.refreshed(now)).finite:
-                # Where steps with an old Jacobian end is not the minimum: one step with its own decides.
-                now = fresh
-                continue
             status = FitStatus.CONVERGED
             break
         damping = damping / 10.0 if damping > 1e-9 else 0.0
@@ -212,21 +201,18 @@ def minimise(
 
 
 def _descend(
-    now: P, quadratic: _QuadraticModel[N], objective: Objective[P, N], space: Space, damping: float, chord: float
+    now: P, quadratic: _QuadraticModel[N], objective: Objective[P, N], space: Space, damping: float
 ) -> tuple[P | None, float, float]:
     """A point of no higher cost, its cost, and the damping that led there; None where no step found one."""
-    for _ in range(MAX_REJECTIONS):
+    for rejected in range(MAX_REJECTIONS):
         target = space.moved(now.theta, quadratic.step(damping))
-        # So near that the Jacobian is known.
-        near = bool(quadratic.active.size) and quadratic.small(target - now.theta, chord)
-        # Residuals alone cost a fifth: a Jacobian is for points that are kept.
-        trial = objective.stepped(now, target, quadratic.nuisance)
+        # A short step is nearly always kept, and its Jacobian with it; of others the residuals come first, which cost less than half.
+        at_once = not rejected and bool(quadratic.active.size) and quadratic.small(target - now.theta, SHORT)
+        trial = objective.stepped(now, target, quadratic.nuisance, 1.0 / (1.0 + damping), differentiated=at_once)
         cost = objective.cost(trial)
         if trial.finite and np.isfinite(cost) and cost <= quadratic.cost * (1 + 1e-9) + 1e-9:
-            kept = trial if near else objective.refreshed(trial)
+            kept = trial if at_once else objective.refreshed(trial)
             if kept.finite:
                 return kept, cost, damping
-        if now.stale:
-            break
         damping = max(damping * 10.0, 1e-3)
     return None, np.inf, damping

@@ -9,13 +9,13 @@ variances are updated beside the parameters. Outlying responses are weighted dow
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
-from flighttest.estimation.gauss_newton import MAX_ITERATIONS, FitStatus, Space, minimise
+from flighttest.estimation.gauss_newton import MAX_ITERATIONS, FitStatus, Space, Tolerances, minimise
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_std
 from flighttest.estimation.weighing import Normal, State, Weighing
 
@@ -83,16 +83,15 @@ class _PenalisedCost:
         normal, backs = self.weighing.normal_equations(at, self.names)
         return normal.hessian.sum(axis=0), normal.score.sum(axis=0), backs
 
-    def stepped(self, at: State, target: FloatArray, nuisance: Backs) -> State:
-        """With the nuisance parameters where the quadratic model has them for these parameters."""
+    def stepped(self, at: State, target: FloatArray, nuisance: Backs, share: float, *, differentiated: bool) -> State:
+        """With the nuisance parameters a share of the way to where the quadratic model has them for these parameters."""
         moved = target - at.theta
         local = [
-            x + back_g - np.einsum("mlp,p->ml", back_h, moved)
+            x + share * back_g - np.einsum("mlp,p->ml", back_h, moved)
             for x, (back_g, back_h) in zip(at.local, nuisance, strict=True)
         ]
-        fresh = self.problem.evaluate(self.values(target), local)
-        made = [replace(old, residual=new.residual) for old, new in zip(at.made, fresh, strict=True)]
-        return State(target, local, made, stale=True)
+        names = self.names if differentiated else None
+        return State(target, local, self.problem.evaluate(self.values(target), local, names))
 
     def refreshed(self, at: State) -> State:
         """Evaluated anew."""
@@ -116,12 +115,13 @@ def solve(
     local: Sequence[FloatArray] | None = None,
     estimate_noise: bool = True,
     max_iterations: int = MAX_ITERATIONS,
+    tolerances: Tolerances | None = None,
 ) -> Solution:
     """Minimise from `start` (default: the problem's values).
 
     free: names to estimate, default problem.names; with none, only initial states and disturbances are estimated, which is how
     a fit is judged on segments it has not seen. noise, local: a previous fit's, to start from (or, with estimate_noise False,
-    to keep).
+    to keep). max_iterations: with 0 what is known at the start is given back.
     """
     names = tuple(problem.names if free is None else free)
     params = [problem.model.param[n] for n in names]
@@ -141,6 +141,7 @@ def solve(
         objective,
         objective.begun(theta, begun),
         space,
+        tolerances=tolerances,
         least_iterations=2 if warm or not robust else 4,
         max_iterations=max_iterations,
     )

@@ -21,6 +21,9 @@ SPIKE_STDS = 5.0  # a sample further out than this is weighted down
 LARGEST = (
     1e12  # SI units: no residual or sensitivity of an aircraft comes near, one of a simulation that diverged passes it
 )
+NOISE_STEPS = 50
+NOISE_TOLERANCE = 0.003  # of the fixed point of the variances; the solver asks for 3 % between its steps
+LEAST_LEFT = 0.5  # of a channel's residual, between two steps of the solver
 RIDGE = 1e-14  # of the largest entry: what rounding leaves of the others is no larger
 _START_NOISE = {"m/s^2": 0.3, "m/s": 0.1, "rad": 0.01, "rad/s": 0.05}
 _STD_FLOOR = {"m/s^2": 1e-3, "m/s": 5e-4, "rad": 5e-5, "rad/s": 2e-4}
@@ -54,13 +57,11 @@ class State:
     theta: FloatArray
     local: list[FloatArray]
     made: list[PartEvaluation]
-    stale: bool = False  # whether the Jacobian is that of a point close by
 
     @property
     def finite(self) -> bool:
         """Whether a step can be computed from here: residuals and Jacobian are numbers, and small enough to be squared and summed."""
-        # A stale Jacobian was looked at where it was made.
-        return all(within_bounds(p.residual) and (self.stale or within_bounds(p.jacobian)) for p in self.made)
+        return all(within_bounds(p.residual) and within_bounds(p.jacobian) for p in self.made)
 
 
 @dataclass(frozen=True)
@@ -148,41 +149,66 @@ class Weighing:
         return a, (made.residual * root).reshape(m, -1, 1)
 
     def with_noise_of(self, at: State, free: Sequence[str]) -> Weighing:
-        """Channel noise from the residuals, disturbance variances from the locals (MacKay's fixed point), between repeats of a cell where
-        there are any: what repeats have in common is the model's error and stays in the residual."""
+        """Channel noise from the residuals, disturbance variances from the locals, together, at these parameters.
+
+        The fixed point of MacKay's updates, the locals where they have their minimum in each noise (linearised: no simulation is needed).
+        Disturbances vary between repeats of a cell where there are any: what repeats have in common is the model's error and stays in the
+        residual.
+        """
         channel, disturbance = dict(self.noise.channel), dict(self.noise.disturbance)
         for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
-            std = np.array([self.noise.channel[c] for c in part.outputs])
-            w = (
-                sample_weights(made.residual, std, True)
-                * part.mask
-                * self.response[[r.index for r in part.responses]][:, None, None]
-            )
-            total = w.sum(axis=(0, 1))
-            squares = (w * made.residual**2).sum(axis=(0, 1))
-            spent = (len(free) + len(part.locals) * len(part.responses)) / max(float(part.mask.sum()), 1.0)
-            for k, c in enumerate(part.outputs):
-                found = np.sqrt(squares[k] / max(total[k], 1.0) / max(1.0 - spent, 0.2))
-                channel[c] = max(float(found), _STD_FLOOR[_unit(c)])
-            n_l, n_d = len(part.locals), len(part.block.disturbances)
-            if not n_d or len(part.responses) < 3:
-                continue
-            w_full = part.mask / np.array([channel[c] for c in part.outputs]) ** 2
-            j_l = made.jacobian[..., -n_l:] * np.sqrt(w_full)[..., None]
-            j_l = j_l.reshape(len(part.responses), -1, n_l)
-            prior = 1.0 / prior_std(part, self.noise) ** 2
-            posterior = np.linalg.inv(regular(j_l.swapaxes(1, 2) @ j_l + np.einsum("ml,lk->mlk", prior, np.eye(n_l))))
-            for k, name in enumerate(part.block.disturbances):
-                at_k = n_l - n_d + k
-                known = 1.0 - posterior[:, at_k, at_k] * prior[:, at_k]
-                found = np.sum(local[:, at_k] ** 2) / max(float(known.sum()), 1e-3 * len(known))
-                cells = self.problem.cells[[r.index for r in part.responses]]
-                found = min(found, _between_repeats(local[:, at_k], known, cells, found))
-                low = 1e-2 * next(v for tail, v in _START_DISTURBANCE.items() if name.endswith(f"_{tail}"))
-                disturbance[name] = float(
-                    np.clip(np.sqrt(found), max(low, 0.2 * disturbance[name]), 5.0 * disturbance[name])
-                )
+            found = self._noise_of(part, made, local, len(free))
+            channel |= found.channel
+            disturbance |= found.disturbance
         return replace(self, noise=Noise(channel, disturbance))
+
+    def _noise_of(self, part: Part, made: PartEvaluation, local: FloatArray, n_free: int) -> Noise:
+        """Of one part."""
+        std = np.array([self.noise.channel[c] for c in part.outputs])
+        n_l, n_d = len(part.locals), len(part.block.disturbances)
+        index = [r.index for r in part.responses]
+        counted = part.mask * self.response[index][:, None, None]
+        robust = sample_weights(made.residual, std, True) * counted
+        weights = robust if self.robust else counted
+        # Sums over the samples of a response, per channel: all that residuals are, as quadratic functions of the locals.
+        a = np.moveaxis(made.jacobian[..., made.jacobian.shape[3] - n_l :], 1, 2)
+        weighted = np.moveaxis(weights, 1, 2)[..., None] * a
+        gram, moment = weighted.swapaxes(2, 3) @ a, np.einsum("mknl,mnk->mkl", weighted, made.residual)
+        square = np.einsum("mnk,mnk->mk", weights * made.residual, made.residual)
+        # Single samples far out count less in the noise, whether or not they do in the cost.
+        spikes = np.einsum("mnk,mnk->k", robust * made.residual, made.residual) / np.maximum(square.sum(axis=0), 1e-300)
+        spent = (n_free + n_l * len(part.responses)) / max(float(part.mask.sum()), 1.0)
+        scale = spikes / np.maximum(robust.sum(axis=(0, 1)), 1.0) / max(1.0 - spent, 0.2)
+        floor = np.array([_STD_FLOOR[_unit(c)] for c in part.outputs])
+        # Far from the optimum the locals are not linear: what is left of the residuals where they are limits what may be left.
+        lowest_std = np.maximum(LEAST_LEFT * np.sqrt(scale * square.sum(axis=0)), floor)
+        before, begun = prior_std(part, self.noise), part.start_local()
+        spread, lowest = before.copy(), np.array([_least_disturbance(n) for n in part.block.disturbances])
+        cells = self.problem.cells[index]
+        for _ in range(NOISE_STEPS):
+            prior = 1.0 / spread**2
+            precision = np.einsum("mklp,k->mlp", gram, 1.0 / std**2) + np.einsum("ml,lk->mlk", prior, np.eye(n_l))
+            posterior = np.linalg.inv(regular(precision)) if n_l else precision
+            pull = np.einsum("mkl,k->ml", moment, 1.0 / std**2) + prior * (begun - local)
+            step = np.einsum("mlp,mp->ml", posterior, pull)
+            left = square - np.einsum("mkl,ml->mk", 2.0 * moment - np.einsum("mklp,mp->mkl", gram, step), step)
+            was, std = std, np.maximum(np.sqrt(scale * np.maximum(left, 0.0).sum(axis=0)), lowest_std)
+            moved = [std / was]
+            if n_d and len(part.responses) >= 3:
+                for k in range(n_l - n_d, n_l):
+                    known = 1.0 - posterior[:, k, k] * prior[:, k]
+                    values = local[:, k] + step[:, k]
+                    found = np.sum(values**2) / max(float(known.sum()), 1e-3 * len(known))
+                    found = np.sqrt(min(found, _between_repeats(values, known, cells, found)))
+                    low = max(lowest[k - n_l + n_d], 0.2 * before[0, k])
+                    moved.append(np.array([np.clip(found, low, 5.0 * before[0, k]) / spread[0, k]]))
+                    spread[:, k] *= moved[-1]
+            if all(np.all(np.abs(one - 1.0) < NOISE_TOLERANCE) for one in moved):
+                break
+        return Noise(
+            dict(zip(part.outputs, std.tolist(), strict=True)),
+            dict(zip(part.block.disturbances, spread[0, n_l - n_d :].tolist(), strict=True)),
+        )
 
 
 def _between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.intp], otherwise: float) -> float:
@@ -214,6 +240,11 @@ def start_noise(problem: Problem) -> Noise:
         {c: _START_NOISE[u] for c, u in units.items()},
         {n: next(v for k, v in _START_DISTURBANCE.items() if n.endswith(f"_{k}")) for n in names},
     )
+
+
+def _least_disturbance(name: str) -> float:
+    """A hundredth of what is assumed before anything is known."""
+    return 1e-2 * next(v for tail, v in _START_DISTURBANCE.items() if name.endswith(f"_{tail}"))
 
 
 def _unit(channel: str) -> str:

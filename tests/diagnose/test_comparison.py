@@ -168,13 +168,23 @@ def judged(term, model, values, columns=None, rng=None, segments=()):
     return inadmissible(catalogue()[term], Fitted(model, names, at, rows), segments, 30)
 
 
-def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound():
+def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound(rng):
     model, values = (
         Model(("linear_drag", "attitude_extra_pole")),
         {"attitude_pole_share": 1.0, "attitude_pole_tau": 0.05},
     )
     assert judged("attitude_extra_pole", model, values) == ""
-    assert "bound" in judged("attitude_extra_pole", model, values | {"attitude_pole_share": -2.0})
+    columns = rng.normal(size=(SEGMENTS * EACH, 2))  # standard errors of 0.022
+    assert "bound" in judged("attitude_extra_pole", model, values | {"attitude_pole_share": -2.0}, columns, rng)
+
+
+def test_a_coefficient_at_its_bound_is_refused_where_data_tell_it_from_its_usual_value(rng):
+    model, values = Model(("vortex_ring",)), {"vortex_depth": 0.7, "vortex_centre": 5.0}
+    columns = rng.normal(size=(SEGMENTS * EACH, 2))
+    assert "bound" in judged("vortex_ring", model, values, columns, rng)  # 0.7 +- 0.022, usually 0.15
+    # Along a ridge, centre and depth stand in for each other.
+    alike = columns[:, :1] + 0.05 * columns
+    assert judged("vortex_ring", model, values, alike, rng) == ""
 
 
 def test_a_load_of_negative_mass_and_a_length_at_its_bound_are_refused(rng):

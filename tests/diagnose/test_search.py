@@ -118,6 +118,20 @@ def test_a_term_that_left_is_not_proposed_again_from_the_same_model(searched):
     assert search.named == frozenset()
 
 
+def test_a_term_that_left_beside_another_that_left_later_is_tried_again(searched):
+    search = searched({"abc": 10.0, "b": 5.0}, {("abc", "b"): 0.0, ("ac", "c"): 0.0})
+    assert search.refits == ["abc", "ab"]
+    assert search.named == {"a", "b"}
+
+
+def test_an_older_term_is_asked_only_once_the_newcomers_stay(searched, monkeypatch):
+    asked = []
+    own = Scripted._evidence
+    monkeypatch.setattr(Scripted, "_evidence", lambda self, t, f: asked.append(t) or own(self, t, f))
+    searched({"a": 10.0, "b": 8.0}, {("ab", "b"): 0.0})
+    assert asked == ["a", "b", "a"]  # a alone; b beside it, which leaves; what stays
+
+
 def test_beside_another_term_it_may_be_needed_unless_it_cannot_be(searched):
     search = searched({"a": 10.0, "b": 8.0}, {("a", "a"): 0.0})
     assert search.refits == ["a", "b", "ab"]

@@ -9,8 +9,9 @@ from scipy.optimize import least_squares
 
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
-from flighttest.estimation.problem import prior_std
-from flighttest.estimation.weighing import _between_repeats, start_noise
+from flighttest.estimation.problem import Noise, prior_std
+from flighttest.estimation.solver import solve
+from flighttest.estimation.weighing import State, Weighing, _between_repeats, start_noise
 from flighttest.identify.fit import default_model
 from flighttest.identify.selection import able
 from tests.diagnose.flight import campaign, fly
@@ -201,3 +202,16 @@ def test_an_estimator_tells_models_apart_by_all_that_they_are(throttled):
         model.with_terms("ground_effect"),
     ]
     assert len({id(estimator.problem(m)) for m in (model, *others)}) == 4
+
+
+def test_variances_and_disturbances_are_found_together(throttled):
+    estimator, model = throttled
+    problem = estimator.problem(model)
+    found = solve(problem, robust=False)
+    state = State(np.zeros(0), list(found.local), problem.evaluate(found.values, found.local, FREE))
+    loud = Noise({c: 4.0 * std for c, std in found.noise.channel.items()}, dict(found.noise.disturbance))
+    once = Weighing.even(problem, loud, robust=False).with_noise_of(state, FREE)
+    twice = once.with_noise_of(state, FREE)
+    assert once.noise.channel["f_z_m_s2"] < 0.3 * loud.channel["f_z_m_s2"]
+    assert twice.noise.channel == pytest.approx(once.noise.channel, rel=0.01)
+    assert twice.noise.disturbance == pytest.approx(once.noise.disturbance, rel=0.02)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ from flighttest.estimation.gauss_newton import FitStatus, Minimum, Space, Tolera
 from flighttest.estimation.weighing import Normal
 from tests.estimation.nist import REFERENCES, Reference
 
-SHARP = Tolerances(step=1e-8, end=1e-5, cost=1e-15, decrease=0.0, chord=0.0)
+SHARP = Tolerances(step=1e-8, end=1e-5, cost=1e-15, decrease=0.0)
 POSITIVE = (
     "MGH10",
     "Eckerle4",
@@ -29,7 +29,6 @@ class At:
     theta: np.ndarray
     residual: np.ndarray
     jacobian: np.ndarray
-    stale: bool = False
 
     @property
     def finite(self) -> bool:
@@ -59,8 +58,8 @@ class PlainSquares:
     def normal_equations(self, at: At) -> tuple[np.ndarray, np.ndarray, None]:
         return at.jacobian.T @ at.jacobian / self.std**2, -at.jacobian.T @ at.residual / self.std**2, None
 
-    def stepped(self, at: At, target: np.ndarray, nuisance: None) -> At:
-        return replace(self.at(target), jacobian=at.jacobian, stale=True)
+    def stepped(self, at: At, target: np.ndarray, nuisance: None, share: float, *, differentiated: bool) -> At:
+        return self.at(target)
 
     def refreshed(self, at: At) -> At:
         return self.at(at.theta)
@@ -157,3 +156,39 @@ def test_steps_in_the_logarithm_lead_to_the_same_minimum():
     _, logarithmic = solved(misra, 0, lower=1e-12)
     assert digits(logarithmic.point.theta, plain.point.theta) >= 8.0
     assert logarithmic.iterations < plain.iterations
+
+
+@dataclass(frozen=True)
+class Bent:
+    theta: np.ndarray
+    nuisance: float
+    finite: bool = True
+
+
+class BentNuisance:
+    """(1 - theta)^2 + atan(nuisance)^2: a full Gauss-Newton step of the nuisance parameter from 3 leads to -9.5, uphill."""
+
+    def learn(self, at: Bent, iteration: int) -> bool:
+        return True
+
+    def cost(self, at: Bent) -> float:
+        return float((1.0 - at.theta[0]) ** 2 + np.arctan(at.nuisance) ** 2)
+
+    def normal_equations(self, at: Bent) -> tuple[np.ndarray, np.ndarray, float]:
+        return np.eye(1), 1.0 - at.theta, -np.arctan(at.nuisance) * (1.0 + at.nuisance**2)
+
+    def stepped(self, at: Bent, target: np.ndarray, nuisance: float, share: float, *, differentiated: bool) -> Bent:
+        return Bent(target, at.nuisance + share * nuisance)
+
+    def refreshed(self, at: Bent) -> Bent:
+        return at
+
+    def nuisance_settled(self, before: Bent, after: Bent) -> bool:
+        return abs(after.nuisance - before.nuisance) < 1e-6
+
+
+def test_nuisance_parameters_are_damped_with_the_parameters():
+    space = Space(np.array([-np.inf]), np.array([np.inf]), np.ones(1))
+    found = minimise(BentNuisance(), Bent(np.array([0.5]), 3.0), space, tolerances=SHARP)
+    assert found.status is FitStatus.CONVERGED
+    assert abs(found.point.nuisance) < 1e-3
