@@ -23,7 +23,7 @@ from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.proof.cases import draw
 from flighttest.proof.flying import fly_campaign, options_of
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 # Constant of the rotor vehicle to the parameters of the model that it is.
 CONSTANTS = {

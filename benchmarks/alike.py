@@ -13,8 +13,8 @@ from flighttest.proof import oracle
 from flighttest.proof.cases import NOT_HIDDEN
 from flighttest.segments import Segment
 from flighttest.sim import SimOptions
-from flighttest.sim.rotor_effects import EFFECTS
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.plants.rotor_effects import EFFECTS
+from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 VEHICLE = 1
 

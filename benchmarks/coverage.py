@@ -15,13 +15,13 @@ import numpy as np
 
 from flighttest.flight.fly import fly
 from flighttest.identify.fit import fit
-from flighttest.pipeline.checking import plans, predictor_for
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.planning.checking import plans, predictor_for
+from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.proof.flying import InProcessTransport
 from flighttest.script.load import PARAMETERS
 from flighttest.segments import Segment, cut
 from flighttest.sim import SimOptions
-from flighttest.sim.plant_paper import PaperParameters
+from flighttest.sim.plants.plant_paper import PaperParameters
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SCRIPTS = ("thrust", "roll_pitch", "yaw_rate")

@@ -30,19 +30,19 @@ from flighttest.currency.battery import check
 from flighttest.currency.compare import subset_tests
 from flighttest.errors import FlighttestError
 from flighttest.identify.fit import fit
-from flighttest.identify.model_file import ModelFile, from_fit
+from flighttest.identify.models.model_file import ModelFile, from_fit
 from flighttest.physics.model import Model
-from flighttest.pipeline.analysis import for_currency
-from flighttest.pipeline.batteries import battery_of
-from flighttest.pipeline.currency import allowance, like_with_like, reestimate_segments
-from flighttest.pipeline.history import watched
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.identification.fitting import for_currency
+from flighttest.pipeline.recordings.batteries import battery_of
+from flighttest.pipeline.recordings.sources import open_recordings
+from flighttest.pipeline.store.history import watched
+from flighttest.pipeline.validity.status import allowance, like_with_like, reestimate_segments
 from flighttest.proof.flying import fly_campaign
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.script.shipped import resolve
 from flighttest.segments import Segment
 from flighttest.sim import SimOptions
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 # What changes, as factors on constants of the rotor vehicle. A payload divides the drag per mass and keeps the current for a thrust.
 HEAVIER = 1.08

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from flighttest.pipeline import flying
+from flighttest.pipeline.flights import run as flying
 
 
 def resident_mb() -> float:

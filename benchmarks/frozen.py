@@ -28,8 +28,8 @@ import numpy as np
 
 import flighttest
 from flighttest.diagnose import diagnose
-from flighttest.pipeline.analysis import base_model
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.identification.fitting import base_model
+from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.proof.cases import Case, draw
 from flighttest.proof.flying import fly_campaign, options_of
 from flighttest.proof.outcome import Outcome

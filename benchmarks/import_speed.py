@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from flighttest.logs.ardupilot_bin import WANTED
-from flighttest.logs.dataflash import read_dataflash
+from flighttest.logs.ardupilot.dataflash import read_dataflash
+from flighttest.logs.ardupilot.importer import WANTED
 from flighttest.logs.opening import LogFile
 
 IMPORT = """
 import resource, sys, time
 from pathlib import Path
 from flighttest.logs import import_log
-from flighttest.logs.ardupilot_bin import import_ardupilot_bin
+from flighttest.logs.ardupilot.importer import import_ardupilot_bin
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 begin = time.perf_counter()
 recording = import_log(Path(sys.argv[1]))

@@ -2,7 +2,7 @@
 
 Every flight of the frozen bench that is there (`make frozen`) is fitted with the very terms that it conceals, and the estimates of their
 parameters are held against the values the flight was made with. One row for each limit of what the equations may err
-(`estimation.discrepancy.SHARE`; 0: scatter between cells alone), which is how that limit was chosen.
+(`estimation.uncertainty.discrepancy.SHARE`; 0: scatter between cells alone), which is how that limit was chosen.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.frozen import reference, responses
-from flighttest.estimation import discrepancy
-from flighttest.estimation.covariance import covariance_of, interval_factor
+from flighttest.estimation.uncertainty import discrepancy
+from flighttest.estimation.uncertainty.covariance import covariance_of, interval_factor
 from flighttest.identify.fit import Fit, fit
 from flighttest.physics.catalogue import catalogue
 from flighttest.proof.cases import Case

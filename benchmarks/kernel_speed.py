@@ -12,8 +12,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from flighttest.estimation import kernel
-from flighttest.estimation.native import library
+from flighttest.estimation.integration import kernel
+from flighttest.estimation.integration.native import library
 from flighttest.estimation.problem import PartEvaluation, Problem
 from flighttest.identify.selection import problem_of
 from flighttest.physics.catalogue import catalogue

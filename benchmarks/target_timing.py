@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from flighttest.flight import priority
-from flighttest.flight.preflight import RATES_HZ
+from flighttest.flight.preparation import priority
+from flighttest.flight.preparation.preflight import RATES_HZ
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader
 from flighttest.link.ardupilot import ArduPilot

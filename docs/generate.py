@@ -17,7 +17,7 @@ import click
 import flighttest as ft
 from flighttest.channels import CHANNELS
 from flighttest.cli.main import cli
-from flighttest.flight.machine import drawing, table_as_markdown, words_as_markdown
+from flighttest.flight.execution.machine import drawing, table_as_markdown, words_as_markdown
 from flighttest.physics.catalogue import catalogue
 from flighttest.script.load import load_script
 from flighttest.script.profiles import PROFILES, Duration, Field

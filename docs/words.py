@@ -31,7 +31,7 @@ GLOSSARY = (
     Entry(
         "best subsets",
         "the sets of candidate terms with the largest marginal likelihood",
-        "diagnose/subsets.py",
+        "diagnose/selection/subsets.py",
         "Miller, Subset Selection in Regression, 2002",
     ),
     Entry(
@@ -42,17 +42,17 @@ GLOSSARY = (
     ),
     Entry("channel", "one measured quantity: name, unit, frame", "channels.py"),
     Entry("clearance", "where in the zone a step can be flown, its stop and a lost link included", "plan/clearance.py"),
-    Entry("column map", "which column of a foreign table is which channel", "logs/columns.py"),
+    Entry("column map", "which column of a foreign table is which channel", "logs/tables/columns.py"),
     Entry(
         "CR2",
         "cluster-robust covariance with a small-sample correction",
-        "estimation/covariance.py",
+        "estimation/uncertainty/covariance.py",
         "Bell & McCaffrey 2002",
     ),
     Entry(
         "cross-validated",
         "a model judged on groups of responses that were not used to fit it",
-        "diagnose/comparison.py",
+        "diagnose/selection/comparison.py",
         "Stone 1974",
     ),
     Entry(
@@ -68,13 +68,15 @@ GLOSSARY = (
         LJUNG,
     ),
     Entry(
-        "external parameter change", "a vehicle parameter that somebody else set during a flight", "flight/changes.py"
+        "external parameter change",
+        "a vehicle parameter that somebody else set during a flight",
+        "flight/preparation/changes.py",
     ),
     Entry("fingerprint", "components, firmware and parameters that a model is valid for", "vehicle/fingerprint.py"),
     Entry(
         "Fisher information",
         "what a planned flight would make known, before it is flown",
-        "identify/expected.py",
+        "identify/expected_information.py",
         LJUNG,
     ),
     Entry("free flight", "recorded flight without separate steps, used in windows", "segments/cut.py"),
@@ -88,25 +90,25 @@ GLOSSARY = (
     Entry(
         "identifiable",
         "whether the data make a parameter known (identifiability)",
-        "identify/identifiability.py",
+        "identify/diagnostics/identifiability.py",
         LJUNG,
     ),
     Entry(
         "integrated autocorrelation time",
         "samples that count as one in a correlated residual",
-        "diagnose/discrepancy.py",
+        "diagnose/residuals/discrepancy.py",
         "Sokal 1997",
     ),
     Entry(
         "lack of fit",
         "error that repeats of a cell have in common",
-        "diagnose/discrepancy.py",
+        "diagnose/residuals/discrepancy.py",
         "Draper & Smith, Applied Regression Analysis",
     ),
     Entry(
         "Laplace approximation",
         "a marginal likelihood by its second derivatives at the maximum",
-        "diagnose/subsets.py",
+        "diagnose/selection/subsets.py",
         "Tierney & Kadane 1986",
     ),
     Entry("leg", "one response to be flown: start, profile, phases", "plan/model.py"),
@@ -115,22 +117,26 @@ GLOSSARY = (
     Entry(
         "marginal likelihood",
         "probability of the data under a model, parameters integrated out",
-        "diagnose/subsets.py",
+        "diagnose/selection/subsets.py",
         "MacKay 1992",
     ),
     Entry(
         "minimum detectable effect",
         "the smallest size of a term that the data would have shown",
-        "diagnose/detectability.py",
+        "diagnose/selection/detectability.py",
         "Bloom 1995",
     ),
     Entry(
         "model discrepancy",
         "what an equation gets wrong, as a random effect",
-        "diagnose/discrepancy.py",
+        "diagnose/residuals/discrepancy.py",
         "Kennedy & O'Hagan 2001",
     ),
-    Entry("noise floor", "error that no model can remove: the difference between repeats", "diagnose/lack_of_fit.py"),
+    Entry(
+        "noise floor",
+        "error that no model can remove: the difference between repeats",
+        "diagnose/residuals/lack_of_fit.py",
+    ),
     Entry(
         "nuisance parameter",
         "initial state and disturbance of one response, eliminated before anything is compared",
@@ -140,13 +146,13 @@ GLOSSARY = (
     Entry(
         "onset",
         "time between an applied input and the first observed change; the paper's estimate of the delay",
-        "identify/onset.py",
+        "identify/dead_time.py",
         "paper, section 3",
     ),
-    Entry("open loop", "a model driven by recorded inputs alone", "identify/validate.py", TISCHLER),
+    Entry("open loop", "a model driven by recorded inputs alone", "identify/validation/validate.py", TISCHLER),
     Entry("parameter", "a number of a term: symbol, unit, bounds, source", "physics/core.py"),
     Entry("port", "where a term acts in the chain from reference to measurement", "physics/core.py"),
-    Entry("prior model", "the model that predicts a flight before it is flown", "pipeline/predictor.py"),
+    Entry("prior model", "the model that predicts a flight before it is flown", "pipeline/planning/predictor.py"),
     Entry("profile", "the course of targets within a step", "script/profiles/declare.py"),
     Entry(
         "recording", "channels of one flight on the vehicle's clock, with marks and provenance", "recording/model.py"
@@ -156,7 +162,7 @@ GLOSSARY = (
     Entry(
         "Satterthwaite",
         "degrees of freedom of a variance estimated from few clusters",
-        "estimation/covariance.py",
+        "estimation/uncertainty/covariance.py",
         "Satterthwaite 1946",
     ),
     Entry(
@@ -171,21 +177,21 @@ GLOSSARY = (
         "Brunton, Proctor, Kutz 2016",
     ),
     Entry("specific force", "what an accelerometer measures: acceleration without gravity", "channels.py"),
-    Entry("supervisor", "what happens when a target was refused", "flight/supervisor.py"),
+    Entry("supervisor", "what happens when a target was refused", "flight/execution/supervisor.py"),
     Entry("term", "one piece of physics that can be added to a model", "physics/core.py"),
-    Entry("tied", "parameters that share one value (equality constraint)", "identify/ties.py"),
+    Entry("tied", "parameters that share one value (equality constraint)", "identify/equality_constraints.py"),
     Entry("zone", "the box that a flight must stay in", "vehicle/model.py"),
 )
 
 # What a reader asks, the word to search `flighttest/` for, and the module that answers: among the four files that hold the word most often.
 QUESTIONS = (
-    ("Where do standard errors come from?", "covariance", "estimation/covariance.py"),
-    ("Which terms are tried, and how are sets of them ranked?", "marginal likelihood", "diagnose/subsets.py"),
-    ("How is a term judged on data that it was not fitted to?", "cross-validated", "diagnose/comparison.py"),
-    ("How does a term get into the report?", "finding", "report/diagnosis_sections.py"),
+    ("Where do standard errors come from?", "covariance", "estimation/uncertainty/covariance.py"),
+    ("Which terms are tried, and how are sets of them ranked?", "marginal likelihood", "diagnose/selection/subsets.py"),
+    ("How is a term judged on data that it was not fitted to?", "cross-validated", "diagnose/selection/comparison.py"),
+    ("How does a term get into the report?", "finding", "report/sections/diagnosis.py"),
     ("How is a change of mode told from a pilot's?", "change of mode", "link/requests.py"),
-    ("What happens when a target is refused?", "abort mode", "flight/supervisor.py"),
-    ("How are parameters put back after a flight?", "restored", "flight/changes.py"),
+    ("What happens when a target is refused?", "abort mode", "flight/execution/supervisor.py"),
+    ("How are parameters put back after a flight?", "restored", "flight/preparation/changes.py"),
     ("Who says that a model is stale?", "stale", "currency/assess.py"),
     ("How is the model integrated?", "Runge-Kutta", "physics/simulate.py"),
     ("Why was a response rejected?", "take-over", "segments/quality.py"),
@@ -219,9 +225,9 @@ GONE = {
 # Where such a word is still found, and how often: a number may only fall, and an entry without its word must go.
 STILL: dict[str, dict[str, int]] = {
     "in_halves": {
-        "flighttest/pipeline/checking.py": 2,
-        "flighttest/pipeline/diagnosis.py": 2,
-        "flighttest/pipeline/halves.py": 1,
+        "flighttest/pipeline/planning/checking.py": 2,
+        "flighttest/pipeline/diagnosis/diagnose.py": 2,
+        "flighttest/pipeline/parallel.py": 1,
         "tests/diagnose/test_diagnose.py": 2,
         "tests/pipeline/test_halves.py": 9,
     },

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from flighttest.errors import FlighttestError
 from flighttest.sim.options import SimOptions
-from flighttest.sim.sitl_launcher import AIRFRAMES, Sitl, SitlOptions, launch, sitl_dir
-from flighttest.sim.sitl_physics import PhysicsSitl, launch_on_physics
+from flighttest.sim.sitl.launcher import AIRFRAMES, Sitl, SitlOptions, launch, sitl_dir
+from flighttest.sim.sitl.physics import PhysicsSitl, launch_on_physics
 
 DEMO = ("roll_pitch", "yaw_rate", "thrust")
 PROGRAM = "from flighttest.cli.main import main; main()"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from flighttest.errors import FlighttestError
-from flighttest.sim.sitl_launcher import find_arducopter
+from flighttest.sim.sitl.launcher import find_arducopter
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -16,14 +16,14 @@ from flighttest.errors import InputError
 from flighttest.flight.outcome import LegOutcome
 from flighttest.flight.result import FlightResult
 from flighttest.identify.fit import Estimate, Fit
-from flighttest.identify.validate import UNITS, Validation
-from flighttest.pipeline.lineage import Lineage
+from flighttest.identify.validation.validate import UNITS, Validation
+from flighttest.pipeline.store.lineage import Lineage
 from flighttest.plan.check import CheckResult
 from flighttest.plan.model import Plan
 from flighttest.recording.model import Recording
-from flighttest.report import html
 from flighttest.report.document import Document, Figure, Panel, Trace
-from flighttest.report.plotly_figure import drawn, figures_of
+from flighttest.report.render import html
+from flighttest.report.render.plotly_figure import drawn, figures_of
 from flighttest.segments.model import Segment
 
 if TYPE_CHECKING:
@@ -273,7 +273,7 @@ class Flown(Answer):
 
     def recordings(self) -> tuple[Recording, ...]:
         """What was recorded, read from the run folders."""
-        from flighttest.pipeline.sources import open_recordings
+        from flighttest.pipeline.recordings.sources import open_recordings
 
         return open_recordings(self.runs)
 

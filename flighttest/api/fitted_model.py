@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from flighttest.datafiles import read_text
 from flighttest.documents import Document
 from flighttest.errors import InputError, ModelError
-from flighttest.identify import model_file
-from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.equations import Equations
 from flighttest.physics.model import Model
 from flighttest.physics.simulated import Simulated
 from flighttest.report.document import Figure, Panel, Trace
-from flighttest.report.plotly_figure import drawn
+from flighttest.report.render.plotly_figure import drawn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ class FittedModel:
 
     def export(self, kind: str, folder: str | PathLike[str]) -> tuple[Path, ...]:
         """Write it for other programs: 'casadi', 'c', 'json', 'fmu' or 'rotorpy'; gives the files written. InputError for another kind."""
-        from flighttest.pipeline.exporting import KINDS, export
+        from flighttest.pipeline.identification.exporting import KINDS, export
 
         if kind not in KINDS:
             raise InputError(f"there is no export called {kind!r}", f"there are {', '.join(KINDS)}")

@@ -60,7 +60,7 @@ def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
     columns: column map (columns/1) of a foreign table. The recording has channels by name in SI, world North-West-Up, body
     Forward-Left-Up, each group on its own times (n,); `to_frame` and `plot` show them. RecordingError says what is wrong with the file.
     """
-    from flighttest.pipeline.sources import open_recording
+    from flighttest.pipeline.recordings.sources import open_recording
 
     return open_recording(Path(source), _path(columns))
 
@@ -68,7 +68,7 @@ def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
 def segment(*sources: Source, columns: AnyPath | None = None) -> Responses:
     """Cut recordings into step responses and windows of free flight, each accepted, or rejected with its reason."""
     from flighttest.api.answers import Responses
-    from flighttest.pipeline import analysis
+    from flighttest.pipeline.identification import fitting as analysis
 
     result = analysis.segment(_sources(sources), _path(columns))
     return Responses(document=result.document, data=result.data, segments=tuple(result.value))
@@ -89,7 +89,7 @@ def fit(
     parameters held at a value (T_d holds every delay); tie: parameter to the one it equals. progress: called with each stage's words.
     FitError where no response can be used.
     """
-    from flighttest.pipeline import analysis
+    from flighttest.pipeline.identification import fitting as analysis
 
     options = analysis.FitOptions(model=model, freeze=freeze or {}, tie=tie or {})
     result = analysis.fit(
@@ -107,7 +107,7 @@ def _fitted(result: Result) -> Fitted:
 
 def _model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.identify import model_file
+    from flighttest.identify.models import model_file
 
     stored = replace(model_file.from_fit(found), fingerprint=data["fingerprint"], fit_quality=data["fit_quality"])
     stored = replace(stored, vehicle=data.get("vehicle") or {})
@@ -133,7 +133,7 @@ def validate(
     """
     from flighttest.api.answers import Validated
     from flighttest.api.fitted_model import fitted_model
-    from flighttest.pipeline.validation import validate as compare
+    from flighttest.pipeline.identification.validation import validate as compare
 
     earlier = None if previous is None else fitted_model(previous).stored
     result = compare(fitted_model(model).stored, _sources(sources), earlier, columns=_path(columns))
@@ -155,8 +155,8 @@ def diagnose(
     """
     from flighttest.api.answers import Diagnosed
     from flighttest.api.fitted_model import fitted_model
-    from flighttest.identify import model_file
-    from flighttest.pipeline.diagnosis import diagnose as search
+    from flighttest.identify.models import model_file
+    from flighttest.pipeline.diagnosis.diagnose import diagnose as search
 
     base = None if model is None else fitted_model(model).stored
     result = search(_sources(sources), base, _path(output), _path(columns), _path(vehicle), progress=_Stages(progress))
@@ -179,8 +179,8 @@ def check_validity(
     """
     from flighttest.api.answers import Validity
     from flighttest.api.fitted_model import fitted_model
-    from flighttest.pipeline.currency import status
-    from flighttest.pipeline.present import read as read_vehicle
+    from flighttest.pipeline.validity.status import status
+    from flighttest.pipeline.vehicles.live import read as read_vehicle
 
     stored = None if model is None else fitted_model(model).stored
     present = None if connect is None else read_vehicle(connect)
@@ -192,8 +192,8 @@ def check_validity(
 def models(runs: AnyPath = "runs") -> Models:
     """The models accepted for each vehicle in a folder of runs: which flights, which terms joined when, which change ended each."""
     from flighttest.api.answers import Models
-    from flighttest.pipeline.lineage import lineages
-    from flighttest.pipeline.models import models as listed
+    from flighttest.pipeline.store.lineage import lineages
+    from flighttest.pipeline.store.models import models as listed
 
     result = listed(Path(runs))
     return Models(document=result.document, data=result.data, lineages=tuple(lineages(Path(runs))))
@@ -205,8 +205,8 @@ def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "r
     vehicle: vehicle.yaml, where the model does not say which vehicle it is of. InputError where that is not known at all.
     """
     from flighttest.api.answers import Models
-    from flighttest.pipeline.lineage import lineages
-    from flighttest.pipeline.models import accept as accept_model
+    from flighttest.pipeline.store.lineage import lineages
+    from flighttest.pipeline.store.models import accept as accept_model
 
     result = accept_model(Path(model), Path(runs), _path(vehicle))
     return Models(document=result.document, data=result.data, lineages=tuple(lineages(Path(runs))))
@@ -219,7 +219,7 @@ def plan(*scripts: AnyPath, vehicle: AnyPath | None = None, model: AnyPath | Non
     through the scripts, else the paper's. ScriptError lists everything wrong with a script.
     """
     from flighttest.api.answers import Planned
-    from flighttest.pipeline.checking import check
+    from flighttest.pipeline.planning.checking import check
     from flighttest.plan import check as check_plan
 
     result = check([str(script) for script in scripts], _path(vehicle), _path(model))
@@ -242,10 +242,10 @@ def fly(
 
     connect: URL of the vehicle; 'sim' is the built-in one. A real vehicle flies only with arm=True: set it when
     the area is clear and a pilot is ready. hide: effects concealed in the built-in vehicle, as 'ground_effect:R2_m2=0.1'. options:
-    further fields of `pipeline.flying.FlightRequest`. LinkError, PreflightError; how a flight ended is an outcome, not an error.
+    further fields of `pipeline.flights.run.FlightRequest`. LinkError, PreflightError; how a flight ended is an outcome, not an error.
     """
     from flighttest.api.answers import Flown
-    from flighttest.pipeline import flying
+    from flighttest.pipeline.flights import run as flying
 
     request = flying.FlightRequest(
         tuple(str(script) for script in scripts), vehicle=_path(vehicle), connect=connect, out=Path(out), hide=tuple(hide), seed=seed,

@@ -21,7 +21,7 @@ COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for 
 @click.option("--vehicle", type=FILE, help="vehicle.yaml whose components and zone join the recording.")
 def import_(context: Context, log: Path, columns: Path | None, output: Path, vehicle: Path | None) -> int:
     """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv or .parquet."""
-    from flighttest.pipeline import sources
+    from flighttest.pipeline.recordings import sources
 
     with LiveProgress(context.show) as progress:
         result = sources.import_log(log, output, columns, vehicle, progress)
@@ -33,7 +33,7 @@ def import_(context: Context, log: Path, columns: Path | None, output: Path, veh
 @COLUMNS
 def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> int:
     """Cut recordings into step responses: each accepted, or rejected with its reason."""
-    from flighttest.pipeline import analysis
+    from flighttest.pipeline.identification import fitting as analysis
 
     with LiveProgress(context.show) as progress:
         result = analysis.segment(runs, columns, progress)
@@ -67,7 +67,7 @@ def fit(
     scheduler: str | None,
 ) -> int:
     """Estimate the model's parameters from one or several recordings, jointly."""
-    from flighttest.pipeline import analysis
+    from flighttest.pipeline.identification import fitting as analysis
 
     options = analysis.FitOptions(terms=terms, freeze=held(freeze), tie=ties(tie), workers=workers, scheduler=scheduler)
     with LiveProgress(context.show) as progress:
@@ -105,7 +105,8 @@ def diagnose(
     simulated: tuple[Path, ...],
 ) -> int:
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
-    from flighttest.pipeline import against, diagnosis
+    from flighttest.pipeline.diagnosis import against
+    from flighttest.pipeline.diagnosis import diagnose as diagnosis
 
     with LiveProgress(context.show) as progress:
         if simulated:
@@ -120,7 +121,7 @@ def diagnose(
 @click.option("-o", "--output", type=FILE, metavar="HTML", help="File to write; otherwise report.html in the folder.")
 def report(context: Context, folder: Path, output: Path | None) -> int:
     """Write one self-contained HTML page about a run, or about what `diagnose -o` wrote."""
-    from flighttest.pipeline import reporting
+    from flighttest.pipeline.identification import reporting
 
     with LiveProgress(context.show) as progress:
         result = reporting.report(folder, output, progress)

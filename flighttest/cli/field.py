@@ -21,7 +21,7 @@ def check(
     context: Context, scripts: tuple[str, ...], vehicle: Path | None, model: Path | None, out: Path, verbose: bool
 ) -> int:
     """Compile scripts without a vehicle: plan, duration, battery, predicted envelope against the zone."""
-    from flighttest.pipeline import checking
+    from flighttest.pipeline.planning import checking
 
     return context.finish(checking.check(scripts, vehicle, model, out=out, verbose=verbose))
 
@@ -79,7 +79,7 @@ def run(
     SCRIPT is a path or the name of a shipped maneuver. Without --vehicle or --connect it flies the built-in simulated
     copter; it never reaches for a real vehicle by default.
     """
-    from flighttest.pipeline import flying
+    from flighttest.pipeline.flights import run as flying
 
     if not scripts and resume is None:
         raise click.UsageError("nothing to fly: name a SCRIPT, or a run with --resume")
@@ -137,7 +137,7 @@ def sim(
     model: Path | None,
 ) -> int:
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
-    from flighttest.pipeline import simulator
+    from flighttest.pipeline.vehicles import simulator
 
     for said in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep, model):
         if isinstance(said, str):
@@ -157,7 +157,7 @@ def sim(
 @click.option("--log", "log_id", type=int, help="Number of the log; otherwise the newest.")
 def fetch_log(context: Context, connect: str, output: Path, log_id: int | None) -> int:
     """Download the onboard log over MAVLink into a run folder."""
-    from flighttest.pipeline import flying
+    from flighttest.pipeline.flights import run as flying
 
     with LiveProgress(context.show) as progress:
         result = flying.fetch_log(connect, output, log_id, progress)

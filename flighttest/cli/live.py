@@ -11,7 +11,7 @@ from typing import Any
 from rich.live import Live
 
 from flighttest.cli.show import Show
-from flighttest.report.flight_view import line, picture
+from flighttest.report.render.flight_view import line, picture
 
 PLAIN_EVERY_S = 10.0
 # A terminal that is gone, or a reader (tee, less) that Ctrl-C ended with us, must not end a flight; rich leaves the program for it.

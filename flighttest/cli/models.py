@@ -29,7 +29,7 @@ def validate(
     MODEL is a model file, or the first of several folders where it holds a model. Without one the model in use of the recorded vehicle is
     taken.
     """
-    from flighttest.pipeline import validation
+    from flighttest.pipeline.identification import validation
 
     with LiveProgress(context.show) as progress:
         result = validation.validate(None, paths, previous, output, columns, progress, out=out)
@@ -42,7 +42,7 @@ def validate(
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where accepted models are kept.")
 def accept(context: Context, folder: Path, vehicle: Path | None, out: Path) -> int:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use."""
-    from flighttest.pipeline import models
+    from flighttest.pipeline.store import models
 
     return context.finish(models.accept(folder, out, vehicle))
 
@@ -51,7 +51,7 @@ def accept(context: Context, folder: Path, vehicle: Path | None, out: Path) -> i
 @click.argument("folder", type=FOLDER, default=Path("runs"), metavar="[DIR]")
 def models(context: Context, folder: Path) -> int:
     """The vehicles' models: which flights, which terms joined when, which change ended each."""
-    from flighttest.pipeline import models as lineage
+    from flighttest.pipeline.store import models as lineage
 
     return context.finish(lineage.models(folder))
 
@@ -75,10 +75,12 @@ def status(
     output: Path | None,
 ) -> int:
     """Current, stale or unknown: does the model still hold for this vehicle, and what must be flown again."""
-    from flighttest.pipeline import keeping
+    from flighttest.pipeline.validity import status as validity
+    from flighttest.pipeline.vehicles import live
 
     with LiveProgress(context.show) as progress:
-        result = keeping.status(runs, vehicle, model, out, output, progress, connect)
+        present = live.read(connect, progress) if connect is not None else None
+        result = validity.status(runs, vehicle, model, out, output, progress, present)
     return context.finish(result)
 
 
@@ -87,10 +89,10 @@ def status(
 @click.argument("second", type=ANY)
 def compare(context: Context, first: Path, second: Path) -> int:
     """Compare two models or two runs: z-scores per parameter, and which differ."""
-    from flighttest.pipeline import keeping
+    from flighttest.pipeline.identification import comparison
 
     with LiveProgress(context.show) as progress:
-        result = keeping.compare(first, second, progress)
+        result = comparison.compare(first, second, progress)
     return context.finish(result)
 
 
@@ -105,8 +107,8 @@ def export(context: Context, model: Path | None, kind: str, output: Path, vehicl
 
     MODEL is a model file or a folder that holds one; without it the vehicle's model in use is taken.
     """
-    from flighttest.pipeline import exporting
-    from flighttest.pipeline.models import named_or_in_use
+    from flighttest.pipeline.identification import exporting
+    from flighttest.pipeline.store.models import named_or_in_use
 
     return context.finish(exporting.export(named_or_in_use(model, out, vehicle), kind, output))
 

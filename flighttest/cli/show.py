@@ -13,8 +13,8 @@ from rich.theme import Theme
 
 from flighttest.errors import FlighttestError, InputError, PreflightError
 from flighttest.report.document import Document
-from flighttest.report.plain import plain
-from flighttest.report.terminal import render
+from flighttest.report.render.plain import plain
+from flighttest.report.render.terminal import render
 
 THEME = Theme(
     {

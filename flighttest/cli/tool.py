@@ -56,9 +56,9 @@ def prove(
 @click.argument("ids", nargs=-1, metavar="[ID...]")
 def terms(context: Context, ids: tuple[str, ...]) -> int:
     """The catalogue of physics: what each term is, what it hides in, and which maneuver shows it."""
-    from flighttest.pipeline import about
+    from flighttest.pipeline import info
 
-    return context.finish(about.terms(ids))
+    return context.finish(info.terms(ids))
 
 
 @command("runs")
@@ -68,18 +68,18 @@ def terms(context: Context, ids: tuple[str, ...]) -> int:
 )
 def runs(context: Context, folder: Path, html: bool) -> int:
     """The runs on this machine: when, which script and vehicle, how they ended, what was fitted."""
-    from flighttest.pipeline import keeping
+    from flighttest.pipeline.store import table
 
-    return context.finish(keeping.runs(folder, html=html))
+    return context.finish(table.history(folder, page=html))
 
 
 @command("doctor")
 @click.option("--connect", metavar="URL", help="Also try to reach a vehicle.")
 def doctor(context: Context, connect: str | None) -> int:
     """What is installed and reachable, and what to do about what is not."""
-    from flighttest.pipeline import about
+    from flighttest.pipeline import info
 
-    return context.finish(about.doctor(connect))
+    return context.finish(info.doctor(connect))
 
 
 COMMANDS: tuple[click.Command, ...] = (prove, terms, runs, doctor)

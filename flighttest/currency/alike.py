@@ -18,10 +18,10 @@ import numpy as np
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import FloatArray
-from flighttest.estimation.covariance import cluster_covariance, variance_inflation_of
 from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.uncertainty.covariance import cluster_covariance, variance_inflation_of
 from flighttest.estimation.weighing import Normal
-from flighttest.identify.held import normal_at
+from flighttest.identify.fixed_parameters import normal_at
 from flighttest.segments import Segment
 
 MIN_STEPS = 2  # kinds of step that must tell of a parameter

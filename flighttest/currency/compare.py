@@ -10,7 +10,7 @@ import numpy as np
 
 from flighttest.currency.discrepancy import DELAY_STD_S, prior
 from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
-from flighttest.estimation.distributions import beyond, fisher_beyond, quantile
+from flighttest.estimation.uncertainty.distributions import beyond, fisher_beyond, quantile
 from flighttest.identify import mass
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).

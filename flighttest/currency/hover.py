@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.currency.model import FloatArray, SubsetTest
-from flighttest.estimation.distributions import beyond, quantile
-from flighttest.estimation.level import knows_attitude, taken_as_level
-from flighttest.estimation.responses import zero_order_hold
+from flighttest.estimation.level import taken_as_level
+from flighttest.estimation.responses import knows_attitude, zero_order_hold
+from flighttest.estimation.uncertainty.distributions import beyond, quantile
 from flighttest.frames import G_M_S2
 from flighttest.segments import Segment
 

@@ -14,16 +14,16 @@ from enum import StrEnum
 
 import numpy as np
 
-from flighttest.diagnose.held_out import held_out_groups
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, short
+from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.errors import FitError
-from flighttest.estimation.covariance import cluster_covariance, interval_factor
-from flighttest.estimation.distributions import beyond, quantile
 from flighttest.estimation.problem import Noise
 from flighttest.estimation.solver import finite_or_error, solve
+from flighttest.estimation.uncertainty.covariance import cluster_covariance, interval_factor
+from flighttest.estimation.uncertainty.distributions import beyond, quantile
+from flighttest.identify.diagnostics.quality import ChannelQuality, channel_quality
 from flighttest.identify.fit import Fit, fit
-from flighttest.identify.quality import ChannelQuality, channel_quality
 from flighttest.identify.selection import problem_of
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model

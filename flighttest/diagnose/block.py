@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.baselines import baselines
-from flighttest.diagnose.detectability import detectable, missing_channels, untestable
-from flighttest.diagnose.held_out import compare, excess, held_out, horizon_rmse
-from flighttest.diagnose.lack_of_fit import RESOLUTION, floor_of
-from flighttest.diagnose.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.model import Located, TermVerdict, Untestable, brief, flown, short
-from flighttest.diagnose.overlays import overlays
-from flighttest.diagnose.search import Search, silent
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
+from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
+from flighttest.diagnose.residuals.overlays import overlays
+from flighttest.diagnose.selection.baselines import baselines
+from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
+from flighttest.diagnose.selection.held_out import compare, excess, held_out, horizon_rmse
+from flighttest.diagnose.selection.search import Search, silent
 from flighttest.estimation.estimator import Estimator, part_of
+from flighttest.identify.dead_time import onset_delay, start_values
 from flighttest.identify.fit import Fit
-from flighttest.identify.onset import onset_delay, start_values
 from flighttest.identify.selection import able
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from flighttest.diagnose.comparison import Evidence
-from flighttest.diagnose.held_out import compare, held_out
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
-from flighttest.diagnose.search import Search
+from flighttest.diagnose.selection.comparison import Evidence
+from flighttest.diagnose.selection.held_out import compare, held_out
+from flighttest.diagnose.selection.search import Search
 from flighttest.estimation.linearisation import FloatArray, IntArray
 from flighttest.identify.fit import Fit
 

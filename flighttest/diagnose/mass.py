@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.estimation.distributions import normal_beyond, normal_quantile
+from flighttest.estimation.uncertainty.distributions import normal_beyond, normal_quantile
 from flighttest.identify.mass import FORCES, SIGNIFICANT, change, thrust_or_mass
 
 

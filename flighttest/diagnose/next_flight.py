@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from flighttest.diagnose.candidates import null_value
-from flighttest.diagnose.comparison import Fitted
 from flighttest.diagnose.model import brief
-from flighttest.diagnose.search import Search
+from flighttest.diagnose.selection.candidates import null_value
+from flighttest.diagnose.selection.comparison import Fitted
+from flighttest.diagnose.selection.search import Search
 from flighttest.documents import write_text
 from flighttest.errors import FlighttestError
 from flighttest.estimation.estimator import Estimator

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.diagnose.held_out import folds_of
-from flighttest.diagnose.locate import VARIABLES, sampled
 from flighttest.diagnose.model import short
-from flighttest.diagnose.search import Search
+from flighttest.diagnose.residuals.locate import VARIABLES, sampled
+from flighttest.diagnose.selection.held_out import folds_of
+from flighttest.diagnose.selection.search import Search
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

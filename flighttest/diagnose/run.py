@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 
 from flighttest.diagnose.block import Answer, Asked, answer
-from flighttest.diagnose.detectability import UNSEEN, missing_channels
 from flighttest.diagnose.findings import finding, parameter_table
-from flighttest.diagnose.held_out import held_out_groups
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
-from flighttest.diagnose.outlying import set_aside
 from flighttest.diagnose.residual_regression import describe
-from flighttest.diagnose.search import Search, silent
+from flighttest.diagnose.residuals.outlying import set_aside
+from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
+from flighttest.diagnose.selection.held_out import held_out_groups
+from flighttest.diagnose.selection.search import Search, silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS, Estimator
+from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
-from flighttest.identify.optima import misfit
 from flighttest.identify.selection import able
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.estimation.covariance import Covariance, covariance_of
 from flighttest.estimation.gauss_newton import Tolerances
 from flighttest.estimation.linearisation import (
     FloatArray,
@@ -23,6 +22,7 @@ from flighttest.estimation.linearisation import (
 )
 from flighttest.estimation.problem import Problem, prior_std
 from flighttest.estimation.solver import solve
+from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
 from flighttest.estimation.weighing import start_noise
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
@@ -141,7 +141,7 @@ class Estimator:
         return replace(made, objective=objective, log_likelihood=float(-scale - 0.5 * objective))
 
     def covariance(self, model: Model, at: Optimum, names: Sequence[str]) -> Covariance:
-        """Covariance of `names` at an optimum of them, as a fit has it (`estimation.covariance`)."""
+        """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
         problem = self.problem(model)
         found = solve(
             problem, at.values, free=names, robust=False, noise=at.noise, local=self.nuisance(problem, at),

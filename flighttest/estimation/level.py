@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.responses import knows_attitude
 from flighttest.frames import G_M_S2
 from flighttest.segments.model import Segment
 
@@ -25,12 +26,6 @@ FloatArray = NDArray[np.float64]
 
 LEVEL_RAD = 0.14  # root mean square; 1 % of the thrust
 PIECE_S = 0.5  # accelerations are means over so long: shorter ones are noise of a differentiated position
-HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
-
-
-def knows_attitude(segment: Segment) -> bool:
-    """Whether roll and pitch were measured."""
-    return all(np.isfinite(segment.y.get(name, np.nan)).any() for name in ("roll_rad", "pitch_rad"))
 
 
 def taken_as_level(segment: Segment) -> bool:

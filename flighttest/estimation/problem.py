@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
-from flighttest.estimation.kernel import Kernel
+from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.responses import (
     Nodes,
     Response,

@@ -9,19 +9,27 @@ from dataclasses import replace
 from pathlib import Path
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
-from flighttest.flight import preflight, priority, supervisor
-from flighttest.flight.changes import ExternalChanges, Left, ParameterChanges, record_of, still_left, values_of
-from flighttest.flight.control import FlightControl, Stops
+from flighttest.flight.execution import supervisor
+from flighttest.flight.execution.control import FlightControl, Stops
+from flighttest.flight.execution.legs import Airframe
+from flighttest.flight.execution.machine import Event, FlightState
+from flighttest.flight.execution.placing import place_home, place_zone
+from flighttest.flight.execution.scheduler import Scheduler
 from flighttest.flight.gate import GateLimits, stop_throttles
-from flighttest.flight.legs import Airframe
-from flighttest.flight.machine import Event, FlightState
 from flighttest.flight.options import FlightOptions
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
-from flighttest.flight.placing import place_home, place_zone
-from flighttest.flight.rates import Telemetry
+from flighttest.flight.preparation import preflight, priority
+from flighttest.flight.preparation.changes import (
+    ExternalChanges,
+    Left,
+    ParameterChanges,
+    record_of,
+    still_left,
+    values_of,
+)
+from flighttest.flight.preparation.rates import Telemetry
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.result import FlightResult
-from flighttest.flight.scheduler import Scheduler
 from flighttest.link import lockstep
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot

@@ -6,9 +6,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flighttest.flight.changes import Left
+from flighttest.flight.execution.response import Replanner
 from flighttest.flight.outcome import OnProgress
-from flighttest.flight.response import Replanner
+from flighttest.flight.preparation.changes import Left
 
 OnStage = Callable[[str], None]
 OnVehicle = Callable[[str, Mapping[str, float]], None]  # firmware, parameters

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flighttest.flight.machine import FlightState
+from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.outcome import FlightOutcome, LegOutcome, LegResult
 from flighttest.recording.store import read_events
 

@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError, InputError
-from flighttest.estimation.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.level import level_notes, level_share
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.estimation.solver import Solution, finite_or_error, solve
+from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.estimation.weighing import start_noise
-from flighttest.identify.doubts import differing_notes, doubts_of, step_sizes
-from flighttest.identify.feedback import answered
-from flighttest.identify.identifiability import (
+from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
+from flighttest.identify.diagnostics.closed_loop import answered
+from flighttest.identify.diagnostics.doubts import differing_notes, doubts_of, step_sizes
+from flighttest.identify.diagnostics.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
     Doubts,
@@ -36,11 +37,10 @@ from flighttest.identify.identifiability import (
     voltage_spread_at_equal_throttle,
     voltage_varies,
 )
-from flighttest.identify.onset import OnsetDelay, onset_delay, start_values
-from flighttest.identify.optima import best_of_starts, rivals
-from flighttest.identify.quality import ChannelQuality, ValidRange, channel_quality, valid_range
+from flighttest.identify.diagnostics.local_optima import best_of_starts, rivals
+from flighttest.identify.diagnostics.quality import ChannelQuality, ValidRange, channel_quality, valid_range
+from flighttest.identify.equality_constraints import TieTest, tie_tests
 from flighttest.identify.selection import Select, moves, problem_of
-from flighttest.identify.ties import TieTest, tie_tests
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment

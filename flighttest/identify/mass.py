@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from flighttest.estimation.distributions import chi2_beyond
+from flighttest.estimation.uncertainty.distributions import chi2_beyond
 
 FORCES = ("K", "d_x", "d_y", "d_z")
 DRAG_KNOWN = 0.02  # relative standard error below which drag can tell mass from thrust

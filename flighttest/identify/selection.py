@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from flighttest.errors import FitError
-from flighttest.estimation.level import knows_attitude, refusal, taken_as_level
+from flighttest.estimation.level import refusal, taken_as_level
 from flighttest.estimation.problem import Problem
-from flighttest.estimation.responses import dead_channels, never_changing
+from flighttest.estimation.responses import dead_channels, knows_attitude, never_changing
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment

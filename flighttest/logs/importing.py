@@ -68,7 +68,7 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
             f"{path}: named {claimed}, but not compressed so", "rename it, or copy or download it anew"
         )
     if head[:3] == b"\xa3\x95\x80" or (suffix == ".bin" and b"\xa3\x95" in head):
-        from flighttest.logs.ardupilot_bin import import_ardupilot_bin
+        from flighttest.logs.ardupilot.importer import import_ardupilot_bin
 
         return import_ardupilot_bin(path)
     if suffix == ".tlog":
@@ -80,7 +80,7 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
 
         return import_ulog(path)
     if suffix in _TABLES or head[:4] == b"PAR1" or head[:1] == b"\xbc" or columns is not None:
-        from flighttest.logs.table import import_table
+        from flighttest.logs.tables.table import import_table
 
         return import_table(path, columns)
     if suffix in {".yaml", ".yml"}:

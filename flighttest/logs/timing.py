@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.logs.dataflash import Dataflash, Table
+from flighttest.logs.ardupilot.dataflash import Dataflash, Table
 from flighttest.recording import Series
 
 FloatArray = NDArray[np.float64]

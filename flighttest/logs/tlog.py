@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from flighttest.errors import RecordingError
-from flighttest.logs.ardupilot_bin import DEFAULT_ACCEL_FILTER_HZ, known_filters
+from flighttest.logs.ardupilot.importer import DEFAULT_ACCEL_FILTER_HZ, known_filters
 from flighttest.logs.opening import LogFile
 from flighttest.logs.timing import clock_steps, held_union, outliers
 from flighttest.mavlink import WANTED

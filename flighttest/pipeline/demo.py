@@ -13,23 +13,23 @@ import numpy as np
 
 from flighttest.diagnose.against import predicted
 from flighttest.diagnose.model import short
-from flighttest.identify import model_file
-from flighttest.identify.model_file import ModelFile
-from flighttest.identify.variations import measured_channels, open_loop, voltage_for
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.identify.validation.ablations import measured_channels, open_loop, voltage_for
 from flighttest.pipeline import twin as twins
-from flighttest.pipeline.analysis import cut_all
-from flighttest.pipeline.diagnosis import MODEL_NAME
-from flighttest.pipeline.flying import FlightRequest, run
-from flighttest.pipeline.history import FIT_NAME
-from flighttest.pipeline.present import BUILTIN
-from flighttest.pipeline.reporting import REPORT_NAME
+from flighttest.pipeline.diagnosis.diagnose import MODEL_NAME
+from flighttest.pipeline.flights.run import FlightRequest, run
+from flighttest.pipeline.identification.fitting import cut_all
+from flighttest.pipeline.identification.reporting import REPORT_NAME
+from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
-from flighttest.pipeline.simulator import options
-from flighttest.pipeline.sources import open_recordings
-from flighttest.report import html
-from flighttest.report.demo_sections import demo_document, figure_of
-from flighttest.report.plain import plain
-from flighttest.report.svg import as_svg
+from flighttest.pipeline.store.history import FIT_NAME
+from flighttest.pipeline.vehicles.live import BUILTIN
+from flighttest.pipeline.vehicles.simulator import options
+from flighttest.report.render import html
+from flighttest.report.render.plain import plain
+from flighttest.report.render.svg import as_svg
+from flighttest.report.sections.demo import demo_document, figure_of
 from flighttest.segments import Segment
 from flighttest.sim import parse_hide
 from flighttest.sim.build import build_plant

@@ -24,26 +24,26 @@ from flighttest.diagnose.against import (
 )
 from flighttest.errors import FlighttestError
 from flighttest.flight import FlightOptions, fly
-from flighttest.identify import model_file
 from flighttest.identify.fit import fit
-from flighttest.identify.model_file import ModelFile
-from flighttest.pipeline.against import difference_data, of_one_vehicle
-from flighttest.pipeline.analysis import cut_all
-from flighttest.pipeline.checking import plans
-from flighttest.pipeline.diagnosis import run_diagnosis
-from flighttest.pipeline.doubts import once
-from flighttest.pipeline.fingerprints import differences
-from flighttest.pipeline.predictor import ModelPredictor
-from flighttest.pipeline.repeating import VEHICLE_NAME, flown_with
-from flighttest.pipeline.replanning import ScriptReplanner
-from flighttest.pipeline.reporting import REPORT_NAME
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.pipeline.diagnosis.against import difference_data, of_one_vehicle
+from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
+from flighttest.pipeline.identification.fitting import cut_all
+from flighttest.pipeline.identification.reporting import REPORT_NAME
+from flighttest.pipeline.planning.checking import plans
+from flighttest.pipeline.planning.predictor import ModelPredictor
+from flighttest.pipeline.planning.replanning import ScriptReplanner
+from flighttest.pipeline.recordings.consistency import once
+from flighttest.pipeline.recordings.fingerprints import differences
+from flighttest.pipeline.recordings.sources import losses_of, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
-from flighttest.pipeline.sources import losses_of, open_recordings
-from flighttest.report import html
+from flighttest.pipeline.store.flown_with import VEHICLE_NAME, flown_with
 from flighttest.report.document import Document
 from flighttest.report.numbers import join
-from flighttest.report.plain import plain
-from flighttest.report.twin_sections import replay_sections, replay_sentence, verify_sections, verify_sentence
+from flighttest.report.render import html
+from flighttest.report.render.plain import plain
+from flighttest.report.sections.twin import replay_sections, replay_sentence, verify_sections, verify_sentence
 from flighttest.segments import Segment
 from flighttest.sim import start_simulator
 from flighttest.twin.replay import HORIZON_S

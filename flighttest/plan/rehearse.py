@@ -300,7 +300,7 @@ def reaction_s(predictor: Predictor) -> float:
 
 
 def reach(motion: Motion, throttle: FloatArray, hover: FloatArray, reaction: float) -> tuple[FloatArray, FloatArray]:
-    """What the gate foresees (see `flight.gate`): this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
+    """What the gate (`flight.gate`) foresees: this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
     z, v = motion.p_m[:, :, 2], motion.v_m_s[:, :, 2]
     asked = np.column_stack([throttle, throttle[:, -1:]])[:, : z.shape[1]]
     low, high = z, z

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from flighttest.sim.plant_motors import NOT_THE_PLANTS
-from flighttest.sim.rotor_effects import EFFECTS, resolve
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.plants.plant_motors import NOT_THE_PLANTS
+from flighttest.sim.plants.rotor_effects import EFFECTS, resolve
+from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 Generator = Literal["rotor", "sitl"]
 Kind = Literal["clean", "single", "pair", "outside"]

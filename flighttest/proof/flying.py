@@ -8,16 +8,16 @@ from pathlib import Path
 from flighttest.flight import FlightOptions, fly
 from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
-from flighttest.pipeline.predictor import ModelPredictor
-from flighttest.pipeline.sources import open_recordings
+from flighttest.pipeline.planning.predictor import ModelPredictor
+from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.plan import Plan, compile_plan
 from flighttest.proof.cases import Case, Generator
 from flighttest.recording.model import Recording
 from flighttest.script.load import parse_script
 from flighttest.segments import Segment, cut
 from flighttest.sim import InProcess, SimOptions
-from flighttest.sim.rotor_vehicle import random_rotor
-from flighttest.sim.sitl_physics import launch_on_physics
+from flighttest.sim.plants.rotor_vehicle import random_rotor
+from flighttest.sim.sitl.physics import launch_on_physics
 from flighttest.vehicle.model import Vehicle, Zone
 
 # Six minutes and less: every kind of step that some entry of the catalogue needs, twice, under changing headings.

@@ -12,7 +12,7 @@ from flighttest.proof.outcome import Outcome
 from flighttest.proof.prove import Asked, commit_of, read, run_trials, write
 from flighttest.proof.scoreboard import code_of, markdown, rates, score, share
 from flighttest.report.document import Document, Section, Table
-from flighttest.sim.sitl_launcher import find_arducopter
+from flighttest.sim.sitl.launcher import find_arducopter
 
 
 def prove(asked: Asked, output: Path | None = None, progress: Progress = SILENT) -> Result:

@@ -14,7 +14,7 @@ import numpy as np
 from flighttest.diagnose import Diagnosis, diagnose
 from flighttest.errors import FitError, FlighttestError, RecordingError
 from flighttest.identify.fit import fit
-from flighttest.identify.prediction import coverage
+from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from flighttest.proof import oracle
 from flighttest.proof.alike import ALIKE
@@ -22,7 +22,7 @@ from flighttest.proof.cases import Case
 from flighttest.proof.flying import fly_campaign, options_of
 from flighttest.proof.outcome import Outcome, judged
 from flighttest.segments import Segment
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 
 @dataclass(frozen=True)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from flighttest.sim.autopilot import Autopilot
-from flighttest.sim.battery import Battery
+from flighttest.sim.autopilot.copter import Autopilot
+from flighttest.sim.autopilot.safety import MODE_SWITCH_S, Boot
 from flighttest.sim.noise import Noise
 from flighttest.sim.options import SimOptions
-from flighttest.sim.plant import Plant
-from flighttest.sim.plant_paper import PaperParameters, PaperPlant
-from flighttest.sim.plant_rotor import RotorPlant
-from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
-from flighttest.sim.safety import MODE_SWITCH_S, Boot
+from flighttest.sim.plants.battery import Battery
+from flighttest.sim.plants.plant import Plant
+from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
+from flighttest.sim.plants.plant_rotor import RotorPlant
+from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.sim.plants.weather import Air, Gusts
 from flighttest.sim.sensors import SensorNoise
-from flighttest.sim.weather import Air, Gusts
 
 
 def build_plant(options: SimOptions) -> Plant:
@@ -36,14 +36,14 @@ def build_plant(options: SimOptions) -> Plant:
     beyond = {name: values for name, values in options.hide.items() if name != "linear_drag"}
     if not beyond:
         return PaperPlant(parameters, battery, air)
-    from flighttest.sim import plant_terms  # only here: CasADi takes its time to load
+    from flighttest.sim.plants import plant_terms
 
     return plant_terms.TermsPlant(*plant_terms.concealing(*plant_terms.of_paper(parameters), beyond), battery, air)
 
 
 def _identified(options: SimOptions, described: Mapping[str, Any], air: Air | None) -> Plant:
     """An identified model, with whatever is hidden in it besides."""
-    from flighttest.sim import plant_terms
+    from flighttest.sim.plants import plant_terms
 
     battery = Battery(capacity_ah=options.capacity_ah or 5.0, **described.get("battery", {}))
     model, values = plant_terms.concealing(*plant_terms.of_description(described), options.hide)

@@ -30,8 +30,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
-from flighttest.sim.autopilot import Autopilot
-from flighttest.sim.telemetry import heartbeat
+from flighttest.sim.autopilot.copter import Autopilot
+from flighttest.sim.autopilot.telemetry import heartbeat
 from flighttest.sim.wire import Decoder
 
 _GRANT_MAX_MS = 60_000  # a longer grant runs this far; its end mark says so

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from flighttest.errors import InputError
-from flighttest.sim.plant import Hidden
+from flighttest.sim.plants.plant import Hidden
 
 Airframe = Literal["paper", "rotor"]
 AIRFRAMES: tuple[Airframe, ...] = ("paper", "rotor")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 from flighttest.sim.filters import LowPass3
 from flighttest.sim.noise import Noise
-from flighttest.sim.plant import Motion
+from flighttest.sim.plants.plant import Motion
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import casadi as ca
 
 from flighttest.channels import CHANNELS
 from flighttest.errors import InputError
-from flighttest.identify.export import c_code, functions, hover_input, hover_state
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.models.export import c_code, functions, hover_input, hover_state
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.version import __version__
 
 NAME = "flighttest_model"

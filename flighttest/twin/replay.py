@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
-from flighttest.identify.model_file import ModelFile
-from flighttest.identify.validate import comparable, merged
-from flighttest.identify.variations import Start, measured_channels, open_loop, voltage_for
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.identify.validation.ablations import Start, measured_channels, open_loop, voltage_for
+from flighttest.identify.validation.validate import comparable, merged
 from flighttest.segments.model import Segment
 from flighttest.twin.what_if import WhatIf
 

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.core import Contribution, Param, Port, Signals, Term
 from flighttest.physics.model import Model

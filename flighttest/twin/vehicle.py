@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flighttest.errors import ModelError
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.sim import SimOptions
 
 CELL_V = 3.7  # nominal, of lithium polymer

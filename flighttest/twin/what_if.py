@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.errors import InputError
 from flighttest.identify.mass import FORCES
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flighttest as ft
-from flighttest.report.plotly_figure import LIGHT
+from flighttest.report.render.plotly_figure import LIGHT
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +156,7 @@ def test_errors_are_typed_and_say_what_to_do():
 
 
 def test_the_light_palette_is_the_pages(repository):
-    text = (repository / "flighttest" / "report" / "figures.js").read_text()
+    text = (repository / "flighttest" / "report" / "render" / "figures.js").read_text()
     light = text[text.index("const light") : text.index("const dark")]
     for name, colour in LIGHT.items():
         if isinstance(colour, str):

@@ -15,8 +15,8 @@ from flighttest.cli import main as cli_main
 from flighttest.cli.live import LiveProgress
 from flighttest.errors import FitError, InputError, LinkError, PreflightError, Problem
 from flighttest.flight import FlightProgress
-from flighttest.pipeline import about
-from flighttest.pipeline.flying import counted_interrupts
+from flighttest.pipeline import info as about
+from flighttest.pipeline.flights.run import counted_interrupts
 
 
 def call(capsys, *argv):

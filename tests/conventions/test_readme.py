@@ -6,7 +6,8 @@ import re
 import pytest
 
 from flighttest.physics.model import Model
-from flighttest.pipeline import demo, flying
+from flighttest.pipeline import demo
+from flighttest.pipeline.flights import run as flying
 from flighttest.sim import parse_hide
 
 

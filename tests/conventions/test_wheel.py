@@ -40,9 +40,9 @@ def test_shipped_folders_and_page_assets_are_inside(repository, unpacked):
             if p.is_file()
         }
         assert wanted <= got, folder
-    assert (unpacked / "flighttest/report/style.css").is_file()
-    assert (unpacked / "flighttest/report/figures.js").is_file()
-    assert (unpacked / "flighttest/estimation/kernel.c").is_file()
+    assert (unpacked / "flighttest/report/render/style.css").is_file()
+    assert (unpacked / "flighttest/report/render/figures.js").is_file()
+    assert (unpacked / "flighttest/estimation/integration/kernel.c").is_file()
     assert (unpacked / "flighttest/py.typed").is_file(), "type checkers of users look for it"
 
 

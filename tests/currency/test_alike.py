@@ -9,9 +9,9 @@ import yaml
 from flighttest.currency import alike, compare
 from flighttest.currency.discrepancy import prior
 from flighttest.identify.fit import fit
-from flighttest.identify.model_file import from_fit
+from flighttest.identify.models.model_file import from_fit
 from flighttest.identify.selection import problem_of
-from flighttest.pipeline.history import watched
+from flighttest.pipeline.store.history import watched
 from tests.identify import campaign
 
 # Thrust that no K fits: the vehicle gives more or less of it from one step to the next, as a curved throttle or a slow motor does.

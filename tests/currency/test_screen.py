@@ -8,8 +8,8 @@ from rich.console import Console
 
 from flighttest.currency.assess import assess
 from flighttest.currency.compare import Alike, Estimates
-from flighttest.report.currency_page import Reflight, status_document
-from flighttest.report.terminal import render
+from flighttest.report.render.terminal import render
+from flighttest.report.sections.currency import Reflight, status_document
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "d_x", "d_y", "d_z")
 VALUES = np.array([25.4, 23.4, 0.44, 0.39, 21.5, 20.4, 54.5, 0.39, 0.39, 0.51])

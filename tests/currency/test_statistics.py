@@ -10,7 +10,7 @@ from flighttest.currency.discrepancy import measured, prior
 from flighttest.currency.hover import hover, hover_test
 from flighttest.currency.model import Verdict
 from flighttest.estimation.weighing import Normal
-from flighttest.pipeline.batteries import battery_of
+from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.segments import Segment
 

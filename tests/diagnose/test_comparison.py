@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from made_rows import autoregressive, responses, rows_of
 
-from flighttest.diagnose.comparison import (
+from flighttest.diagnose.residuals.lack_of_fit import floor_of
+from flighttest.diagnose.selection.comparison import (
     Evidence,
     Fitted,
     inadmissible,
@@ -16,8 +17,7 @@ from flighttest.diagnose.comparison import (
     probability_of,
     standard_errors,
 )
-from flighttest.diagnose.held_out import cross_validated
-from flighttest.diagnose.lack_of_fit import floor_of
+from flighttest.diagnose.selection.held_out import cross_validated
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from flight import campaign, fly
 
-from flighttest.diagnose import Verdict, comparison, diagnose
-from flighttest.diagnose.detectability import missing_channels
+from flighttest.diagnose import Verdict, diagnose
 from flighttest.diagnose.run import one_after_the_other
-from flighttest.diagnose.search import Search
+from flighttest.diagnose.selection import comparison
+from flighttest.diagnose.selection.detectability import missing_channels
+from flighttest.diagnose.selection.search import Search
 from flighttest.errors import FitError
 from flighttest.physics.catalogue import catalogue
-from flighttest.pipeline.halves import in_halves
+from flighttest.pipeline.parallel import in_halves
 
 RIVALS = ("steady_wind", "accelerometer_bias", "attitude_offset", "velocity_latency", "ground_effect")
 
@@ -188,7 +189,7 @@ def test_every_block_is_searched():
 
 
 def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: True)
+    monkeypatch.setattr("flighttest.pipeline.parallel._second_core", lambda: True)
     segments = fly(campaign(1), wind=(2.5, 0.0, 0.0))
     only = ("steady_wind", "rate_limit")
     alone, apart = (diagnose(segments, only=only, side_by_side=way) for way in (one_after_the_other, in_halves))

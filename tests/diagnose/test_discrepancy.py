@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from made_rows import autoregressive, responses, rows_of
 
-from flighttest.diagnose.discrepancy import correlation_times, discrepancy_of
-from flighttest.diagnose.lack_of_fit import floor_of
+from flighttest.diagnose.residuals.discrepancy import correlation_times, discrepancy_of
+from flighttest.diagnose.residuals.lack_of_fit import floor_of
 
 CELLS, REPEATS, EACH = 10, 4, 50
 SEGMENTS = CELLS * REPEATS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flight import campaign, fly
 
-from flighttest.diagnose.outlying import LEAST, outlying, set_aside, told
+from flighttest.diagnose.residuals.outlying import LEAST, outlying, set_aside, told
 from flighttest.estimation.estimator import Estimator
 from flighttest.identify.fit import default_model
 from flighttest.identify.selection import able

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from made_rows import rows_of
 
-from flighttest.diagnose import detectability, locate, run
-from flighttest.diagnose.held_out import held_out, held_out_groups
-from flighttest.diagnose.lack_of_fit import NoiseFloor, _independent_times, _shared, high_frequency
-from flighttest.diagnose.locate import explained_by
+from flighttest.diagnose import run
 from flighttest.diagnose.mass import mass_test
+from flighttest.diagnose.residuals import locate
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, _independent_times, _shared, high_frequency
+from flighttest.diagnose.residuals.locate import explained_by
+from flighttest.diagnose.selection import detectability
+from flighttest.diagnose.selection.held_out import held_out, held_out_groups
 from flighttest.estimation.linearisation import orthonormal
 from flighttest.segments.model import Segment
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from made_rows import rows_of
 
-from flighttest.diagnose import search as search_module
-from flighttest.diagnose.candidates import Candidate, candidates_at
-from flighttest.diagnose.comparison import Evidence, Fitted
-from flighttest.diagnose.search import Alias, Search
-from flighttest.diagnose.subsets import Scored
+from flighttest.diagnose.selection import search as search_module
+from flighttest.diagnose.selection.candidates import Candidate, candidates_at
+from flighttest.diagnose.selection.comparison import Evidence, Fitted
+from flighttest.diagnose.selection.search import Alias, Search
+from flighttest.diagnose.selection.subsets import Scored
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue

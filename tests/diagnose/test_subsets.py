@@ -8,11 +8,11 @@ import pytest
 from made_rows import rows_of
 from scipy import integrate, stats
 
-from flighttest.diagnose.candidates import Candidate, grid
-from flighttest.diagnose.comparison import log_odds_asked
-from flighttest.diagnose.discrepancy import Discrepancy
-from flighttest.diagnose.lack_of_fit import NoiseFloor
-from flighttest.diagnose.subsets import Subsets
+from flighttest.diagnose.residuals.discrepancy import Discrepancy
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
+from flighttest.diagnose.selection.candidates import Candidate, grid
+from flighttest.diagnose.selection.comparison import log_odds_asked
+from flighttest.diagnose.selection.subsets import Subsets
 from flighttest.physics.catalogue import catalogue
 
 N = 60

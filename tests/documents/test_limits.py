@@ -18,7 +18,6 @@ import pytest
 from flighttest.cli import main as cli_main
 from flighttest.datafiles import DATA_BYTES, parse_json, read_yaml
 from flighttest.errors import RecordingError
-from flighttest.pipeline import flying  # noqa: F401  # imported before memory is counted
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.store import EVENTS_NAME, MANIFEST_NAME, read_events, read_manifest, write_recording
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.estimation.covariance import (
+from flighttest.estimation.uncertainty.covariance import (
     clock_std_s,
     cluster_covariance,
     interval_factor,
@@ -15,7 +15,7 @@ from flighttest.estimation.covariance import (
     with_clock_error,
 )
 from flighttest.estimation.weighing import Normal
-from flighttest.identify.bootstrap import bootstrap_std
+from flighttest.identify.diagnostics.bootstrap import bootstrap_std
 
 
 def linear(rng, clusters, size, effect, names=("a", "b")):

@@ -6,7 +6,7 @@ import sys
 import pytest
 from scipy import stats
 
-from flighttest.estimation import distributions
+from flighttest.estimation.uncertainty import distributions
 
 
 @pytest.mark.parametrize("dof", [1.0, 2.5, 17.3, 1e4])
@@ -23,6 +23,6 @@ def test_quantiles_and_tails_are_those_of_scipy_stats(dof, p):
 
 
 def test_fitting_loads_no_statistics_package():
-    code = "import flighttest.cli.main, flighttest.pipeline.analysis, sys; print('scipy.stats' in sys.modules)"
+    code = "import flighttest.cli.main, flighttest.pipeline.identification.fitting, sys; print('scipy.stats' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     assert done.stdout.strip() == "False"

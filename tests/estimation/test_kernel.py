@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from flighttest.estimation.filters import _forced, _free
-from flighttest.estimation.kernel import Kernel
+from flighttest.estimation.integration.filters import _forced, _free
+from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.responses import Response, nodes_of
 from flighttest.estimation.voltage_interpolation import between_samples
 from flighttest.physics.catalogue import catalogue

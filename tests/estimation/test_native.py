@@ -4,10 +4,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from flighttest.estimation import kernel as kernel_module
-from flighttest.estimation import native
-from flighttest.estimation.kernel import Kernel
-from flighttest.estimation.native import Program, library
+from flighttest.estimation.integration import kernel as kernel_module
+from flighttest.estimation.integration import native
+from flighttest.estimation.integration.kernel import Kernel
+from flighttest.estimation.integration.native import Program, library
 from flighttest.estimation.responses import Response, Stacked
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from flighttest.estimation.covariance import cluster_covariance
 from flighttest.estimation.gauss_newton import FitStatus, Minimum, Space, Tolerances, minimise
+from flighttest.estimation.uncertainty.covariance import cluster_covariance
 from flighttest.estimation.weighing import Normal
 from tests.estimation.nist import REFERENCES, Reference
 

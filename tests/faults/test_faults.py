@@ -27,7 +27,7 @@ def test_the_tool_sees_a_vehicle_that_is_called_landed_in_the_air(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A check of the check: a flight that takes LAND for the landing."""
-    from flighttest.flight.machine import TABLE, Event, FlightState, Next
+    from flighttest.flight.execution.machine import TABLE, Event, FlightState, Next
 
     monkeypatch.setitem(TABLE, (FlightState.ASKING, Event.LANDS), Next(FlightState.LANDED))
     cell = fly_cell(BY_NAME["nothing"], When.LANDING, tmp_path / "run")

@@ -11,10 +11,10 @@ import pytest
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightResult
-from flighttest.flight.changes import SETS, Left, still_left
-from flighttest.flight.preflight import THRUST_AS_THRUST
+from flighttest.flight.preparation.changes import SETS, Left, still_left
+from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
 from flighttest.mavlink import CopterMode
-from flighttest.pipeline.resuming import left_behind
+from flighttest.pipeline.store.resuming import left_behind
 from flighttest.recording.store import MANIFEST_NAME, read_events, write_manifest
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
@@ -92,7 +92,7 @@ def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Pat
 def test_what_was_left_is_only_told_where_nobody_allowed_to_set_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flighttest.flight.preflight.is_simulator", lambda _parameters: False)
+    monkeypatch.setattr("flighttest.flight.preparation.preflight.is_simulator", lambda _parameters: False)
     link = FaultyLink(options(parameters={"GUID_OPTIONS": float(THRUST_AS_THRUST)}))
     waived = ("rc", "FS_THR_ENABLE", "FLTMODE_CH", "RC_OPTIONS", "fence", "LOG_BITMASK", "GUID_TIMEOUT", "rates")
     run_dir = tmp_path / "run"
@@ -175,7 +175,7 @@ def test_a_record_is_believed_for_what_a_flight_sets_on_the_autopilot_it_was_set
 
 
 def test_no_check_sets_what_is_not_restored() -> None:
-    source = (Path(__file__).parents[2] / "flighttest/flight/preflight.py").read_text()
+    source = (Path(__file__).parents[2] / "flighttest/flight/preparation/preflight.py").read_text()
     named = set(re.findall(r'"((?:GUID|FLTMODE|FS|FENCE|LOG)_[A-Z_]+)": ', source))
     assert named
     assert named <= SETS
@@ -187,7 +187,7 @@ def test_a_real_vehicle_is_flown_before_other_programs(run_dir: Path, monkeypatc
     monkeypatch.setattr(os, "setpriority", lambda _which, _who, value: asked.append(value))
     fly(make_plan(), "sim", run_dir.with_name("simulator"), transport=FaultyLink(options()))
     assert asked == [], "a simulator waits"
-    monkeypatch.setattr("flighttest.flight.preflight.is_simulator", lambda _parameters: False)
+    monkeypatch.setattr("flighttest.flight.preparation.preflight.is_simulator", lambda _parameters: False)
     with pytest.raises(PreflightError):
         fly(make_plan(), "sim", run_dir, transport=FaultyLink(options()))
     assert asked == [-15, 0]

@@ -10,7 +10,7 @@ from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, legs_flown
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
-from flighttest.pipeline.next_in_zone import flown_vehicle
+from flighttest.pipeline.diagnosis.next_flight import flown_vehicle
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
 from flighttest.vehicle.default import DEFAULT_VEHICLE
@@ -102,7 +102,7 @@ def test_a_lost_link_ends_the_leg_not_the_flight(run_dir: Path) -> None:
 
 
 def test_a_link_that_stays_away_is_an_outcome(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flighttest.flight.control.GIVE_UP_AFTER_S", 5.0)
+    monkeypatch.setattr("flighttest.flight.execution.control.GIVE_UP_AFTER_S", 5.0)
     link = FaultyLink(options())
     began = step_time(link)
     link.down = lambda t: bool(began) and t > began[0] + 0.1

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flighttest.flight.gate import Refusal, refusals, releases, stop_throttles, stopping_heights, zone_clearance_m
+from flighttest.flight.gate import (
+    Refusal,
+    refusals,
+    releases,
+    stop_throttles,
+    stopping_heights,
+    zone_clearance_m,
+)
 from flighttest.plan import AttitudeTarget
 from tests.flight.faulty import GATE, GOOD, LIMITS, TILTED
 

@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from flighttest.flight.machine import (
+from flighttest.flight.execution.machine import (
     ENDS,
     EXTERNAL,
     OURS,

@@ -21,12 +21,12 @@ from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import parser
-from flighttest.pipeline.checking import predictor_for
-from flighttest.pipeline.replanning import ScriptReplanner
+from flighttest.pipeline.planning.checking import predictor_for
+from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.compile import compile_plan
 from flighttest.script.load import parse_script
-from flighttest.sim.sitl_launcher import SitlOptions, launch, sitl_dir
+from flighttest.sim.sitl.launcher import SitlOptions, launch, sitl_dir
 from flighttest.vehicle.load import load_vehicle
 from tests.flight.faulty import fly, make_leg, make_plan
 

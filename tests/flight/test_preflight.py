@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from flighttest.errors import PreflightError
-from flighttest.flight import preflight
-from flighttest.flight.preflight import Check, Situation, checks, is_simulator, refuse
+from flighttest.flight.preparation import preflight
+from flighttest.flight.preparation.preflight import Check, Situation, checks, is_simulator, refuse
 from flighttest.link.session import Heard
 from flighttest.mavlink.dialect import book
 from tests.flight.faulty import GOOD, LIMITS, make_leg, make_plan

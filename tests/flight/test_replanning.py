@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
-from flighttest.flight.response import Learnt, ThrottleTrace
-from flighttest.flight.scheduler import REFUSED_CELL_MAX
-from flighttest.pipeline.checking import predictor_for
-from flighttest.pipeline.replanning import ScriptReplanner
+from flighttest.flight.execution.response import Learnt, ThrottleTrace
+from flighttest.flight.execution.scheduler import REFUSED_CELL_MAX
+from flighttest.pipeline.planning.checking import predictor_for
+from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.compile import compile_plan
 from flighttest.recording.store import open_run

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from flighttest.flight.reset import Settling, Start
+from flighttest.flight.execution.reset import Settling, Start
 from flighttest.flight.state import VehicleState
 from flighttest.frames import G_M_S2
 

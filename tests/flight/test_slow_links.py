@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome, fly
-from flighttest.flight.preflight import BLIND_RATES_HZ, RATES_HZ
-from flighttest.flight.rates import bytes_s, declared_bytes_s, fitted
+from flighttest.flight.preparation.preflight import BLIND_RATES_HZ, RATES_HZ
+from flighttest.flight.preparation.rates import bytes_s, declared_bytes_s, fitted
 from flighttest.mavlink.dialect import parser
 from flighttest.recording.store import open_run, read_manifest
 from tests.flight.faulty import FaultyLink, make_leg, make_plan, options

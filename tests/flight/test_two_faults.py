@@ -10,8 +10,8 @@ import pytest
 
 from flighttest.errors import RecordingError
 from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.execution.response import Learnt
 from flighttest.flight.recorder import _Lines
-from flighttest.flight.response import Learnt
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser

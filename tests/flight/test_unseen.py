@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
-from flighttest.flight.preflight import Check
+from flighttest.flight.preparation.preflight import Check
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
@@ -31,7 +31,7 @@ def marked(link: FaultyLink, word: str, *, then: object = None) -> list[float]:
 
 @pytest.fixture
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flighttest.flight.control.GIVE_UP_AFTER_S", 8.0)
+    monkeypatch.setattr("flighttest.flight.execution.control.GIVE_UP_AFTER_S", 8.0)
 
 
 def asked(link: FaultyLink) -> list[tuple[float, int]]:
@@ -106,7 +106,7 @@ def test_a_vehicle_that_is_left_in_the_air_keeps_its_fence(run_dir: Path) -> Non
     refused = Check("fence", "no fence", "set one", fence)
     began = marked(link, " step")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("flighttest.flight.preflight.checks", lambda _situation: [refused])
+        patch.setattr("flighttest.flight.preparation.preflight.checks", lambda _situation: [refused])
         result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: 2 if began else 0)
     assert result.outcome is FlightOutcome.OPERATOR_ABORT
     assert link.sim.vehicle.armed

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from flighttest.identify import model_file
-from flighttest.identify.carried_over import carry_over, known_before
 from flighttest.identify.fit import fit
+from flighttest.identify.models import model_file
+from flighttest.identify.models.informative_prior import carry_over, known_before
 
 
 def test_what_a_yaw_flight_does_not_tell_stays_as_it_was(found, flown, tmp_path):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from flighttest.estimation.problem import Noise
-from flighttest.identify.alternation import alternation
-from flighttest.identify.expected import ASSUMED, expected_of
+from flighttest.identify.diagnostics.residuals import residual_tests
+from flighttest.identify.expected_information import ASSUMED, expected_of
 from flighttest.identify.fit import fit
-from flighttest.identify.prediction import coverage
-from flighttest.identify.residuals import residual_tests
+from flighttest.identify.validation.block_coordinate_descent import alternation
+from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from tests.identify.campaign import QUIET, TRUTH, campaign
 

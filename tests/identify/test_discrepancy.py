@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from flighttest.estimation.discrepancy import discrepancy_covariance
+from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
 from flighttest.identify.fit import fit
 from tests.identify.campaign import TRUTH, campaign
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flighttest.identify.export import export
-from flighttest.identify.model_file import from_fit
+from flighttest.identify.models.export import export
+from flighttest.identify.models.model_file import from_fit
 
 
 def test_the_planner_reaches_its_target_with_the_exported_model(found, tmp_path, repository):

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from flighttest.identify.export import export
-from flighttest.identify.model_file import from_fit
+from flighttest.identify.models.export import export
+from flighttest.identify.models.model_file import from_fit
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 

@@ -9,7 +9,7 @@ from flighttest.errors import FitError
 from flighttest.estimation.level import taken_as_level, tilt_rad
 from flighttest.identify.fit import fit
 from flighttest.physics.model import Model
-from flighttest.pipeline.analysis import fit as fitted
+from flighttest.pipeline.identification.fitting import fit as fitted
 from tests.identify.test_optima import climbed
 
 

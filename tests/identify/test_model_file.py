@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from flighttest.errors import ModelError
-from flighttest.identify import model_file
-from flighttest.identify.compare import compare
+from flighttest.identify.models import model_file
+from flighttest.identify.models.compare import compare
 from tests.identify.campaign import TRUTH
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FitError
-from flighttest.estimation.covariance import covariance_of, std_of
 from flighttest.estimation.problem import PartEvaluation, Problem
 from flighttest.estimation.solver import FitStatus, solve
-from flighttest.identify import optima
-from flighttest.identify.feedback import answered, steered
+from flighttest.estimation.uncertainty.covariance import covariance_of, std_of
+from flighttest.identify.diagnostics import local_optima as optima
+from flighttest.identify.diagnostics.closed_loop import answered, steered
 from flighttest.identify.fit import fit
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FitError
-from flighttest.identify.model_file import ModelFile, from_fit
-from flighttest.identify.validate import HORIZONS_S, merged, validate
-from flighttest.identify.variations import GROUPS, Variation, voltage_for
+from flighttest.identify.models.model_file import ModelFile, from_fit
+from flighttest.identify.validation.ablations import GROUPS, Variation, voltage_for
+from flighttest.identify.validation.validate import HORIZONS_S, merged, validate
 from flighttest.physics.simulate import simulate
 from flighttest.segments.model import Segment
 from tests.identify.campaign import TRUTH

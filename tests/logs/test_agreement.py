@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flighttest.frames import G_M_S2, rotation_from_euler
-from flighttest.logs.agreement import disagreements
+from flighttest.logs.tables.agreement import disagreements
 
 T = np.arange(0.0, 60.0, 0.02)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
-from flighttest.logs.dataflash import read_dataflash
+from flighttest.logs.ardupilot.dataflash import read_dataflash
 from flighttest.logs.opening import LogFile
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flighttest.identify.fit import fit
-from flighttest.pipeline.sources import open_recording
+from flighttest.pipeline.recordings.sources import open_recording
 from flighttest.segments import cut
 
 TLOGS = ("thrust", "roll_pitch", "yaw_rate")

@@ -7,7 +7,7 @@ import pytest
 from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
-from flighttest.logs.columns import parse_columns
+from flighttest.logs.tables.columns import parse_columns
 from tests.logs.tables import N, mapped, save
 
 

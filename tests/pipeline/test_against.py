@@ -8,8 +8,8 @@ import pytest
 from flighttest.cli.main import call
 from flighttest.diagnose import Verdict
 from flighttest.errors import InputError
-from flighttest.pipeline import against
-from flighttest.pipeline.analysis import base_model
+from flighttest.pipeline.diagnosis import against
+from flighttest.pipeline.identification.fitting import base_model
 from flighttest.recording import Provenance, Recording
 
 THROTTLE_S = (88.0, 125.0)  # of the synthetic flight

@@ -3,7 +3,7 @@
 import pytest
 
 from flighttest.physics.model import Model
-from flighttest.pipeline.analysis import base_model
+from flighttest.pipeline.identification.fitting import base_model
 from flighttest.recording import Provenance, Recording
 from flighttest.vehicle.model import Vehicle
 

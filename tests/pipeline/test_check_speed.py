@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from flighttest.identify import expected
-from flighttest.identify.expected import expected_of_plans
-from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.identify import expected_information as expected
+from flighttest.identify.expected_information import expected_of_plans
+from flighttest.pipeline.planning.checking import plans, predictor_for
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 
@@ -49,7 +49,7 @@ def test_flying_a_plan_in_coarser_steps_moves_no_expected_error(monkeypatch):
 
 
 def test_nothing_heavy_is_loaded_that_check_does_not_use():
-    code = "import flighttest.cli.main, flighttest.pipeline.checking, sys, json; print(json.dumps(sorted(sys.modules)))"
+    code = "import flighttest.cli.main, flighttest.pipeline.planning.checking, sys, json; print(json.dumps(sorted(sys.modules)))"
     loaded = json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout)
     assert not {"pandas", "plotly", "mavsdk"} & set(loaded)
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from flighttest.cli import main as cli_main
-from flighttest.pipeline import diagnosis
+from flighttest.pipeline.diagnosis import diagnose as diagnosis
 
 TRUTH = {
     "omega_phi": 25.43,
@@ -314,7 +314,9 @@ def test_a_proposal_of_an_earlier_diagnosis_does_not_stay(monkeypatch, tmp_path)
 @pytest.mark.parametrize("command", ["fit", "diagnose", "validate"])
 def test_where_nothing_can_be_written_nothing_is_computed(call, model, flight_csv, tmp_path, monkeypatch, command):
     (tmp_path / "taken").write_text("a file, no folder")
-    monkeypatch.setattr("flighttest.pipeline.sources.read_log", lambda *_: pytest.fail("read before it was refused"))
+    monkeypatch.setattr(
+        "flighttest.pipeline.recordings.sources.read_log", lambda *_: pytest.fail("read before it was refused")
+    )
     given = (model, flight_csv) if command == "validate" else (flight_csv,)
     code, _, err = call(command, *given, "-o", tmp_path / "taken" / "out")
     assert code == 2
@@ -325,7 +327,7 @@ def test_a_program_hears_of_an_interrupt(call, monkeypatch, flight_csv):
     def interrupt(*_args, **_more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("flighttest.pipeline.analysis.fit_segments", interrupt)
+    monkeypatch.setattr("flighttest.pipeline.identification.fitting.fit_segments", interrupt)
     code, out, _ = call("fit", flight_csv, "--json")
     assert code == 1
     assert "stopped" in json.loads(out)["error"]["message"]

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from flighttest.errors import FlighttestError
-from flighttest.pipeline.analysis import fit, segment
-from flighttest.pipeline.sources import import_log
+from flighttest.pipeline.identification.fitting import fit, segment
+from flighttest.pipeline.recordings.sources import import_log
 
 SEEDS = range(16)
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from flighttest.cli.main import call, cli
-from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline import demo as demos
-from flighttest.pipeline.analysis import cut_all
+from flighttest.pipeline.identification.fitting import cut_all
+from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.results import Result, Status
-from flighttest.pipeline.sources import open_recordings
-from flighttest.report.demo_sections import demo_document
 from flighttest.report.document import Document, Figure, Panel, Trace
-from flighttest.report.svg import as_svg
+from flighttest.report.render.svg import as_svg
+from flighttest.report.sections.demo import demo_document
 
 HIDE = ("slung_payload:payload_ratio=0.137,cable_m=1.0",)
 FINDING = {

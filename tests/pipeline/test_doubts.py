@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FitError
-from flighttest.pipeline import analysis, diagnosis
-from flighttest.pipeline.doubts import conflicts, doubts, once, repeated, unfiltered
-from flighttest.pipeline.fingerprints import differences
+from flighttest.pipeline.diagnosis import diagnose as diagnosis
+from flighttest.pipeline.identification import fitting as analysis
+from flighttest.pipeline.recordings.consistency import conflicts, doubts, once, repeated, unfiltered
+from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.recording import Provenance, Recording, Series
 
 

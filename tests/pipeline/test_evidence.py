@@ -9,10 +9,10 @@ from flighttest.currency.assess import assess
 from flighttest.currency.compare import Estimates, subset_tests
 from flighttest.currency.model import Appeared, Verdict
 from flighttest.diagnose import Verdict as Found
-from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline.evidence import appeared, in_words, subsets_of, untested
-from flighttest.report.currency_page import status_document
+from flighttest.pipeline.validity.evidence import appeared, in_words, subsets_of, untested
+from flighttest.report.sections.currency import status_document
 
 TERMS = ("body", "linear_drag", "quadratic_drag")
 

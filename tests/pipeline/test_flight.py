@@ -16,17 +16,20 @@ import numpy as np
 import pytest
 
 from flighttest.errors import InputError
-from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult, preflight
+from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult
+from flighttest.flight.preparation import preflight
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.link import parameters as params
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
-from flighttest.pipeline import flying, repeating, resuming
-from flighttest.pipeline.checking import plans, predictor_for
+from flighttest.pipeline.flights import run as flying
+from flighttest.pipeline.planning.checking import plans, predictor_for
 from flighttest.pipeline.results import Status
+from flighttest.pipeline.store import flown_with as repeating
+from flighttest.pipeline.store import resuming
 from flighttest.recording.store import open_run, read_manifest
-from flighttest.report.diagnosis_sections import diagnosis_sections
+from flighttest.report.sections.diagnosis import diagnosis_sections
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 SHORT = """

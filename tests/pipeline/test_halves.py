@@ -5,14 +5,14 @@ import os
 import pytest
 
 from flighttest.errors import FitError
-from flighttest.pipeline.halves import in_halves
+from flighttest.pipeline.parallel import in_halves
 
 HERE = os.getpid()
 
 
 @pytest.fixture
 def two_cores(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: True)
+    monkeypatch.setattr("flighttest.pipeline.parallel._second_core", lambda: True)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -29,7 +29,7 @@ def test_the_halves_are_of_like_size(two_cores):
 
 
 def test_without_a_second_core_nothing_is_begun(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.halves._second_core", lambda: False)
+    monkeypatch.setattr("flighttest.pipeline.parallel._second_core", lambda: False)
     assert set(in_halves(lambda some: [os.getpid() for _ in some], range(4), [1] * 4)) == {HERE}
 
 

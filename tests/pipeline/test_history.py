@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from flighttest.errors import InputError
-from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline import history, lineage
-from flighttest.pipeline.history import Campaign, campaigns, standing, watched
+from flighttest.pipeline.store import history, lineage
+from flighttest.pipeline.store.history import Campaign, campaigns, standing, watched
 
 NAMES = ("omega_phi", "sigma_r", "K", "alpha")
 VALUES = {"omega_phi": 25.0, "sigma_r": 21.0, "K": 54.0, "alpha": 1.7}

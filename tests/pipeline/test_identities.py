@@ -9,9 +9,9 @@ import yaml
 
 from flighttest.cli import main as cli_main
 from flighttest.errors import InputError, VehicleError
-from flighttest.pipeline.flying import FlightRequest, declared_vehicle
-from flighttest.pipeline.history import campaigns
-from flighttest.pipeline.identities import identity_of, known_in, recognised, whose
+from flighttest.pipeline.flights.run import FlightRequest, declared_vehicle
+from flighttest.pipeline.store.history import campaigns
+from flighttest.pipeline.store.identities import identity_of, known_in, recognised, whose
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.store import open_run, write_recording
 from flighttest.vehicle.identity import identity
@@ -76,7 +76,7 @@ def test_a_run_keeps_the_number_of_its_autopilot(tmp_path):
 def test_the_fit_of_an_unknown_log_is_of_no_vehicle_beside_it(tmp_path, monkeypatch):
     for name, vehicle in (("1", "heron"), ("2", "")):
         (kept(tmp_path, recording(name, vehicle)) / "fit.yaml").touch()
-    monkeypatch.setattr("flighttest.pipeline.history.model_file.read", lambda path: _Fit(path))
+    monkeypatch.setattr("flighttest.pipeline.store.history.model_file.read", lambda path: _Fit(path))
     assert [c.folder.name for c in campaigns(tmp_path, "heron")] == ["1"]
 
 

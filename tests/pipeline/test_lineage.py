@@ -7,12 +7,13 @@ import pytest
 import yaml
 
 from flighttest.errors import InputError, ModelError
-from flighttest.identify import model_file
+from flighttest.identify.models import model_file
 from flighttest.physics.model import Model
-from flighttest.pipeline import campaign, lineage
-from flighttest.pipeline.checking import prior_of
+from flighttest.pipeline.flights import after_landing as campaign
+from flighttest.pipeline.planning.checking import prior_of
 from flighttest.pipeline.results import Status
-from flighttest.report.diagnosis_sections import missing_sections
+from flighttest.pipeline.store import lineage
+from flighttest.report.sections.diagnosis import missing_sections
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 PAPER = ("body", "linear_drag")

@@ -8,12 +8,12 @@ import yaml
 
 from flighttest.documents import write_text
 from flighttest.physics.model import Model
-from flighttest.pipeline.checking import predictor_for
-from flighttest.pipeline.next_in_zone import flyable_in, held_against_zone
+from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
+from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.plan import compile_plan
 from flighttest.recording import Provenance, Recording
-from flighttest.report.diagnosis_sections import diagnosis_sections
-from flighttest.report.plain import plain
+from flighttest.report.render.plain import plain
+from flighttest.report.sections.diagnosis import diagnosis_sections
 from flighttest.script.load import parse_script
 from flighttest.script.shipped import resolve
 from flighttest.vehicle.default import DEFAULT_VEHICLE

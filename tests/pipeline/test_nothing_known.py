@@ -1,6 +1,6 @@
 """A fit that knows nothing says why in ten lines."""
 
-from flighttest.pipeline.analysis import fit
+from flighttest.pipeline.identification.fitting import fit
 
 
 def test_a_fit_that_knows_nothing_says_why(shared_data):

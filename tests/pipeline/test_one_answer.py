@@ -3,8 +3,8 @@
 import pytest
 
 from flighttest.diagnose import diagnose
-from flighttest.identify import model_file
-from flighttest.pipeline import diagnosis
+from flighttest.identify.models import model_file
+from flighttest.pipeline.diagnosis import diagnose as diagnosis
 from tests.diagnose.flight import campaign, fly
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flighttest.physics.model import Model
-from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.plan.model import Motion
 
 

@@ -7,7 +7,7 @@ import yaml
 
 from flighttest.cli import main as cli_main
 from flighttest.link.port import Port
-from flighttest.pipeline import present
+from flighttest.pipeline.vehicles import live as present
 from flighttest.vehicle.fingerprint import fingerprint
 
 

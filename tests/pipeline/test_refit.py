@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from flighttest.physics.model import Model
-from flighttest.pipeline import diagnosis
+from flighttest.pipeline.diagnosis import diagnose as diagnosis
 
 
 @pytest.mark.parametrize("known", [{}, {"d_x": 0.3}])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from flighttest.errors import FlighttestError
-from flighttest.pipeline.analysis import fit, segment
+from flighttest.pipeline.identification.fitting import fit, segment
+from flighttest.pipeline.recordings.sources import import_log, open_recordings
 from flighttest.pipeline.results import Status
-from flighttest.pipeline.sources import import_log, open_recordings
 
 
 def test_processes_give_the_same_bit_for_bit(flight_csv, worn_csv):

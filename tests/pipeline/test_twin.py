@@ -7,10 +7,11 @@ import pytest
 
 from flighttest.cli.main import call
 from flighttest.errors import InputError, ModelError
-from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline import simulator, twin
-from flighttest.report.twin_sections import verify_sections, verify_sentence
+from flighttest.pipeline import twin
+from flighttest.pipeline.vehicles import simulator
+from flighttest.report.sections.twin import verify_sections, verify_sentence
 
 
 def stored(**options):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flighttest.pipeline.checking import predictor_for
+from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.plan import compile_plan, compile_plans
 from flighttest.plan.batched import Request, flown
 from flighttest.plan.model import BranchingPredictor

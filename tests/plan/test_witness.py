@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flighttest.pipeline.predictor import ModelPredictor
+from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.plan.rehearse import sample
 from flighttest.script.profiles import Piece
 

@@ -17,8 +17,8 @@ from flighttest.proof.outcome import Outcome, closed_loop_pole_s
 from flighttest.proof.prove import Asked, run_trials
 from flighttest.proof.scoreboard import interval, markdown, score
 from flighttest.sim.options import SimOptions
-from flighttest.sim.rotor_effects import EFFECTS
-from flighttest.sim.rotor_vehicle import random_rotor
+from flighttest.sim.plants.rotor_effects import EFFECTS
+from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 
 def test_a_case_is_its_seed_and_the_seal_is_its_truth():

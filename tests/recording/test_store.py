@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flighttest.errors import RecordingError
-from flighttest.pipeline.reporting import keep_segments
+from flighttest.pipeline.identification.reporting import keep_segments
 from flighttest.recording import Marker, Provenance, Recording, Series
 from flighttest.recording.store import (
     events_header,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from rich.console import Console
 
-from flighttest.report.flight_view import line, picture
+from flighttest.report.render.flight_view import line, picture
 
 
 def facts(**changed):

@@ -12,9 +12,6 @@ import plotly.graph_objects as go
 import pytest
 from rich.console import Console
 
-from flighttest.report import figures, html, terminal
-from flighttest.report.diagnosis_figures import before_after
-from flighttest.report.diagnosis_sections import diagnosis_sections, verdict_tone
 from flighttest.report.document import (
     Bullets,
     Cell,
@@ -28,7 +25,10 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
-from flighttest.report.plain import plain
+from flighttest.report.render import figures, html, terminal
+from flighttest.report.render.plain import plain
+from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
+from flighttest.report.sections.diagnosis_figures import before_after
 
 T = np.linspace(0.0, 1.0, 30)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flighttest.sim import InProcess, SimOptions
-from flighttest.sim.sitl_launcher import SitlOptions, launch
+from flighttest.sim.sitl.launcher import SitlOptions, launch
 
 # Said by the real firmware about things the built-in vehicle does not have, or at moments of its own; see docs/built_in_vehicle.md.
 ASIDE = re.compile(

@@ -2,7 +2,7 @@
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
-from flighttest.sim.sitl_crew import GroundCrew
+from flighttest.sim.sitl.crew import GroundCrew
 
 
 def beat(armed: bool) -> object:

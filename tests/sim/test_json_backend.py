@@ -9,10 +9,10 @@ import pytest
 
 from flighttest.errors import InputError, LinkError
 from flighttest.frames import G_M_S2
-from flighttest.sim.json_backend import JsonBackend, bind_physics, motor_commands, state_text
-from flighttest.sim.plant import Motion
-from flighttest.sim.plant_motors import MotorPlant
-from flighttest.sim.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.sim.plants.plant import Motion
+from flighttest.sim.plants.plant_motors import MotorPlant
+from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.sim.sitl.json_backend import JsonBackend, bind_physics, motor_commands, state_text
 
 
 def outputs(frame: int, pulses: list[int], rate_hz: int = 800) -> bytes:

@@ -12,7 +12,7 @@ from pymavlink.quaternion import Quaternion
 
 from flighttest.errors import InputError, LinkError
 from flighttest.sim.options import SimOptions
-from flighttest.sim.sitl_launcher import (
+from flighttest.sim.sitl.launcher import (
     AIRFRAMES,
     DOCUMENTATION,
     SitlOptions,
@@ -22,7 +22,7 @@ from flighttest.sim.sitl_launcher import (
     launch,
     sitl_dir,
 )
-from flighttest.sim.sitl_physics import firmware_parameters, launch_on_physics
+from flighttest.sim.sitl.physics import firmware_parameters, launch_on_physics
 from flighttest.vehicle.load import load_vehicle
 
 

@@ -12,10 +12,10 @@ import pytest
 
 from flighttest.cli.main import call
 from flighttest.errors import InputError, ModelError
-from flighttest.identify.export import functions
-from flighttest.identify.model_file import ModelFile, StoredParameter
+from flighttest.identify.models.export import functions
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline import exporting
+from flighttest.pipeline.identification import exporting
 from flighttest.twin import fmu, rotorpy
 
 

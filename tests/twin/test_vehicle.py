@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from flighttest.errors import ModelError
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import simulate
 from flighttest.sim.build import build_plant, build_vehicle
 from flighttest.sim.options import SimOptions
-from flighttest.sim.plant import Command
+from flighttest.sim.plants.plant import Command
 from flighttest.twin.vehicle import options_of
 
 NOISE = {

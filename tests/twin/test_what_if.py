@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from flighttest.errors import InputError
-from flighttest.identify.model_file import ModelFile
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import simulate
-from flighttest.report.twin_sections import replay_sections, replay_sentence
+from flighttest.report.sections.twin import replay_sections, replay_sentence
 from flighttest.segments.model import Segment
 from flighttest.twin.replay import HORIZON_S, replay
 from flighttest.twin.what_if import outside, what_if

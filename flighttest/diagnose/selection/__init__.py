@@ -1,0 +1,1 @@
+"""Which terms the data asks for: score test, best subsets, cross-validated comparison, what could not be seen."""

@@ -1,0 +1,251 @@
+"""Is a term needed? Cross-validated log predictive density of the model with and without it, over groups of responses.
+
+Both models are fitted to everything; each group (cell, heading, flight) is then predicted from the other groups by one linear step of its
+own model (`held_out`), in the weights of the larger model's discrepancy. Their difference is the log evidence of the term. It is named
+where its probability, prior odds included, is above `PROBABILITY`, its effect has a size, and its parameters are admissible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flighttest.diagnose.residuals.discrepancy import discrepancy_of
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.selection.candidates import null_value, usual_size
+from flighttest.diagnose.selection.held_out import compare, cross_validated, held_out, places, size_in_floors
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
+from flighttest.estimation.problem import kinds_of
+from flighttest.estimation.responses import zero_order_hold
+from flighttest.estimation.uncertainty.covariance import interval_factor
+from flighttest.physics.core import Param, Term
+from flighttest.physics.model import Model
+from flighttest.segments import Segment
+
+PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
+LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its optimum. names: what is estimated; rows: with columns for names; inactive: terms fixed at their null values."""
+
+    model: Model
+    names: tuple[str, ...]
+    at: Optimum
+    rows: Linearisation
+    inactive: frozenset[str] = frozenset()
+
+    def residual(self) -> FloatArray:
+        """(n,) whitened, without what the model's own columns explain."""
+        basis = orthonormal(self.rows.columns(self.names))
+        return np.asarray(self.rows.residual - basis @ (basis.T @ self.rows.residual))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a term adds. nats: difference of the log predictive densities; probability: that it is needed, against its absence; floors: its
+    effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
+    in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
+    estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: channels
+    in which groups that were not used are predicted better or worse with it (95 % bootstrap interval of the fall in RMSE); nothing: the
+    estimate, where its 95 % interval holds its null value."""
+
+    term: str
+    nats: float
+    probability: float
+    floors: float
+    place: tuple[str, str]
+    effect: FloatArray
+    profiled: FloatArray
+    inadmissible: str
+    without: Fitted
+    improved: tuple[str, ...]
+    worsened: tuple[str, ...] = ()
+    nothing: str = ""
+
+    @property
+    def why_not(self) -> str:
+        """Why it is not named, empty where it is."""
+        if self.inadmissible:
+            return self.inadmissible
+        if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
+            return f"its effect is {self.floors:.2g} noise floors, too small to be told from a clean vehicle"
+        if not self.improved:
+            return "no channel of what was not used is predicted better with it"
+        if len(self.worsened) > len(self.improved):
+            counts = f"{len(self.worsened)} and {len(self.improved)}"
+            return f"of what was not used, more channels are predicted worse with it than better ({counts})"
+        if self.nothing:
+            return self.nothing
+        if not self.probability >= PROBABILITY:
+            return f"cross-validated evidence of {self.nats:.1f} nats: the probability that it is needed is {self.probability:.2g}"
+        return ""
+
+
+def probability_of(nats: float, candidates: int) -> float:
+    """Posterior probability of a term from its log evidence; prior odds one to the number of candidates."""
+    return 1.0 / (1.0 + math.exp(-min(max(nats - math.log(max(candidates, 1)), -700.0), 700.0)))
+
+
+def weights_of(
+    fitted: Fitted, segments: Sequence[Segment], floor: NoiseFloor | None = None
+) -> Callable[[Linearisation], FloatArray]:
+    """Weights (n,) of rows in the noise and discrepancy of a fitted model.
+
+    What such a model leaves unexplained may be alike in all cells of a kind of maneuver, and a wrong term that takes some of it away is
+    then right in all of them: kinds are the clusters, one level above the cells of the search.
+    """
+    known = floor or floor_of(fitted.rows, segments, RESOLUTION)
+    return discrepancy_of(fitted.rows, fitted.residual(), segments, known, kinds_of(segments)).weights
+
+
+def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, float]:
+    """Name to the generalised least squares standard error of every parameter, in the model's own noise and discrepancy."""
+    a = fitted.rows.columns(fitted.names) * np.sqrt(weights_of(fitted, segments)(fitted.rows))[:, None]
+    length = np.maximum(np.sqrt(np.sum(a**2, axis=0)), 1e-300)
+    inverse = np.linalg.pinv((a / length).T @ (a / length), rcond=1e-12, hermitian=True)
+    return dict(zip(fitted.names, (np.sqrt(np.maximum(np.diag(inverse), 0.0)) / length).tolist(), strict=True))
+
+
+def log_evidence(
+    larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
+) -> tuple[float, FloatArray]:
+    """(difference of cross-validated log predictive densities, the same per group), in the noise and discrepancy of the larger model."""
+    segments = estimator.segments
+    weights = weights_of(larger, segments, floor)
+    at = replace(smaller.at, noise=larger.at.noise)
+    rows = smaller.rows if at.noise == smaller.at.noise else estimator.linearise(smaller.model, at, smaller.names)
+    count = int(groups.max()) + 1
+    density = [
+        -0.5 * np.bincount(groups[r.segment], weights=cross_validated(r, names, groups, weights(r)), minlength=count)
+        for r, names in ((larger.rows, larger.names), (rows, smaller.names))
+    ]
+    difference = density[0] - density[1]
+    return float(difference.sum()), difference
+
+
+def evidence_of(
+    term: Term,
+    fitted: Fitted,
+    without: Fitted,
+    estimator: Estimator,
+    groups: IntArray,
+    floor: NoiseFloor,
+    candidates: int,
+) -> Evidence:
+    """One term of a fitted model against the model without it. floor: of the base model, in which sizes are counted."""
+    segments = estimator.segments
+    nats, _ = log_evidence(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
+    effect = _change(fitted.rows, without.rows.unprofiled_residual, fitted.rows.unprofiled_residual)
+    floors, place = size_in_floors(fitted.rows, effect, segments, floor)
+    profiled = _change(
+        fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
+    )
+    held = [held_out(f.rows, f.names, groups) for f in (without, fitted)]
+    gains = compare(without.rows, held[0], fitted.rows, held[1], groups, floor)
+    return Evidence(
+        term=term.id,
+        nats=nats,
+        probability=probability_of(nats, candidates),
+        floors=floors,
+        place=place,
+        effect=effect,
+        profiled=profiled,
+        inadmissible=inadmissible(term, fitted, segments, candidates),
+        without=without,
+        nothing=_nothing(term, fitted, estimator) if floor.repeated(*place) else "",
+        improved=tuple(name for name, h in gains.items() if h.gain_95[0] > 0.0),
+        worsened=tuple(name for name, h in gains.items() if h.gain_95[1] < 0.0),
+    )
+
+
+def _nothing(term: Term, fitted: Fitted, estimator: Estimator) -> str:
+    """The estimate of a linear term all of whose 95 % intervals, what the equations may err included, hold the null value: what is printed
+    beside a name must not say that there may be nothing. Empty for others; a nonlinear parameter bends such intervals. Not asked where no
+    step was repeated: nothing then limits what the equations err but the residual itself."""
+    own = [p for p in term.params if p.name in fitted.names]
+    if not own or any(p.kind != "amplitude" for p in own):
+        return ""
+    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
+    said = ""
+    for p in own:
+        if p.name not in known.names:
+            continue
+        std, dof = known.of(np.eye(len(known.names))[known.names.index(p.name)])
+        value, half = fitted.at.values[p.name], interval_factor(dof) * std
+        if abs(value - null_value(p)) > half:
+            return ""
+        said = f"{p.name} is {value:.2g} +- {half:.1g} {p.unit}, which may be nothing"
+    return said
+
+
+def log_odds_asked(candidates: int) -> float:
+    """Log evidence, nats, at which a term's posterior probability is `PROBABILITY`."""
+    return math.log(PROBABILITY / (1.0 - PROBABILITY)) + math.log(max(candidates, 1))
+
+
+def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int) -> str:
+    """Why the estimates of a term are outside its prior: at a bound, on the side of the null value that physics does not allow, a limit
+    that nothing in the flights reached. Empty where they are inside."""
+    values = fitted.at.values
+    own = [p for p in term.params if p.name in fitted.names]
+    coefficients = [p for p in own if p.kind == "amplitude"]
+    if any(not p.alone for p in coefficients):
+        # Some coefficients (an upward wind) are this effect only beside the others of their term, which must then be there by themselves.
+        errors = standard_errors(fitted, segments)
+        least = math.sqrt(2.0 * log_odds_asked(candidates))
+        if not any(p.alone and abs(values[p.name] - null_value(p)) > least * errors[p.name] for p in coefficients):
+            return f"{', '.join(p.name for p in coefficients if not p.alone)} alone, without the rest of the term, is another effect"
+    for p in own:
+        value = values[p.name]
+        # Where the usual value is the bound, as of a pure pole, to be there is usual.
+        at_bound = (value <= p.lower or value >= p.upper) and value != p.nominal
+        # A coefficient that shapes may stand in for runs to its bound though data hardly prefer it there.
+        if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
+            return f"{p.name} is at its bound, {value:.3g} {p.unit}"
+        wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
+        # One of several may be there by chance.
+        if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, fitted, segments)):
+            return f"{p.name} is {value:.3g} {p.unit}, which physics does not allow"
+        if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
+            return f"{p.name} is {value:.3g} {p.unit}, and no more than {most:.3g} was flown"
+    return ""
+
+
+def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:
+    """Whether data tell an estimate from the coefficient's usual value."""
+    return abs(fitted.at.values[p.name] - p.nominal) > 1.96 * standard_errors(fitted, segments)[p.name]
+
+
+def _by_chance(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
+    """How far on the wrong side a coefficient may be estimated that is next to nothing."""
+    return max(0.1 * abs(usual_size(p)), 1.96 * standard_errors(fitted, segments)[p.name])
+
+
+def _most(what: str, values: dict[str, float], segment: Segment) -> float:
+    """Most of a limited signal in one response: of throttle, or of the rate (rad/s) that angle loops ask for with these parameters."""
+    if what == "throttle":
+        return float(np.max(zero_order_hold(segment.u.get("throttle"), segment.t_s)))
+    asked = [0.0]
+    for axis, greek in (("roll", "phi"), ("pitch", "theta")):
+        angle = segment.y.get(f"{axis}_rad")
+        if angle is not None and f"omega_{greek}" in values:
+            error = np.nanmax(
+                np.abs(zero_order_hold(segment.u.get(f"{axis}_ref_rad"), segment.t_s) - angle), initial=0.0
+            )
+            asked.append(values[f"omega_{greek}"] / (2.0 * values[f"zeta_{greek}"]) * float(error))
+    return max(asked)
+
+
+def _change(rows: Linearisation, first: FloatArray, second: FloatArray) -> FloatArray:
+    """First minus second on what was measured, which comes first in the rows of any model."""
+    measured = int(np.sum(rows.sample >= 0))
+    return first[:measured] - second[:measured]
+
+
+__all__ = ["Evidence", "Fitted", "evidence_of", "inadmissible", "log_evidence", "places", "probability_of"]

@@ -1,0 +1,205 @@
+"""Prediction of groups of responses that were not used: residuals, mean squares with bootstrap intervals over groups, horizons, sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
+from flighttest.estimation.linearisation import Linearisation
+from flighttest.identify.validation.validate import HORIZONS_S
+from flighttest.segments.model import Segment
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+FOLDS = 5
+BOOTSTRAPS = 400
+RIDGE = 1e-9  # of unit columns: what a fold's training data say nothing of stays where it is
+LEAST_ROWS = 60  # samples a place (channel and kind of maneuver) needs before its RMS means something
+
+
+def held_out_groups(segments: Sequence[Segment]) -> tuple[IntArray, str]:
+    """(n_segments,) group of each segment, and what a group is: never random samples.
+
+    Cells where steps were flown, so that a model is asked for steps it has not seen; flights where several were flown freely;
+    else contiguous pieces of the one flight.
+    """
+    if all(s.kind == "free" for s in segments):
+        runs = list(dict.fromkeys(s.run for s in segments))
+        if len(runs) >= 3:
+            return np.array([runs.index(s.run) for s in segments]), "flights"
+        pieces = min(10, max(2, len(segments) // 2))
+        group = np.zeros(len(segments), dtype=np.intp)
+        for at, i in enumerate(
+            sorted(range(len(segments)), key=lambda i: (runs.index(segments[i].run), segments[i].t_s[0]))
+        ):
+            group[i] = at * pieces // max(len(segments), 1)
+        return group, "pieces of the flight"
+    keys = [s.cell_key if s.kind != "free" else ("free", (("piece", float(s.t_s[0] // 10)),)) for s in segments]
+    names = sorted(set(keys), key=str)
+    if len(names) < 4:
+        return np.arange(len(segments)), "responses"
+    return np.array([names.index(k) for k in keys]), "steps"
+
+
+def folds_of(groups: IntArray) -> IntArray:
+    """Group to one of at most five folds, neighbouring groups apart."""
+    return groups % min(FOLDS, int(groups.max()) + 1) if groups.size else groups
+
+
+def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray) -> FloatArray:
+    """(n,) residual in the channel's unit of every response as predicted by parameters from the other folds.
+
+    rows: at an optimum; linear in the parameters about it. A response keeps its own initial state, its disturbance is unknown.
+    """
+    a = rows.columns(names)
+    length = np.sqrt(np.sum(a**2, axis=0))
+    used = length > 0
+    a, b = a[:, used] / length[used], rows.unprofiled_columns(names)[:, used] / length[used]
+    out = rows.unprofiled_residual.copy()
+    fold_of_row = folds_of(groups)[rows.segment]
+    gram, moment = a.T @ a, a.T @ rows.residual
+    for fold in np.unique(fold_of_row):
+        inside = fold_of_row == fold
+        own = a[inside]
+        h = gram - own.T @ own
+        g = moment - own.T @ rows.residual[inside]
+        step = np.linalg.lstsq(h + 1e-10 * np.eye(h.shape[0]), g, rcond=1e-9)[0] if h.size else np.zeros(0)
+        out[inside] = rows.unprofiled_residual[inside] - b[inside] @ step
+    return out
+
+
+def cross_validated(rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray) -> FloatArray:
+    """(n,) weighted squares of whitened rows as predicted by parameters from the other folds, nuisance parameters marginalised.
+
+    rows: at an optimum; linear in the parameters about it. weights (n,): of each row, from the model's discrepancy. A response's rows
+    sum to minus twice its log predictive density, but for a constant that models of one weighting share.
+    """
+    root = np.sqrt(weights)
+    a, r = rows.columns(names) * root[:, None], rows.residual * root
+    length = np.sqrt(np.sum(a**2, axis=0))
+    a = a[:, length > 0] / length[length > 0]
+    gram, moment = a.T @ a, a.T @ r
+    fold_of_row = folds_of(groups)[rows.segment]
+    out = r.copy()
+    for fold in np.unique(fold_of_row):
+        inside = fold_of_row == fold
+        own = a[inside]
+        h = gram - own.T @ own
+        step = np.linalg.lstsq(h + RIDGE * np.eye(h.shape[0]), moment - own.T @ r[inside], rcond=RIDGE)[0]
+        out[inside] = r[inside] - own @ step
+    return np.asarray(out**2)
+
+
+def mean_squares(
+    rows: Linearisation, residual: FloatArray, groups: IntArray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Channel to (sum of squares, number of samples) per group."""
+    of_row = groups[rows.segment]
+    n = int(groups.max()) + 1
+    found = {}
+    for c, name in enumerate(rows.channels):
+        at = rows.channel == c
+        count = np.bincount(of_row[at], minlength=n).astype(float)
+        found[name] = (np.asarray(np.bincount(of_row[at], residual[at] ** 2, minlength=n), dtype=float), count)
+    return found
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One channel before and after, on groups not used: RMSE, floor, and the 95 % interval of the drop in RMSE (bootstrap over groups)."""
+
+    rmse_before: float
+    rmse_after: float
+    floor: float
+    gain_95: tuple[float, float]
+
+
+def compare(
+    before: Linearisation,
+    before_residual: FloatArray,
+    after: Linearisation,
+    after_residual: FloatArray,
+    groups: IntArray,
+    floor: NoiseFloor,
+    seed: int = 0,
+) -> dict[str, HeldOut]:
+    """Both models on the same samples."""
+    rng = np.random.default_rng(seed)
+    first, second = mean_squares(before, before_residual, groups), mean_squares(after, after_residual, groups)
+    n = int(groups.max()) + 1
+    draws = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
+    found = {}
+    for name in first:
+        if name not in second:
+            continue
+        (ss_b, n_b), (ss_a, n_a) = first[name], second[name]
+
+        def rmse(ss: FloatArray, count: FloatArray) -> float:
+            return float(np.sqrt(ss.sum() / max(count.sum(), 1.0)))
+
+        drops = np.sqrt((draws @ ss_b) / np.maximum(draws @ n_b, 1e-9)) - np.sqrt(
+            (draws @ ss_a) / np.maximum(draws @ n_a, 1e-9)
+        )
+        low, high = np.quantile(drops[draws @ n_b > 0], [0.025, 0.975])
+        found[name] = HeldOut(rmse(ss_b, n_b), rmse(ss_a, n_a), floor.of(name), (float(low), float(high)))
+    return found
+
+
+def places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:
+    """(channel, kind of maneuver) to its rows, where there are enough of them. segments: of these rows."""
+    return rows.once("places", lambda: _places(rows, segments))
+
+
+def _places(rows: Linearisation, segments: Sequence[Segment]) -> dict[tuple[str, str], IntArray]:
+    names, code = np.unique([s.kind for s in segments], return_inverse=True)
+    kinds = code[rows.segment]
+    found = {}
+    for c, name in enumerate(rows.channels):
+        mine = np.flatnonzero(rows.channel == c)
+        for k in np.unique(kinds[mine]):
+            at = mine[kinds[mine] == k]
+            if at.size >= LEAST_ROWS:
+                found[name, str(names[k])] = at
+    return found
+
+
+def size_in_floors(
+    rows: Linearisation, effect: FloatArray, segments: Sequence[Segment], floor: NoiseFloor
+) -> tuple[float, tuple[str, str]]:
+    """Largest RMS of an effect ((n,), in the channel's unit) over a place, in noise floors, and the place."""
+    best, where = 0.0, ("", "")
+    for place, at in places(rows, segments).items():
+        size = float(np.sqrt(np.mean(effect[at] ** 2))) / floor.of(place[0])
+        if size > best:
+            best, where = size, place
+    return best, where
+
+
+def horizon_rmse(rows: Linearisation, residual: FloatArray, segments: Sequence[Segment]) -> dict[str, dict[str, float]]:
+    """Channel to horizon (s since the response's first sample, as text) to RMSE of what lies within it."""
+    since = np.array(
+        [segments[i].t_s[max(k, 0)] - segments[i].t_s[0] for i, k in zip(rows.segment, rows.sample, strict=True)]
+    )
+    longest = float(since.max(initial=0.0))
+    found: dict[str, dict[str, float]] = {}
+    for c, name in enumerate(rows.channels):
+        for horizon in HORIZONS_S:
+            at = (rows.channel == c) & (since <= horizon)
+            if at.any() and horizon <= longest + 0.5:
+                found.setdefault(name, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(residual[at] ** 2)))
+    return found
+
+
+def excess(rows: Linearisation, floor: NoiseFloor) -> dict[str, float]:
+    """Channel to what of its mean square lies above the floor, in the channel's unit squared."""
+    raw = rows.unprofiled_residual
+    found = {}
+    for c, name in enumerate(rows.channels):
+        at = rows.channel == c
+        found[name] = max(float(np.mean(raw[at] ** 2)) - floor.whole(name) ** 2, 0.0) if at.any() else 0.0
+    return found

@@ -1,0 +1,329 @@
+"""Which terms the recording needs: best subsets proposed by marginal likelihood, refitted, and compared by cross-validation.
+
+1. At the optimum of the present model all subsets of up to three candidates are scored (`subsets`); the best is refitted jointly.
+2. Every term of the refitted model is compared with the model without it (`comparison`); the one with the least evidence that is not
+   needed leaves, until all that are left are.
+3. The model is linearised anew at its optimum and the search repeated, until the best subset stays.
+
+A term that left is not proposed again from the model that stayed without it: its refit has been tried. One that left earlier, beside
+another that left after it, is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flighttest.diagnose.residuals.discrepancy import discrepancy_of
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.selection.candidates import Candidate, candidates_at, null_value
+from flighttest.diagnose.selection.comparison import (
+    Evidence,
+    Fitted,
+    evidence_of,
+    inadmissible,
+    log_evidence,
+    probability_of,
+)
+from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
+from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.linearisation import IntArray, Optimum, orthonormal
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+
+ASTRAY = 3.0  # factor off its shape-based start: lags and gains of real fits stay within it, bent ones came out at five
+MOST_ROUNDS = 12  # linearisations: two effects take two or three
+ALIASED = 0.9  # cosine of two effects beside the rest of the model above which the other is refitted in its place
+CHANCE_NATS = 3.0  # a rival this near is within chance of the best (odds of 20 to 1)
+
+
+def silent(_text: str) -> None:
+    """Progress that is not shown."""
+
+
+@dataclass(frozen=True)
+class Alias:
+    """A candidate in place of a named term. cosine: of their effects beside the rest of the model; nats: evidence of the named term's model
+    over the model with this one in its place."""
+
+    term: str
+    cosine: float
+    nats: float
+
+    @property
+    def confusable(self) -> bool:
+        """Whether both models are in the confidence set."""
+        return self.nats < CHANCE_NATS
+
+
+@dataclass
+class Search:
+    """One block of the model. inactive: terms held at their null values until they are needed; origin: base parameters by the shape of the
+    responses; rejected: terms that were refitted and left, with what was found of them; scored: subsets, best first; evidence: of the
+    terms of the present model."""
+
+    estimator: Estimator
+    pool: tuple[Term, ...]
+    groups: IntArray
+    inactive: frozenset[str] = frozenset()
+    origin: Mapping[str, float] = field(default_factory=dict)
+    progress: Callable[[str], None] = silent
+    base: Fitted | None = None
+    now: Fitted | None = None
+    floor: NoiseFloor | None = None
+    insensitive: frozenset[str] = frozenset()
+    candidates: list[Candidate] = field(default_factory=list)
+    scored: list[Scored] = field(default_factory=list)
+    subsets: Subsets | None = None
+    lack_of_fit: bool = False
+    evidence: dict[str, Evidence] = field(default_factory=dict)
+    rejected: dict[str, Evidence] = field(default_factory=dict)
+    _fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """Candidate terms by id."""
+        return {t.id: t for t in self.pool}
+
+    @property
+    def named(self) -> frozenset[str]:
+        """Terms of the pool that are in the present model."""
+        return self._members(self.now) if self.now is not None else frozenset()
+
+    def held(self, term: str) -> tuple[str, ...]:
+        """Coefficients of a named term that are not estimated, since they ran to a bound."""
+        assert self.now is not None
+        return tuple(p.name for p in self.terms[term].amplitudes if not p.alone and p.name not in self.now.names)
+
+    def run(self, model: Model, start: Optimum) -> None:
+        """Fit the base, then search. What is known when it is interrupted is kept."""
+        self.insensitive = self.estimator.insensitive(model, start)
+        self.base = self.now = self._fit(model, start, self.inactive)
+        self.floor = floor_of(self.base.rows, self.estimator.segments, RESOLUTION)
+        self.progress("base model fitted")
+        for _ in range(MOST_ROUNDS):
+            if not self._round():
+                return
+
+    def _round(self) -> bool:
+        """One linearisation; whether anything was tried from it that may lead further."""
+        before = self.now
+        assert before is not None
+        self.linearise()
+        for scored in self._proposals():
+            assert self.subsets is not None
+            proposed = self.subsets.terms(scored)
+            if proposed & set(self.rejected):
+                continue
+            self.progress(f"refitting with {' and '.join(sorted(proposed))}")
+            fitted = self._refitted(before, [self.candidates[j] for j in scored.members], scored)
+            if not np.isfinite(fitted.at.objective):
+                continue
+            kept, evidence, left = self._pruned(fitted, proposed)
+            if not self._better(kept, before):
+                self.rejected |= {t: e for t, e in left.items() if t in proposed}
+                continue
+            self.now, self.evidence = kept, evidence
+            # What was not needed beside another model may be needed beside this one; what is inadmissible stays out.
+            beside = {
+                t: e for t, e in left.items() if e.inadmissible or self._members(e.without) == self._members(kept)
+            }
+            self.rejected = {t: e for t, e in self.rejected.items() if e.inadmissible} | beside
+            return True
+        return False
+
+    def _better(self, kept: Fitted, before: Fitted) -> bool:
+        """Whether a model holds more than one before, or predicts better with other terms."""
+        new, old = self._members(kept), self._members(before)
+        if new <= old:
+            return False
+        if new > old:
+            return True
+        assert self.floor is not None
+        floor = floor_of(kept.rows, self.estimator.segments, RESOLUTION)
+        return log_evidence(kept, before, self.estimator, self.groups, floor)[0] > 0.0
+
+    def _proposals(self) -> list[Scored]:
+        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient: a
+        score needs a derivative at the null value, and a finite difference says little where the base has to move far."""
+        found = [s for s in self.scored if s.log_odds > 0.0]
+        if self.subsets is not None and self.lack_of_fit:
+            singles = [s for s in self.scored if len(s.members) == 1 and s.log_odds <= 0.0]
+            found += [s for s in singles if not self.candidates[s.members[0]].names]
+        return found
+
+    def linearise(self) -> None:
+        """Columns of every candidate outside the present model, and the subsets of them, best first."""
+        assert self.now is not None
+        self.progress("screening the catalogue")
+        now, inside = self.now, self.named
+        outside = [t for t in self.pool if t.id not in inside]
+        self.candidates = candidates_at(self.estimator, now.model, now.at, now.rows, outside)
+        if not self.candidates:
+            self.scored, self.subsets = [], None
+            return
+        floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
+        known = discrepancy_of(now.rows, now.residual(), self.estimator.segments, floor)
+        self.lack_of_fit = bool(known.share.any())
+        self.subsets = Subsets.at(now.rows, now.names, self.candidates, known, floor)
+        self.scored = self.subsets.ranked(LARGEST)
+
+    def _pruned(
+        self, fitted: Fitted, proposed: frozenset[str]
+    ) -> tuple[Fitted, dict[str, Evidence], dict[str, Evidence]]:
+        """A model without the terms that are not needed, and the evidence of those that are and of those that left."""
+        left: dict[str, Evidence] = {}
+        while True:
+            members = sorted(self._members(fitted))
+            evidence = {t: self._evidence(t, fitted) for t in members if t in proposed}
+            worst = _least_needed(evidence.values())
+            if worst is None or worst.inadmissible:
+                evidence |= {t: self._evidence(t, fitted) for t in members if t not in proposed}
+                # An estimate outside its prior may be the fault of another term, or of the newcomer: these leave first.
+                old = _least_needed(e for t, e in evidence.items() if t not in proposed)
+                worst = min((e for e in (worst, old) if e), key=lambda e: bool(e.inadmissible), default=None)
+            if worst is None:
+                return fitted, evidence, left
+            left[worst.term] = worst
+            self.progress(f"{worst.term} is not needed: {worst.why_not}")
+            fitted = worst.without
+
+    def _evidence(self, term: str, fitted: Fitted) -> Evidence:
+        assert self.floor is not None
+        return evidence_of(
+            self.terms[term],
+            fitted,
+            self.without(term, fitted),
+            self.estimator,
+            self.groups,
+            self.floor,
+            len(self.pool),
+        )
+
+    def aliases(self, term: str) -> tuple[Alias, ...]:
+        """Candidates whose effect beside the rest of the present model points as a named term's does, refitted in its place."""
+        now, without = self.now, self.evidence[term].without
+        assert now is not None
+        basis = orthonormal(now.rows.columns([n for n in now.names if now.model.term_of(n) != term]))
+        effect = np.zeros(now.rows.residual.size)
+        own = self.evidence[term].profiled
+        effect[: own.size] = own / now.rows.scale[: own.size]
+        effect -= basis @ (basis.T @ effect)
+        length = float(np.linalg.norm(effect))
+        near: dict[str, tuple[float, int]] = {}
+        for j, c in enumerate(self.candidates):
+            span = orthonormal(c.columns - basis @ (basis.T @ c.columns))
+            cosine = float(np.linalg.norm(span.T @ effect)) / max(length, 1e-300)
+            near[c.term.id] = max(near.get(c.term.id, (0.0, j)), (cosine, j))
+        found = []
+        for name, (cosine, j) in sorted(near.items(), key=lambda kv: -kv[1][0])[:2]:
+            nats = np.inf
+            if cosine > ALIASED and name not in self.rejected:
+                self.progress(f"trying {name} in place of {term}")
+                scored = Scored((j,), 0.0, np.zeros(self.candidates[j].columns.shape[1]))
+                other = self._refitted(without, [self.candidates[j]], scored)
+                finite = bool(np.isfinite(other.at.objective))
+                if finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
+                    floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
+                    nats, _ = log_evidence(now, other, self.estimator, self.groups, floor)
+            if cosine > 0.6:
+                found.append(Alias(name, cosine, nats))
+        return tuple(found)
+
+    # Fits.
+
+    def _members(self, fitted: Fitted) -> frozenset[str]:
+        return frozenset(t.id for t in self.pool if t.id in fitted.model.terms and t.id not in fitted.inactive)
+
+    def _fit(self, model: Model, start: Optimum, inactive: frozenset[str]) -> Fitted:
+        names = self._free(model, inactive)
+        at = self.estimator.fit(model, start, names)
+        if stuck := self._not_estimates(model, at, names):
+            # What drove them there is not their effect: the rest of the term is judged without them.
+            names = tuple(n for n in names if n not in stuck)
+            at = self.estimator.fit(model, self.estimator.moved(model, at, stuck), names)
+        fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
+        known = self._fits.get(self._members(fitted))
+        if known is not None and known.names == names and known.at.log_likelihood >= at.log_likelihood:
+            return known
+        self._fits[self._members(fitted)] = fitted
+        return fitted
+
+    def _not_estimates(self, model: Model, at: Optimum, names: tuple[str, ...]) -> dict[str, float]:
+        """Coefficients that are their term's effect only beside its others (an upward wind) and ran to a bound: name to null value."""
+        return {
+            p.name: null_value(p)
+            for p in model.params
+            if p.name in names and p.kind == "amplitude" and not p.alone
+            if not p.lower < at.values[p.name] < p.upper
+        }
+
+    def _free(self, model: Model, inactive: frozenset[str]) -> tuple[str, ...]:
+        """What is estimated of a model."""
+        known = self.estimator.problem(model).names
+        return tuple(n for n in known if model.term_of(n) not in inactive and n not in self.insensitive)
+
+    def _refitted(self, among: Fitted, members: list[Candidate], scored: Scored) -> Fitted:
+        """Joint fit with candidates, from where their scores point, or from their null values where that is nearer."""
+        terms = [c.term for c in members]
+        model = among.model.with_terms(*(t for t in terms if t.id not in among.model.terms))
+        shape = {n: v for c in members for n, v in c.shape.items()}
+        pointed, null, at = dict(shape), dict(shape), 0
+        for c in members:
+            for p in c.params:
+                pointed[p.name] = float(np.clip(null_value(p) + scored.coefficients[at], p.lower, p.upper))
+                null[p.name] = null_value(p)
+                at += 1
+            at += 0 if c.params else 1
+        starts = [self.estimator.moved(model, among.at, values) for values in (pointed, null)]
+        first = min(starts, key=lambda s: s.objective)
+        inactive = among.inactive - {t.id for t in terms}
+        if shape and len(shape) < sum(len(t.params) for t in terms):
+            # A nonlinear parameter means nothing until its coefficient has grown: the size comes first.
+            first = self.estimator.fit(model, first, [n for n in self._free(model, inactive) if n not in shape])
+        fitted = self._fit(model, first, inactive)
+        if not self._astray(among):
+            return fitted
+        # The base bent itself towards what is missing, and small steps from there do not lead back.
+        back = {n: v for n, v in self.origin.items() if n in among.names}
+        again = self.estimator.start(model, among.at.values | (pointed if first is starts[0] else null) | back)
+        other = self._fit(model, again, inactive)
+        return max(fitted, other, key=lambda f: f.at.log_likelihood)
+
+    def _astray(self, fitted: Fitted) -> bool:
+        """Whether a gain or lag of the base is further than a factor of `ASTRAY` from where the shape of the responses puts it.
+
+        Delays are not asked: they share their time with the lag after them, and a few milliseconds may be any factor.
+        """
+        return any(
+            n in fitted.names and v > 0.0 and not v / ASTRAY < fitted.at.values[n] < v * ASTRAY
+            for n, v in self.origin.items()
+            if not n.startswith("T_d")
+        )
+
+    def without(self, term: str, fitted: Fitted) -> Fitted:
+        """A model refitted without one of its terms; kept."""
+        rest = self._members(fitted) - {term}
+        if rest in self._fits:
+            return self._fits[rest]
+        if term in self.inactive:
+            null = {p.name: null_value(p) for p in self.terms[term].amplitudes}
+            start = self.estimator.moved(fitted.model, fitted.at, null)
+            return self._fit(fitted.model, start, fitted.inactive | {term})
+        model = fitted.model.without_terms(term)
+        return self._fit(model, self.estimator.moved(model, fitted.at), fitted.inactive)
+
+    def probabilities(self) -> Mapping[str, float]:
+        """Of every term that was refitted: that it is needed."""
+        return {t: e.probability for t, e in {**self.rejected, **self.evidence}.items()}
+
+
+def _least_needed(evidence: Iterable[Evidence]) -> Evidence | None:
+    """Of the terms that are not needed the one that leaves first, those whose estimates are inadmissible last."""
+    doubted = [e for e in evidence if e.why_not]
+    return min(doubted, key=lambda e: (bool(e.inadmissible), e.nats), default=None)
+
+
+__all__ = ["Alias", "Search", "probability_of", "silent"]

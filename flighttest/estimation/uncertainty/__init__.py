@@ -1,0 +1,1 @@
+"""How far estimates may be off: cluster-robust covariance, model discrepancy, distributions."""

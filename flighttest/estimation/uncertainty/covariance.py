@@ -1,0 +1,174 @@
+"""Covariance that stays valid when residuals are correlated within a response: cluster-robust, with small-sample corrections.
+
+CR2 of Bell and McCaffrey (2002): each cluster's score is blown up by what its own leverage took from its residual; degrees of
+freedom per parameter by Satterthwaite's approximation under the working model. White-noise intervals claim a third of the
+true error for alpha when each response carries its own disturbance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.estimation.problem import Noise, PartEvaluation, Problem
+from flighttest.estimation.solver import Solution
+from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
+from flighttest.estimation.uncertainty.distributions import quantile
+from flighttest.estimation.weighing import Normal
+
+FloatArray = NDArray[np.float64]
+
+STAMP_S = 1e-3  # resolution of time stamps in MAVLink messages
+MIN_DOF = 2.5  # below this a cluster sum says nothing; the model-based covariance, inflated, stands in
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """matrix: (p, p) cluster-robust, what differs between cells, as two fits of like flights differ; model: (p, p) as if the noise model
+    were right; dof: (p,) Student-t degrees of freedom of `matrix`; discrepancy: (p, p) what an error of the equations adds that all cells
+    of a kind of maneuver share (`estimation.uncertainty.discrepancy`), None: nothing. Intervals hold both (`of`)."""
+
+    names: tuple[str, ...]
+    matrix: FloatArray
+    model: FloatArray
+    dof: FloatArray
+    discrepancy: FloatArray | None = None
+
+    @property
+    def whole(self) -> FloatArray:
+        """(p, p) with the discrepancy."""
+        return self.matrix if self.discrepancy is None else self.matrix + self.discrepancy
+
+    def of(self, weights: FloatArray) -> tuple[float, float]:
+        """Standard deviation and degrees of freedom of a linear combination, (p,), the discrepancy included (Welch and Satterthwaite: its
+        limit is not estimated from few)."""
+        scatter, variance = float(weights @ self.matrix @ weights), float(weights @ self.whole @ weights)
+        used = np.abs(weights) > 0
+        dof = float(self.dof[used].min()) if used.any() else 1.0
+        return float(np.sqrt(max(variance, 0.0))), dof * (variance / scatter) ** 2 if scatter > 0.0 else dof
+
+
+def interval_factor(dof: float, level: float = 0.95) -> float:
+    """Two-sided Student-t quantile."""
+    return quantile(0.5 + level / 2, max(dof, 1.0))
+
+
+def cluster_covariance(normal: Normal, active: tuple[str, ...], inflation: float = 1.0) -> Covariance:
+    """Covariance of the `active` names (the others held).
+
+    inflation: variance factor for autocorrelated residuals, used only where there are too few clusters.
+    """
+    pick = np.array([normal.names.index(n) for n in active], dtype=np.intp)
+    if not pick.size:
+        empty = np.zeros((0, 0))
+        return Covariance((), empty, empty, np.zeros(0))
+    hessian = normal.hessian[:, pick[:, None], pick]
+    score = normal.score[:, pick]
+    told = np.abs(hessian).sum(axis=(1, 2)) > 0
+    hessian, score = hessian[told], score[told]
+    total = hessian.sum(axis=0)
+    scale = 1.0 / np.sqrt(np.diag(total))
+    hessian, score = hessian * np.outer(scale, scale), score * scale
+    # H = L L': in these coordinates a cluster's leverage M_s is symmetric and the M_s sum to one. Nearly flat directions are cut.
+    values, vectors = np.linalg.eigh(hessian.sum(axis=0))
+    root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    leverage = root.T @ hessian @ root
+    u = score @ root
+    lam, basis = np.linalg.eigh(leverage)
+    blow = (basis * (1.0 / np.sqrt(np.clip(1.0 - lam, 0.02, None)))[:, None, :]) @ basis.swapaxes(1, 2)
+    adjusted = np.einsum("sij,sj->si", blow, u) @ root.T * scale
+    robust = adjusted.T @ adjusted
+    model = (root @ root.T) * np.outer(scale, scale)
+    dof = np.array([_dof(leverage, blow, root[i]) for i in range(pick.size)])
+    few = dof < MIN_DOF
+    if few.any():
+        std = np.sqrt(np.where(few, np.maximum(np.diag(model) * inflation, np.diag(robust)), np.diag(robust)))
+        now = np.sqrt(np.diag(robust))
+        ratio = np.where(now > 0, std / np.where(now > 0, now, 1.0), 1.0)
+        robust = robust * np.outer(ratio, ratio)
+        robust[np.diag_indices_from(robust)] = std**2
+        dof = np.where(few, 10.0, dof)
+    return Covariance(active, robust, model, dof)
+
+
+def _dof(leverage: FloatArray, blow: FloatArray, direction: FloatArray) -> float:
+    """Satterthwaite degrees of freedom of one parameter's variance estimate."""
+    q = np.einsum("sij,j->si", blow, direction)
+    mq = np.einsum("sij,sj->si", leverage, q)
+    omega = np.diag(np.einsum("si,si->s", q, mq)) - mq @ mq.T
+    squares = float((omega**2).sum())
+    return float(np.trace(omega)) ** 2 / squares if squares > 0 else 1.0
+
+
+def variance_inflation(residuals: list[FloatArray]) -> float:
+    """Variance factor of a mean for first-order autocorrelated residuals: (1 + rho) / (1 - rho), at least one."""
+    top = sum(float(r[1:] @ r[:-1]) for r in residuals if r.size > 3)
+    bottom = sum(float(r @ r) for r in residuals if r.size > 3)
+    rho = min(max(top / bottom, 0.0), 0.98) if bottom > 0 else 0.0
+    return (1 + rho) / (1 - rho)
+
+
+def variance_inflation_of(problem: Problem, evaluations: Sequence[PartEvaluation], noise: Noise) -> float:
+    """`variance_inflation` of all residuals of a problem."""
+    return variance_inflation(
+        [
+            made.residual[j, part.mask[j, :, k], k] / noise.channel[c]
+            for part, made in zip(problem.parts, evaluations, strict=True)
+            for k, c in enumerate(part.outputs)
+            for j in range(len(part.responses))
+        ]
+    )
+
+
+def covariance_of(problem: Problem, solution: Solution) -> Covariance:
+    """Cluster-robust covariance of the free parameters that have an effect and are not at a bound; clusters are cells, since an equation
+    that is nearly right errs alike in all repeats of one (Cameron & Miller 2015: cluster as widely as errors may be correlated)."""
+    active = tuple(n for n in solution.free if n not in solution.insensitive and n not in solution.at_bound)
+    covariance = cluster_covariance(
+        solution.normal.by(problem.cells), active, variance_inflation_of(problem, solution.evaluations, solution.noise)
+    )
+    covariance = replace(covariance, discrepancy=discrepancy_covariance(problem, solution, active))
+    return with_clock_error(covariance, clock_std_s(problem))
+
+
+def clock_std_s(problem: Problem) -> float:
+    """Standard error that the clocks put on every delay alike, s: references stamped on the ground, responses on the vehicle.
+
+    The clock's own error bound as a uniform distribution, where it is not known the millisecond to which MAVLink rounds the vehicle's time.
+    Zero where the vehicle stamped both, or where both step through time together. In a table edges are known to a row: on the average they
+    may be as they stand there, or half a row earlier.
+    """
+    found = 0.0
+    for segment in problem.segments:
+        if segment.context.get("reference_clock") == "ground":
+            error = float(segment.context.get("clock_error_s", STAMP_S))
+            found = max(found, error / np.sqrt(3.0))
+        found = max(found, float(segment.context.get("edge_error_s", 0.0)) / np.sqrt(3.0))
+    return float(found)
+
+
+def with_clock_error(covariance: Covariance, std_s: float) -> Covariance:
+    """The covariance with a common error of all delays added."""
+    delays = np.array([n == "T_d" or n.startswith("T_d_") for n in covariance.names], dtype=float)
+    if std_s <= 0.0 or not delays.any():
+        return covariance
+    extra = std_s**2 * np.outer(delays, delays)
+    return replace(covariance, matrix=covariance.matrix + extra, model=covariance.model + extra)
+
+
+def widened(covariance: Covariance, extra: Mapping[str, float]) -> Covariance:
+    """The covariance with further errors of some parameters, by name as standard deviations; correlations are kept."""
+    std = np.sqrt(np.diag(covariance.matrix))
+    more = np.array([extra.get(n, 0.0) for n in covariance.names])
+    ratio = np.hypot(std, more) / np.where(std > 0.0, std, 1.0)
+    ratio[std <= 0.0] = 1.0
+    return replace(covariance, matrix=covariance.matrix * np.outer(ratio, ratio))
+
+
+def std_of(covariance: Covariance, name: str) -> float:
+    """Standard error of one parameter."""
+    i = covariance.names.index(name)
+    return float(np.sqrt(covariance.matrix[i, i]))

@@ -1,0 +1,310 @@
+"""`FlightControl`: one cycle of the flight, and `steer`, the only place from which an attitude target leaves.
+
+The pilot always wins: from the HEARTBEAT on that shows a mode nobody here asked for nothing is sent, and the second one ends the flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from flighttest.flight.execution.machine import Event, FlightState, Machine
+from flighttest.flight.gate import GateLimits, Refusal, refusals, stop_throttles, zone_clearance_m
+from flighttest.flight.outcome import FlightProgress, OnProgress
+from flighttest.flight.preparation.changes import ExternalChanges
+from flighttest.flight.recorder import Recorder
+from flighttest.flight.state import StateReader, VehicleState
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.session import Session
+from flighttest.link.streams import Streams
+from flighttest.mavlink import CopterMode, mode_name
+from flighttest.mavlink.dialect import Message, is_armed
+from flighttest.plan import AttitudeTarget
+
+PROGRESS_EVERY_S = 0.25
+DOUBT_S = 2.5  # for which a HEARTBEAT that contradicts those before is waited for to be repeated: it comes once a second at least
+GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
+UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
+
+
+@dataclass
+class Stops:
+    """What the operator asked for: `count()` is how often Ctrl-C was pressed."""
+
+    count: Callable[[], int]
+
+    @property
+    def orderly(self) -> bool:
+        """Stop after making the vehicle safe."""
+        return self.count() >= 1
+
+    @property
+    def now(self) -> bool:
+        """Let go at once."""
+        return self.count() >= 2
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What one HEARTBEAT has shown, heard at t_s. overtaken: how many had been: one between two that agree contradicts them."""
+
+    event: Event
+    mode: int
+    t_s: float
+    overtaken: int
+
+
+class FlightControl:
+    """Everything a flying procedure needs. `cycle` lets one period pass; `steer` sends one target or says why not."""
+
+    def __init__(
+        self,
+        vehicle: ArduPilot,
+        gate: GateLimits,
+        recorder: Recorder,
+        *,
+        rate_hz: float,
+        stops: Stops,
+        external_changes: ExternalChanges,
+        on_progress: OnProgress | None = None,
+    ) -> None:
+        self.vehicle = vehicle
+        self.session: Session = vehicle.session
+        self.gate = gate
+        self.recorder = recorder
+        self.period_s = 1.0 / rate_hz
+        self.reader = StateReader(self.session)
+        self.state: VehicleState = self.reader.read()
+        self.hover_throttle = gate.hover_throttle
+        self._stops = stops
+        self.external_changes = external_changes
+        self._on_progress = on_progress
+        self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
+        self._next_progress_s = -math.inf
+        self._counts: tuple[float, dict[str, int]] = (0.0, {})
+        self.machine = Machine()
+        self._mode = -1  # as HEARTBEAT showed it last
+        self._safe_modes: frozenset[int] = frozenset()
+        self._was_armed = False
+        self._doubt: Doubt | None = None
+        self._boots = self.session.boots
+        self._others = set(self.session.others)
+        self.streams: Streams | None = None
+        self.session.listen(self._watch)
+
+    # -- whose vehicle it is -------------------------------------------------------------------------------------------------
+
+    def on(self, event: Event, why: str = "") -> None:
+        """Report an event. The mode that is shown when the vehicle becomes ours, or is handed back, is the one to start from."""
+        if not self.machine.ours:
+            self._mode, self._was_armed = self.vehicle.mode, self.vehicle.armed
+        self.machine.on(event, why)
+
+    @property
+    def owned(self) -> bool:
+        """Whether the vehicle is ours to fly: neither before take-off, nor while the pilot has it."""
+        return self.machine.ours
+
+    @property
+    def taken_over(self) -> bool:
+        """Whether the pilot has taken the vehicle: nothing is sent any more."""
+        return self.session.port.muted
+
+    def ask_safe_mode(self, modes: Collection[CopterMode]) -> None:
+        """From now on the first of these modes that HEARTBEAT shows is the one that was asked for."""
+        self._safe_modes = frozenset(int(m) for m in modes)
+        if self.machine.state is not FlightState.ASKING:
+            self.on(Event.ASK)
+
+    def _watch(self, message: Message, t_s: float) -> None:
+        if self.session.boots != self._boots:
+            self._boots = self.session.boots
+            self.on(Event.REBOOTED)
+        if not self.machine.ours:
+            return
+        if message.get_type() == "PARAM_VALUE":
+            text = self.external_changes.look(message.param_id, float(message.param_value))
+            if text:
+                self.recorder.event("note", text, t_s)
+        if message.get_type() != "HEARTBEAT":
+            return
+        mode, armed = int(message.custom_mode), is_armed(message)
+        foreign = not self.session.mode_requests.shows(mode, t_s) and mode != self._mode
+        disarmed = self._was_armed and not armed
+        if not foreign and self.machine.state is FlightState.ASKING and mode in self._safe_modes:
+            self.on(Event.LANDS if mode == CopterMode.LAND else Event.HOLDS)
+        if foreign or disarmed:
+            event = Event.DROPPED if foreign and disarmed else Event.DISARMED if disarmed else Event.FOREIGN_MODE
+            doubt = Doubt(event, mode, t_s, self.session.overtaken)
+            # Nothing is sent from the first HEARTBEAT on; the second one decides, since one frame may be damaged or another vehicle's.
+            if self._doubt is None or replace(self._doubt, t_s=t_s) != doubt:
+                self._doubt, self.session.held = doubt, True
+                return
+            self._decide(t_s)
+            return
+        self._doubt, self.session.held = None, False
+        self._mode, self._was_armed = mode, armed
+
+    def _decide(self, t_s: float) -> None:
+        """The pilot has the vehicle, or it is disarmed."""
+        assert self._doubt is not None
+        doubt, self._doubt, self.session.held = self._doubt, None, False
+        if self.machine.state is FlightState.ARMING and (self._was_armed or self.vehicle.armed):
+            self.on(Event.ARMED)
+        if doubt.event is Event.FOREIGN_MODE:
+            self.session.port.mute()
+            self.recorder.event("take_over", mode_name(doubt.mode), t_s, {"mode": doubt.mode})
+        elif not self._landing:
+            self.recorder.event("note", "disarmed in flight", t_s)
+        self.on(doubt.event)
+
+    @property
+    def _landing(self) -> bool:
+        return self.machine.state is FlightState.LANDING
+
+    def _watch_link(self) -> None:
+        if self.streams is None:
+            return  # preflight: whoever waits for an answer is told
+        fallen = self.streams.keep() if self.machine.ours else []
+        if fallen:
+            text = f"asked again for {', '.join(fallen)}: somebody else may have changed the rate"
+            self.recorder.event("note", text, self.state.t_s)
+        if self.session.others - self._others:
+            self._others |= self.session.others
+            text = "another vehicle is heard on this link; what it says is not taken for the vehicle's that flies"
+            self.recorder.event("note", text, self.state.t_s)
+        if self._doubt is not None and not 0.0 <= self.state.t_s - self._doubt.t_s < DOUBT_S:
+            self._decide(self.state.t_s)
+        if self.state.mode_age_s > GIVE_UP_AFTER_S:
+            self.on(Event.DOWNLINK_GONE)
+        if self.state.uplink_silence_s > UPLINK_GIVE_UP_S:
+            self.on(Event.UPLINK_GONE)
+
+    # -- time ----------------------------------------------------------------------------------------------------------------
+
+    def cycle(self) -> VehicleState:
+        """Let one period of the vehicle's time pass and read the state. Raises FlightEnded on a take-over."""
+        self.session.advance(self.session.now_s() + self.period_s)
+        return self.after()
+
+    def until(self, t_s: float) -> VehicleState:
+        """Let time pass until the vehicle's clock shows t_s."""
+        self.session.advance(t_s)
+        return self.after()
+
+    def after(self) -> VehicleState:
+        """What every cycle ends with: state, take-over, progress."""
+        self.recorder.flush()
+        self.state = self.reader.read()
+        self._report()
+        self._watch_link()
+        return self.state
+
+    @property
+    def pace(self) -> float:
+        """Vehicle seconds per second of the host, at least 1."""
+        return max(self.session.clock.pace, 1.0)
+
+    @property
+    def stop_asked(self) -> bool:
+        """Whether the flight is to end in order: the operator wants it, nothing can be recorded, or the vehicle was set up anew."""
+        return self._stops.orderly or bool(self.recorder.failure) or bool(self.external_changes.vital)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why, as a sentence."""
+        if self.recorder.failure:
+            return f"the record cannot be written: {self.recorder.failure}"
+        return self.external_changes.vital[0] if self.external_changes.vital else "the operator asked to stop"
+
+    @property
+    def stop_now(self) -> bool:
+        """Whether the operator wants to let go at once."""
+        return self._stops.now
+
+    # -- targets -------------------------------------------------------------------------------------------------------------
+
+    def steer(
+        self, target: AttitudeTarget, yaw_rad: float, with_rate: bool = False, *, step: bool = False
+    ) -> tuple[Refusal, ...]:
+        """Send a target if the gate lets it pass; else send nothing and say why. yaw_rad: the heading for the quaternion; step: see
+        `gate.refusals`."""
+        found = refusals(target, self.state, self.gate, step=step)
+        if not found and not self.taken_over:
+            rate = target.yaw_rate_rad_s if with_rate else None
+            self.vehicle.steer(target.roll_rad, target.pitch_rad, yaw_rad, rate, target.throttle)
+        return found
+
+    def release_target(self) -> AttitudeTarget:
+        """Level, with the throttle that stops the present climb or descent, else hover. Always passes the gate."""
+        climb = self.state.climb_m_s if self.state.silence_s < 0.5 else None
+        throttle = self.hover_throttle
+        if climb is not None and math.isfinite(climb):
+            # Proportional inside half a metre per second, so that a stop does not swing.
+            low, high = self.gate.stop_throttle
+            wanted = self.hover_throttle * (1.0 - 0.8 * climb / 0.5)
+            throttle = min(max(wanted, low), high)
+        return AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle)
+
+    def release(self) -> None:
+        """Send level attitude with a stopping or hover throttle."""
+        yaw = self.state.attitude_rad[2] if self.state.attitude_rad else 0.0
+        yaw = yaw if math.isfinite(yaw) else 0.0
+        refused = self.steer(self.release_target(), yaw)
+        assert not refused, "letting go must always pass"
+
+    def use_hover(self, throttle: float) -> None:
+        """Fly with this hover throttle from now on, in the gate as well."""
+        self.hover_throttle = throttle
+        self.gate = replace(
+            self.gate, hover_throttle=throttle, stop_throttle=stop_throttles(self.gate.limits, throttle)
+        )
+
+    # -- telling -------------------------------------------------------------------------------------------------------------
+
+    def tell(self, **changes: Any) -> None:
+        """Change what the live view shows: fields of FlightProgress."""
+        self._progress = replace(self._progress, **changes)
+
+    def _report(self) -> None:
+        now = self.session.now_s()
+        if self._on_progress is None or now < self._next_progress_s:
+            return
+        self._next_progress_s = now + PROGRESS_EVERY_S * self.pace
+        since, counts = self._counts
+        span = now - since
+        rates = {
+            name: (self.session.counts.get(name, 0) - counts.get(name, 0)) / span
+            for name in ("ATTITUDE", "HIGHRES_IMU", "LOCAL_POSITION_NED")
+            if span > 0
+        }
+        if span > 2.0:
+            self._counts = (now, dict(self.session.counts))
+        state = self.state
+        clearance = math.nan
+        if state.position_m is not None and state.velocity_m_s is not None:
+            clearance = zone_clearance_m(state, self.gate)
+        self._on_progress(
+            replace(
+                self._progress,
+                t_s=now,
+                zone_margin_m=clearance,
+                height_m=state.height_m if state.height_m is not None else math.nan,
+                speed_m_s=state.speed_m_s if state.speed_m_s is not None else math.nan,
+                voltage_v=state.voltage_v if state.voltage_v is not None else math.nan,
+                voltage_min_v=self.gate.limits.voltage_min_v,
+                link_loss=self.session.port.loss_share,
+                uplink_silence_s=state.uplink_silence_s,
+                silence_s=state.silence_s,
+                rates_hz=rates,
+                mode=mode_name(state.mode),
+                stopping=self.stop_asked,
+            )
+        )
+
+
+def sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
+    """The refusals as their sentences."""
+    return tuple(r.value for r in found)

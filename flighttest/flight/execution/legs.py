@@ -1,0 +1,181 @@
+"""Flying one leg: entry into GUIDED_NOGPS, the profile target by target with its marks, and what a refusal leads to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from flighttest.flight.execution import supervisor
+from flighttest.flight.execution.control import FlightControl, sentences
+from flighttest.flight.execution.machine import Event
+from flighttest.flight.execution.reset import HoldLoop, Start
+from flighttest.flight.execution.response import ThrottleTrace
+from flighttest.flight.gate import LINK, Refusal
+from flighttest.flight.outcome import LegOutcome, LegResult
+from flighttest.flight.recorder import mark_id
+from flighttest.link.ardupilot import LaggedYaw
+from flighttest.plan import AttitudeTarget, Leg
+from flighttest.plan.outer_loop import along
+
+UNSURE_S = 0.3  # without an answer, at the end of a step
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """What flying needs to know of the autopilot. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX; 0 is unlimited."""
+
+    angle_boost: bool = False
+    yaw_accel_max_rad_s2: float = 0.0
+
+
+def rest(control: FlightControl, leg: Leg) -> LegResult:
+    """Record a leg on the ground with motors off; nothing but its marks is sent."""
+    begin(control, leg)
+    start = control.session.now_s()
+    for phase in leg.phases:
+        _mark(control, leg, phase.name)
+        control.until(start + phase.end_s)
+    finish(control, leg, LegOutcome.FLOWN)
+    return LegResult(leg.id, LegOutcome.FLOWN)
+
+
+def begin(control: FlightControl, leg: Leg) -> None:
+    """Note that a leg begins, with all that tells it from others."""
+    control.recorder.event(
+        "leg",
+        leg.id,
+        control.session.now_s(),
+        {
+            "leg": leg.id,
+            "mark": mark_id(leg.id),
+            "maneuver": leg.maneuver,
+            "kind": leg.kind,
+            "cell": dict(leg.cell),
+            "repeat": leg.repeat,
+            "heading_rad": leg.heading_rad,
+            "t_step_s": leg.t_step_s,
+            "duration_s": leg.duration_s,
+            "hover_throttle": control.hover_throttle,
+        },
+    )
+
+
+def finish(
+    control: FlightControl, leg: Leg, outcome: LegOutcome, why: tuple[str, ...] = (), refused: tuple[Refusal, ...] = ()
+) -> LegResult:
+    """Mark a leg's end and note how it ended."""
+    word = {LegOutcome.FLOWN: "end", LegOutcome.LINK_LOST: "link_lost"}.get(outcome, "abort")
+    control.vehicle.mark(mark_id(leg.id), word)
+    control.recorder.event(
+        "phase", "end", control.session.now_s(), {"leg": leg.id, "outcome": outcome.name, "why": list(why)}
+    )
+    return LegResult(leg.id, outcome, why, refused)
+
+
+def _mark(control: FlightControl, leg: Leg, phase: str) -> None:
+    control.vehicle.mark(mark_id(leg.id), "_".join(phase.split()))
+    record = next((p.record for p in leg.phases if p.name == phase), False)
+    control.recorder.event("phase", phase, control.session.now_s(), {"leg": leg.id, "record": record})
+
+
+def fly_leg(control: FlightControl, leg: Leg, airframe: Airframe, trace: ThrottleTrace | None = None) -> LegResult:
+    """Fly one leg from a settled hover in GUIDED_NOGPS. Never falls silent: ends in a release, or in the abort mode.
+
+    trace: takes in what is sent and what the vehicle does.
+    """
+    control.on(Event.SETTLED)
+    begin(control, leg)
+    steering = _Profile(control, leg, airframe) if leg.profile is not None else _Path(control, leg, airframe)
+    start = sent_s = control.session.now_s()
+    phase_now = ""
+    tick = 0
+    while True:
+        t_s = control.session.now_s() - start
+        if control.session.now_s() - sent_s > control.gate.held_up_max_s:
+            return _refused(control, leg, (Refusal.HELD_UP,))
+        if t_s >= leg.duration_s - 1e-6:
+            break
+        target, yaw, with_rate = steering.at(t_s)
+        refused = control.steer(target, yaw, with_rate, step=True)
+        sent_s = control.session.now_s()
+        if trace is not None:
+            state = control.state
+            trace.seen(state.t_s - min(state.position_age_s, 1.0), state.climb_m_s, state.height_m)
+            if not refused:
+                trace.sent(control.session.now_s(), target)
+        if refused:
+            return _refused(control, leg, refused)
+        phase = next((p.name for p in reversed(leg.phases) if t_s >= p.start_s - 1e-6), "")
+        if phase != phase_now:
+            phase_now = phase
+            _mark(control, leg, phase)
+            control.tell(phase=phase)
+        if control.stop_asked:
+            reached = supervisor.abort(control, (control.stop_reason,))
+            return finish(control, leg, LegOutcome.STOPPED, (f"in {reached.name}",))
+        # On a grid from the leg's start; a host that was held up drops ticks instead of sending them late in a burst.
+        tick = max(tick + 1, math.floor((control.session.now_s() - start) / control.period_s + 1e-6) + 1)
+        control.until(start + tick * control.period_s)
+    control.release()
+    while control.state.uplink_silence_s > UNSURE_S * control.pace:
+        # Whether the step's last targets arrived is not known yet; GUID_TIMEOUT ends what did.
+        if control.state.uplink_silence_s > control.gate.uplink_silence_max_s:
+            return _refused(control, leg, (Refusal.UPLINK,))
+        control.cycle()
+        control.release()
+    return finish(control, leg, LegOutcome.FLOWN)
+
+
+def _refused(control: FlightControl, leg: Leg, refused: tuple[Refusal, ...]) -> LegResult:
+    why = sentences(refused)
+    reached = supervisor.abort(control, why)
+    lost = bool(LINK & set(refused))
+    if lost:
+        control.recorder.event("link_lost", leg.id, control.session.now_s(), {"leg": leg.id})
+    outcome = LegOutcome.LINK_LOST if lost else LegOutcome.REFUSED
+    result = finish(control, leg, outcome, (*why, f"the vehicle went to {reached.name}"), refused)
+    supervisor.come_to_rest(control)
+    return result
+
+
+class _Profile:
+    """Targets of a profile, with the heading for the quaternion."""
+
+    def __init__(self, control: FlightControl, leg: Leg, airframe: Airframe) -> None:
+        assert leg.profile is not None
+        self._profile = leg.profile
+        # Always from the present heading: a quaternion of "no rotation" points North.
+        self._yaw0 = control.state.attitude_rad[2] if control.state.attitude_rad else leg.heading_rad
+        self._lagged = LaggedYaw(self._yaw0, airframe.yaw_accel_max_rad_s2)
+        self._turning = False
+        self._last_s = 0.0
+
+    def at(self, t_s: float) -> tuple[AttitudeTarget, float, bool]:
+        """Target, heading for the quaternion, and whether body rates go along, at t_s from the leg's start."""
+        target = self._profile(t_s)
+        self._turning = self._turning or target.yaw_rate_rad_s != 0.0
+        if not self._turning:
+            self._last_s = t_s
+            return target, self._yaw0, False
+        yaw = self._lagged.advance(target.yaw_rate_rad_s, t_s - self._last_s)
+        self._last_s = t_s
+        return target, yaw, True
+
+
+class _Path:
+    """Targets that follow waypoints by the outer loop."""
+
+    def __init__(self, control: FlightControl, leg: Leg, airframe: Airframe) -> None:
+        self._control = control
+        self._leg = leg
+        self._loop = HoldLoop(control, airframe.angle_boost)
+
+    def at(self, t_s: float) -> tuple[AttitudeTarget, float, bool]:
+        """Target and heading at t_s from the leg's start."""
+        zone = self._control.gate.zone
+        place, pace = along(self._leg.waypoints, t_s)
+        world = tuple(float(x) for x in zone.to_world(place))
+        speed = tuple(float(x) for x in zone.to_world(pace))
+        goal = Start((world[0], world[1], world[2]), self._leg.heading_rad, 0.0)
+        target, yaw = self._loop.target(goal, (speed[0], speed[1], speed[2]))
+        return target, yaw, False

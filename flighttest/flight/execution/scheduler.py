@@ -1,0 +1,399 @@
+"""The scheduler: rest, arm, take off, then leg after leg (reset, settle, enter, fly), then land. A state machine on the vehicle's clock."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+from statistics import median
+
+from flighttest.errors import LinkError
+from flighttest.flight.execution import legs as flying
+from flighttest.flight.execution import reset, supervisor
+from flighttest.flight.execution.control import FlightControl, sentences
+from flighttest.flight.execution.legs import Airframe
+from flighttest.flight.execution.machine import Event, FlightState
+from flighttest.flight.execution.reset import Arrival
+from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace
+from flighttest.flight.gate import LINK, Refusal, readiness
+from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
+from flighttest.mavlink import CopterMode
+from flighttest.plan import AttitudeTarget, Leg, Plan
+
+REFUSED_IN_A_ROW_MAX = 4
+UNSETTLED_IN_A_ROW_MAX = 2  # each of them tried twice
+REFUSED_CELL_MAX = 2
+RETRIES = 1  # of a leg that the link interrupted or that did not settle
+_RESET_GUESS_S = 10.0
+_TAKE_OFF_S = 40.0
+_CLIMBS_M, _CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
+_VOLTAGE_WAIT_S = 1.0
+_LAND_S = 120.0
+_CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
+PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
+HOVER_WARNING = 0.10
+# What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
+_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT})
+
+
+@dataclass
+class Scheduler:
+    """Flies a plan. results: one per leg tried, in order. skip: ids of legs that are already there. on_armed: called before the
+    take-off."""
+
+    control: FlightControl
+    plan: Plan
+    airframe: Airframe
+    skip: Collection[str] = ()
+    replanner: Replanner | None = None
+    on_armed: Callable[[], None] = lambda: None
+    results: list[LegResult] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    _reset_s: float = _RESET_GUESS_S
+    _ages_s: list[float] = field(default_factory=list)
+    _hover: tuple[float, float] | None = None
+    _plans: int = 0
+
+    def fly(self) -> FlightOutcome:
+        """The whole flight, down to the ground. FlightEnded where it ended by something else than the plan or the operator."""
+        todo = [leg for leg in self.plan.legs if leg.id not in self.skip]
+        on_ground = [leg for leg in todo if leg.motors_off]
+        in_air = [leg for leg in todo if not leg.motors_off]
+        for leg in on_ground:
+            self._show(leg, todo, "resting with motors off")
+            self.results.append(flying.rest(self.control, leg))
+            if self.control.stop_asked:
+                return self._stopped()
+        if not in_air:
+            return FlightOutcome.COMPLETED
+        if self.control.stop_asked:
+            return self._stopped()
+        outcome = self.take_off() or self._legs(in_air)
+        if not self.control.owned:
+            return FlightOutcome.LEFT_TO_PILOT if outcome is FlightOutcome.COMPLETED or self._handed else outcome
+        if outcome is not FlightOutcome.OPERATOR_ABORT:
+            try:
+                self.land()
+            except FlightEnded:
+                if outcome.orderly:
+                    raise
+                # What ended the flight before the landing did is the greater news.
+        return outcome
+
+    @property
+    def _handed(self) -> bool:
+        return self.control.machine.state is FlightState.HANDED
+
+    # -- up and down ---------------------------------------------------------------------------------------------------------
+
+    def take_off(self) -> FlightOutcome | None:
+        """Arm and climb to the reset height, or as far as the operator lets it; where the flight ends here, with what."""
+        control, vehicle = self.control, self.control.vehicle
+        height = self.plan.reset.to_m[2]
+        by_position = self.plan.reset.by != "attitude"
+        control.tell(
+            legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
+        )
+        # Before arming: that may take a minute, and whoever changes the mode meanwhile does not want it to fly.
+        control.on(Event.ARM)
+        vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
+        if not vehicle.arm(stopped=lambda: control.stop_asked) or control.stop_asked:
+            vehicle.disarm()
+            control.on(Event.OVER)
+            return self._stopped()
+        control.on(Event.ARMED)
+        control.recorder.event("note", "armed", control.session.now_s())
+        self.on_armed()
+        control.tell(doing="taking off", next=self.plan.legs[0].id)
+        if not by_position:
+            return self._climb_by_throttle(height)
+        answer = vehicle.take_off(height)
+        # A repeated request is refused in the air.
+        climbs = answer.tries > 1 and self._reaches(_CLIMBS_M, _CLIMBS_WITHIN_S)
+        if answer.result is None and not climbs:
+            self.notes.append("the vehicle did not answer the request to take off")
+            return FlightOutcome.CLIMB_ENDED
+        if not answer.accepted and not climbs:
+            raise LinkError(f"take-off was refused ({answer.sentence})", "mend what the vehicle says, then fly again")
+        return self._climb(height)
+
+    def disarm_when_heard(self) -> None:
+        """The link was lost while arming: it may be armed by now. FlightEnded where it does not come back."""
+        control = self.control
+        control.after()
+        while max(control.state.mode_age_s, control.state.uplink_silence_s) > supervisor.UNSEEN_S:
+            control.cycle()
+        control.vehicle.disarm()
+        control.on(Event.OVER)
+
+    def _climb(self, height: float) -> FlightOutcome | None:
+        return None if self._reaches(height - 0.5, _TAKE_OFF_S) else self._not_climbed(height)
+
+    def _reaches(self, height: float, within_s: float) -> bool:
+        """Whether the vehicle is seen at a height in time, or the operator asks to stop before."""
+        deadline = self.control.session.now_s() + within_s
+        while self.control.session.now_s() < deadline:
+            state = self.control.cycle()
+            if self.control.stop_asked or (state.height_m is not None and state.height_m >= height):
+                return True
+        return False
+
+    def _not_climbed(self, height: float) -> FlightOutcome:
+        seen = self.control.state.height_m
+        known = "its height is not known" if seen is None else f"its height is {seen:.1f} m"
+        self.notes.append(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s: {known}")
+        return FlightOutcome.CLIMB_ENDED
+
+    def _climb_by_throttle(self, height: float) -> FlightOutcome | None:
+        """Without a position: throttle up gently over level attitude, hold at the height."""
+        control = self.control
+        control.after()
+        deadline = control.session.now_s() + _TAKE_OFF_S
+        began = control.session.now_s()
+        while control.session.now_s() < deadline:
+            state = control.state
+            climb = state.climb_m_s or 0.0
+            if control.stop_asked or (state.height_m is not None and state.height_m >= height - 0.5):
+                return None
+            found = readiness(state, control.gate)
+            if found:
+                supervisor.abort(control, sentences(found))
+                self.notes.append(f"the climb was ended: {'; '.join(sentences(found))}")
+                return FlightOutcome.CLIMB_ENDED
+            ramp = min((control.session.now_s() - began) / 4.0, 1.0)
+            low, high = control.gate.stop_throttle
+            throttle = control.hover_throttle * (0.4 + ramp * (0.8 - 0.4 * min(max(climb - 1.0, -0.5), 1.0)))
+            throttle = min(max(throttle, low), high)
+            yaw = state.attitude_rad[2] if state.attitude_rad else 0.0
+            refused = control.steer(AttitudeTarget(0.0, 0.0, 0.0, 0.0, throttle), yaw)
+            assert not refused, "level targets around hover always pass"
+            control.cycle()
+        return self._not_climbed(height)
+
+    def land(self) -> None:
+        """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
+        control = self.control
+        control.tell(doing="landing", next="", phase="")
+        if control.machine.state is not FlightState.LANDING:
+            supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
+        deadline = control.session.now_s() + _LAND_S
+        while control.machine.state is FlightState.LANDING:
+            if control.session.now_s() > deadline:
+                control.on(Event.NOT_DOWN)
+            control.cycle()
+        control.recorder.event("note", "landed", control.session.now_s())
+
+    def _meanwhile(self) -> None:
+        if self.control.state.mode == CopterMode.GUIDED_NOGPS:
+            self.control.release()
+
+    # -- legs ----------------------------------------------------------------------------------------------------------------
+
+    def _legs(self, legs: list[Leg]) -> FlightOutcome:
+        in_a_row = unsettled = 0
+        refused_cells: Counter[object] = Counter()
+        retried: set[str] = set()
+        unfit: list[str] = []
+        todo = deque(leg.id for leg in legs)
+        by_id = {leg.id: leg for leg in self.plan.legs}
+        while todo:
+            name = todo[0]
+            leg = by_id.get(name)
+            if leg is None:
+                unfit.append(todo.popleft())
+                continue
+            cell = (leg.maneuver, leg.kind, tuple(sorted(leg.cell.items())))
+            if refused_cells[cell] >= REFUSED_CELL_MAX:
+                self.results.append(LegResult(todo.popleft(), LegOutcome.LEFT_OUT))
+                continue
+            plan = self.plan
+            for attempt in range(1 + RETRIES):
+                if self._battery_low():
+                    return FlightOutcome.BATTERY
+                result = self._one(leg, [by_id[i] for i in todo if i in by_id], "again: " if attempt else "")
+                if result is None:
+                    break
+                self.results.append(result)
+                if result.outcome not in (LegOutcome.LINK_LOST, LegOutcome.NOT_SETTLED):
+                    break
+            if self.plan is not plan:
+                # Planned again: what the old plan was refused for says nothing about the new one.
+                by_id = {leg.id: leg for leg in self.plan.legs}
+                todo.extendleft(reversed([i for i in unfit if i in by_id]))
+                unfit = [i for i in unfit if i not in by_id]
+                refused_cells.clear()
+                in_a_row = 0
+            if result is None:
+                continue
+            todo.popleft()
+            ended = self._asked_to_end()
+            if ended is not None:
+                return ended
+            unsettled = unsettled + 1 if result.outcome is LegOutcome.NOT_SETTLED else 0
+            if unsettled >= UNSETTLED_IN_A_ROW_MAX:
+                return FlightOutcome.NOT_SETTLED
+            in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
+            if result.outcome is LegOutcome.REFUSED:
+                refused_cells[cell] += 1
+                if Refusal.BATTERY in result.refused:
+                    return FlightOutcome.BATTERY
+                if Refusal.EKF in result.refused or in_a_row >= REFUSED_IN_A_ROW_MAX:
+                    return FlightOutcome.ABORTED_BY_GATE
+                if self._plan_is_due():
+                    todo.appendleft(leg.id)
+                elif name not in retried and _PASSING & set(result.refused):
+                    todo.append(name)
+                retried.add(name)
+        self.results += [LegResult(i, LegOutcome.UNFIT, self._why_unfit(i)) for i in unfit]
+        flown = any(r.outcome is LegOutcome.FLOWN for r in self.results)
+        return FlightOutcome.COMPLETED if flown else FlightOutcome.NOTHING_FLOWN
+
+    def _asked_to_end(self) -> FlightOutcome | None:
+        if self.control.stop_now:
+            if self.control.state.mode == CopterMode.GUIDED_NOGPS:
+                supervisor.abort(self.control, ("the operator asked to stop at once",))
+            elif self.control.state.mode == CopterMode.GUIDED:
+                supervisor.insist(self.control, supervisor.abort_modes(self.control.state), lambda: None)
+            return FlightOutcome.OPERATOR_ABORT
+        return self._stopped() if self.control.stop_asked else None
+
+    def _stopped(self) -> FlightOutcome:
+        if self.control.recorder.failure:
+            return FlightOutcome.RECORD_LOST
+        return FlightOutcome.SET_UP_ANEW if self.control.external_changes.vital else FlightOutcome.OPERATOR_STOP
+
+    def _why_unfit(self, leg_id: str) -> tuple[str, ...]:
+        return tuple(what for leg, what, _ in self.plan.refusals if leg == leg_id)
+
+    def _one(self, leg: Leg, remaining: list[Leg], prefix: str) -> LegResult | None:
+        """One leg from wherever the vehicle is; None where it was planned again at the start, and the leg is another now."""
+        control = self.control
+        self._show(leg, remaining, f"{prefix}going to the start")
+        control.on(Event.RETURN)
+        began = control.session.now_s()
+        arrived = self._reset(leg)
+        if arrived.how is Arrival.REFUSED:
+            why = sentences(arrived.refused)
+            supervisor.abort(control, why)
+            outcome = LegOutcome.LINK_LOST if LINK & set(arrived.refused) else LegOutcome.REFUSED
+            return LegResult(leg.id, outcome, why, arrived.refused)
+        if not arrived.settled:
+            why = (arrived.how.value,)
+            control.recorder.event("note", f"{leg.id}: {arrived.how.value}", control.session.now_s())
+            if control.state.mode == CopterMode.GUIDED_NOGPS and control.owned:
+                supervisor.abort(control, why)
+            return LegResult(
+                leg.id, LegOutcome.STOPPED if arrived.how is Arrival.STOPPED else LegOutcome.NOT_SETTLED, why
+            )
+        self._use_hover(arrived.hover_throttle)
+        self._reset_s += 0.3 * (control.session.now_s() - began - self._reset_s)
+        if self._plan_is_due():
+            self._plan_again()
+            return None
+        if not supervisor.enter_nogps(control):
+            return LegResult(leg.id, LegOutcome.NOT_SETTLED, (Arrival.NO_NOGPS.value,))
+        self._show(leg, remaining, "flying")
+        trace = ThrottleTrace(control.hover_throttle, self.airframe.angle_boost)
+        flown = leg.flown_with(control.hover_throttle, self.airframe.angle_boost)
+        result = flying.fly_leg(control, flown, self.airframe, trace)
+        age = trace.age_s()
+        if age is not None:
+            self._ages_s.append(age)
+        return result
+
+    # -- planning again ------------------------------------------------------------------------------------------------------
+
+    def _learnt(self) -> Learnt | None:
+        if self._hover is None:
+            return None
+        return Learnt(*self._hover, median(self._ages_s) if self._ages_s else None)
+
+    def _plan_is_due(self) -> bool:
+        """Whether the vehicle differs from what the plan rests on. Only where the autopilot holds the position while planning."""
+        learnt = self._learnt()
+        if self.replanner is None or learnt is None or self.plan.reset.by != "guided" or self._plans >= PLANS_MAX:
+            return False
+        return self.replanner.due(learnt)
+
+    def _plan_again(self) -> None:
+        learnt = self._learnt()
+        assert self.replanner is not None
+        assert learnt is not None
+        control = self.control
+        self._plans += 1
+        control.tell(doing="planning again for the thrust that was seen")
+        self.plan = self.replanner.plan(learnt)
+        # What came in meanwhile is read before anything is asked for: the pilot may have taken the vehicle.
+        control.until(control.session.now_s() + _CATCH_UP_S)
+        control.gate = replace(control.gate, reaction_s=self.plan.reaction_s)
+        control.recorder.save_plan(self.plan)
+        seen = "" if learnt.thrust_age_s is None else f", thrust {1e3 * learnt.thrust_age_s:.0f} ms after its command"
+        text = f"planned again for what was seen: hover throttle {learnt.hover_throttle:.3f} at {learnt.voltage_v:.1f} V{seen}"
+        self.notes.append(text)
+        control.recorder.event("note", text, control.session.now_s())
+
+    def _reset(self, leg: Leg) -> reset.Arrived:
+        world = self.control.gate.zone.to_world(leg.start_m)
+        start = reset.Start(
+            (float(world[0]), float(world[1]), float(world[2])), leg.heading_rad, self.plan.reset.settle_s
+        )
+        if self.plan.reset.by == "guided":
+            return reset.guided(self.control, start)
+        if self.plan.reset.by == "attitude":
+            return reset.attitude(self.control, start, self.airframe.angle_boost)
+        return reset.by_pilot(self.control)
+
+    def _use_hover(self, measured: float | None) -> None:
+        stated = self.plan.vehicle.hover_throttle
+        if measured is None:
+            return
+        if not 0.4 * stated <= measured <= 2.5 * stated:
+            self._note(f"measured hover throttle {measured:.3f} is absurd beside the stated {stated:.3f}; not used")
+            return
+        nominal = self.plan.vehicle.nominal_voltage_v
+        voltage = self.control.state.voltage_v
+        if abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.03:
+            self._note(
+                f"hover throttle measured {measured:.3f}, stated {stated:.3f}: more than 10 % off; correct vehicle.yaml"
+            )
+        self.control.use_hover(measured)
+        if voltage:
+            self._hover = (measured, voltage)
+
+    def _note(self, text: str) -> None:
+        key = text.split(" measured")[0]
+        if not any(note.startswith(key) for note in self.notes):
+            self.notes.append(text)
+            self.control.recorder.event("note", text, self.control.session.now_s())
+
+    def _battery_low(self) -> bool:
+        limit = self.plan.limits.voltage_min_v
+        while limit > 0 and self.control.state.silence_s > _VOLTAGE_WAIT_S:
+            self.control.cycle()
+        if limit > 0 and self.control.state.voltage_v is None:
+            self.control.until(self.control.session.now_s() + _VOLTAGE_WAIT_S)  # the link may only just be back
+        voltage = self.control.state.voltage_v
+        return limit > 0 and (voltage is None or voltage < limit)
+
+    # -- words ---------------------------------------------------------------------------------------------------------------
+
+    def _time_left(self, remaining: Collection[Leg]) -> float:
+        return sum(leg.duration_s for leg in remaining) + len(remaining) * self._reset_s
+
+    def _show(self, leg: Leg, remaining: list[Leg], doing: str) -> None:
+        following = remaining[1] if len(remaining) > 1 else None
+        number = next((i for i, other in enumerate(self.plan.legs) if other.id == leg.id), 0)
+        self.control.tell(
+            leg=number + 1,
+            legs=len(self.plan.legs),
+            doing=f"{doing}: {describe(leg)}" if doing else describe(leg),
+            phase="",
+            next=describe(following) if following is not None else "land",
+            time_left_s=self._time_left(remaining),
+        )
+
+
+def describe(leg: Leg) -> str:
+    """A leg in an operator's words: its id and where it points."""
+    return f"{leg.id}, heading {-math.degrees(leg.heading_rad) % 360.0:.0f} deg"

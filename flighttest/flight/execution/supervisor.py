@@ -1,0 +1,160 @@
+"""The supervisor, when a target was refused: let go in the same cycle, ask for the abort mode, never fall silent until it is there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from flighttest.flight.execution.control import FlightControl
+from flighttest.flight.execution.machine import Event, FlightState
+from flighttest.flight.state import VehicleState
+from flighttest.mavlink import CopterMode, mode_name
+from flighttest.mavlink.dialect import book
+
+ASK_EVERY_S = 0.2
+NEXT_MODE_AFTER_S = 1.5
+_ENTRY_S = 3.0
+# Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
+UNSEEN_S = 1.5
+UNHEARD_S = 0.7  # a silent link hides what a pilot chooses: asked once when it falls silent, and again when it is heard
+UPLINK_LOST_S = 3.0  # without an answer: then an operator who asked to stop is not kept waiting for it
+STOP_AFTER_S = 20.0  # of asking for LAND over a lost uplink, after the operator asked to stop
+LET_GO_AFTER_S = 5.0  # of insisting after the operator wanted to let go at once
+REST_PATIENCE_S = 6.0
+AT_REST_M_S = 0.4
+_STICK_MID = 0.5
+_STICK_DEAD_ZONE = 0.1  # THR_DZ is 100 of 1000 by default
+
+
+def abort_modes(state: VehicleState) -> tuple[CopterMode, ...]:
+    """Modes to ask for, in order. Not RTL: it climbs and crosses the zone.
+
+    BRAKE with a position; LOITER or ALT_HOLD only while the throttle stick is inside its dead zone at mid, since they take the
+    climb rate from it; else LAND.
+    """
+    stick_mid = state.throttle_stick is not None and abs(state.throttle_stick - _STICK_MID) <= _STICK_DEAD_ZONE
+    modes: list[CopterMode] = []
+    if state.position_ok:
+        modes.append(CopterMode.BRAKE)
+        if stick_mid:
+            modes.append(CopterMode.LOITER)
+    elif stick_mid:
+        modes.append(CopterMode.ALT_HOLD)
+    return (*modes, CopterMode.LAND)
+
+
+def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
+    """Bring the vehicle into its abort mode and return it. The first release leaves before anything else.
+
+    Level targets go out every cycle until HEARTBEAT shows the mode. FlightEnded when the pilot takes over, or the link stays silent.
+    """
+    control.release()
+    state = control.state
+    modes = abort_modes(state)
+    situation = {
+        "modes": [m.name for m in modes],
+        "height_m": state.height_m,
+        "climb_m_s": state.climb_m_s,
+        "position_m": state.position_m,
+        "velocity_m_s": state.velocity_m_s,
+        "tilt_rad": state.tilt_rad,
+        "voltage_v": state.voltage_v,
+        "silence_s": state.silence_s,
+    }
+    control.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
+    return insist(control, modes, control.release)
+
+
+def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
+    """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
+
+    FlightEnded when the pilot takes over, the link stays away (`control`), or the operator wants an end and the vehicle does not answer.
+    """
+    let_go_s = math.inf
+    began = control.session.now_s()
+    next_ask = began
+    heard_again = began
+    index = 0
+    # Only what was asked for: a pilot who chooses another mode meanwhile, be it one of ours, has taken over.
+    control.ask_safe_mode(modes[:1])
+    while True:
+        now = control.session.now_s()
+        unheard = control.stop_asked and control.state.uplink_silence_s > UPLINK_LOST_S
+        if control.stop_now or unheard:
+            let_go_s = min(let_go_s, now + (LET_GO_AFTER_S if control.stop_now else STOP_AFTER_S))
+            if now > let_go_s:
+                control.on(Event.GIVEN_UP if control.stop_now else Event.UPLINK_GONE)
+        if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
+            if control.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
+                index = min(index + 1, len(modes) - 1)
+                control.ask_safe_mode(modes[: index + 1])
+            control.vehicle.ask_mode(modes[index])
+            next_ask = now + ASK_EVERY_S
+        state = control.cycle()
+        if control.machine.state is not FlightState.ASKING:
+            control.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
+            return CopterMode(state.mode)
+        if state.silence_s >= 1.0:
+            heard_again = control.session.now_s()
+        meanwhile()
+
+
+def let_go(control: FlightControl, why: str) -> None:
+    """Into the abort mode from wherever the vehicle is ours."""
+    if control.owned and control.state.mode == CopterMode.GUIDED_NOGPS:
+        abort(control, (why,))
+    elif control.owned and control.vehicle.armed and control.state.mode == CopterMode.GUIDED:
+        insist(control, abort_modes(control.state), lambda: None)
+
+
+def come_to_rest(control: FlightControl) -> None:
+    """Stay in the abort mode until it has stopped the vehicle: the next mode may not brake as hard (GUIDED takes 10 m to stop a climb of
+    4 m/s, flown). Only where a position is known, and not for long: LAND does not come to rest in the air.
+    """
+    deadline = control.session.now_s() + REST_PATIENCE_S
+    while control.session.now_s() < deadline and not control.stop_asked:
+        state = control.state
+        if state.mode != CopterMode.BRAKE or not state.position_ok or (state.speed_m_s or 0.0) < AT_REST_M_S:
+            return
+        control.cycle()
+
+
+def enter(
+    control: FlightControl, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
+) -> bool:
+    """Ask for a mode every 0.2 s until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
+    deadline = control.session.now_s() + timeout_s
+    next_ask = -1.0
+    while True:
+        now = control.session.now_s()
+        if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
+            control.vehicle.ask_mode(mode)
+            next_ask = now + ASK_EVERY_S
+        state = control.cycle()
+        if state.mode == mode and state.mode_age_s < UNSEEN_S:
+            return True
+        if now > deadline:
+            return False
+        if meanwhile is not None:
+            meanwhile()
+
+
+def enter_nogps(control: FlightControl) -> bool:
+    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle says that it is there: the mode keeps the last flight's
+    throttle until the first target.
+
+    Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.
+    """
+    asked_s = control.session.now_s()
+
+    def hover() -> None:
+        ack = control.session.latest.get("COMMAND_ACK")
+        if ack is None or ack.t_s < asked_s:
+            return
+        if (ack.message.command, ack.message.result) == (book.MAV_CMD_DO_SET_MODE, book.MAV_RESULT_ACCEPTED):
+            control.release()
+
+    if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):
+        return False
+    control.release()
+    return True

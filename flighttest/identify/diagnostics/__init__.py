@@ -1,0 +1,1 @@
+"""May an estimate be trusted: identifiability, heterogeneity, local optima, closed-loop bias, residuals, bootstrap."""

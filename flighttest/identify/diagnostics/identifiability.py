@@ -1,0 +1,217 @@
+"""Which parameters this data makes known, which not, and the maneuver that would."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flighttest.estimation.responses import never_changing, zero_order_hold
+from flighttest.identify.diagnostics.heterogeneity import Spread
+from flighttest.identify.diagnostics.local_optima import Rival
+from flighttest.physics.core import Param
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+ALPHA_STD = 0.3
+ALPHA_SHARE = 0.2
+ALPHA_HOPELESS = 1.0  # a standard error beyond this says nothing: alpha is held, so that K is still found
+HOPELESS_SHARE = 0.5  # of the value: a standard error beyond this leaves no digit
+THROTTLE_STEP = 0.005  # of full throttle: less is no step
+VOLTAGE_STD = 0.004  # of ln U, below which alpha is held from the beginning (0.1 V on 22 V)
+WEAK_SHARE = 0.25
+WEAK_DELAY_S = 0.01
+CORRELATED = 0.98
+FEWEST_RESPONSES = 3
+FAR_SHARE = 0.05  # of K, by an assumed alpha
+EXPLAINS_NOTHING = 0.05  # R2
+MISSED_SHARE = 0.2  # of variance, neither explained nor noise: what is left is half as large as what the vehicle did
+
+_FLY = {
+    "omega_phi": "roll_pitch", "zeta_phi": "roll_pitch", "omega_theta": "roll_pitch", "zeta_theta": "roll_pitch",
+    "sigma_r": "yaw_rate", "sigma_t": "thrust", "K": "thrust", "alpha": "thrust", "d_x": "roll_pitch", "d_y": "roll_pitch",
+    "d_z": "thrust", "T_d_attitude": "roll_pitch", "T_d_yaw_rate": "yaw_rate", "T_d_thrust": "thrust", "T_d": "thrust",
+}  # fmt: skip
+_WHY_INSENSITIVE = {
+    "alpha": "the battery voltage was not recorded or hardly varied; it was held, and K is the gain at the voltage flown",
+    "d_z": "the vehicle did not move along its vertical axis while velocity was recorded",
+    "d_x": "the vehicle did not move along its forward axis while velocity was recorded",
+    "d_y": "the vehicle did not move along its left axis while velocity was recorded",
+}
+
+
+@dataclass(frozen=True)
+class Known:
+    """identifiable; why not, one sentence, empty where it is; fly: the maneuver script that would make it known."""
+
+    identifiable: bool
+    why: str = ""
+    fly: str = ""
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What speaks against a parameter beside its standard error.
+
+    spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it cannot be told from; partner: the
+    same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: the lowest R2 of
+    the channels it is read from; missed: of a lag or delay, the largest share of their variance that is neither explained nor noise;
+    rival: what it is at another optimum that this data cannot tell from the one taken; answered: how much of its standard error is for
+    controls that answered disturbances.
+    """
+
+    spread: Spread | None = None
+    bound: str | None = None
+    partner: str | None = None
+    responses: int = FEWEST_RESPONSES
+    explained: float = 1.0
+    missed: float = 0.0
+    rival: Rival | None = None
+    answered: float = 0.0
+
+
+def maneuver_for(param: Param, reveals: str) -> str:
+    """The shipped script that excites a parameter."""
+    return _FLY.get(param.name, reveals or "thrust")
+
+
+def judge(
+    param: Param,
+    value: float,
+    std: float | None,
+    insensitive: bool,
+    at_bound: bool,
+    partner: tuple[str, float] | None,
+    voltage_spread_v: float | None,
+    reveals: str,
+    doubts: Doubts | None = None,
+) -> Known:
+    """Verdict on one parameter. std: None where none was estimated; partner: the parameter it is most correlated with."""
+    doubts = doubts or Doubts()
+    fly = maneuver_for(param, reveals)
+    if insensitive:
+        return Known(False, _WHY_INSENSITIVE.get(param.name, f"nothing in this data depends on {param.name}"), fly)
+    if at_bound:
+        return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
+    if std is None:
+        return Known(False, "no error could be estimated for it", fly)
+    if doubts.explained < EXPLAINS_NOTHING:
+        return Known(False, "the model describes these responses no better than their mean does", fly)
+    if doubts.missed > MISSED_SHARE:
+        missed = f"{100 * doubts.missed:.0f} % of how the vehicle moved is neither explained nor noise"
+        return Known(False, f"{missed}; `flighttest diagnose` looks for what is behind it", fly)
+    if doubts.responses < FEWEST_RESPONSES:
+        few = "one response tells" if doubts.responses == 1 else f"{doubts.responses} responses tell"
+        return Known(False, f"only {few} of it: without repeats its error is not known", fly)
+    if doubts.bound is not None:
+        return Known(False, f"{doubts.bound} sits at its bound, and the two cannot be told apart here", fly)
+    if doubts.rival is not None:
+        return Known(False, doubts.rival.sentence(param.unit), fly)
+    if doubts.spread is not None and doubts.spread.width > allowance(param, value):
+        sentence = doubts.spread.sentence(param.unit)
+        return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)
+    if doubts.partner is not None:
+        return Known(
+            False, f"{doubts.partner} differs between sizes of steps, and the two cannot be told apart here", fly
+        )
+    share = std / abs(value) if value else float("inf")
+    # More than half of the variance.
+    steered = "; mostly because what flew the vehicle answered disturbances, as a pilot or a position loop does"
+    steered = steered if doubts.answered > np.sqrt(0.5) * std else ""
+    if param.name == "alpha":
+        range_v = (
+            "" if voltage_spread_v is None else f"; at equal throttle the voltage spread over {voltage_spread_v:.1f} V"
+        )
+        # Near zero (a battery-compensated autopilot) a share of the value means nothing: a tight absolute bound stands in.
+        good = std < ALPHA_STD and (share < ALPHA_SHARE or std < 0.05)
+        return Known(
+            good,
+            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){range_v}{steered}",
+            "" if good else fly,
+        )
+    if param.unit == "s" and param.name.startswith("T_d"):
+        good, limit = std < allowance(param, value), f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
+    else:
+        good = std < allowance(param, value)
+        limit = f"{std:{'.2g' if std < 100 else '.0f'}}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
+    if good:
+        return Known(True)
+    with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
+    return Known(False, f"its standard error is {limit}{with_whom}{steered}", fly)
+
+
+def allowance(param: Param, value: float) -> float:
+    """How wide a parameter may be and still be called known."""
+    if param.name == "alpha":
+        return ALPHA_STD
+    if param.unit == "s" and param.name.startswith("T_d"):
+        return WEAK_DELAY_S
+    return max(WEAK_SHARE * abs(value), 0.0 if param.lower > 0 else 0.25 * param.scale)
+
+
+def voltage_varies(segments: Sequence[Segment], nominal_voltage_v: float) -> bool:
+    """Whether voltage was recorded and varies enough for alpha to be worth estimating."""
+    means = [float(np.nanmean(u)) for s in segments if np.isfinite(u := s.y.get("voltage_v", np.full(1, np.nan))).any()]
+    inside = [float(np.nanstd(s.y["voltage_v"])) for s in segments if np.isfinite(s.y.get("voltage_v", np.nan)).any()]
+    if not means or min(means) <= 0:
+        return False
+    spread = float(np.hypot(np.std(means), np.mean(inside)))
+    return spread / nominal_voltage_v > VOLTAGE_STD
+
+
+def assumed_share(segments: Sequence[Segment], model: Model) -> float:
+    """Share of K by which it is unsure where alpha is assumed: K holds at the nominal voltage, which may not be the one flown."""
+    if "alpha" not in model.param:
+        return 0.0
+    return abs(math.log(flown_voltage(segments, model) / model.nominal_voltage_v)) * model.param["alpha"].scale
+
+
+def flown_voltage(segments: Sequence[Segment], model: Model) -> float:
+    """Middle of the battery voltage over the segments, V; the nominal one where none was recorded."""
+    means = [float(np.nanmean(u)) for s in segments if np.isfinite(u := s.y.get("voltage_v", np.full(1, np.nan))).any()]
+    means = [m for m in means if m > 0]
+    return math.exp(float(np.mean(np.log(means)))) if means else model.nominal_voltage_v
+
+
+def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> list[str]:
+    """What an assumed alpha leaves open. still: whether the voltage was recorded with one and the same value."""
+    notes = [f"{never_changing(['voltage_v'])}: alpha cannot be told from it"] if still else []
+    if assumed_share(segments, model) > FAR_SHARE:
+        notes.append(
+            f"K is carried to {model.nominal_voltage_v:g} V by an assumed alpha from the {flown_voltage(segments, model):.1f} V flown: "
+            "a vehicle.yaml with the battery's nominal voltage (--vehicle) states it where it is known"
+        )
+    return notes
+
+
+def throttle_varies(segments: Sequence[Segment]) -> bool:
+    """Whether any segment moves its throttle: without that, nothing tells the thrust lag or its delay."""
+    return any(
+        "throttle" in s.u and float(np.ptp(zero_order_hold(s.u["throttle"], s.t_s))) > THROTTLE_STEP for s in segments
+    )
+
+
+def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | None:
+    """Spread (5 to 95 %) of battery voltage about its mean at equal throttle, V; None without voltage or throttle."""
+    throttle: list[float] = []
+    voltage: list[float] = []
+    for s in segments:
+        u = s.y.get("voltage_v")
+        if u is None or "throttle" not in s.u or not np.isfinite(u).any():
+            continue
+        level = np.round(zero_order_hold(s.u["throttle"], s.t_s), 2)
+        for value in np.unique(level):
+            some = (level == value) & np.isfinite(u)
+            if some.sum() >= 3:
+                throttle.append(float(value))
+                voltage.append(float(np.mean(u[some])))
+    if not throttle:
+        return None
+    levels, u_all = np.array(throttle), np.array(voltage)
+    off = [u_all[levels == v] - u_all[levels == v].mean() for v in np.unique(levels) if (levels == v).sum() > 1]
+    if not off:
+        return 0.0
+    low, high = np.percentile(np.concatenate(off), [5, 95])
+    return float(high - low)

@@ -1,0 +1,255 @@
+"""Would other numbers serve as well? Lag and delay are looked for once more from slower and from quicker loops.
+
+Steps that the model follows to within its noise have one optimum. Free flight at a few samples per time constant, or a loop that is not the
+model's, may have several: a slow loop without delay beside a quick one with. Which of two optima serves better is asked of every response
+by itself, since residuals of a wrong model are no noise, and their likelihood is not to be believed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.estimation.gauss_newton import FitStatus
+from flighttest.estimation.problem import Noise, Part, Problem
+from flighttest.estimation.solver import Solution, finite_or_error, solve
+from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, std_of
+from flighttest.identify.diagnostics.closed_loop import steered
+from flighttest.identify.diagnostics.quality import noise_floor
+
+FloatArray = NDArray[np.float64]
+
+COARSE_STRIDE = 4
+ON_SAMPLE = 0.02  # of the sample interval: clocks are known to a fiftieth of it or better
+LIKELIER = 10.0  # log-likelihood by which another optimum must be better, beyond what the stopping rule leaves
+FOLLOWED = 0.98  # of how steps move: with more than this explained, other numbers explain less
+SCOUTED = 24  # responses of each kind of block that are enough to find another optimum
+SCOUT_STEPS, MANY_STEPS = 12, 25
+SLOWER, QUICKER = 0.45, 2.2
+BETTER = 2.5  # standard errors, over the responses, by which an optimum serves better
+APART = 2.0  # standard errors by which parameters differ
+NOISE_SHARE = 0.1  # of the variance of residuals: less than this is left alike by all
+NOTHING = 0.01  # of a value: a smaller difference between optima is none
+_MAIN = {"roll": "roll_rad", "pitch": "pitch_rad", "yaw": "r_rad_s"}
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another optimum's value of a parameter, and by how many standard errors the one taken serves better."""
+
+    value: float
+    better: float
+
+    def away(self, value: float) -> float:
+        """The standard deviation that makes an interval about `value` reach the other optimum."""
+        return 0.5 * abs(self.value - value)
+
+    def sentence(self, unit: str) -> str:
+        """In words."""
+        name = f" {unit}" if unit != "1" else ""
+        return f"another optimum, at {self.value:.3g}{name}, serves as well"
+
+
+def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, Rival]]:
+    """The best of several optima, and by name the parameters of others that this data cannot tell from it."""
+    groups = [g for g in _groups(problem, solution) if not all(_followed(problem, solution, i) for i in g)]
+    if not groups or not solution.status.good:
+        return solution, {}
+    parts = tuple(problem.parts[i] for g in groups for i in g)
+    doubted = replace(problem, parts=parts, values={**problem.values, **solution.values})
+    free = tuple(n for n in solution.free if any(n in part.block.params for part in doubted.parts))
+    stride = -(-max(len(part.responses) for part in doubted.parts) // SCOUTED)
+    few = doubted.thinned(stride) if stride > 1 else doubted
+    found: dict[str, Rival] = {}
+    best = solution
+    for factor in (SLOWER, QUICKER):
+        start = _moved(problem, best, free, factor)
+        scout = solve(few, start, free=free, robust=robust, max_iterations=SCOUT_STEPS)
+        if scout.status is FitStatus.DIVERGED:
+            continue
+        mine, theirs = covariance_of(problem, best), covariance_of(few, scout)
+        if not any(_apart(n, best, mine, scout, theirs) for n in free):
+            continue
+        there = {**best.values, **{n: scout.values[n] for n in free}}
+        other = solve(problem, there, robust=robust, noise=best.noise, max_iterations=MANY_STEPS)
+        if not other.status.good:
+            continue
+        best, found = _between(problem, groups, best, other, found, robust)
+    return best, found
+
+
+def _between(
+    problem: Problem,
+    groups: Sequence[Sequence[int]],
+    best: Solution,
+    other: Solution,
+    found: dict[str, Rival],
+    robust: bool,
+) -> tuple[Solution, dict[str, Rival]]:
+    """After another optimum: the best so far, and what cannot be told from it."""
+    mine, theirs = covariance_of(problem, best), covariance_of(problem, other)
+    taken: dict[str, float] = {}
+    for group in groups:
+        names = [n for n in best.free if any(n in problem.parts[i].block.params for i in group)]
+        apart = [n for n in names if _apart(n, best, mine, other, theirs)]
+        if not apart:
+            continue
+        better = _better(problem, group, best, other)
+        if better < -BETTER:
+            taken |= {n: other.values[n] for n in names}
+            found = {n: r for n, r in found.items() if n not in names}
+        elif better <= BETTER:
+            found = {**found, **{n: Rival(other.values[n], better) for n in apart if n not in found}}
+    if taken:
+        again = solve(problem, {**best.values, **taken}, robust=robust, noise=best.noise)
+        if again.status.good:
+            return again, found
+    return best, found
+
+
+def _groups(problem: Problem, solution: Solution) -> list[list[int]]:
+    """Parts that share free parameters, and are found together: positions."""
+    groups: list[tuple[set[str], list[int]]] = []
+    for i, part in enumerate(problem.parts):
+        names, members = set(part.block.params) & set(solution.free), [i]
+        for other in [g for g in groups if g[0] & names]:
+            groups.remove(other)
+            names, members = names | other[0], other[1] + members
+        groups.append((names, members))
+    return [sorted(members) for _, members in groups]
+
+
+def _followed(problem: Problem, solution: Solution, i: int) -> bool:
+    """Whether a part's responses are steps that the model follows, or have no lag to be looked for."""
+    part, made = problem.parts[i], solution.evaluations[i]
+    if not any(n.startswith(("T_d", "omega", "sigma")) for n in part.block.params if n in solution.free):
+        return True
+    if any(steered(problem.segments[r.index]) for r in part.responses):
+        return False
+    channel = _MAIN.get(part.block.name) or next(
+        (c for c in ("f_z_m_s2", "a_z_m_s2", "v_z_m_s") if c in part.outputs), ""
+    )
+    if channel not in part.outputs:
+        return False
+    k = part.outputs.index(channel)
+    mask = part.mask[..., k]
+    y, left = part.y[..., k][mask], made.residual[..., k][mask]
+    floor = np.mean(
+        [noise_floor(row[m]) ** 2 for row, m in zip(made.residual[..., k], mask, strict=True) if m.sum() > 4]
+    )
+    spread = float(np.var(y))
+    return spread > 0 and float(np.mean(left**2) - np.nan_to_num(floor)) < (1.0 - FOLLOWED) * spread
+
+
+def _moved(problem: Problem, solution: Solution, free: Sequence[str], factor: float) -> dict[str, float]:
+    """A start from a loop that is slower or quicker by a factor, its delay so that the whole comes as late."""
+    values = dict(solution.values)
+    late: dict[str, float] = {}
+    for name in free:
+        value = values[name]
+        if name.startswith("omega"):
+            zeta = values[name.replace("omega", "zeta")]
+            late["T_d_attitude"] = 2.0 * zeta / value * (1.0 - 1.0 / factor)
+        elif name.startswith("sigma"):
+            late["T_d_yaw_rate" if name == "sigma_r" else "T_d_thrust"] = 1.0 / value * (1.0 - 1.0 / factor)
+        if name.startswith(("omega", "sigma")):
+            values[name] = value * factor
+        elif name.startswith("zeta"):
+            values[name] = 0.25 if value > 0.45 else 0.7
+    for name in free:
+        if name.startswith("T_d"):
+            values[name] = max(values[name] + late.get(name, 0.0), 0.0)
+    bounds = problem.model.param
+    return {n: min(max(v, bounds[n].lower), bounds[n].upper) if n in bounds else v for n, v in values.items()}
+
+
+def _apart(name: str, a: Solution, known_a: Covariance, b: Solution, known_b: Covariance) -> bool:
+    """Whether two optima differ in a parameter by more than its standard errors."""
+    difference = abs(a.values[name] - b.values[name])
+    if difference <= NOTHING * abs(a.values[name]):
+        return False
+    stds = [std_of(k, name) for k in (known_a, known_b) if name in k.names]
+    return difference > APART * math.hypot(*stds)
+
+
+def _better(problem: Problem, group: Sequence[int], a: Solution, b: Solution) -> float:
+    """By how many standard errors, over the responses, `a` leaves less than `b`: the logarithm of what each leaves of each response."""
+    gains: dict[int, list[float]] = {}
+    for i in group:
+        part = problem.parts[i]
+        left = [_left(part, s.evaluations[i].residual, a) for s in (a, b)]
+        for j, response in enumerate(part.responses):
+            gains.setdefault(response.index, []).append(float(np.log(left[1][j] / left[0][j])))
+    each = np.array([sum(g) for g in gains.values()])
+    if each.size < 3:
+        return 0.0
+    return float(each.mean() / max(each.std(ddof=1) / np.sqrt(each.size), 1e-12))
+
+
+def _left(part: Part, residual: FloatArray, reference: Solution) -> FloatArray:
+    """(m,) squares left of every response, in units of the channels' noise, the noise itself not counted as a difference."""
+    std = np.array([reference.noise.channel[c] for c in part.outputs])
+    return np.asarray(((residual / std) ** 2 + NOISE_SHARE * part.mask).sum(axis=(1, 2)) + 1e-9)
+
+
+def best_of_starts(
+    problem: Problem, robust: bool, nominal: Mapping[str, float], noise: Noise | None = None
+) -> Solution:
+    """Solve from the shape-based start; from others too where that did not end well.
+
+    noise: the start is an estimate already, and this its noise: of optima that serve alike, the one next to it is meant.
+    """
+    start, noise_was_estimated = None, noise is None
+    if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
+        # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
+        coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
+        if coarse.status is not FitStatus.DIVERGED:
+            start, noise = coarse.values, coarse.noise
+            problem.values = dict(coarse.values)  # which also sets the integrator's step
+    first = solve(problem, start, robust=robust, noise=noise)
+    if first.status.good:
+        return _off_the_samples(problem, first, robust) if noise_was_estimated else first
+    others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
+    found = [first] + [solve(problem, start, robust=robust) for start in others]
+    finite = [s for s in found if s.status is not FitStatus.DIVERGED]
+    good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
+    return min(good, key=lambda solution: misfit(problem, solution))
+
+
+def _off_the_samples(problem: Problem, found: Solution, robust: bool) -> Solution:
+    """A solution, or a better one from delays half a sample away where one of its delays puts edges on samples.
+
+    There the cost has a kink, since an edge passes from one piece between samples to the next, and a solver may end on it (one did with
+    sigma_t 113 1/s for 41). Scouted on a part of the responses.
+    """
+    steps = [float(np.median(np.diff(s.t_s))) for s in problem.segments if s.t_s.size > 1]
+    interval = float(np.median(steps or [0.0]))
+    if not interval > 0.0:
+        return found
+    delays = [n for n in found.free if n.startswith("T_d")]
+    off = {n: abs(found.values[n] / interval - round(found.values[n] / interval)) for n in delays}
+    on_sample = {n: found.values[n] + 0.5 * interval for n in delays if off[n] < ON_SAMPLE}
+    if not on_sample:
+        return found
+    few = problem.thinned(COARSE_STRIDE) if len(problem.segments) >= 3 * COARSE_STRIDE**2 else problem
+    here, there = (
+        solve(few, {**found.values, **moved}, robust=robust, noise=found.noise, max_iterations=12)
+        for moved in ({}, on_sample)
+    )
+    if FitStatus.DIVERGED in (here.status, there.status) or misfit(few, there) > misfit(few, here) - LIKELIER:
+        return found
+    other = solve(problem, there.values, robust=robust, noise=there.noise)
+    return other if other.status.good and misfit(problem, other) < misfit(problem, found) else found
+
+
+def misfit(problem: Problem, solution: Solution) -> float:
+    """Log-likelihood's noise part: comparable between solutions, whose noise differs."""
+    return sum(
+        float(part.mask[..., k].sum()) * math.log(solution.noise.channel[c])
+        for part in problem.parts
+        for k, c in enumerate(part.outputs)
+    )

@@ -1,0 +1,1 @@
+"""model.yaml: written, read, compared, carried over as a prior, exported."""

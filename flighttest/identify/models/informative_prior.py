@@ -1,0 +1,70 @@
+"""What flights could not tell, from the model that they were held against: a short flight must not unlearn what a campaign knew."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flighttest.identify.fit import Fit
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.body import DELAY_PARAM
+
+MEAN_DELAY = "T_d"
+
+
+def known_before(found: Fit, base: ModelFile | None) -> dict[str, float]:
+    """Parameters that this fit does not know and the earlier model does, with the earlier model's values."""
+    if base is None:
+        return {}
+    return {
+        name: base.parameters[name].value
+        for name in found.model.names
+        if name in base.parameters and base.parameters[name].identifiable and not found.estimates[name].identifiable
+    }
+
+
+def carry_over(data: Mapping[str, Any], base: ModelFile, names: Sequence[str]) -> dict[str, Any]:
+    """The data of model.yaml (see `model_file.as_data`) with these parameters as the earlier model has them: value, error and covariance
+    among themselves."""
+    parameters = {k: dict(v) for k, v in data["parameters"].items()}
+    order = [n for n in data["covariance"]["order"] if n not in (*names, MEAN_DELAY)]
+    at = [data["covariance"]["order"].index(n) for n in order]
+    old = [n for n in names if n in base.order]
+    own = [base.order.index(n) for n in old]
+    matrix = np.zeros((len(order) + len(old),) * 2)
+    matrix[: len(order), : len(order)] = np.array(data["covariance"]["matrix"], dtype=float)[np.ix_(at, at)]
+    matrix[len(order) :, len(order) :] = base.covariance[np.ix_(own, own)]
+    order += old
+    for name in names:
+        stored = base.parameters[name]
+        parameters[name] |= {
+            "value": stored.value, "std": stored.std, "source": stored.source, "identifiable": True,
+            "interval_95": None if stored.interval_95 is None else list(stored.interval_95),
+            "why": "as the base model has it: these flights do not tell it",
+        }  # fmt: skip
+        parameters[name].pop("fly", None)
+    delays = [n for n in DELAY_PARAM.values() if n in order]
+    if delays and MEAN_DELAY in parameters:
+        weight = np.array([1.0 / len(delays) if n in delays else 0.0 for n in order])
+        row = weight @ matrix
+        std = float(np.sqrt(row @ weight))
+        mean = float(np.mean([parameters[n]["value"] for n in delays]))
+        # Carried over or fitted to many responses: either way hardly anything but the normal quantile is left of Student's.
+        low, mean, high = (float(f"{v:.7g}") for v in (mean - 1.96 * std, mean, mean + 1.96 * std))
+        parameters[MEAN_DELAY] |= {"value": mean, "std": float(f"{std:.7g}"), "interval_95": [low, high]}
+        matrix = np.block([[matrix, row[:, None]], [row[None, :], np.array([[std**2]])]])
+        order = [*order, MEAN_DELAY]
+    told = f"as the base model has them, since these flights do not tell them: {', '.join(names)}"
+    return {
+        **data,
+        "parameters": parameters,
+        "delays": data["delays"] | {
+            channel: {"value": parameters[n]["value"], "unit": "s", "std": parameters[n]["std"]}
+            for channel, n in DELAY_PARAM.items()
+            if n in names
+        },
+        "covariance": {"order": order, "matrix": matrix.tolist()},
+        "notes": [*data["notes"], told],
+    }  # fmt: skip

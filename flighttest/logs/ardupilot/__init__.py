@@ -1,0 +1,1 @@
+"""ArduPilot dataflash logs: bytes to columns, columns to a recording."""

@@ -1,0 +1,148 @@
+"""What a dataflash log says beside its channels: parameters, firmware, modes, arming, marks and errors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.logs.ardupilot.dataflash import Table
+from flighttest.mavlink import ClockEstimate, in_force, mode_name
+from flighttest.mavlink.marks import Text, markers_from_texts
+from flighttest.recording import Marker, Series
+
+FloatArray = NDArray[np.float64]
+Stamped = tuple[Table, FloatArray]
+
+_ARMED, _DISARMED, _TAKE_OFF, _LANDED = 10, 11, 28, 18  # LogEvent in ArduPilot's AP_Logger.h
+_VEHICLE, _GROUND = 1, 255
+_SENDER = re.compile(r"^(GCS:|SRC=\d+/\d+:)")  # how ArduPilot marks a STATUSTEXT that came over the link
+
+
+def parameters(tables: Mapping[str, Stamped]) -> dict[str, float]:
+    """Parameter name to the value in force while the vehicle flew."""
+    parm = tables.get("PARM")
+    if parm is None or "Name" not in parm[0] or "Value" not in parm[0]:
+        return {}
+    arming = state(tables)
+    disarmed = arming.t_s[arming.columns["armed"] == 0.0] if arming is not None else np.zeros(0)
+    flown = arming.t_s[arming.columns["armed"] > 0.0] if arming is not None else np.zeros(0)
+    after = disarmed[disarmed > flown[-1]] if flown.size else np.zeros(0)
+    values = zip(parm[1], parm[0].text("Name"), parm[0].get("Value"), strict=True)
+    return in_force(
+        ((float(t_s), name, float(v)) for t_s, name, v in values), float(after[0]) if after.size else np.inf
+    )
+
+
+def parameter_changes(parm: Stamped | None) -> list[Marker]:
+    """A note for every parameter that was logged anew with another value."""
+    if parm is None or "Name" not in parm[0] or "Value" not in parm[0]:
+        return []
+    seen: dict[str, float] = {}
+    notes: list[Marker] = []
+    for t_s, name, value in zip(parm[1], parm[0].text("Name"), parm[0].get("Value"), strict=True):
+        before = seen.get(name)
+        if before is not None and before != value and not name.startswith("STAT_"):
+            data = {"parameter": name, "before": before, "after": float(value)}
+            notes.append(Marker(float(t_s), "note", f"parameter {name} changed from {before:g} to {value:g}", data))
+        seen[name] = float(value)
+    return notes
+
+
+def firmware(tables: Mapping[str, Stamped]) -> str:
+    """The firmware's version string, empty where the log does not say."""
+    if "VER" in tables and "FWS" in tables["VER"][0]:
+        return tables["VER"][0].text("FWS")[0]
+    if "MSG" in tables and "Message" in tables["MSG"][0]:
+        for text in tables["MSG"][0].text("Message"):
+            if "Copter" in text and re.search(r"V\d", text):
+                return text
+    return ""
+
+
+_BOARD = re.compile(r"\S+ ([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})")
+_UID2_BYTES = 18  # of AUTOPILOT_VERSION, which has the twelve bytes of the board's number first
+
+
+def board(tables: Mapping[str, Stamped]) -> str:
+    """The board's own number as AUTOPILOT_VERSION has it, in hexadecimal, '' where the log does not say. The text has each word of four
+    bytes reversed (AP_HAL_ChibiOS, Util::get_system_id)."""
+    if "MSG" not in tables or "Message" not in tables["MSG"][0]:
+        return ""
+    found = next((m for text in tables["MSG"][0].text("Message") if (m := _BOARD.fullmatch(text.strip()))), None)
+    if found is None:
+        return ""
+    number = b"".join(bytes.fromhex(word)[::-1] for word in found.groups())
+    return number.ljust(_UID2_BYTES, b"\0").hex()
+
+
+def state(tables: Mapping[str, Stamped]) -> Series | None:
+    """Mode and arming, as they changed. A log that never says "armed" but says "disarmed" was armed when it began."""
+    modes = _modes(tables)
+    arming: list[tuple[float, float]] = []
+    if "EV" in tables and "Id" in tables["EV"][0]:
+        table, t_s = tables["EV"]
+        arming += [
+            (float(t), float(i == _ARMED))
+            for t, i in zip(t_s, table.raw["Id"], strict=True)
+            if i in (_ARMED, _DISARMED)
+        ]
+    if "ARM" in tables and "ArmState" in tables["ARM"][0]:
+        table, t_s = tables["ARM"]
+        arming += [(float(t), float(i > 0)) for t, i in zip(t_s, table.raw["ArmState"], strict=True)]
+    if not modes and not arming:
+        return None
+    arming.sort()
+    first = min([t for t, _ in modes[:1]] + [t for t, _ in arming[:1]])
+    if not arming or arming[0][1] == 0.0:
+        arming.insert(0, (first, 1.0))
+    times = np.unique([t for t, _ in modes] + [t for t, _ in arming])
+    return Series(times, {"mode": _held(times, modes), "armed": _held(times, arming)})
+
+
+def _held(times: FloatArray, changes: list[tuple[float, float]]) -> FloatArray:
+    values = np.full(times.size, np.nan)
+    for t_s, value in changes:
+        values[np.searchsorted(times, t_s) :] = value
+    return values
+
+
+def _modes(tables: Mapping[str, Stamped]) -> list[tuple[float, float]]:
+    if "MODE" not in tables:
+        return []
+    table, t_s = tables["MODE"]
+    field = next((f for f in ("ModeNum", "Mode") if f in table), None)
+    if field is None:
+        return []
+    return sorted((float(t), float(m)) for t, m in zip(t_s, table.raw[field], strict=True))
+
+
+def markers(tables: Mapping[str, Stamped]) -> list[Marker]:
+    """Marks and texts (MSG), mode changes, take-off and landing, and the errors the autopilot logged."""
+    found: list[Marker] = []
+    if "MSG" in tables and "Message" in tables["MSG"][0]:
+        texts = []
+        for t_s, text in zip(tables["MSG"][1], tables["MSG"][0].text("Message"), strict=True):
+            plain = _SENDER.sub("", text)
+            system = _GROUND if plain != text or plain.startswith("FT ") else _VEHICLE
+            texts.append(Text(float(t_s), system, 6, plain))
+        here = ClockEstimate(np.zeros(1), np.zeros(1), 1.0, 0.0, "vehicle")
+        found += markers_from_texts(texts, _VEHICLE, here)
+    before = None
+    for t_s, mode in _modes(tables):
+        if mode != before:
+            found.append(Marker(t_s, "mode", mode_name(int(mode)), {"mode": int(mode)}))
+        before = mode
+    if "EV" in tables and "Id" in tables["EV"][0]:
+        words = {_TAKE_OFF: "take-off", _LANDED: "landed", _ARMED: "armed", _DISARMED: "disarmed"}
+        for t_s, event in zip(tables["EV"][1], tables["EV"][0].raw["Id"], strict=True):
+            if int(event) in words:
+                found.append(Marker(float(t_s), "note", words[int(event)], {"event": int(event)}))
+    if "ERR" in tables and {"Subsys", "ECode"} <= set(tables["ERR"][0].raw):
+        table, t_s = tables["ERR"]
+        for t, subsystem, code in zip(t_s, table.raw["Subsys"], table.raw["ECode"], strict=True):
+            data = {"subsystem": int(subsystem), "code": int(code)}
+            found.append(Marker(float(t), "note", f"autopilot error {int(subsystem)}/{int(code)}", data))
+    return sorted(found, key=lambda m: m.t_s)

@@ -1,0 +1,1 @@
+"""Plain tables, with or without a column map, to a recording."""

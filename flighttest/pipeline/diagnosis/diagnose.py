@@ -1,0 +1,190 @@
+"""`flighttest diagnose`: recordings and a model to a diagnosis, and the files it leaves."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from flighttest.diagnose import Diagnosis, Verdict
+from flighttest.diagnose import diagnose as search
+from flighttest.documents import write_text
+from flighttest.errors import InputError
+from flighttest.identify.fit import Fit
+from flighttest.identify.fit import fit as identify
+from flighttest.identify.models import model_file
+from flighttest.identify.models.informative_prior import carry_over, known_before
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
+from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
+from flighttest.pipeline.identification.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
+from flighttest.pipeline.parallel import in_halves
+from flighttest.pipeline.presenters.fit_view import fit_view
+from flighttest.pipeline.recordings.consistency import doubts, once
+from flighttest.pipeline.recordings.fingerprints import differences
+from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.store.flown_with import words_of
+from flighttest.pipeline.store.history import DEFAULT_RUNS
+from flighttest.pipeline.store.models import accepted
+from flighttest.recording import Recording
+from flighttest.recording.store import MANIFEST_NAME
+from flighttest.report.document import Document
+from flighttest.report.numbers import join
+from flighttest.report.render import html
+from flighttest.report.render.plain import plain
+from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
+from flighttest.segments import Segment
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+NEXT_NAME = "next.yaml"
+MODEL_NAME = "model.yaml"
+UNFINISHED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
+
+
+def run_diagnosis(
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    stored: ModelFile | None,
+    vehicle: Vehicle | None,
+    progress: Progress = SILENT,
+) -> Diagnosis:
+    """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone."""
+    previous = None
+    if stored is not None:
+        previous = {name: (p.value, p.scatter) for name, p in stored.parameters.items()}
+    progress.stage("looking for what the model leaves out")
+    found = search(
+        segments,
+        stored.model if stored is not None else base_model(recordings, vehicle),
+        previous=previous,
+        progress=progress.stage,
+        side_by_side=in_halves,
+        flyable=flyable_in(recordings, vehicle),
+    )
+    return held_against_zone(found, recordings, vehicle)
+
+
+def diagnose(
+    runs: Sequence[Source],
+    model: Path | ModelFile | None = None,
+    output: Path | None = None,
+    columns: Path | None = None,
+    vehicle: Path | None = None,
+    workers: int = 1,
+    progress: Progress = SILENT,
+    keep: bool = False,
+) -> Result:
+    """Diagnose recordings; with `output` write diagnosis.json, model.yaml, report.html and, where one is due, next.yaml. keep: the model
+    becomes its vehicle's, in the folder of runs that the recordings are in, else in the usual one."""
+    check_writable(output)
+    if keep and output is None:
+        raise InputError("--accept needs a folder for the model", "name one with -o DIR")
+    declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
+    stored = model_file.read(model) if isinstance(model, Path) else model
+    recordings = open_recordings(runs, columns, workers, progress)
+    doubtful = doubts(recordings)
+    recordings = once(recordings)
+    segments = cut_all(recordings, progress)
+    found = run_diagnosis(segments, recordings, stored, declared, progress)
+    found = replace(found, notes=(*found.notes, *doubtful))
+    data = found.to_json()
+    facts = {"recordings": join([named(r) for r in runs]), "base": ", ".join(_base_terms(found))}
+    if doubtful:
+        facts["careful"] = "; ".join(doubtful)
+    other = differences(stored.fingerprint, recordings) if stored is not None else ""
+    if other:
+        facts["another vehicle"] = f"the model's has {other}; see `flighttest status`"
+    if output is not None:
+        facts["written to"] = str(output)
+        data, _ = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
+        facts["model"] = str(output / MODEL_NAME)
+        place = _runs_of(runs)
+        words = f"flighttest accept {shlex.quote(str(output))}"
+        words += f" --out {shlex.quote(str(place))}" if place != DEFAULT_RUNS else ""
+        facts["accept it"] = accepted(output, place, vehicle) if keep else words
+    data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
+    script = write_text(found.next_script) if found.next_script else ""
+    if script and output is not None:
+        data |= {
+            "next_path": str(output / NEXT_NAME),
+            "next_options": words_of(runs[-1]) if isinstance(runs[-1], Path) else "",
+        }
+    document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
+    unexplained = found.verdict in UNFINISHED or not found.complete
+    return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
+
+
+def _runs_of(runs: Sequence[Source]) -> Path:
+    """The folder of runs that recordings are in, where they are runs; else the usual one."""
+    last = runs[-1]
+    return last.parent if isinstance(last, Path) and (last / MANIFEST_NAME).is_file() else DEFAULT_RUNS
+
+
+def _base_terms(found: Diagnosis) -> list[str]:
+    return [t for t in found.model.terms if t not in found.accepted]
+
+
+def refit(
+    found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None, progress: Progress = SILENT
+) -> tuple[Fit, tuple[str, ...]]:
+    """The diagnosis' own fit of the accepted model; fitted anew where parameters are held as the base model knew them, and which."""
+    assert found.fit is not None
+    fitted = found.fit
+    known = known_before(fitted, base)
+    if not known:
+        return fitted, ()
+    usable = [s for s in segments if s.usable]
+    again = identify(usable, found.model, select="all", start=fitted.values, frozen=known, noise=fitted.noise)
+    return again, tuple(known)
+
+
+def write_diagnosis(
+    found: Diagnosis,
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    base: ModelFile | None,
+    folder: Path,
+    progress: Progress = SILENT,
+) -> tuple[dict[str, Any], Fit]:
+    """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written, and the fit of the improved model.
+    base: the model given."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / NEXT_NAME).unlink(missing_ok=True)  # of an earlier diagnosis
+    data = found.to_json()
+    script = ""
+    if found.next_script:
+        script = write_text(found.next_script)
+        (folder / NEXT_NAME).write_text(script, encoding="utf-8")
+        data["next_flight"] = NEXT_NAME
+    (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
+    fitted, kept = refit(found, segments, base, progress)
+    model = model_data(fitted, recordings, vehicle) | {"diagnosed": looked_for(found)}
+    model_file.write(folder / MODEL_NAME, carry_over(model, base, kept) if base is not None and kept else model)
+    page = run_document(
+        recordings,
+        fit_view(fitted, segments),
+        segments,
+        diagnosis=data,
+        next_script=script,
+        verdict=found.sentence,
+        tone=verdict_tone(data),
+    )
+    html.write(page, folder / REPORT_NAME)
+    return data, fitted
+
+
+def looked_for(found: Diagnosis) -> dict[str, Any]:
+    """What model.yaml keeps of a diagnosis: what else its flights would have shown, and from which size on; what they could not show."""
+    return {
+        "verdict": found.verdict.name,
+        "complete": found.complete,
+        "not_needed": sorted(found.not_needed),
+        "untestable": sorted({u.term for u in found.untestable}),
+        "smallest_detectable": {k: float(f"{v:.4g}") for k, v in found.smallest_detectable.items()},
+    }

@@ -1,0 +1,1 @@
+"""Flying scripts, and all that follows a landing."""

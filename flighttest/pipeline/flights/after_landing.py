@@ -1,0 +1,253 @@
+"""After landing: recordings of one campaign to fit, diagnosis, currency and page, in the run folders."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from flighttest.currency.model import Currency, Verdict
+from flighttest.diagnose import Diagnosis
+from flighttest.errors import FitError
+from flighttest.identify.fit import Fit
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.pipeline.diagnosis.diagnose import MODEL_NAME, NEXT_NAME, UNFINISHED, run_diagnosis, write_diagnosis
+from flighttest.pipeline.identification.fitting import cut_all, fit_segments, model_data
+from flighttest.pipeline.identification.reporting import REPORT_NAME, keep_segments, provenance, run_document
+from flighttest.pipeline.presenters.fit_view import fit_view, segment_views
+from flighttest.pipeline.recordings.sources import open_recordings
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.store.flown_with import words_of
+from flighttest.pipeline.store.history import DEFAULT_RUNS, FIT_NAME, as_good
+from flighttest.pipeline.store.identities import whose
+from flighttest.pipeline.store.lineage import model_of, together, worse
+from flighttest.pipeline.store.models import accepted
+from flighttest.pipeline.validity.reflights import reflights
+from flighttest.pipeline.validity.status import judge
+from flighttest.recording import Recording
+from flighttest.report.document import Bullets, Document, Section, Tone
+from flighttest.report.render import html
+from flighttest.report.sections import fit as fit_sections
+from flighttest.report.sections.currency import TONES, status_document
+from flighttest.report.sections.diagnosis import missing_sections
+from flighttest.report.views import FitView
+from flighttest.segments import Segment
+from flighttest.vehicle.model import Vehicle
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What was found in a campaign; any part may be missing, `reason` says why the fit is."""
+
+    recordings: tuple[Recording, ...]
+    segments: tuple[Segment, ...]
+    fit: Fit | None
+    reason: str = ""
+    currency: Currency | None = None
+    diagnosis: dict[str, Any] | None = None
+    explained: bool = True
+    previous: ModelFile | None = None
+    improved: Fit | None = None
+
+
+def analyse(
+    folders: Sequence[Path],
+    *,
+    out: Path,
+    vehicle: Vehicle | None = None,
+    previous: ModelFile | None = None,
+    diagnose: bool = True,
+    keep: bool = False,
+    notes: Sequence[str] = (),
+    usable: bool = True,
+    progress: Progress = SILENT,
+) -> Result:
+    """Cut, fit, compare with the previous model, diagnose, and write it all into the run folders.
+
+    out: the folder of runs; keep: the model becomes the vehicle's. usable: False when the flight was aborted.
+    """
+    recordings = open_recordings(folders, progress=progress)
+    name = whose(recordings, vehicle, out)
+    if previous is None and vehicle is not None and not vehicle.name:
+        previous = model_of(out, name)  # a vehicle that nobody named is known by its autopilot once it has been read
+    found = _analysis(recordings, vehicle, name, previous, diagnose, folders[-1], out, progress)
+    for folder, recording in zip(folders, recordings, strict=True):
+        keep_segments(folder, [s for s in found.segments if s.run == recording.name])
+    data: dict[str, Any] = {"runs": [str(f) for f in folders], "notes": list(notes)}
+    if found.fit is not None:
+        model = model_data(found.fit, recordings, vehicle)
+        for folder in folders:
+            model_file.write(folder / FIT_NAME, model)
+        data["model"] = model
+    progress.stage("writing the report")
+    view = fit_view(found.fit, found.segments) if found.fit is not None else None
+    page = _page(found, view, notes)
+    for folder in folders:
+        html.write(page, folder / REPORT_NAME)
+    data["report"] = str(folders[-1] / REPORT_NAME)
+    data["segments"] = {"used": sum(s.usable for s in found.segments), "of": len(found.segments)}
+    if found.currency is not None:
+        data["currency"] = {"verdict": found.currency.verdict.name, "sentence": found.currency.sentence}
+    if found.diagnosis is not None:
+        data["diagnosis"] = found.diagnosis
+    status = _status(found, usable)
+    told = _accepting(found, status, folders[-1], name, out, keep)
+    return Result(_summary(found, view, folders, notes, page, vehicle, told, out), data, status, found)
+
+
+def _out_words(out: Path) -> str:
+    """The option that names a folder of runs, '' for the usual one."""
+    return f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
+
+
+def _changed(found: Analysis) -> bool:
+    """Whether what is declared of the vehicle has changed since the model in use: flights of both are not to be fitted together."""
+    return found.currency is not None and bool(found.currency.changes)
+
+
+def _accepting(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
+    """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
+    if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
+        return ""
+    words = f"flighttest accept {shlex.quote(str(folder))}{_out_words(out)}"
+    used, own = found.previous, found.improved or found.fit
+    if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
+        return f"with the flights of the model in use, which knows more: {together(out, used, folder)}"
+    if not name:
+        return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
+    if not keep:
+        return words
+    if status is Status.UNUSABLE:
+        return f"not accepted, since the flight did not end as planned: {words}"
+    return accepted(folder, out, None)
+
+
+def _analysis(
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    name: str,
+    previous: ModelFile | None,
+    diagnose: bool,
+    folder: Path,
+    out: Path,
+    progress: Progress,
+) -> Analysis:
+    segments = cut_all(recordings, progress)
+    try:
+        fitted: Fit | None = fit_segments(segments, recordings, vehicle, progress=progress)
+        reason = ""
+    except FitError as error:
+        fitted, reason = None, error.message
+    diagnosis, explained, improved = None, True, None
+    result: Diagnosis | None = None
+    if fitted is not None and diagnose:
+        try:
+            result = run_diagnosis(segments, recordings, previous, vehicle, progress)
+            diagnosis, improved = write_diagnosis(result, segments, recordings, vehicle, previous, folder, progress)
+            explained = result.verdict not in UNFINISHED
+        except FitError as error:
+            progress.stage(f"no diagnosis: {error.message}")
+    currency = None
+    if previous is not None and fitted is not None:
+        currency = judge(previous, recordings, vehicle, name, out, progress, diagnosed=result)
+    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained, previous, improved)
+
+
+def renewed(found: Analysis) -> bool:
+    """Whether the campaign's own model takes the place of the previous one (a spot check's does not)."""
+    own = found.improved or found.fit
+    if own is None:
+        return False
+    return found.previous is None or as_good(model_file.from_fit(own), found.previous)
+
+
+def _status(found: Analysis, usable: bool) -> Status:
+    if not usable:
+        return Status.UNUSABLE
+    if found.fit is None:
+        return Status.UNUSABLE if not any(s.usable for s in found.segments) else Status.UNEXPLAINED
+    if not found.fit.status.good:
+        return Status.UNEXPLAINED
+    if found.currency is not None and found.currency.verdict is Verdict.STALE and not renewed(found):
+        return Status.STALE
+    return Status.DONE if found.explained else Status.UNEXPLAINED
+
+
+def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
+    """The sentence on top: the currency first where this flight does not make a model of its own (a spot check)."""
+    if view is None:
+        return f"No model could be fitted: {found.reason}.", "bad"
+    tone: Tone = "bad" if not view.good else "good" if all(p.known for p in view.parameters) else "warn"
+    parts = [view.verdict]
+    if found.diagnosis is not None:
+        parts.append(str(found.diagnosis.get("sentence", "")))
+        tone = tone if found.explained else "warn"
+    if found.currency is not None:
+        stale = found.currency.verdict is Verdict.STALE
+        if not renewed(found):
+            # A few steps make no model: what was asked is whether the one in use still holds.
+            parts = [found.currency.sentence, *parts[1:]]
+            tone = TONES[found.currency.verdict]
+            tone = tone if found.explained or tone != "good" else "warn"
+        elif stale:
+            parts.append("The earlier model was stale: " + found.currency.sentence.removeprefix("Stale: "))
+            tone = "warn"
+    return " ".join(p for p in parts if p).strip(), tone
+
+
+def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Document:
+    verdict, tone = _verdict(found, view)
+    extra: list[Section] = []
+    if notes:
+        extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(notes)),)))
+    if found.currency is not None:
+        extra += status_document(found.currency, {}, ()).sections
+    return run_document(
+        found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, verdict=verdict, tone=tone
+    )
+
+
+def _summary(
+    found: Analysis,
+    view: FitView | None,
+    folders: Sequence[Path],
+    notes: Sequence[str],
+    page: Document,
+    vehicle: Vehicle | None,
+    accepting: str,
+    out: Path,
+) -> Document:
+    """What the terminal shows: the verdict, what is missing, the parameters (or what speaks for and against the model in use), where
+    everything is."""
+    sections: list[Section] = list(missing_sections(found.diagnosis)) if found.diagnosis is not None else []
+    if found.currency is not None and found.previous is not None and not renewed(found):
+        rows, _, _ = reflights(found.currency, found.previous, vehicle)
+        sections += status_document(found.currency, {}, rows, brief=True).sections
+    elif view is not None:
+        better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
+        shown = fit_view(found.improved, found.segments) if found.improved is not None and better else view
+        made = fit_sections.parameters(shown)
+        sections.append(replace(made, title="Parameters of the improved model") if better else made)
+    else:
+        sections.append(fit_sections.segments(segment_views(found.segments)))
+    facts = {k: v for k, v in provenance(found.recordings).items() if k in ("vehicle", "firmware", "lost")}
+    used = sum(s.usable for s in found.segments)
+    facts["responses"] = f"{used} of {len(found.segments)} used"
+    if notes:
+        facts["notes"] = "; ".join(notes)
+    kept = MODEL_NAME if found.diagnosis is not None else FIT_NAME
+    facts["model"] = str(folders[-1] / kept) if found.fit is not None else "-"
+    if accepting:
+        facts["accept it"] = accepting
+    facts["report"] = str(folders[-1] / REPORT_NAME)
+    if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
+        reason = found.diagnosis.get("next_reason") or {}
+        command = f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{_out_words(out)}"
+        facts["fly next"] = (
+            f"{reason.get('maneuver')}: {reason['zone']}" if reason.get("fits_zone") is False else command
+        )
+        facts["what for"] = str(reason.get("sentence", ""))
+    return Document("flight", page.verdict, page.tone, tuple(sections), facts)

@@ -1,0 +1,388 @@
+"""`flighttest run`: compile, connect, preflight, fly, then everything that follows from the recording."""
+
+from __future__ import annotations
+
+import datetime
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flighttest.currency.declared import declared_changes, scripts_for
+from flighttest.currency.model import ALL_SCRIPTS, SUBSETS
+from flighttest.documents import nearest
+from flighttest.errors import FlighttestError, InputError, ScriptError
+from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOutcome, fly
+from flighttest.flight.preparation import preflight
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.link.onboard import fetch
+from flighttest.pipeline.flights.after_landing import analyse
+from flighttest.pipeline.planning.checking import plans, prior_of
+from flighttest.pipeline.planning.replanning import ScriptReplanner
+from flighttest.pipeline.recordings.fingerprints import of_vehicle
+from flighttest.pipeline.recordings.sources import open_recording
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.store.flown_with import FlownWith, flown_with, keep
+from flighttest.pipeline.store.history import DEFAULT_RUNS
+from flighttest.pipeline.store.lineage import model_of
+from flighttest.pipeline.store.resuming import chain, flown_in, left_behind, script_of, worth_resuming
+from flighttest.pipeline.validity.reflights import SPOT_CHECK
+from flighttest.pipeline.validity.status import flown_until
+from flighttest.pipeline.vehicles.live import BUILTIN
+from flighttest.pipeline.vehicles.simulator import options
+from flighttest.plan import Plan
+from flighttest.recording.store import MANIFEST_NAME, write_recording
+from flighttest.report.document import Block, Bullets, Document, Section
+from flighttest.report.numbers import join
+from flighttest.report.render.plain import plain
+from flighttest.sim import start_simulator
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+BUILTIN_SPEED = 20.0
+MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list them all
+
+
+@dataclass(frozen=True)
+class FlightRequest:
+    """What was asked for on the command line."""
+
+    scripts: tuple[str, ...]
+    vehicle: Path | None = None
+    connect: str | None = None
+    out: Path = Path("runs")
+    speed: float | None = None
+    seed: int = 1
+    airframe: str = "paper"
+    hide: tuple[str, ...] = ()
+    model: Path | None = None
+    fly_only: bool = False
+    fit_only: bool = False
+    resume: Path | None = None
+    set_params: bool = False
+    waive: tuple[str, ...] = ()
+    weather: str = ""
+    accept: bool = False
+
+
+def as_before(request: FlightRequest) -> FlightRequest:
+    """The request; where it resumes a run, beside that run and, where it names no vehicle and no link, with those of that run."""
+    if request.resume is not None and request.out == DEFAULT_RUNS:
+        request = replace(request, out=request.resume.parent)
+    named = request.vehicle or request.connect or request.hide or request.airframe != DEFAULT_VEHICLE.name
+    before = flown_with(request.resume) if request.resume is not None and not named else None
+    if before is None:
+        return request
+    return replace(request, vehicle=before.vehicle, connect=before.link, airframe=before.airframe, hide=before.hide)
+
+
+def target(request: FlightRequest) -> str:
+    """The URL that will be flown: --connect, else the vehicle file's, else the built-in vehicle. Never anything by default."""
+    if request.connect is not None:
+        return request.connect
+    if request.vehicle is not None:
+        declared = load_vehicle(request.vehicle)
+        if declared.connect is None:
+            raise InputError(f"{request.vehicle} names no connection", "add `connect:` to it, or give --connect URL")
+        return declared.connect
+    return BUILTIN
+
+
+def announce(request: FlightRequest) -> str:
+    """The first line of a run: what is about to fly."""
+    url = target(request)
+    if url == BUILTIN:
+        effects = f", hiding {', '.join(request.hide)}" if request.hide else ""
+        chosen = "" if request.connect or request.vehicle else "; a real one needs --vehicle or --connect"
+        return f"flying the built-in simulated copter ({request.airframe} airframe{effects}){chosen}"
+    return f"flying the vehicle at {url}"
+
+
+def needs_consent(request: FlightRequest) -> bool:
+    """A person must say yes before anything real arms."""
+    return target(request) != BUILTIN
+
+
+def declared_vehicle(request: FlightRequest) -> Vehicle:
+    """The vehicle file, the built-in one's, or one without a name in the built-in one's zone."""
+    if request.vehicle is not None:
+        return load_vehicle(request.vehicle)
+    if target(request) != BUILTIN:  # whatever answers there: not the built-in one, and nobody said which
+        return replace(DEFAULT_VEHICLE, name="", mass_kg=None, components={})
+    # The other built-in airframe is another vehicle: its runs must not be compared with the first one's model.
+    return (
+        DEFAULT_VEHICLE if request.airframe == DEFAULT_VEHICLE.name else replace(DEFAULT_VEHICLE, name=request.airframe)
+    )
+
+
+@contextmanager
+def connection(request: FlightRequest) -> Iterator[str]:
+    """The URL to fly at; starts the built-in vehicle, with a fresh battery, where that is what flies."""
+    url = target(request)
+    if url != BUILTIN:
+        given = {"--hide": bool(request.hide), "--airframe": request.airframe != DEFAULT_VEHICLE.name}
+        for option in (name for name, is_given in given.items() if is_given):
+            raise InputError(
+                f"{option} is for the built-in vehicle", "leave out --connect and --vehicle, or use --connect sim"
+            )
+        yield url
+        return
+    # In lock-step from the first moment: a seed gives the same flight again, whatever the host was doing meanwhile.
+    speed = request.speed or BUILTIN_SPEED
+    made = options(request.airframe, request.hide, request.seed, speed, lockstep=True)
+    made = replace(made, paced=request.speed is not None)
+    with start_simulator(made) as simulation:
+        yield simulation.url
+
+
+def new_run(out: Path, script: str, now: datetime.datetime) -> Path:
+    """A run folder that does not exist yet, named by time and script."""
+    base = out / f"{now:%Y-%m-%dT%H-%M-%S}-{script}"
+    folder, count = base, 2
+    while folder.exists():
+        folder, count = base.with_name(f"{base.name}-{count}"), count + 1
+    return folder
+
+
+@contextmanager
+def counted_interrupts() -> Iterator[Callable[[], int]]:
+    """While this is open, Ctrl-C is counted instead of raised: once lands, twice lets go. A closed terminal or a shutdown lands."""
+    presses = 0
+
+    def count(_signal: int, _frame: object) -> None:
+        nonlocal presses
+        presses += 1
+
+    def end(_signal: int, _frame: object) -> None:
+        nonlocal presses
+        presses = max(presses, 1)  # often comes twice, with nobody left to say what the second means
+
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: 0
+        return
+    before = {signal.SIGINT: signal.signal(signal.SIGINT, count)}
+    for name in ("SIGTERM", "SIGHUP"):  # the latter not on every system
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+            before[number] = signal.signal(number, end)
+    try:
+        yield lambda: presses
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
+    """Fly the scripts, then analyse what was recorded."""
+    request = as_before(request)
+    vehicle = declared_vehicle(request)
+    _known_waivers(request.waive)
+    names = request.scripts or (str(script_of(request.resume)),)
+    previous = model_of(request.out, vehicle.name) if request.model is None else model_file.read(request.model)
+    prior, _ = prior_of(request.model, request.out, vehicle)
+    compiled = plans(names, vehicle, prior)
+    for plan in compiled:
+        _all_flyable(plan)
+    notes = worth_resuming(request.resume, compiled) if request.resume is not None else []
+    for note in notes:
+        progress.stage(note)
+    earlier = chain(request.resume)
+    said: set[str] = set()
+
+    def compare(firmware: str, parameters: Mapping[str, float]) -> None:
+        if previous is not None:
+            _say_changes(previous, of_vehicle(vehicle, firmware, dict(parameters)), said, progress)
+
+    compare("", {})
+    folders = list(earlier)
+    ends: list[FlightResult] = []
+    for index, plan in enumerate(compiled):
+        try:
+            behind = left_behind(request.out, plan.vehicle.name)
+            folder = new_run(request.out, plan.script.name, datetime.datetime.now())
+            number = f"{index + 1} of {len(compiled)}"
+            progress.stage(f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}")
+            asked = FlightOptions(
+                left_behind=behind, skip=flown_in(earlier), replanner=ScriptReplanner(plan, prior), on_vehicle=compare
+            )
+            ended = _one(replace(request, seed=request.seed + index), plan, folder, asked, progress)
+        except FlighttestError as error:
+            if not folders:
+                raise
+            notes.append(f"{plan.script.name} was not flown: {error}")
+            break
+        ends.append(ended)
+        folders.append(ended.run_dir)
+        notes += [n for n in ended.notes if n not in notes]
+        if not ended.as_planned:
+            notes.append(f"{plan.script.name}: {ended.sentence}")
+        missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
+        again = ended.outcome is not FlightOutcome.COMPLETED or any(
+            leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
+        )
+        if missing and ended.outcome.orderly and again:
+            notes.append(
+                f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
+            )
+        notes += _unflown(ended)
+        if ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe:
+            break
+    usable = len(ends) == len(compiled) and all(e.as_planned and not e.incomplete for e in ends)
+    # Each step once, to compare with a model: too little to look for unnamed physics in.
+    wanted = not request.fit_only and any(plan.script.name != SPOT_CHECK for plan in compiled)
+    if request.fly_only:
+        return _flown(compiled, folders, ends, notes, usable)
+    try:
+        found = analyse(
+            folders, out=request.out, vehicle=vehicle, previous=previous, diagnose=wanted, keep=request.accept, notes=notes,
+            usable=usable, progress=progress,
+        )  # fmt: skip
+    except (FlighttestError, OSError) as error:
+        if usable and not isinstance(error, OSError):
+            raise
+        why = f"not analysed: {error.message if isinstance(error, FlighttestError) else error.strerror or error}"
+        progress.stage(why)
+        return _flown(compiled, folders, ends, [*notes, why], False)
+    if not _lacking(ends):
+        return found
+    page = replace(found.document, verdict=f"{_lacking(ends)} {found.document.verdict}", tone="bad")
+    return replace(found, document=page)
+
+
+def _lacking(ends: Sequence[FlightResult]) -> str:
+    """A sentence where a disk did not take the whole record; else ''."""
+    found = "; ".join(e.incomplete for e in ends if e.incomplete)
+    return f"The record is not complete: {found}." if found else ""
+
+
+def _unflown(ended: FlightResult) -> list[str]:
+    """Why steps that were tried are missing: one sentence for each reason."""
+    flown = {leg.leg for leg in ended.legs if leg.outcome is LegOutcome.FLOWN}
+    reasons: dict[str, list[str]] = {}
+    for leg in {leg.leg: leg for leg in ended.legs if leg.leg not in flown}.values():
+        reasons.setdefault(": ".join([leg.outcome.value, *leg.why[:1]]), []).append(leg.leg)
+    return [
+        f"{legs[0]}{f' and {len(legs) - 1} more' if len(legs) > 1 else ''} not flown: {reason}"
+        for reason, legs in reasons.items()
+    ]
+
+
+def _known_waivers(names: Sequence[str]) -> None:
+    for name in names:
+        if name not in preflight.NAMES:
+            guess = nearest(name, preflight.NAMES)
+            raise InputError(
+                f"--waive {name}: no preflight check is called so",
+                f"did you mean {guess}?" if guess else f"there are {', '.join(preflight.NAMES)}",
+            )
+
+
+def _all_flyable(plan: Plan) -> None:
+    """ScriptError when any step is refused: what is flown is what was written."""
+    if not plan.refusals:
+        return
+    reasons: dict[str, list[str]] = {}
+    for leg, what, remedy in plan.refusals:
+        reasons.setdefault(f"{what}; {remedy}" if remedy else what, []).append(leg)
+    lines = [
+        f"{legs[0]}{f' and {len(legs) - 1} more' if len(legs) > 1 else ''}: {why}" for why, legs in reasons.items()
+    ]
+    message = f"{plan.script.name}: {len(plan.refusals)} steps cannot be flown here\n" + "\n".join(lines)
+    raise ScriptError(message, f"see `flighttest check {plan.script.path or plan.script.name}`")
+
+
+def _say_changes(previous: ModelFile, today: Mapping[str, object], said: set[str], progress: Progress) -> None:
+    """Before take-off: what differs from the vehicle of the model in use, each change once, and what it touches."""
+    changes = [c for c in declared_changes(previous.fingerprint, today)[0] if c.name not in said]
+    said.update(c.name for c in changes)
+    if not changes:
+        return
+    since = flown_until(previous)
+    told = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:MOST_CHANGES_SAID]]
+    if len(changes) > MOST_CHANGES_SAID:
+        told.append(f"{len(changes) - MOST_CHANGES_SAID} more")
+    subsets = [s for s in SUBSETS if any(s in c.touches for c in changes)]
+    least = scripts_for(tuple(subsets))
+    again = join(list(ALL_SCRIPTS)) + (
+        f" again (at least {join(list(least))})" if set(least) < set(ALL_SCRIPTS) else " again"
+    )
+    progress.stage(
+        f"the last model is stale: {join(told)}{f'; changed {since}' if since else ''}; touches {join(subsets)}; fly {again}"
+    )
+
+
+def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions, progress: Progress) -> FlightResult:
+    """One script, flown and recorded in a folder. asked: what the flight needs to know beside the request."""
+    with connection(request) as url, counted_interrupts() as stops:
+        keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
+        wanted = replace(
+            asked,
+            set_params=request.set_params,
+            waive=request.waive,
+            resume=request.resume,
+            on_progress=progress.flight,
+            on_stage=progress.stage,
+            stop_requested=stops,
+            weather=request.weather,
+        )
+        ended = fly(plan, url, folder, wanted)
+    flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
+    progress.stage(f"{plan.script.name}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
+    return ended
+
+
+def _flown(
+    plans: Sequence[Plan], folders: Sequence[Path], ends: Sequence[FlightResult], notes: Sequence[str], usable: bool
+) -> Result:
+    """What `--only fly` shows: how the flights ended and where they are."""
+    lines = []
+    for plan, ended in zip(plans, ends, strict=False):
+        flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
+        lines.append(f"{ended.run_dir}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
+    blocks: list[Block] = [Bullets(tuple(lines))]
+    if notes:
+        blocks.append(Bullets(tuple(notes)))
+    verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."
+    verdict = _lacking(ends) or verdict
+    data = {
+        "runs": [str(f) for f in folders],
+        "flights": [
+            {"run": str(e.run_dir), "outcome": e.outcome.name, "left": e.left.name, "legs": [plain(r) for r in e.legs]}
+            for e in ends
+        ],
+        "notes": list(notes),
+    }
+    document = Document("flight", verdict, "good" if usable else "bad", (Section("flights", "", tuple(blocks)),))
+    return Result(document, data, Status.DONE if usable else Status.UNUSABLE, tuple(ends))
+
+
+def fetch_log(url: str, output: Path, number: int | None = None, progress: Progress = SILENT) -> Result:
+    """Download an onboard log: into a file named so, or as onboard.bin into a run folder (made where there is none)."""
+    is_file = output.suffix.lower() in (".bin", ".ulg", ".log")
+    path = output if is_file else output / "onboard.bin"
+    if url == BUILTIN:
+        raise InputError(
+            "the built-in vehicle keeps no onboard log: what it sends is in its run's raw.tlog",
+            "name a vehicle that keeps one, as tcp:HOST:PORT; `flighttest sim --backend sitl` starts an ArduPilot that does",
+        )
+    progress.stage(f"connecting to {url}")
+    told = -1
+
+    def tell(share: float) -> None:
+        nonlocal told
+        tenth = int(share * 10)
+        if tenth > told:
+            told = tenth
+            progress.stage(f"downloading: {tenth * 10} %")
+
+    log = fetch(url, path, number, tell)
+    if not is_file and not (output / MANIFEST_NAME).exists():
+        progress.stage("reading the log")
+        write_recording(output, open_recording(path))
+    facts = {"log": f"{log.number} {log.date}".strip(), "size": f"{log.size_bytes / 1e6:.1f} MB", "file": str(path)}
+    document = Document("fetch-log", f"Log {log.number} is in {path}.", "good", (), facts)
+    return Result(document, {"file": str(path), "number": log.number, "date": log.date, "size_bytes": log.size_bytes})

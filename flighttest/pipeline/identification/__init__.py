@@ -1,0 +1,1 @@
+"""Recordings to a model: segments, fit, validation, comparison, export, report."""

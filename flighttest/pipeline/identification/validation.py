@@ -1,0 +1,154 @@
+"""`flighttest validate`: a model and its simplifications against flights it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from flighttest.errors import InputError
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.identify.validation.validate import Validation, Variation, comparable
+from flighttest.identify.validation.validate import validate as compare_models
+from flighttest.pipeline.identification.fitting import cut_all
+from flighttest.pipeline.recordings.fingerprints import differences
+from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.store.history import DEFAULT_RUNS, check_runs
+from flighttest.pipeline.store.identities import whose
+from flighttest.pipeline.store.lineage import in_use
+from flighttest.recording import Recording
+from flighttest.report.document import Document, Tone
+from flighttest.report.numbers import join
+from flighttest.report.render import html
+from flighttest.report.sections.validation import validation_sections
+from flighttest.segments import Segment
+
+
+def validate(
+    model: Path | ModelFile | None,
+    runs: Sequence[Source],
+    previous: Path | ModelFile | None = None,
+    output: Path | None = None,
+    columns: Path | None = None,
+    progress: Progress = SILENT,
+    *,
+    out: Path = DEFAULT_RUNS,
+) -> Result:
+    """Paper section 4; `output`: also write the page. Free flight and steps, where both are given, are compared apart: they ask
+    different things of a model, and an error over both together would say little of either."""
+    check_writable(None if output is None else output.parent)
+    check_runs(out)
+    if model is None:
+        model, runs = _parted(runs)
+    recordings = open_recordings(runs, columns, progress=progress) if model is None else ()
+    if model is None:
+        name = whose(recordings, None, out)
+        if not name:
+            raise InputError(
+                f"{join([named(r) for r in runs])}: of an unknown vehicle, and no model was given",
+                "name the model: flighttest validate MODEL RUN",
+            )
+        model = Path(in_use(out, name).path)
+    stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
+    earlier = model_file.read(previous) if isinstance(previous, Path) else previous
+    recordings = recordings or open_recordings(runs, columns, progress=progress)
+    segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
+    progress.stage("running the models open loop")
+    usable = [s for s in segments if comparable(s)]
+    steps = [s for s in usable if s.kind != "free"]
+    found = compare_models(stored, segments, earlier)
+    beside = compare_models(stored, steps, earlier) if steps and len(steps) < len(usable) else None
+    facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
+    seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
+    if seen:
+        facts["careful"] = f"{join(seen)} was used in the fit: this shows the fit, not its power to predict"
+    other = differences(stored.fingerprint, recordings)
+    if other:
+        facts["another vehicle"] = f"the model's has {other}"
+    left_out = _left_out(segments)
+    if left_out:
+        facts["left out"] = left_out
+    verdict, tone = _verdict(found)
+    sections, data = validation_sections(found), _data(found) | {"left_out": left_out, "losses": losses_of(recordings)}
+    data |= {name.replace(" ", "_"): facts.get(name, "") for name in ("careful", "another vehicle")}
+    if beside is not None:
+        on_steps, steps_tone = _verdict(beside)
+        verdict = " ".join(
+            f"In {kind}: {v[0].lower()}{v[1:]}" for kind, v in (("free flight", verdict), ("steps", on_steps))
+        )
+        tone = "warn" if "warn" in (tone, steps_tone) else tone
+        sections = (*validation_sections(found, "free flight"), *validation_sections(beside, "steps"))
+        data["steps"] = _data(beside)
+    document = Document("validation", verdict, tone, sections, facts)
+    if output is not None:
+        html.write(document, output)
+    return Result(document, data, Status.DONE, found)
+
+
+def _parted(paths: Sequence[Source]) -> tuple[Path | None, Sequence[Source]]:
+    """The model among what was named, and the recordings: a model file, or the first of several folders where it holds one."""
+    first, others = paths[0], paths[1:]
+    if isinstance(first, Recording):
+        return None, paths
+    if first.suffix in (".yaml", ".yml"):
+        if not others:
+            raise InputError(f"nothing to hold {first} against", "name a recording: flighttest validate MODEL RUN")
+        return first, others
+    holds = first.is_dir() and any((first / name).is_file() for name in model_file.NAMES)
+    return (first, others) if holds and others else (None, paths)
+
+
+def _left_out(segments: Sequence[Segment]) -> str:
+    """How many responses are not in the comparison, and why."""
+    rejected = sum(not s.usable for s in segments)
+    rest = sum(s.usable and not comparable(s) for s in segments)
+    words = [f"{rejected} rejected (see `flighttest segment`)"] if rejected else []
+    words += [f"{rest} too short or without a recorded throttle"] if rest else []
+    return f"of {len(segments)} responses {join(words)}" if words else ""
+
+
+def _verdict(found: Validation) -> tuple[str, Tone]:
+    full = {e.group: e for e in found.errors if e.variation is Variation.FULL and e.horizon_s == 1.0}
+    group = next((g for g in ("velocity", "position", "roll") if g in full), None)
+    if group is None:
+        return (found.sentences[0] if found.sentences else "Nothing could be compared."), "warn"
+    others = {
+        v: r
+        for v in (Variation.LINEARISED, Variation.NO_DRAG, Variation.NO_BATTERY, Variation.ONLY_DELAY)
+        if (r := found.rmse(v, group, 1.0)) is not None
+    }
+    mine = full[group].rmse
+    better = [v.value for v, r in others.items() if r > mine * 1.02]
+    worse = [v.value for v, r in others.items() if r < mine * 0.98]
+    units = {"velocity": "m/s", "position": "m", "roll": "rad"}[group]
+    few = full[group].few
+    tone: Tone = "warn" if few else "good"
+    head = f"After 1 s the model's {group} is off by {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
+    if worse:
+        return f"{head}; {join(worse)} would have been better on this flight.", "warn"
+    if not better:
+        return f"{head}.", tone
+    if len(better) <= 2:
+        return f"{head}, less than with {join(better, 'or')}.", tone
+    return f"{head}, less than with any of the {len(better)} simplifications that matter here.", tone
+
+
+def _data(found: Validation) -> dict[str, Any]:
+    return {
+        "starts": found.starts,
+        "segments": list(found.segments),
+        "sentences": list(found.sentences),
+        "errors": [
+            {
+                "model": e.variation.name,
+                "group": e.group,
+                "horizon_s": e.horizon_s,
+                "rmse": e.rmse,
+                "count": e.count,
+                "stretches": e.stretches,
+            }
+            for e in found.errors
+        ],
+    }

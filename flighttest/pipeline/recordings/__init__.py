@@ -1,0 +1,1 @@
+"""Recordings as every command takes them: opened, deduplicated, with fingerprint, time budget and battery."""

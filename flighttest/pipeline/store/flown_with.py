@@ -1,0 +1,72 @@
+"""What a flight was flown with, kept in its run folder: so that the command that goes on with it needs no other words."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from flighttest.datafiles import read_yaml
+from flighttest.documents import write_text
+from flighttest.errors import RecordingError
+from flighttest.pipeline.vehicles.live import BUILTIN
+
+COMMAND_NAME = "command.yaml"
+VEHICLE_NAME = "vehicle.yaml"
+
+
+@dataclass(frozen=True)
+class FlownWith:
+    """The words of a command line that say what flies. link: a URL, or the built-in vehicle's name."""
+
+    link: str
+    vehicle: Path | None = None
+    airframe: str = "paper"
+    hide: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """For the end of a command line: a space and the options, '' for the built-in vehicle as it is."""
+        options = [f"--vehicle {shlex.quote(str(self.vehicle))}"] if self.vehicle is not None else []
+        if self.link != BUILTIN or self.vehicle is not None:
+            options.append(f"--connect {shlex.quote(self.link)}")
+        if self.airframe != "paper":
+            options.append(f"--airframe {shlex.quote(self.airframe)}")
+        options += [f"--hide {shlex.quote(one)}" for one in self.hide]
+        return "".join(f" {option}" for option in options)
+
+
+def keep(run_dir: Path, flown: FlownWith) -> None:
+    """Write it into a run folder, with a copy of the vehicle file."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    data: dict[str, object] = {"format": "command/1", "connect": flown.link}
+    if flown.vehicle is not None:
+        shutil.copyfile(flown.vehicle, run_dir / VEHICLE_NAME)
+        data["vehicle"] = str(flown.vehicle.absolute())
+    data |= {"airframe": flown.airframe, "hide": list(flown.hide)}
+    (run_dir / COMMAND_NAME).write_text(write_text(data), encoding="utf-8")
+
+
+def flown_with(run_dir: Path) -> FlownWith | None:
+    """What a run was flown with: by the vehicle file's own place, else its copy. None where the run does not say."""
+    path = run_dir / COMMAND_NAME
+    if not path.is_file():
+        return None
+    data = read_yaml(path, RecordingError, "command", "name the vehicle and the link on the command line")
+    hide = data.get("hide") if isinstance(data, dict) else None
+    if not isinstance(data, dict) or not isinstance(data.get("connect"), str) or not isinstance(hide or [], list):
+        raise RecordingError(f"{path} is not a command/1 file", "name the vehicle and the link on the command line")
+    named = Path(str(data["vehicle"])) if data.get("vehicle") else None
+    if named is not None and not named.is_file():
+        named = run_dir / VEHICLE_NAME
+    return FlownWith(data["connect"], named, str(data.get("airframe") or "paper"), tuple(map(str, hide or [])))
+
+
+def words_of(run_dir: Path) -> str:
+    """The options that fly a run's vehicle again, '' where it is the built-in one or not known."""
+    try:
+        found = flown_with(run_dir)
+    except RecordingError:  # a hint must not fail
+        return ""
+    return found.words if found is not None else ""

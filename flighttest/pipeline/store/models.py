@@ -1,0 +1,102 @@
+"""`flighttest accept` and `flighttest models`: which model of a vehicle is in use, and which were before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from flighttest.errors import FlighttestError
+from flighttest.pipeline.results import Result
+from flighttest.pipeline.store.history import check_runs, when
+from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since
+from flighttest.pipeline.store.lineage import accept as accept_model
+from flighttest.report.document import Cell, Document, Paragraph, Section, Table
+from flighttest.report.numbers import join
+from flighttest.vehicle.load import load_vehicle
+
+
+def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
+    """The model of a run or diagnosis folder, or a model file, becomes its vehicle's model in use."""
+    whole, made = accept_model(path, out, vehicle)
+    facts = {
+        "vehicle": whole.vehicle,
+        "model": str(whole.current),
+        "flights": join(list(made.runs)) or "not stated",
+        "terms": ", ".join(made.terms),
+    }
+    if made.joined:
+        facts["joined"] = ", ".join(made.joined)
+    if len(whole.generations) > 1:
+        before = whole.generations[-2]
+        facts["before it"] = f"model {before.number}: {'; '.join(before.ended)}"
+    facts["now"] = "flighttest status RUN, run, check, validate RUN and export use it for this vehicle"
+    document = Document("accept", _sentence(whole, made), "good", (), facts)
+    return Result(document, {"vehicle": whole.vehicle, "file": str(whole.current), **asdict(made)}, value=whole)
+
+
+def accepted(path: Path, out: Path, vehicle: Path | None) -> str:
+    """Accept, in one sentence; why not, where it could not be: what was flown and found stays."""
+    try:
+        whole, made = accept_model(path, out, vehicle)
+    except FlighttestError as error:
+        return f"not accepted: {error.message}; {error.hint}"
+    return f"done: {_sentence(whole, made)} ({whole.current})"
+
+
+def _sentence(whole: Lineage, made: Generation) -> str:
+    return f"{' + '.join(made.terms)} is now model {made.number} of {whole.vehicle}."
+
+
+def named_or_in_use(model: Path | None, out: Path, vehicle: Path | None = None) -> Path:
+    """A model as it was named, else the file of the vehicle's model in use."""
+    if model is not None:
+        return model
+    return Path(in_use(out, load_vehicle(vehicle, to_fly=False).name if vehicle is not None else "").path)
+
+
+def models(out: Path) -> Result:
+    """The lineage of each vehicle: which flights, which terms joined when, what ended each."""
+    check_runs(out)
+    found = lineages(out)
+    sections, data = [], []
+    for one in found:
+        since = stale_since(one, out)
+        sections.append(_section(one, since))
+        data.append(
+            {
+                "vehicle": one.vehicle,
+                "current": str(one.current) if one.current else None,
+                "changed_since": list(since),
+                "models": [asdict(g) for g in one.generations],
+            }
+        )
+    if not found:
+        verdict = "No model was accepted yet; `flighttest accept RUN` makes the model of a run its vehicle's."
+        return Result(Document("models", verdict, "warn"), {"vehicles": []})
+    count = sum(len(one.generations) for one in found)
+    verdict = f"{count} model{'s' if count != 1 else ''} of {join([one.vehicle for one in found])}."
+    return Result(Document("models", verdict, "plain", tuple(sections)), {"vehicles": data})
+
+
+def _section(one: Lineage, since: tuple[str, ...]) -> Section:
+    rows: list[tuple[Cell | str, ...]] = []
+    for g in one.generations:
+        last = g is one.generations[-1]
+        ended: Cell | str = "; ".join(g.ended)
+        if last:
+            ended = Cell("in use", "good") if not since else Cell("in use, stale", "bad")
+        moved = "; ".join([*(f"{t} joined" for t in g.joined), *(f"{t} left" for t in g.left)])
+        rows.append((f"{g.number}", g.accepted[:16], _flights(g.runs), moved or "as before", ended))
+    table = Table(("", "accepted", "flights", "terms", "ended by"), tuple(rows), ("right",))
+    note = (Paragraph(f"Changed since: {'; '.join(since)}.", "bad"),) if since else ()
+    lead = f"in use: {one.current}"
+    return Section(f"models-{one.folder.name}", one.vehicle, (table, *note), lead)
+
+
+def _flights(runs: Sequence[str]) -> str:
+    """The flights of a model in short: the day of the first, and the scripts where the runs are named by them."""
+    day = when(runs[0])[:10] if runs else ""
+    if not day or any(not when(r) for r in runs):
+        return ", ".join(runs)
+    return f"{day} {', '.join(r[len('2026-01-01T00-00-00-') :] for r in runs)}"

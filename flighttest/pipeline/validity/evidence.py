@@ -1,0 +1,132 @@
+"""What `status` tests beside the paper's parameters: delays, parameters of terms that joined, effects that the model does not have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from flighttest.currency.compare import FALSE_ALARM, discrepancy
+from flighttest.currency.model import SCRIPTS, SUBSETS, Appeared, SubsetTest, Untested
+from flighttest.diagnose import Diagnosis, Verdict
+from flighttest.errors import FitError
+from flighttest.estimation.uncertainty.distributions import quantile
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.body import DELAY_PARAM
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import PAPER_TERMS, Model
+from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
+from flighttest.pipeline.results import SILENT, Progress
+from flighttest.recording import Recording
+from flighttest.report.numbers import join, percent
+from flighttest.segments import Segment
+from flighttest.vehicle.model import Vehicle
+
+# Conditions of a day, not of a vehicle: the wind, and what an accelerometer is off by each time it is switched on.
+OF_THE_DAY = ("steady_wind", "accelerometer_bias")
+SOUND = (Verdict.NOTHING_MISSING.name, Verdict.EXPLAINED.name)
+NOT_DIAGNOSED = "effects that the model does not have: it was never diagnosed, so that they may be as old as it is (`flighttest diagnose`)"
+
+
+def subsets_of(model: Model) -> dict[str, tuple[str, ...]]:
+    """Parameters that are tested together: the paper's four subsets, the delays, and each term that joined by itself."""
+    known = catalogue()
+    found = {**SUBSETS, "delay": tuple(n for n in DELAY_PARAM.values() if n in model.names)}
+    found |= {t: tuple(p.name for p in known[t].params) for t in model.terms if t in known and t not in PAPER_TERMS}
+    return {s: names for s, names in found.items() if names and s not in OF_THE_DAY}
+
+
+def untested(
+    stored: ModelFile,
+    subsets: Mapping[str, Sequence[str]],
+    tests: Sequence[SubsetTest],
+    stds: Mapping[str, float | None],
+    spread: Mapping[str, float],
+) -> tuple[Untested, ...]:
+    """Parameters of the model that no test is about, with the smallest relative change that would have raised the alarm. stds: standard
+    errors from the new recording alone; spread: relative, what campaigns of an unchanged vehicle differ by."""
+    told = {n for t in tests for n in t.shifts}
+    level = tests[0].level if tests else FALSE_ALARM / max(len(subsets), 1)
+    known = catalogue()
+    found = []
+    for subset, names in subsets.items():
+        for name in (n for n in names if n not in told and n in stored.parameters):
+            kept, new = stored.parameters[name], stds.get(name)
+            smallest = None
+            if new is not None and kept.std is not None and kept.value:
+                doubt = float(discrepancy((name,), [kept.value], spread)[0, 0])  # type: ignore[arg-type]
+                smallest = -quantile(level / 2.0, 1e4) * math.sqrt(new**2 + kept.std**2 + doubt) / abs(kept.value)
+            fly = (
+                SCRIPTS[subset]
+                if subset in SCRIPTS
+                else (known[subset].reveals,)
+                if subset in known
+                else ("spot_check",)
+            )
+            found.append(Untested(name, subset, smallest, tuple(fly)))
+    return tuple(found)
+
+
+def in_words(missed: Sequence[Untested]) -> tuple[str, ...]:
+    """One sentence for each subset: which of its parameters are not tested, and from which change on they would have shown."""
+    found = []
+    for subset in dict.fromkeys(u.subset for u in missed):
+        mine = [u for u in missed if u.subset == subset]
+        told = [
+            f"{u.parameter} would have shown from {percent(u.smallest, 0)} on" for u in mine if u.smallest is not None
+        ]
+        blind = [u.parameter for u in mine if u.smallest is None]
+        if blind:
+            told.append(f"{join(blind)} not at all")
+        found.append(f"{subset}: {', '.join(told)}; fly {join(mine[0].fly)}")
+    return tuple(found)
+
+
+def effects(
+    segments: Sequence[Segment],
+    recordings: Sequence[Recording],
+    stored: ModelFile,
+    vehicle: Vehicle | None,
+    progress: Progress = SILENT,
+) -> Diagnosis | None:
+    """The diagnosis of a new recording from the stored model on; None where that was never diagnosed itself, or there is too little."""
+    if not stored.diagnosed:
+        return None
+    try:
+        return run_diagnosis(segments, recordings, stored, vehicle, progress)
+    except FitError:
+        return None
+
+
+def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
+    """Effects that a new recording shows and the model does not have; none for a model whose own flights were never diagnosed."""
+    if not stored.diagnosed:
+        return ()
+    smallest = stored.diagnosed.get("smallest_detectable") or {}
+    new = []
+    for f in found.findings:
+        if f.term in stored.model.terms or f.term in OF_THE_DAY:
+            continue
+        level = smallest.get(f.term) if isinstance(smallest, Mapping) else None
+        unseen = f.term in (stored.diagnosed.get("untestable") or ())
+        before = (
+            "the model's own flights could not have shown it"
+            if unseen
+            else f"the model's own flights showed none, and would have from {level:.2g} on"
+            if isinstance(level, int | float)
+            else "the model's own flights showed none"
+        )
+        new.append(Appeared(f.term, f.title, f"{f.sentence}; {before}", unseen))
+    sound = stored.diagnosed.get("verdict") in SOUND
+    if not new and sound and found.verdict is Verdict.UNKNOWN_PHYSICS and found.located:
+        new.append(Appeared("", "something without a name", found.located[0].sentence, False))
+    return tuple(new)
+
+
+def not_shown(found: Diagnosis) -> tuple[str, ...]:
+    """New effects that a recording could not have shown, in one sentence, by the maneuver that would."""
+    by_script: dict[str, list[str]] = {}
+    for u in found.untestable:
+        if u.term not in OF_THE_DAY:
+            by_script.setdefault(u.fly, []).append(u.term)
+    named = [f"{', '.join(terms)} (fly {fly})" for fly, terms in by_script.items()]
+    return (f"new effects that this recording could not have shown: {', '.join(named)}",) if named else ()

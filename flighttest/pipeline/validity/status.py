@@ -1,0 +1,329 @@
+"""`flighttest status`: the stored model against today's vehicle and new recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flighttest.currency import alike
+from flighttest.currency.alike import DELAY_S
+from flighttest.currency.assess import assess
+from flighttest.currency.compare import Alike, Estimates
+from flighttest.currency.hover import Hover, hover
+from flighttest.currency.model import Currency, Verdict
+from flighttest.diagnose import Diagnosis
+from flighttest.errors import FitError, InputError
+from flighttest.estimation.problem import Noise, Problem
+from flighttest.identify.fit import Fit
+from flighttest.identify.fit import fit as identify
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.identify.selection import problem_of
+from flighttest.pipeline.identification.fitting import cut_all
+from flighttest.pipeline.recordings.batteries import battery_of, battery_reference
+from flighttest.pipeline.recordings.fingerprints import of_recordings, of_vehicle
+from flighttest.pipeline.recordings.sources import Source, named, open_recordings
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.store.history import campaigns, watched, when
+from flighttest.pipeline.store.identities import SAY, whose
+from flighttest.pipeline.store.lineage import in_use
+from flighttest.pipeline.validity.evidence import (
+    NOT_DIAGNOSED,
+    appeared,
+    effects,
+    in_words,
+    not_shown,
+    subsets_of,
+    untested,
+)
+from flighttest.pipeline.validity.reflights import reflights
+from flighttest.pipeline.vehicles.live import Present
+from flighttest.recording import Recording
+from flighttest.report.numbers import join
+from flighttest.report.render import html
+from flighttest.report.render.plain import plain
+from flighttest.report.sections.currency import status_document
+from flighttest.segments import Segment
+from flighttest.vehicle.fingerprint import fingerprint
+from flighttest.vehicle.load import load_vehicle
+from flighttest.vehicle.model import Vehicle
+
+ALPHA_TELLS = 2.0
+VAGUE = 0.2  # relative standard error beyond which the stored value serves better
+ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
+NOISE = ("channels", "disturbances")  # as model.yaml names them
+
+
+def status(
+    runs: Sequence[Source],
+    vehicle: Path | None,
+    model: Path | ModelFile | None,
+    out: Path,
+    output: Path | None = None,
+    progress: Progress = SILENT,
+    present: Present | None = None,
+) -> Result:
+    """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign; present: the vehicle as it is now."""
+    declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
+    recordings = open_recordings(runs, progress=progress)
+    name = whose(recordings, declared, out)
+    if model is not None:
+        stored = model_file.read(model) if isinstance(model, Path) else model
+        _one_vehicle(stored, name)
+        name = name or stored.vehicle_name
+    elif recordings and not name:
+        raise InputError(
+            f"{join([named(r) for r in runs])}: of an unknown vehicle", f"{SAY}, or name a model with --model"
+        )
+    else:
+        stored = in_use(out, name)
+        name = name or stored.vehicle_name
+    found = judge(stored, recordings, declared, name, out, progress, present)
+    return finish(found, stored, declared, [named(r) for r in runs], output, present)
+
+
+def _one_vehicle(stored: ModelFile, name: str) -> None:
+    """InputError where a model is of another vehicle than the one that is asked about."""
+    if name and stored.vehicle_name and name != stored.vehicle_name:
+        raise InputError(f"{stored.path} is a model of {stored.vehicle_name}, not of {name}", f"name a model of {name}")
+
+
+def judge(
+    stored: ModelFile,
+    recordings: Sequence[Recording],
+    vehicle: Vehicle | None,
+    name: str = "",
+    out: Path | None = None,
+    progress: Progress = SILENT,
+    present: Present | None = None,
+    diagnosed: Diagnosis | None = None,
+) -> Currency:
+    """All the evidence. recordings: one new campaign, possibly none; name: the vehicle's; out: where its earlier campaigns may lie;
+    present: the vehicle as it is now, which counts more than what the recordings say of it; diagnosed: the new recordings from this model
+    on, found here where it is not given."""
+    subsets = subsets_of(stored.model)
+    tested = [n for names in subsets.values() for n in names]
+    base = watched(stored, "model", tested)
+    today = today_fingerprint(recordings, vehicle)
+    if present is not None:
+        reached = fingerprint(None, present.firmware, present.parameters).as_data()
+        today = {**(today or {}), **reached}
+    untestable: list[str] = []
+    series: list[Estimates] = []
+    new = {r.name for r in recordings}
+    known = campaigns(out, name) if out is not None and name else []
+    earlier = [c.estimates for c in known if c.follows(stored) and not new & set(map(str, c.model.runs))]
+    segments = cut_all(recordings, progress) if recordings else ()
+    usable = [s for s in segments if s.usable]
+    paired = None
+    stds: dict[str, float | None] = {}
+    if recordings:
+        if diagnosed is None and usable:
+            diagnosed = effects(segments, recordings, stored, vehicle, progress)
+        try:
+            again, stds = reestimate(stored, usable, recordings[-1].name, progress)
+            series = [*earlier, again]
+            paired = like_with_like(stored, base, usable)
+        except FitError as error:
+            untestable.append(f"the new recordings could not be fitted: {error.message}")
+    battery = battery_of(recordings) if recordings else None
+    spread = allowance(stored, base, earlier)
+    found = assess(
+        model_fingerprint=stored.fingerprint,
+        vehicle_fingerprint=today,
+        stored=base,
+        runs=series,
+        alike=paired,
+        spread=spread,
+        battery=battery,
+        battery_reference=battery_reference(stored),
+        hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
+        untestable=untestable,
+        subsets=subsets,
+        appeared=appeared(diagnosed, stored) if diagnosed is not None else (),
+    )
+    missed = untested(stored, subsets, found.tests, stds, spread) if recordings else ()
+    unseen = not_shown(diagnosed) if diagnosed is not None and stored.diagnosed else (NOT_DIAGNOSED,) if usable else ()
+    since = flown_until(stored)
+    return replace(
+        found,
+        changes=tuple(c if c.since else replace(c, since=since) for c in found.changes),
+        cannot_tell=(*in_words(missed), *found.cannot_tell, *unseen),
+        untested=missed,
+    )
+
+
+def stored_hover(stored: ModelFile) -> Hover | None:
+    """The throttle that held height in a model's flights, where it was kept."""
+    kept = stored.fit_quality.get("hover")
+    if not isinstance(kept, Mapping):
+        return None
+    try:
+        volts = kept.get("log_voltage")
+        there = None if volts is None else float(volts)
+        return Hover(float(kept["throttle"]), float(kept["std"]), float(kept["dof"]), there)
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def flown_until(stored: ModelFile) -> str:
+    """What is known of when an undated change came about: after the model's last flight; empty where that has no date."""
+    dates = sorted(filter(None, (when(str(run)) for run in stored.runs)))
+    return f"after {dates[-1]}" if dates else ""
+
+
+def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any] | None:
+    """What is known of today's vehicle: the file's components before the recordings', the recordings' firmware and parameters."""
+    if not recordings:
+        return of_vehicle(vehicle) if vehicle is not None else None
+    seen = of_recordings(recordings, vehicle)
+    if vehicle is not None:
+        declared = of_vehicle(vehicle)
+        seen.update({key: declared[key] for key in ("components", "mass_kg", "nominal_voltage_v") if key in declared})
+    return seen
+
+
+def reestimate(
+    stored: ModelFile, usable: Sequence[Segment], name: str, progress: Progress = SILENT
+) -> tuple[Estimates, dict[str, float | None]]:
+    """The stored model's parameters from new responses alone, and the standard error of each, None where nothing tells it.
+
+    What the new recordings cannot tell (alpha over a short flight, say) is held at the stored value, so that it does not blur
+    the rest; the test's covariance carries the stored doubt anyway.
+    """
+    if not usable:
+        raise FitError("no response can be used", "see `flighttest segment`")
+    progress.stage(f"estimating again from {len(usable)} responses")
+    return reestimate_segments(stored, usable, name)
+
+
+def reestimate_segments(
+    stored: ModelFile, segments: Sequence[Segment], name: str
+) -> tuple[Estimates, dict[str, float | None]]:
+    """`reestimate` from segments that are already cut."""
+    noise = stored_noise(stored, problem_of(segments, stored.model, values=stored.values))
+    found = identify(segments, stored.model, start=stored.values, noise=noise)
+    tested = [n for names in subsets_of(stored.model).values() for n in names]
+    stds = {n: found.estimates[n].std for n in tested if n in found.estimates}
+    weak = {n: stored.values[n] for n in stds if _tells_less(found, stored, n)}
+    if weak:
+        found = identify(segments, stored.model, start=stored.values, frozen=weak, noise=noise)
+    estimates = watched(model_file.from_fit(found), name, tested)
+    return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v)), stds
+
+
+def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> Alike | None:
+    """The new steps against those that a model's own flights had too; None where it kept none, or too few are alike."""
+    kept = alike.from_data(stored.fit_quality.get("steps"))
+    if not kept:
+        return None
+    problem = problem_of(segments, stored.model, values=stored.values)
+    noise = stored_noise(stored, problem)
+    return alike.compare(kept, base, stored.values, noise, problem) if noise is not None else None
+
+
+def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
+    """A model's noise, where it knows that of everything in `problem`."""
+    noise = Noise(*({str(k): float(v) for k, v in (stored.noise.get(part) or {}).items()} for part in NOISE))
+    channels = {c for part in problem.parts for c in part.outputs}
+    others = {n for part in problem.parts for n in part.block.disturbances}
+    return noise if channels <= set(noise.channel) and others <= set(noise.disturbance) else None
+
+
+def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:
+    """ln(U / U_n) over the throttle steps, else over all that was flown; NaN where no voltage was recorded."""
+    known = [s for s in segments if s.usable and np.isfinite(s.y.get("voltage_v", np.full(1, np.nan))).any()]
+    chosen = [s for s in known if s.kind in ("throttle_step", "tilt_throttle")] or known
+    if not chosen:
+        return math.nan
+    return math.log(float(np.mean([np.nanmean(s.y["voltage_v"]) for s in chosen])) / nominal_v)
+
+
+def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
+    """Whether the new recordings know a parameter so badly that the stored value serves the others better.
+
+    alpha, which moves K along, already when it is known half as well as before: the voltage range of a short flight is no change
+    of the vehicle.
+    """
+    kept = stored.parameters.get(name)
+    if kept is None or not kept.identifiable:
+        return False
+    new = found.estimates[name]
+    size = DELAY_S if name.startswith("T_d") else abs(new.value)
+    if new.std is None or (not new.identifiable and new.std > VAGUE * size):
+        return True
+    return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
+
+
+def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
+    """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
+    between its conditions. What neither knows keeps the stated prior."""
+    kept = stored.fit_quality.get("discrepancy")
+    known = {str(n): float(v) for n, v in kept.items() if _number(v)} if isinstance(kept, Mapping) else {}
+    return {**known, **(own_scatter(base, earlier) or {})}
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < 10.0
+
+
+def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float] | None:
+    """Relative scatter of this vehicle's own campaigns beyond their stated errors; None before there are enough of them."""
+    found = {}
+    base = base.known
+    for i, name in enumerate(base.names):
+        rows = [
+            (float(e.values[e.names.index(name)]), float(e.covariance[e.names.index(name), e.names.index(name)]))
+            for e in (one.known for one in earlier)
+            if name in e.names
+        ]
+        if len(rows) < ENOUGH_HISTORY or not base.values[i]:
+            continue
+        values = np.array([v for v, _ in rows])
+        extra = float(np.var(values, ddof=1)) - float(np.mean([s for _, s in rows]))
+        # The root of half the chi-square's spread: few campaigns know their own scatter badly.
+        found[name] = float(
+            np.sqrt(max(extra, 0.0)) * (1.0 + 1.0 / np.sqrt(2.0 * (len(rows) - 1))) / abs(float(base.values[i]))
+        )
+    return found or None
+
+
+def finish(
+    found: Currency,
+    stored: ModelFile,
+    vehicle: Vehicle | None,
+    runs: Sequence[str],
+    output: Path | None,
+    present: Present | None = None,
+) -> Result:
+    """Document, data, and with `output` the page and the scripts to fly."""
+    rows, minutes, repeats = reflights(found, stored, vehicle, output)
+    facts = {"model": stored.path or "the last one fitted"}
+    if vehicle is not None:
+        facts["vehicle"] = vehicle.path or vehicle.name
+    elif stored.vehicle_name:
+        facts["vehicle"] = stored.vehicle_name
+    if present is not None:
+        facts["read"] = present.sentence
+    if runs:
+        facts["new flight"] = ", ".join(runs)
+    document = status_document(found, facts, rows, brief=True)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        html.write(status_document(found, facts, rows), output / "status.html")
+        document = replace(document, footer=f"page: {output / 'status.html'}")
+    data = plain(found)
+    data["verdict"] = found.verdict.name
+    data["repeats"] = {name: need.repeats for name, need in repeats.items()}
+    data["minutes"] = minutes
+    shown = rows if found.fly or found.verdict is Verdict.UNKNOWN else ()
+    data["reflights"] = [plain(row) for row in shown]
+    data["compared"] = facts
+    data["page"] = str(output / "status.html") if output is not None else None
+    status_of = {Verdict.CURRENT: Status.DONE, Verdict.STALE: Status.STALE, Verdict.UNKNOWN: Status.DONE}
+    return Result(document, data, status_of[found.verdict], found)

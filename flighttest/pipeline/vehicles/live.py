@@ -1,0 +1,71 @@
+"""The vehicle as it is now, over the link: firmware and parameters. Asks, and never arms, sets or starts anything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+
+from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
+from flighttest.link import parameters as params
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import open_transport
+from flighttest.mavlink.dialect import book
+from flighttest.pipeline.results import SILENT, Progress
+from flighttest.pipeline.vehicles.simulator import options
+from flighttest.sim import start_simulator
+from flighttest.vehicle.default import DEFAULT_VEHICLE
+
+BUILTIN = "sim"
+_NAMES = {book.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduCopter", book.MAV_AUTOPILOT_PX4: "PX4"}
+
+
+@dataclass(frozen=True)
+class Present:
+    """What a vehicle says of itself. parameters: all of them, as they will be in force in a flight of ours."""
+
+    url: str
+    firmware: str
+    parameters: dict[str, float]
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return f"{self.url}: {self.firmware or 'firmware not stated'}, {len(self.parameters)} parameters read"
+
+
+def read(url: str, progress: Progress = SILENT) -> Present:
+    """Connect, read, let go. `sim` is the built-in vehicle. LinkError when nothing answers."""
+    with _built_in() if url == BUILTIN else nullcontext(url) as where:
+        progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")
+        session = Session(Port(open_transport(where)))
+        try:
+            beat = session.connect()
+            found = params.read_all(session)
+            version = ArduPilot(session).firmware()
+        finally:
+            session.port.close()
+    family = _NAMES.get(beat.autopilot, "")
+    if beat.autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA and "GUID_OPTIONS" in found:
+        # Every flight sets this bit before it arms, and restores it: a model knows the vehicle with it.
+        found["GUID_OPTIONS"] = float(int(found["GUID_OPTIONS"]) | THRUST_AS_THRUST)
+    return Present(url, f"{family} {version}".strip() if version else "", found)
+
+
+@contextmanager
+def _built_in() -> Iterator[str]:
+    with start_simulator(options(DEFAULT_VEHICLE.name, (), 1, 10.0)) as simulation:
+        yield simulation.url
+
+
+def hello(url: str) -> str:
+    """What answers at a URL, in words. `sim` is the built-in vehicle, started for it. LinkError when nothing does."""
+    with _built_in() if url == BUILTIN else nullcontext(url) as where:
+        session = Session(Port(open_transport(where)))
+        try:
+            beat = session.connect()
+            return f"{url}: {_NAMES.get(beat.autopilot, 'autopilot')} {ArduPilot(session).firmware()}".strip()
+        finally:
+            session.port.close()

@@ -1,0 +1,109 @@
+"""The built-in vehicle, or a real ArduPilot SITL, for whoever wants to connect to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from flighttest.errors import InputError
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.report.numbers import join
+from flighttest.sim import SimOptions, parse_hide, start_simulator
+from flighttest.sim.sitl.launcher import Sitl, SitlOptions, launch
+from flighttest.sim.sitl.physics import PhysicsSitl, launch_on_physics
+from flighttest.twin.vehicle import assumed, options_of
+
+_BOOT_S = 45  # until the firmware's position estimate stands
+SYSTEM_ID = 1  # of the built-in vehicle and of ArduPilot alike
+
+
+@dataclass(frozen=True)
+class Serving:
+    """A vehicle that can be connected to, as a program needs it. hide: as typed; speed: times real time."""
+
+    url: str
+    airframe: str
+    backend: str
+    seed: int
+    speed: float
+    lockstep: bool
+    hide: tuple[str, ...]
+    model: str = ""
+
+    def data(self) -> dict[str, object]:
+        """Its fields, with the port and the MAVLink system id."""
+        return asdict(self) | {"port": int(self.url.rsplit(":", 1)[1]), "system_id": SYSTEM_ID}
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """What it is, and how to fly it."""
+        if self.backend == "sitl":
+            what = f"ArduPilot SITL, airframe {self.airframe}, at {self.url}"
+        elif self.model:
+            what = f"the vehicle of {self.model} (seed {self.seed}) at {self.url}"
+        else:
+            what = f"simulated copter ({self.airframe} airframe, seed {self.seed}) at {self.url}"
+        return f"{what}; Ctrl-C stops it", f"fly it: flighttest run thrust --connect {self.url}"
+
+
+def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
+    """The words of the command line as `SimOptions`."""
+    return SimOptions(airframe=airframe, hide=parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)  # type: ignore[arg-type]
+
+
+def of_model(
+    stored: ModelFile, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False
+) -> SimOptions:
+    """The vehicle of a model as `SimOptions`."""
+    return options_of(stored, parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)
+
+
+def serve(
+    airframe: str,
+    backend: str,
+    hide: Sequence[str],
+    seed: int,
+    port: int,
+    speed: float,
+    lockstep: bool,
+    model: Path | None = None,
+) -> Iterator[str | Serving]:
+    """Serve until interrupted; yields what is going on, and once it can be connected to, where. model: flies instead of an airframe."""
+    if model is not None and backend == "sitl":
+        raise InputError(
+            "the attitude loops of a model have its autopilot in them: they do not fly under another one",
+            "leave out --backend sitl: the model flies behind the built-in autopilot",
+        )
+    if backend == "sitl":
+        if lockstep:
+            raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
+        yield from _serve_sitl(airframe, hide, seed, port, speed)
+        return
+    made = options(airframe, hide, seed, speed, lockstep)
+    if model is not None:
+        stored = model_file.read(model, whole=True)
+        made = of_model(stored, hide, seed, speed, lockstep)
+        if assumed(stored):
+            yield f"no flight of this model told {join(assumed(stored))}: assumed"
+    with start_simulator(made, port=port) as simulation:
+        yield Serving(
+            simulation.url, airframe, backend, seed, speed, lockstep, tuple(hide), str(model) if model else ""
+        )
+        simulation.wait()
+
+
+def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed: float) -> Iterator[str | Serving]:
+    if hide and airframe != "rotor":
+        raise InputError(
+            "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
+        )
+    yield f"starting ArduPilot SITL, airframe {airframe}; it can arm after {_BOOT_S} s or so of its own time"
+    if airframe == "rotor":
+        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed), port=port)
+    else:
+        started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port))
+    with started as vehicle:
+        yield Serving(vehicle.url, airframe, "sitl", seed, speed, False, tuple(hide))
+        vehicle.wait()

@@ -1,0 +1,1 @@
+"""A `Document` to HTML, terminal, SVG, plotly or JSON. Computes no number."""

@@ -1,0 +1,143 @@
+"""`Figure` to plotly specifications (plain JSON types). Colours are named by role and chosen in the page, light or dark."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from flighttest.report.document import Figure, Panel, Role, Trace
+from flighttest.report.render.plain import plain
+
+# "@role" is replaced by the page's palette (see figures.js), so that one file serves light, dark and print.
+_DASH: dict[Role, str] = {
+    "reference": "dot",
+    "before": "dash",
+    "limit": "dash",
+    "linearised": "dashdot",
+    "no_drag": "dash",
+    "no_battery": "longdash",
+    "only_delay": "dot",
+}
+_WIDTH: dict[Role, float] = {
+    "measured": 0.9,
+    "simulated": 2.6,
+    "after": 2.0,
+    "model": 2.0,
+    "reference": 1.0,
+    "limit": 1.0,
+}
+SIGNIFICANT_DIGITS = 5  # more than a screen can show; keeps the file small
+
+
+def specification(figure: Figure) -> dict[str, Any]:
+    """The figure as {id, caption, columns, height, legend, panels}; each panel is {data, layout} for Plotly.newPlot."""
+    return {
+        "id": figure.id,
+        "caption": figure.caption,
+        "columns": figure.columns,
+        "height": figure.height_px,
+        "legend": _legend(figure),
+        "panels": [_panel(panel, _heat_top(figure)) for panel in figure.panels],
+    }
+
+
+def _heat_top(figure: Figure) -> float | None:
+    """The largest value of all heat maps of a figure, so that they share one scale."""
+    values = [np.asarray(t.z, dtype=float) for p in figure.panels for t in p.traces if t.mode == "heat"]
+    finite = [v[np.isfinite(v)] for v in values]
+    return max((float(v.max()) for v in finite if v.size), default=None)
+
+
+def _legend(figure: Figure) -> list[dict[str, Any]]:
+    entries: dict[str, dict[str, Any]] = {}
+    for panel in figure.panels:
+        for trace in panel.traces:
+            label = trace.group or trace.name
+            if label and trace.mode != "heat":
+                entries.setdefault(
+                    label,
+                    {"name": label, "role": trace.role, "dash": _DASH.get(trace.role, "solid"), "shown": trace.shown},
+                )
+    return list(entries.values())
+
+
+def _panel(panel: Panel, heat_top: float | None = None) -> dict[str, Any]:
+    axis = {"gridcolor": "@grid", "linecolor": "@grid", "zerolinecolor": "@grid", "automargin": True}
+    layout: dict[str, Any] = {
+        "title": {"text": panel.title, "font": {"size": 13}, "x": 0.02, "xanchor": "left", "y": 0.97},
+        "margin": {"l": 52, "r": 12, "t": 34, "b": 40},
+        "showlegend": False,
+        "hovermode": "closest",
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "font": {"color": "@ink", "size": 11},
+    }
+    if any(trace.mode.endswith("3d") for trace in panel.traces):
+        scene_axis = {"gridcolor": "@grid", "backgroundcolor": "rgba(0,0,0,0)", "color": "@ink"}
+        layout["scene"] = {
+            "xaxis": {**scene_axis, "title": {"text": panel.x_label}},
+            "yaxis": {**scene_axis, "title": {"text": panel.y_label}},
+            "zaxis": {**scene_axis, "title": {"text": panel.z_label}},
+            "aspectmode": "data",
+        }
+        layout["margin"] = {"l": 0, "r": 0, "t": 34, "b": 0}
+    else:
+        layout["xaxis"] = {**axis, "title": {"text": panel.x_label, "standoff": 6}}
+        counted = [x for trace in panel.traces for x in trace.x] if panel.x_label == "run" else []
+        if counted and max(counted) <= 12:
+            layout["xaxis"]["dtick"] = 1  # runs are counted: there is none between two
+        layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
+    return {"data": [_trace(trace, heat_top) for trace in panel.traces], "layout": layout}
+
+
+def _trace(trace: Trace, heat_top: float | None = None) -> dict[str, Any]:
+    label = trace.group or trace.name
+    spec: dict[str, Any] = {"x": _numbers(trace.x), "y": _numbers(trace.y), "name": trace.name, "legendgroup": label}
+    if not trace.shown:
+        spec["visible"] = "legendonly"
+    colour = f"@{trace.role}"
+    line = {"color": colour, "width": _WIDTH.get(trace.role, 1.5), "dash": _DASH.get(trace.role, "solid")}
+    if trace.mode == "heat":
+        return {
+            "type": "heatmap",
+            "x": spec["x"],
+            "y": spec["y"],
+            "z": [_numbers(row) for row in trace.z],
+            "colorscale": "@heat",
+            "hoverongaps": False,
+            "zmin": 0.0,
+            "zmax": heat_top,
+            "colorbar": {"thickness": 10, "title": {"text": trace.name, "side": "right"}, "outlinewidth": 0},
+        }
+    if trace.mode == "errorbars":
+        spread = _numbers(trace.spread if trace.spread is not None else [])
+        return {
+            **spec,
+            "type": "scatter",
+            "mode": "markers",
+            "marker": {"color": colour, "size": 7},
+            "error_y": {"type": "data", "array": spread, "color": colour, "thickness": 1.2},
+        }
+    if trace.mode.endswith("3d"):
+        mode = "lines" if trace.mode == "lines3d" else "markers"
+        return {
+            **spec,
+            "type": "scatter3d",
+            "z": _numbers(trace.z),
+            "mode": mode,
+            "line": {"color": colour, "width": 4},
+            "marker": {"color": colour, "size": 2},
+        }
+    if trace.mode == "markers":
+        return {**spec, "type": "scatter", "mode": "markers", "marker": {"color": colour, "size": 4, "opacity": 0.75}}
+    if trace.mode == "steps":
+        line["shape"] = "hv"
+    return {**spec, "type": "scatter", "mode": "lines", "line": line}
+
+
+def _numbers(values: Any) -> list[Any]:
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        return list(plain(list(values)))
+    return [None if not np.isfinite(v) else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in array.astype(float)]

@@ -1,0 +1,121 @@
+"""`Document` to one self-contained HTML page: own style, one copy of plotly's script, no request to anywhere."""
+
+from __future__ import annotations
+
+import json
+import re
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+from plotly.offline import get_plotlyjs
+
+from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Figure, Paragraph, Section, Table
+from flighttest.report.render.figures import specification
+
+THEME_BUTTON = '<button id="theme" type="button">light / dark</button>'
+
+
+def render(document: Document) -> str:
+    """The page as text."""
+    sections = "\n".join(_section(section) for section in document.sections)
+    links = "".join(f'<a href="#{escape(s.id)}">{escape(s.title)}</a>' for s in document.sections if s.title)
+    facts = f"<section>{_facts(Facts(tuple(document.facts.items())))}</section>" if document.facts else ""
+    figures = any(isinstance(block, Figure) for section in document.sections for block in section.blocks)
+    scripts = f"<script>{get_plotlyjs()}</script>\n<script>{_asset('figures.js')}</script>" if figures else ""
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+<title>{escape(document.title)}</title>
+<style>{_asset("style.css")}</style>
+</head>
+<body>
+<header><h1>{escape(document.title)}</h1>{THEME_BUTTON if figures else ""}</header>
+<main>
+<div class="verdict {document.tone}" role="status">{escape(document.verdict)}</div>
+<nav>{links}</nav>
+{facts}
+{sections}
+</main>
+<footer>{escape(document.footer)}</footer>
+{scripts}
+</body>
+</html>
+"""
+
+
+def write(document: Document, path: Path) -> Path:
+    """Write the page and give its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(render(document), encoding="utf-8")
+    return path
+
+
+def _asset(name: str) -> str:
+    return resources.files("flighttest.report.render").joinpath(name).read_text(encoding="utf-8")
+
+
+def _section(section: Section) -> str:
+    title = f"<h2>{escape(section.title)}</h2>" if section.title else ""
+    lead = f'<p class="lead">{escape(section.lead)}</p>' if section.lead else ""
+    blocks = "\n".join(_block(block, f"{section.id}-{index}") for index, block in enumerate(section.blocks))
+    return f'<section id="{escape(section.id)}">{title}{lead}{blocks}</section>'
+
+
+def _block(block: Block, key: str) -> str:
+    if isinstance(block, Paragraph):
+        return f'<p class="{block.tone}">{_prose(block.text)}</p>'
+    if isinstance(block, Bullets):
+        return "<ul>" + "".join(f"<li>{_prose(item)}</li>" for item in block.items) + "</ul>"
+    if isinstance(block, Facts):
+        return _facts(block)
+    if isinstance(block, Table):
+        return _table(block)
+    if isinstance(block, Code):
+        caption = f'<p class="caption">{escape(block.caption)}</p>' if block.caption else ""
+        return f"{caption}<pre>{escape(block.text)}</pre>"
+    return _figure(block, f"spec-{key}")
+
+
+def _prose(text: str) -> str:
+    """Escaped text with `commands` set as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
+
+
+def _facts(facts: Facts) -> str:
+    return "<dl>" + "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in facts.pairs) + "</dl>"
+
+
+def _table(table: Table) -> str:
+    side = [table.align[i] if i < len(table.align) else "left" for i in range(len(table.columns))]
+    head = "".join(f'<th class="{side[i]}">{escape(name)}</th>' for i, name in enumerate(table.columns))
+    body = "".join("<tr>" + "".join(_cell(cell, side[i]) for i, cell in enumerate(row)) + "</tr>" for row in table.rows)
+    caption = f'<p class="caption">{escape(table.caption)}</p>' if table.caption else ""
+    whole = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    if table.fold:
+        rows = f"{len(table.rows)} rows"
+        what = f"{escape(table.caption.rstrip('.'))} ({rows})" if table.caption else f"all {rows}"
+        return f"<details><summary>{what}</summary>{whole}</details>"
+    return whole + caption
+
+
+def _cell(cell: Cell | str, side: str) -> str:
+    if isinstance(cell, str):
+        return f'<td class="{side}">{escape(cell)}</td>'
+    note = f"<small>{escape(cell.note)}</small>" if cell.note else ""
+    return f'<td class="{side}"><span class="{cell.tone}">{escape(cell.text)}</span>{note}</td>'
+
+
+def _figure(figure: Figure, key: str) -> str:
+    # "</" would end the script element early; JSON allows the escaped slash.
+    spec = json.dumps(specification(figure), separators=(",", ":")).replace("</", "<\\/")
+    plots = "".join(f'<div class="plot" style="min-height:{figure.height_px}px"></div>' for _ in figure.panels)
+    columns = min(figure.columns, len(figure.panels))
+    return (
+        f'<figure data-spec="{key}" style="--columns:{columns}"><div class="legend"></div><div class="plots">{plots}</div>'
+        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
+        f'<script type="application/json" id="{key}">{spec}</script>'
+    )

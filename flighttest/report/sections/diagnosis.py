@@ -1,0 +1,252 @@
+"""Sections about a diagnosis: the five verbs of the design, from the data of diagnosis.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from flighttest.report.document import Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
+from flighttest.report.numbers import number, percent, to_error, unit
+from flighttest.report.sections.diagnosis_figures import before_after, heat_map, regimes
+
+_VERDICT_TONES: dict[str, Tone] = {
+    "EXPLAINED": "good",
+    "NOTHING_MISSING": "good",
+    "PARTLY": "warn",
+    "UNKNOWN_PHYSICS": "warn",
+}
+TERM_TONES: dict[str, Tone] = {"SUPPORTED": "good", "CONFUSABLE": "warn", "NOT_NEEDED": "quiet", "UNTESTABLE": "quiet"}
+TERM_WORDS = {
+    "SUPPORTED": "supported",
+    "CONFUSABLE": "cannot be told from a rival",
+    "NOT_NEEDED": "not needed",
+    "UNTESTABLE": "could not be seen",
+}
+
+Data = Mapping[str, Any]
+
+
+def verdict_tone(data: Data, otherwise: Tone = "plain") -> Tone:
+    """The tone of a diagnosis' verdict: what was interrupted is none to rely on."""
+    return "warn" if data.get("complete") is False else _VERDICT_TONES.get(str(data.get("verdict")), otherwise)
+
+
+def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]:
+    """data: diagnosis/1 with whatever it holds of the optional parts; next_script: the text of next.yaml."""
+    found = [_located(data), _findings(data), _improvement(data), _limits(data), _next(data, next_script)]
+    return tuple(s for s in found if s is not None)
+
+
+def missing_sections(data: Data) -> tuple[Section, ...]:
+    """For one screen: what the model lacks, with values and intervals, and the prediction error without and with it."""
+    findings = data.get("findings") or ()
+    if not findings:
+        return ()
+    rows: list[tuple[Cell | str, ...]] = []
+    for item in findings:
+        verdict = str(item.get("verdict", ""))
+        name: Cell | str = Cell(str(item["term"]), TERM_TONES.get(verdict, "plain"))
+        for row in _parameters(item.get("parameters") or {}).rows or (("-", "-", "", "-"),):
+            rows.append((name, *row))
+            name = ""
+    align: tuple[Align, ...] = ("left", "left", "right", "left", "right")
+    blocks: list[Block] = [Table(("term", "parameter", "value", "unit", "95 % interval"), tuple(rows), align)]
+    held = _heldout_rows(data)
+    if held:
+        caption = "RMSE on responses that were not used for the choice, without and with what is missing."
+        heads = ("channel", "before", "after", "noise floor", "drop")
+        blocks.append(Table(heads, tuple(held), ("left", "right", "right", "right", "right"), caption))
+    return (Section("missing", "What the model lacked", tuple(blocks)),)
+
+
+def _located(data: Data) -> Section:
+    located = data.get("located") or ()
+    blocks: list[Block] = []
+    if not located:
+        blocks.append(Paragraph("Nowhere above the noise floor."))
+    else:
+        blocks.append(Bullets(tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))))
+    aside = data.get("set_aside") or {}
+    if aside.get("sentence"):
+        blocks.append(Paragraph(_sentence(str(aside["sentence"])), "warn"))
+    blocks += [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
+    weaker = sorted(
+        {str(f.get("from")) for f in (data.get("noise_floor") or {}).values() if f.get("from") != "repeats"}
+    )
+    if weaker:
+        blocks.append(Paragraph(f"Noise floor from: {', '.join(weaker)}.", "quiet"))
+    return Section("located", "Where simulation and recording differ", tuple(blocks))
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
+def _findings(data: Data) -> Section:
+    findings = data.get("findings") or ()
+    blocks: list[Block] = []
+    for item in findings:
+        verdict = str(item.get("verdict", ""))
+        head = f"{item.get('title') or item['term']} ({item['term']}): {TERM_WORDS.get(verdict, verdict.lower())}."
+        blocks.append(Paragraph(head, TERM_TONES.get(verdict, "plain")))
+        said = item.get("sentence") or item.get("plain")
+        if said:
+            blocks.append(Paragraph(_sentence(str(said))))
+        if item.get("equation"):
+            blocks.append(Code(str(item["equation"])))
+        if item.get("parameters"):
+            blocks.append(_parameters(item["parameters"]))
+        lines = [_rival(r) for r in item.get("rivals") or ()]
+        if item.get("doubt"):
+            lines.append(f"doubt: {item['doubt']}")
+        if lines:
+            blocks.append(Bullets(tuple(lines)))
+    for item in data.get("unknown") or ():
+        blocks.append(Paragraph(_sentence(str(item.get("sentence") or "something without a name")), "warn"))
+        if item.get("formula"):
+            blocks.append(Code(str(item["formula"]), "a description of the residual, not a physical law"))
+    if data.get("mass"):
+        blocks.append(Paragraph(_sentence(str(data["mass"].get("sentence", ""))), "warn"))
+    if not blocks:
+        searched = "of what was searched before the interruption " if data.get("complete") is False else ""
+        blocks.append(Paragraph(f"No physics of the catalogue {searched}is needed to explain these recordings."))
+    return Section("findings", "What physics was left out", tuple(blocks))
+
+
+def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> Table:
+    rows = []
+    for name, value in parameters.items():
+        low, high = (value.get("interval_95") or (None, None))[:2]
+        std = value.get("std")
+        span = f"{to_error(low, std)} to {to_error(high, std)}" if low is not None and high is not None else "-"
+        rows.append((name, to_error(value.get("value"), std), unit(str(value.get("unit", ""))), span))
+    align: tuple[Align, ...] = ("left", "right", "left", "right")
+    return Table(("parameter", "value", "unit", "95 % interval"), tuple(rows), align)
+
+
+def _rival(rival: Data) -> str:
+    text = f"rival: {rival.get('term', '?')}"
+    if rival.get("verdict"):
+        text += f", {TERM_WORDS.get(str(rival['verdict']), str(rival['verdict']).lower())}"
+    if rival.get("separated_by"):
+        text += f"; separated by {rival['separated_by']}"
+    return text
+
+
+def _improvement(data: Data) -> Section | None:
+    blocks: list[Block] = []
+    rows = _heldout_rows(data)
+    if rows:
+        align: tuple[Align, ...] = ("left", "right", "right", "right", "right")
+        caption = "RMSE on responses that were not used for the choice; drop: how much of it went away, 95 % interval."
+        blocks.append(Table(("channel", "before", "after", "noise floor", "drop"), tuple(rows), align, caption))
+    figure = before_after(data)
+    if figure is not None:
+        blocks.append(figure)
+    moved = _moved(data)
+    if moved is not None:
+        blocks.append(moved)
+    baselines = _baselines(data)
+    if baselines is not None:
+        blocks.append(baselines)
+    if not blocks or not (data.get("findings") or ()):
+        return None
+    return Section("improvement", "Does it fit better?", tuple(blocks))
+
+
+def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
+    held = {name: h.get("all", h) for name, h in (data.get("heldout") or {}).items()}
+    if not held:
+        held = {name: h for item in data.get("findings") or () for name, h in (item.get("heldout") or {}).items()}
+    rows: list[tuple[Cell | str, ...]] = []
+    for channel, h in held.items():
+        low, high = (h.get("gain_95") or (None, None))[:2]
+        drop = "-" if low is None or high is None else f"{number(low, 3)} to {number(high, 3)}"
+        better = low is not None and low > 0
+        after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
+        rows.append((channel, number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), drop))
+    return rows
+
+
+def _moved(data: Data) -> Table | None:
+    """Base parameters before and after: they move when they no longer absorb what was missing."""
+    before, after = data.get("before") or {}, data.get("after") or {}
+    rows = []
+    for name, a in after.items():
+        b = before.get(name)
+        old = "-" if b is None else to_error(b.get("value"), b.get("std"))
+        rows.append((name, old, to_error(a.get("value"), a.get("std")), unit(str(a.get("unit", "")))))
+    if not rows:
+        return None
+    caption = "Parameters by the base model, and with what was left out."
+    return Table(
+        ("parameter", "before", "after", "unit"), tuple(rows), ("left", "right", "right", "left"), caption, fold=True
+    )
+
+
+def _baselines(data: Data) -> Table | None:
+    table = data.get("baselines") or {}
+    names = list(dict.fromkeys(n for entry in table.values() for n in entry))
+    if not names:
+        return None
+    rows = tuple((channel, *(number(entry.get(n), 3) for n in names)) for channel, entry in table.items())
+    numbers: list[Align] = ["right" for _ in names]
+    return Table(("channel", *names), rows, ("left", *numbers), "RMSE of simpler predictions beside it.", fold=True)
+
+
+def _limits(data: Data) -> Section:
+    blocks: list[Block] = []
+    candidates = [c for c in data.get("candidates") or () if c.get("verdict") == "NOT_NEEDED"]
+    not_needed = [str(t) for t in data.get("not_needed") or ()]
+    if not_needed:
+        blocks.append(Paragraph(f"Looked for and not needed: {', '.join(not_needed)}."))
+    if candidates:
+        rows = tuple(
+            (str(c["term"]), number(c.get("delta_bic"), 3), number(c.get("probability"), 2), str(c.get("why", "")))
+            for c in candidates
+        )
+        align: tuple[Align, ...] = ("left", "right", "right", "left")
+        caption = "Candidates that were tried and not taken."
+        blocks.append(
+            Table(("candidate", "-2 log evidence", "probability", "why not"), rows, align, caption, fold=True)
+        )
+    unseen = tuple(
+        (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
+    )
+    if unseen:
+        caption = "This data could not have shown them: not seen is not the same as absent."
+        blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption))
+    smallest = data.get("smallest_detectable") or {}
+    if smallest:
+        units = data.get("smallest_units") or {}
+        lines = tuple(
+            (str(k), number(v, 2) if isinstance(v, int | float) else str(v), unit(str(units.get(k, ""))))
+            for k, v in smallest.items()
+        )
+        caption = "The smallest effect that would have been noticed."
+        blocks.append(Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True))
+    left = (data.get("unexplained") or {}).get("excess_share")
+    if left is not None:
+        blocks.append(Paragraph(f"Left unexplained: {percent(float(left))} of the error above the noise floor."))
+    notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
+    if notes:
+        blocks.append(Bullets(notes))
+    return Section("limits", "What was ruled out, and what cannot be told", tuple(blocks))
+
+
+def _next(data: Data, script: str) -> Section | None:
+    name = data.get("next_flight")
+    if not name:
+        return None
+    said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
+    reason = data.get("next_reason") or {}
+    command = str(said or f"flighttest run {data.get('next_path', name)}{data.get('next_options', '')}")
+    # A command that cannot be flown is not shown as one.
+    blocks: list[Block] = [] if reason.get("fits_zone") is False else [Code(command)]
+    if reason.get("sentence"):
+        blocks.append(Paragraph(str(reason["sentence"])))
+    if reason.get("zone"):
+        blocks.append(Paragraph(str(reason["zone"]), "plain" if reason.get("fits_zone") else "warn"))
+    if script:
+        blocks.append(Code(script, "the script"))
+    return Section("next", "Fly this next", tuple(blocks))

@@ -1,0 +1,162 @@
+"""Sections about an identified model as a vehicle: what still differs from the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flighttest.channels import CHANNELS, WORDS
+from flighttest.report.document import Block, Bullets, Cell, Figure, Panel, Section, Table, Trace
+from flighttest.report.numbers import join, number, unit
+from flighttest.report.sections.against import parameter_table, steps_section, titled
+
+Data = Mapping[str, Any]
+_WORDS = WORDS | {"p_z_m": "height"}
+_PANELS = 3  # channels drawn of each stretch
+
+
+def verify_sentence(data: Data) -> str:
+    """The answer in one sentence."""
+    channels = data["channels"]
+    worst = max(channels, key=lambda c: channels[c]["ratio"], default=None)
+    if data["verdict"] == "NOTHING_MISSING":
+        said = f", {number(channels[worst]['ratio'], 3)} of {WORDS.get(worst, worst)}" if worst is not None else ""
+        return (
+            f"NOTHING_MISSING: the twin flies as recorded. Its error is at most {data['near_floor']:g} noise floors in every "
+            f"channel{said and f' (largest{said})'}, and no parameter differs beyond its error."
+        )
+    parts = []
+    if data["lacks"]:
+        parts.append(f"it lacks {join([titled(data['titles'], t) for t in data['lacks']])}")
+    others = [p["name"] for p in data["parameters"] if p["differs"] and p["term"] not in data["lacks"]]
+    if others:
+        parts.append(f"{join(others)} differ{'s' if len(others) == 1 else ''}")
+    if data["above"]:
+        errors = [f"{WORDS.get(c, c)} {number(channels[c]['ratio'], 3)}" for c in data["above"]]
+        parts.append(f"its error is above {data['near_floor']:g} noise floors in {join(errors)}")
+    return f"The twin does not fly as recorded: {'; '.join(parts)}."
+
+
+def verify_sections(data: Data) -> tuple[Section, ...]:
+    """Error by channel, parameters, steps."""
+    rows = tuple(
+        (
+            WORDS.get(c, c),
+            number(v["floor"], 2),
+            number(v["rmse"], 3),
+            Cell(number(v["ratio"], 3), "bad" if c in data["above"] else "good"),
+            number(v["fitted"], 3),
+        )
+        for c, v in data["channels"].items()
+    )
+    caption = (
+        "RMS error of the model on the recorded commands, each response from its own measured start with a constant disturbance of its "
+        "own; in noise floors, beside what fitting these very recordings would leave."
+    )
+    table = Table(
+        ("channel", "noise floor", "twin", "in floors", "refitted"),
+        rows,
+        ("left", "right", "right", "right", "right"),
+        caption,
+    )
+    lines = [*data["notes"]]
+    if data["assumed"]:
+        lines.append(f"no flight of the model told {join(data['assumed'])}: the twin flies with what was assumed")
+    lines.append(f"the recordings by themselves: {data['diagnosis']['sentence']}")
+    flights = data["flights"]
+    how = (
+        f"{flights} script{'s' if flights != 1 else ''} flown on the twin"
+        if flights
+        else "recorded commands alone, nothing flown"
+    )
+    blocks: list[Block] = [Bullets(tuple(lines)), parameter_table(data["parameters"], "recorded", "twin")]
+    found = [
+        Section("channels", "Twin against recordings", (table,), f"Compared: {how}."),
+        Section("parameters", "Parameters", tuple(blocks)),
+    ]
+    steps = steps_section(data)
+    return (*found, steps) if steps is not None else tuple(found)
+
+
+def replay_sentence(data: Data) -> str:
+    """What the change does, where it shows most."""
+    effects = {c: e for c, e in data["effects"].items() if e["error"] is not None}
+    if not effects:
+        return "Nothing of the recording can be compared with the twin."
+    if not data["changes"]:
+        worst = max(effects, key=lambda c: effects[c]["error"] / (effects[c]["uncertainty"] or np.inf))
+        return f"The twin as identified: after {data['horizon_s']:g} s its {_off(worst, effects[worst]['error'])} off (RMS)."
+    most = max(effects, key=lambda c: effects[c]["size"] / max(effects[c]["error"], effects[c]["uncertainty"], 1e-9))
+    e = effects[most]
+    head = f"With {'; '.join(data['changes'])}:"
+    if e["size"] <= max(e["error"], e["uncertainty"]):
+        return f"{head} no difference above the twin's own error against this recording."
+    plus_minus = f"{_value(most, e['size'])} (RMS), ± {_value(most, e['uncertainty'])} by the model's uncertainty"
+    return f"{head} after {data['horizon_s']:g} s the {_WORDS.get(most, most)} differs by {plus_minus}."
+
+
+def _value(channel: str, value: float) -> str:
+    return f"{number(value, 2)} {unit(CHANNELS[channel].unit)}"
+
+
+def _off(channel: str, value: float) -> str:
+    return f"{_WORDS.get(channel, channel)} is {_value(channel, value)}"
+
+
+def replay_sections(data: Data, shown: Sequence[Data]) -> tuple[Section, ...]:
+    """Effects by channel, and the stretches where they show most."""
+    rows: list[tuple[Cell | str, ...]] = []
+    for c, e in data["effects"].items():
+        if e["size"] is None:
+            continue
+        seen = e["size"] > max(e["error"], e["uncertainty"])
+        cells = [number(e[k], 2) for k in ("error", "shift", "size", "uncertainty")]
+        rows.append(
+            (
+                _WORDS.get(c, c),
+                unit(CHANNELS[c].unit),
+                cells[0],
+                cells[1],
+                Cell(cells[2], "warn" if seen else "plain"),
+                cells[3],
+            )
+        )
+    caption = (
+        f"At most {data['horizon_s']:g} s after each of {data['starts']} starts. Error: RMS of the twin as identified against the "
+        "recording; mean change and change: the changed twin against the unchanged one, mean and RMS; uncertainty: 95 % half width by the "
+        "covariance of the model's parameters. Marked: changes above both."
+    )
+    columns = ("channel", "unit", "error", "mean change", "change", "uncertainty")
+    table = Table(columns, tuple(rows), ("left", "left", "right", "right", "right", "right"), caption)
+    lead = "; ".join(data["changes"]) or "the twin as identified"
+    found = [Section("effects", "Recorded commands on the twin", (table,), f"{lead[:1].upper()}{lead[1:]}.")]
+    figure = _stretches(data, shown)
+    return (*found, Section("stretches", "Where it shows most", (figure,))) if figure is not None else tuple(found)
+
+
+def _stretches(data: Data, shown: Sequence[Data]) -> Figure | None:
+    ranked = sorted(
+        (c for c, e in data["effects"].items() if e["size"] is not None),
+        key=lambda c: -data["effects"][c]["size"] / max(data["effects"][c]["error"], 1e-9),
+    )
+    panels = []
+    for s in shown:
+        t = np.asarray(s["t_s"], dtype=float)
+        for c in [c for c in ranked if c in s["measured"]][:_PANELS]:
+            changed, half = np.asarray(s["changed"][c], dtype=float), np.asarray(s["half"][c], dtype=float)
+            lines = [
+                Trace(t, changed - half, "95 % of the model", "band", group="95 % of the model"),
+                Trace(t, changed + half, "95 % of the model", "band", group="95 % of the model"),
+                Trace(t, np.asarray(s["measured"][c], dtype=float), "recorded", "measured"),
+                Trace(t, np.asarray(s["twin"][c], dtype=float), "twin", "before"),
+            ]
+            if data["changes"]:
+                lines.append(Trace(t, changed, "twin with the change", "after"))
+            label = f"{_WORDS.get(c, c)}, {unit(CHANNELS[c].unit)}"
+            panels.append(Panel(s["segment"], "time since the start, s", label, tuple(lines)))
+    if not panels:
+        return None
+    caption = "The stretches where the change shows most: recorded, the twin as identified, and with the change."
+    return Figure("stretches", tuple(panels), caption, _PANELS, 270)

@@ -1,0 +1,94 @@
+"""The paper's section 4 for this flight: Figure 5, and errors by horizon for the model and its simplifications."""
+
+from __future__ import annotations
+
+from flighttest.identify.validation.validate import GROUPS, UNITS, Validation, Variation
+from flighttest.report.document import Align, Bullets, Cell, Figure, Panel, Role, Section, Table, Trace
+from flighttest.report.numbers import number, unit
+
+ROLES: dict[Variation, Role] = {
+    Variation.FULL: "model",
+    Variation.LINEARISED: "linearised",
+    Variation.NO_DRAG: "no_drag",
+    Variation.NO_BATTERY: "no_battery",
+    Variation.ONLY_DELAY: "only_delay",
+    Variation.HOLD: "reference",
+    Variation.PREVIOUS: "before",
+}
+PANELS = (
+    ("roll rate", "p_rad_s", "roll rate, rad/s"),
+    ("roll", "roll_rad", "roll, rad"),
+    ("yaw rate", "r_rad_s", "yaw rate, rad/s"),
+    ("yaw", "yaw_rad", "yaw, rad"),
+    ("acceleration north", "a_x_m_s2", "a_x, m/s²"),
+    ("acceleration west", "a_y_m_s2", "a_y, m/s²"),
+    ("acceleration up", "a_z_m_s2", "a_z, m/s²"),
+)
+
+
+def validation_sections(found: Validation, of: str = "") -> tuple[Section, ...]:
+    """Sentences, Figure 5, and one table per group of channels. of: which part of the flights, where it is not all of them."""
+    mark = f"-{of.replace(' ', '-')}" if of else ""
+    figure = _figure5(found, f"figure5{mark}")
+    count = len(found.segments)
+    kind = f"step{'s' if count != 1 else ''}" if of == "steps" else f"stretch{'es' if count != 1 else ''} of flight"
+    lead = f"{found.starts} starts in {count} {kind}; only recorded commands and voltage drive the models."
+    title = f"Prediction of {of}" if of else "Prediction against these flights"
+    sections = [Section(f"validation{mark}", title, (Bullets(found.sentences), figure), lead)]
+    title = f"Errors by horizon, {of}" if of else "Errors by horizon"
+    sections.append(Section(f"horizons{mark}", title, (_table(found),)))
+    return tuple(sections)
+
+
+def _figure5(found: Validation, name: str) -> Figure:
+    f = found.figure
+    panels = []
+    places = ("p_x_m", "p_y_m", "p_z_m")
+    if all(c in f.measured for c in places):
+        x, y, z = (f.measured[c] for c in places)
+        traces = [Trace(x, y, "measured", "measured", "lines3d", z=z)]
+        for variation, made in f.simulated.items():
+            if all(c in made for c in places) and variation is not Variation.HOLD:
+                traces.append(
+                    Trace(made["p_x_m"], made["p_y_m"], variation.value, ROLES[variation], "lines3d", z=made["p_z_m"])
+                )
+        panels.append(Panel("position", "north m", "west m", tuple(traces), "up m"))
+    for title, channel, label in PANELS:
+        if channel not in f.measured:
+            continue
+        lines = [Trace(f.t_s, f.measured[channel], "measured", "measured")]
+        for variation, made in f.simulated.items():
+            if channel in made:
+                shown = variation is not Variation.HOLD
+                n = min(len(f.t_s), len(made[channel]))
+                lines.append(Trace(f.t_s[:n], made[channel][:n], variation.value, ROLES[variation], shown=shown))
+        panels.append(Panel(title, "time, s", label, tuple(lines)))
+    caption = f"The liveliest {f.t_s[-1]:.1f} s of the flight ({f.segment}): measured, and each model run open loop from the same start."
+    return Figure(name, tuple(panels), caption, 2, 270)
+
+
+def _table(found: Validation) -> Table:
+    horizons = sorted({e.horizon_s for e in found.errors})
+    variations = [v for v in Variation if any(e.variation is v for e in found.errors)]
+    rows: list[tuple[Cell | str, ...]] = []
+    for group in GROUPS:
+        best = {
+            h: min((r for v in variations if (r := found.rmse(v, group, h)) is not None), default=None)
+            for h in horizons
+        }
+        if all(b is None for b in best.values()):
+            continue
+        for index, v in enumerate(variations):
+            cells = []
+            for h in horizons:
+                value = found.rmse(v, group, h)
+                cells.append(Cell(number(value, 3), "good" if value is not None and value == best[h] else "plain"))
+            head = f"{group}, {unit(UNITS[group])}" if index == 0 else ""
+            rows.append((head, v.value, *cells))
+    numbers: list[Align] = ["right" for _ in horizons]
+    caption = "Root mean square error after each horizon; green: the smallest in its column."
+    full = [e for e in found.errors if e.variation is Variation.FULL and e.few]
+    few = {e.horizon_s: e.few for e in sorted(full, key=lambda e: -e.count)}
+    if few:
+        caption += " Little is known " + "; ".join(f"after {h:g} s, {words}" for h, words in sorted(few.items())) + "."
+    return Table(("", "model", *(f"{h:g} s" for h in horizons)), tuple(rows), ("left", "left", *numbers), caption)

@@ -1,0 +1,1 @@
+"""A thin ArduCopter around any plant: modes, commands, guided targets, safety, telemetry."""

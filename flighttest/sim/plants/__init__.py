@@ -1,0 +1,1 @@
+"""The moving vehicle: the paper's, one from its rotors up, and composed models; battery, load and weather."""
