@@ -21,8 +21,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from flighttest.api.answers import Diagnosed, Fitted, Flown, Models, Planned, Responses, Validated, Validity
+    from flighttest.api.campaigns import Campaign, Checks, Demonstrated, Imported, Proved, Runs
     from flighttest.api.catalogue import Terms, terms
+    from flighttest.api.comparing import against, compare, replay, twin
+    from flighttest.api.comparisons import Compared, Opposed, Replayed, Twin
     from flighttest.api.fitted_model import FittedModel
+    from flighttest.api.tool import demo, doctor, fetch_log, import_log, prove, report, run, runs
     from flighttest.api.verbs import (
         accept,
         check_validity,
@@ -56,25 +60,34 @@ if TYPE_CHECKING:
     from flighttest.version import __version__
 
 __all__ = [
+    "Campaign",
+    "Checks",
+    "Compared",
     "Contribution",
+    "Demonstrated",
     "Diagnosed",
     "FitError",
     "Fitted",
     "FittedModel",
     "FlighttestError",
     "Flown",
+    "Imported",
     "InputError",
     "LinkError",
     "Model",
     "ModelError",
     "Models",
+    "Opposed",
     "Param",
     "Planned",
     "Port",
     "PreflightError",
+    "Proved",
     "Recording",
     "RecordingError",
+    "Replayed",
     "Responses",
+    "Runs",
     "ScriptError",
     "Signals",
     "Simulated",
@@ -82,22 +95,35 @@ __all__ = [
     "State",
     "Term",
     "Terms",
+    "Twin",
     "Validated",
     "Validity",
     "VehicleError",
     "__version__",
     "accept",
+    "against",
     "check_validity",
+    "compare",
+    "demo",
     "diagnose",
+    "doctor",
+    "fetch_log",
     "fit",
     "fly",
+    "import_log",
     "models",
     "plan",
+    "prove",
     "read",
     "read_model",
+    "replay",
+    "report",
+    "run",
+    "runs",
     "segment",
     "simulate",
     "terms",
+    "twin",
     "validate",
 ]
 
@@ -105,6 +131,10 @@ _WHERE = {
     "flighttest.api.answers": (
         "Diagnosed", "Fitted", "Flown", "Models", "Planned", "Responses", "Validated", "Validity",
     ),
+    "flighttest.api.comparisons": ("Compared", "Opposed", "Replayed", "Twin"),
+    "flighttest.api.campaigns": ("Campaign", "Checks", "Demonstrated", "Imported", "Proved", "Runs"),
+    "flighttest.api.comparing": ("against", "compare", "replay", "twin"),
+    "flighttest.api.tool": ("demo", "doctor", "fetch_log", "import_log", "prove", "report", "run", "runs"),
     "flighttest.api.catalogue": ("Terms", "terms"),
     "flighttest.api.fitted_model": ("FittedModel",),
     "flighttest.api.verbs": (

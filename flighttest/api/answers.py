@@ -17,6 +17,7 @@ from flighttest.flight.outcome import LegOutcome
 from flighttest.flight.result import FlightResult
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.identify.validation.validate import UNITS, Validation
+from flighttest.pipeline.results import Status
 from flighttest.pipeline.store.lineage import Lineage
 from flighttest.plan.check import CheckResult
 from flighttest.plan.model import Plan
@@ -36,10 +37,12 @@ PLAN_RATE_HZ = 50.0
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What every verb gives back. document: what the command line shows, as pure data; data: what it prints with --json."""
+    """What every verb gives back. document: what the command line shows, as pure data; data: what it prints with --json; status: how it
+    ended, which the command line says by its exit code."""
 
     document: Document = field(repr=False)
     data: Mapping[str, Any] = field(repr=False)
+    status: Status = field(default=Status.DONE, repr=False)
 
     @property
     def sentence(self) -> str:

@@ -7,7 +7,7 @@ where nothing can be estimated, LinkError and PreflightError for a vehicle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from flighttest.api.fitted_model import FittedModel
     from flighttest.identify.fit import Fit
     from flighttest.physics.model import Model
+    from flighttest.pipeline.flights.run import FlightRequest
     from flighttest.pipeline.results import Result
     from flighttest.sim.simulation import Simulation
 
@@ -29,7 +30,7 @@ Source = str | PathLike[str] | Recording
 Tell = Callable[[str], object]
 
 
-class _Stages:
+class Stages:
     """Progress that hands each stage's words to a function."""
 
     def __init__(self, tell: Tell | None) -> None:
@@ -44,14 +45,17 @@ class _Stages:
         """The flight went on; its words are in the stages."""
 
 
-def _path(path: AnyPath | None) -> Path | None:
+def as_path(path: AnyPath | None) -> Path | None:
+    """A path, where one is given."""
     return None if path is None else Path(path)
 
 
-def _sources(sources: Sequence[Source]) -> list[Path | Recording]:
-    if not sources:
+def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
+    """One recording or several, as the pipeline takes them; InputError where there is none."""
+    given = [sources] if isinstance(sources, str | PathLike | Recording) else list(sources)
+    if not given:
         raise InputError("no recording was given", "name a run folder, a log, or what `read` returned")
-    return [source if isinstance(source, Recording) else Path(source) for source in sources]
+    return [source if isinstance(source, Recording) else Path(source) for source in given]
 
 
 def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
@@ -62,7 +66,7 @@ def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
     """
     from flighttest.pipeline.recordings.sources import open_recording
 
-    return open_recording(Path(source), _path(columns))
+    return open_recording(Path(source), as_path(columns))
 
 
 def segment(*sources: Source, columns: AnyPath | None = None) -> Responses:
@@ -70,8 +74,8 @@ def segment(*sources: Source, columns: AnyPath | None = None) -> Responses:
     from flighttest.api.answers import Responses
     from flighttest.pipeline.identification import fitting as analysis
 
-    result = analysis.segment(_sources(sources), _path(columns))
-    return Responses(document=result.document, data=result.data, segments=tuple(result.value))
+    result = analysis.segment(as_sources(sources), as_path(columns))
+    return Responses(document=result.document, data=result.data, status=result.status, segments=tuple(result.value))
 
 
 def fit(
@@ -93,7 +97,11 @@ def fit(
 
     options = analysis.FitOptions(model=model, freeze=freeze or {}, tie=tie or {})
     result = analysis.fit(
-        _sources(sources), columns=_path(columns), vehicle=_path(vehicle), options=options, progress=_Stages(progress)
+        as_sources(sources),
+        columns=as_path(columns),
+        vehicle=as_path(vehicle),
+        options=options,
+        progress=Stages(progress),
     )
     return _fitted(result)
 
@@ -101,11 +109,12 @@ def fit(
 def _fitted(result: Result) -> Fitted:
     from flighttest.api.answers import Fitted
 
-    model = _model_of(result.value, {k: v for k, v in result.data.items() if k != "losses"})
-    return Fitted(document=result.document, data=result.data, fit=result.value, model=model)
+    model = model_of(result.value, {k: v for k, v in result.data.items() if k != "losses"})
+    return Fitted(document=result.document, data=result.data, status=result.status, fit=result.value, model=model)
 
 
-def _model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
+def model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
+    """A fit as the model that later steps take. data: as model.yaml holds it."""
     from flighttest.api.fitted_model import FittedModel
     from flighttest.identify.models import model_file
 
@@ -136,8 +145,8 @@ def validate(
     from flighttest.pipeline.identification.validation import validate as compare
 
     earlier = None if previous is None else fitted_model(previous).stored
-    result = compare(fitted_model(model).stored, _sources(sources), earlier, columns=_path(columns))
-    return Validated(document=result.document, data=result.data, validation=result.value)
+    result = compare(fitted_model(model).stored, as_sources(sources), earlier, columns=as_path(columns))
+    return Validated(document=result.document, data=result.data, status=result.status, validation=result.value)
 
 
 def diagnose(
@@ -159,10 +168,14 @@ def diagnose(
     from flighttest.pipeline.diagnosis.diagnose import diagnose as search
 
     base = None if model is None else fitted_model(model).stored
-    result = search(_sources(sources), base, _path(output), _path(columns), _path(vehicle), progress=_Stages(progress))
+    result = search(
+        as_sources(sources), base, as_path(output), as_path(columns), as_path(vehicle), progress=Stages(progress)
+    )
     found = result.value.fit
-    accepted = None if found is None else _model_of(found, model_file.as_data(found))
-    return Diagnosed(document=result.document, data=result.data, diagnosis=result.value, model=accepted)
+    accepted = None if found is None else model_of(found, model_file.as_data(found))
+    return Diagnosed(
+        document=result.document, data=result.data, status=result.status, diagnosis=result.value, model=accepted
+    )
 
 
 def check_validity(
@@ -184,9 +197,9 @@ def check_validity(
 
     stored = None if model is None else fitted_model(model).stored
     present = None if connect is None else read_vehicle(connect)
-    given = _sources(sources) if sources else []
-    result = status(given, _path(vehicle), stored, Path(runs), present=present)
-    return Validity(document=result.document, data=result.data, currency=result.value)
+    given = as_sources(sources) if sources else []
+    result = status(given, as_path(vehicle), stored, Path(runs), present=present)
+    return Validity(document=result.document, data=result.data, status=result.status, currency=result.value)
 
 
 def models(runs: AnyPath = "runs") -> Models:
@@ -196,7 +209,9 @@ def models(runs: AnyPath = "runs") -> Models:
     from flighttest.pipeline.store.models import models as listed
 
     result = listed(Path(runs))
-    return Models(document=result.document, data=result.data, lineages=tuple(lineages(Path(runs))))
+    return Models(
+        document=result.document, data=result.data, status=result.status, lineages=tuple(lineages(Path(runs)))
+    )
 
 
 def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "runs") -> Models:
@@ -208,8 +223,10 @@ def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "r
     from flighttest.pipeline.store.lineage import lineages
     from flighttest.pipeline.store.models import accept as accept_model
 
-    result = accept_model(Path(model), Path(runs), _path(vehicle))
-    return Models(document=result.document, data=result.data, lineages=tuple(lineages(Path(runs))))
+    result = accept_model(Path(model), Path(runs), as_path(vehicle))
+    return Models(
+        document=result.document, data=result.data, status=result.status, lineages=tuple(lineages(Path(runs)))
+    )
 
 
 def plan(*scripts: AnyPath, vehicle: AnyPath | None = None, model: AnyPath | None = None) -> Planned:
@@ -222,9 +239,11 @@ def plan(*scripts: AnyPath, vehicle: AnyPath | None = None, model: AnyPath | Non
     from flighttest.pipeline.planning.checking import check
     from flighttest.plan import check as check_plan
 
-    result = check([str(script) for script in scripts], _path(vehicle), _path(model))
+    result = check([str(script) for script in scripts], as_path(vehicle), as_path(model))
     checks = tuple(check_plan(one) for one in result.value)
-    return Planned(document=result.document, data=result.data, plans=tuple(result.value), checks=checks)
+    return Planned(
+        document=result.document, data=result.data, status=result.status, plans=tuple(result.value), checks=checks
+    )
 
 
 def fly(
@@ -245,17 +264,27 @@ def fly(
     further fields of `pipeline.flights.run.FlightRequest`. LinkError, PreflightError; how a flight ended is an outcome, not an error.
     """
     from flighttest.api.answers import Flown
-    from flighttest.pipeline.flights import run as flying
+    from flighttest.pipeline.flights import run as flights
 
-    request = flying.FlightRequest(
-        tuple(str(script) for script in scripts), vehicle=_path(vehicle), connect=connect, out=Path(out), hide=tuple(hide), seed=seed,
+    request = flights.FlightRequest(
+        tuple(str(script) for script in scripts), vehicle=as_path(vehicle), connect=connect, out=Path(out), hide=tuple(hide), seed=seed,
         fly_only=True, **options,
     )  # fmt: skip
-    if flying.needs_consent(request) and not arm:
-        raise InputError(f"{connect} may be a real vehicle, which would arm and take off", "give arm=True")
-    result = flying.run(request, _Stages(progress))
+    result = flights.run(flight_request(request, arm), Stages(progress))
     folders = tuple(Path(run) for run in result.data["runs"])
-    return Flown(document=result.document, data=result.data, runs=folders, flights=tuple(result.value))
+    return Flown(
+        document=result.document, data=result.data, status=result.status, runs=folders, flights=tuple(result.value)
+    )
+
+
+def flight_request(request: FlightRequest, arm: bool) -> FlightRequest:
+    """The request, with what a run that it resumes was flown with. InputError for a real vehicle that may not arm."""
+    from flighttest.pipeline.flights import run as flights
+
+    request = flights.as_before(request)
+    if flights.needs_consent(request) and not arm:
+        raise InputError(f"{request.connect} may be a real vehicle, which would arm and take off", "give arm=True")
+    return request
 
 
 def simulate(

@@ -36,7 +36,7 @@ from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.pipeline.recordings.consistency import once
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import losses_of, open_recordings
+from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.flown_with import VEHICLE_NAME, flown_with
 from flighttest.report.document import Document
@@ -57,11 +57,12 @@ from flighttest.vehicle.model import Vehicle
 NEAR_FLOOR = 1.2  # noise floors that the twin's error may have in a channel that it predicts
 _DOF = 30.0  # of the model's own standard errors, which a model file does not keep
 _SPEED = 20.0
+NOT_A_FILE = "as given"  # of a model that is in no file
 
 
 def verify(
-    model: Path,
-    runs: Sequence[Path],
+    model: Path | ModelFile,
+    runs: Sequence[Source],
     output: Path | None = None,
     *,
     offline: bool = False,
@@ -72,12 +73,13 @@ def verify(
     """Fly the scripts of recorded runs on the twin and compare; runs without a script, or all of them `offline`, are compared with what the
     model makes of their recorded commands. With `output` the twin's flights and report.html are kept there."""
     check_writable(output)
-    stored = model_file.read(model, whole=True)
+    stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
     recordings = once(open_recordings(runs, columns, progress=progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
-    scripted = [] if offline else [run for run in runs if (run / "script.yaml").is_file()]
+    paths = [run for run in runs if isinstance(run, Path)]
+    scripted = [] if offline else [run for run in paths if (run / "script.yaml").is_file()]
     found = run_diagnosis(segments, recordings, stored, None, progress)
     flown: tuple[Segment, ...] = ()
     folders: list[Path] = []
@@ -96,7 +98,10 @@ def verify(
         "assumed": list(assumed(stored)),
         "losses": losses_of(recordings),
     }
-    facts = {"model": str(model), "recordings": join([str(r) for r in runs])}
+    facts = {
+        "model": NOT_A_FILE if isinstance(model, ModelFile) else str(model),
+        "recordings": join([named(r) for r in runs]),
+    }
     other = differences(stored.fingerprint, recordings)
     if other:
         facts["another vehicle"] = f"the model's has {other}"
@@ -110,8 +115,8 @@ def verify(
 
 
 def replay(
-    model: Path,
-    runs: Sequence[Path],
+    model: Path | ModelFile,
+    runs: Sequence[Source],
     changes: Sequence[str] = (),
     output: Path | None = None,
     columns: Path | None = None,
@@ -119,7 +124,7 @@ def replay(
 ) -> Result:
     """Recorded commands on the vehicle of a model with changes, beside the recording; with `output` write report.html there."""
     check_writable(output)
-    stored = model_file.read(model, whole=True)
+    stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
     change = what_if(stored, changes)
     recordings = once(open_recordings(runs, columns, progress=progress))
@@ -136,7 +141,10 @@ def replay(
         "terms": list(change.model.terms),
         "losses": losses_of(recordings),
     }
-    facts = {"model": str(model), "recordings": join([str(r) for r in runs])}
+    facts = {
+        "model": NOT_A_FILE if isinstance(model, ModelFile) else str(model),
+        "recordings": join([named(r) for r in runs]),
+    }
     other = differences(stored.fingerprint, recordings)
     if other:
         facts["another vehicle"] = f"the model's has {other}"

@@ -8,10 +8,14 @@ import sys
 import pytest
 
 import flighttest as ft
+from flighttest.cli.main import cli
 
 VERBS = {
     "read", "segment", "fit", "validate", "diagnose", "check_validity", "terms", "models", "plan", "fly", "simulate",
 }  # fmt: skip
+# Commands that have another name here: `import` is a word of Python, `check` gives a plan, and `status` is more than a status.
+NAMED = {"check": "plan", "sim": "simulate", "status": "check_validity", "import": "import_log"}
+METHODS = {"export": "FittedModel"}
 
 
 def run(code: str) -> str:
@@ -23,6 +27,12 @@ def run(code: str) -> str:
 def test_the_verbs_are_public_and_the_list_is_sorted():
     assert set(ft.__all__) >= VERBS
     assert ft.__all__ == sorted(ft.__all__)
+
+
+@pytest.mark.parametrize("command", list(cli.commands))
+def test_every_command_is_a_verb(command):
+    name = NAMED.get(command, command.replace("-", "_"))
+    assert hasattr(getattr(ft, METHODS[command]) if command in METHODS else ft, name)
 
 
 @pytest.mark.parametrize("name", ft.__all__)
@@ -51,11 +61,11 @@ def test_reading_and_planning_wait_for_no_other_part():
     assert not {"casadi", "pandas", "plotly"} & set(run(code).split())
 
 
-@pytest.mark.parametrize("name", ["plan", "diagnose"])
+@pytest.mark.parametrize("name", ["plan", "diagnose", "twin"])
 def test_a_package_of_a_verbs_name_does_not_take_its_place(name):
     package = importlib.import_module(f"flighttest.{name}")
     assert package.__path__
-    assert getattr(ft, name).__module__ == "flighttest.api.verbs"
+    assert getattr(ft, name).__module__ in ("flighttest.api.verbs", "flighttest.api.comparing")
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():

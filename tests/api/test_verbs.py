@@ -9,16 +9,6 @@ import flighttest as ft
 from flighttest.report.render.plotly_figure import LIGHT
 
 
-@pytest.fixture(scope="module")
-def log(repository):
-    return ft.read(repository / "tests" / "data" / "sitl_roll_pitch.tlog.xz")
-
-
-@pytest.fixture(scope="module")
-def fitted(log):
-    return ft.fit(log)
-
-
 def test_a_recording_is_a_table_and_a_figure(log):
     frame = log.to_frame("attitude")
     t_s, roll = log.channel("roll_rad")

@@ -11,11 +11,12 @@ from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose.against import Against, Difference, Kind, compare, step_by_step
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all, model_data
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.consistency import once
-from flighttest.pipeline.recordings.sources import losses_of, open_recordings
+from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
@@ -30,9 +31,9 @@ _UNNAMED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
 
 
 def against(
-    runs: Sequence[Path],
-    simulated: Sequence[Path],
-    model: Path | None = None,
+    runs: Sequence[Source],
+    simulated: Sequence[Source],
+    model: Path | ModelFile | None = None,
     output: Path | None = None,
     columns: Path | None = None,
     vehicle: Path | None = None,
@@ -42,7 +43,7 @@ def against(
     """Compare; with `output` write against.json, report.html and model.yaml (the model of the real recordings)."""
     check_writable(output)
     declared = load_vehicle(vehicle) if vehicle is not None else None
-    stored = model_file.read(model) if model is not None else None
+    stored = model_file.read(model) if isinstance(model, Path) else model
     sides = [once(open_recordings(paths, columns, workers, progress)) for paths in (runs, simulated)]
     twice = {_content(r): r.name for r in sides[0]}
     for recording in sides[1]:
@@ -64,8 +65,8 @@ def against(
         "losses": losses_of((*sides[0], *sides[1])),
     }
     facts = {
-        "real": join([str(r) for r in runs]),
-        "simulated": join([str(r) for r in simulated]),
+        "real": join([named(r) for r in runs]),
+        "simulated": join([named(r) for r in simulated]),
         "model": ", ".join(found.real.model.terms),
     }
     document = Document("simulator against reality", sentence(data), tone(found), against_sections(data), facts)

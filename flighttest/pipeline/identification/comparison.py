@@ -64,7 +64,8 @@ def compare(first: Path, second: Path, progress: Progress = SILENT) -> Result:
         verdict += f" In one of them only: {join(sorted(only))}."
     facts = {"first": str(first), "second": str(second)}
     document = Document("compare", verdict, tone, (Section("table", "", (table,)),), facts)  # type: ignore[arg-type]
-    return Result(document, {"parameters": data, "differing": differing, "only_in_one": sorted(only)})
+    shown = {"parameters": data, "differing": differing, "only_in_one": sorted(only)}
+    return Result(document, shown, value=found)
 
 
 def _compared(d: Difference, a: ModelFile, b: ModelFile) -> tuple[Cell | str, ...]:

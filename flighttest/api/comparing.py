@@ -1,0 +1,114 @@
+"""The verbs that compare: a simulator with reality, a twin with its recordings, a changed vehicle with itself, one model with another.
+
+Each calls the step of `pipeline` that the command of the same name calls, as those in `verbs` do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flighttest.api.verbs import AnyPath, Source, Stages, Tell, as_path, as_sources
+
+if TYPE_CHECKING:
+    from flighttest.api.comparisons import Compared, Opposed, Replayed, Twin
+    from flighttest.api.fitted_model import FittedModel
+    from flighttest.identify.models.model_file import ModelFile
+
+
+def _model(model: FittedModel | AnyPath) -> Path | ModelFile:
+    return Path(model) if isinstance(model, str | PathLike) else model.stored
+
+
+def against(
+    real: Source | Iterable[Source],
+    simulated: Source | Iterable[Source],
+    *,
+    model: FittedModel | AnyPath | None = None,
+    vehicle: AnyPath | None = None,
+    output: AnyPath | None = None,
+    columns: AnyPath | None = None,
+    progress: Tell | None = None,
+) -> Opposed:
+    """Say what a simulator lacks, has too much of or has with another value, from its recordings and real ones of the same vehicle.
+
+    model: what both diagnoses start from, the paper's where none is given. output: folder for against.json, report.html and model.yaml
+    (of the real recordings). InputError where one recording is on both sides.
+    """
+    from flighttest.api.comparisons import Opposed
+    from flighttest.api.verbs import model_of
+    from flighttest.identify.models import model_file
+    from flighttest.pipeline.diagnosis.against import against as oppose
+
+    result = oppose(
+        as_sources(real), as_sources(simulated), None if model is None else _model(model), as_path(output), as_path(columns),
+        as_path(vehicle), progress=Stages(progress),
+    )  # fmt: skip
+    mine = result.value.real
+    fitted = model_of(mine, model_file.as_data(mine))
+    return Opposed(document=result.document, data=result.data, status=result.status, found=result.value, model=fitted)
+
+
+def twin(
+    model: FittedModel | AnyPath,
+    *sources: Source,
+    offline: bool = False,
+    seed: int = 1,
+    output: AnyPath | None = None,
+    columns: AnyPath | None = None,
+    progress: Tell | None = None,
+) -> Twin:
+    """Fly an identified model as a vehicle, as it was recorded, and say what still differs.
+
+    The scripts of recorded runs are flown behind the built-in autopilot; logs and runs without a script, or all of them with offline=True,
+    are compared with what the model makes of their recorded commands. output: folder that keeps the twin's flights and report.html.
+    `simulate(model=...)` lets it fly for any ground station.
+    """
+    from flighttest.api.comparisons import Twin
+    from flighttest.pipeline.twin import verify
+
+    result = verify(
+        _model(model),
+        as_sources(sources),
+        as_path(output),
+        offline=offline,
+        seed=seed,
+        columns=as_path(columns),
+        progress=Stages(progress),
+    )
+    flown = tuple(Path(folder) for folder in result.data["flown"])
+    return Twin(document=result.document, data=result.data, status=result.status, diagnosis=result.value, flown=flown)
+
+
+def replay(
+    model: FittedModel | AnyPath,
+    *sources: Source,
+    changes: Mapping[str, str | float] | None = None,
+    output: AnyPath | None = None,
+    columns: AnyPath | None = None,
+    progress: Tell | None = None,
+) -> Replayed:
+    """Run recorded commands on the vehicle of a model with changes, beside the recording.
+
+    changes: payload (kg), battery (V, or '+1', '-1'), propeller (ratio), or a parameter: {"K": "+10%", "w_north": 3.0}. output: folder for
+    report.html. InputError for a change that the model does not know.
+    """
+    from flighttest.api.comparisons import Replayed
+    from flighttest.pipeline.twin import replay as run_commands
+
+    words = [f"{name}={value}" for name, value in (changes or {}).items()]
+    result = run_commands(
+        _model(model), as_sources(sources), words, as_path(output), as_path(columns), Stages(progress)
+    )
+    return Replayed(document=result.document, data=result.data, status=result.status, found=result.value)
+
+
+def compare(first: AnyPath, second: AnyPath, *, progress: Tell | None = None) -> Compared:
+    """Compare two models, or the fits of two runs or logs: z-scores per parameter, and which differ."""
+    from flighttest.api.comparisons import Compared
+    from flighttest.pipeline.identification.comparison import compare as compare_models
+
+    result = compare_models(Path(first), Path(second), Stages(progress))
+    return Compared(document=result.document, data=result.data, status=result.status, differences=result.value)
