@@ -1,97 +1,85 @@
-"""Half of some work done in a second process, while somebody waits for it at a terminal."""
+"""Work divided over the cores of this machine, while somebody waits for it at a terminal."""
 
 from __future__ import annotations
 
 import os
-import pickle
 import signal
-import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing import get_all_start_methods, get_context
 from typing import Any, TypeVar
 
 A = TypeVar("A")
 B = TypeVar("B")
 
+_given: tuple[Callable[[Sequence[Any]], list[Any]], Sequence[Any]]  # in a copy of this process: the work, and all items
 
-def in_halves(work: Callable[[Sequence[A]], list[B]], items: Sequence[A], sizes: Sequence[float]) -> list[B]:
-    """work(items), one result for each, in order: half of it by a copy of this process where there is a core for it.
 
-    sizes: what share of the work each item is, roughly. What fails there is done again here, and fails here with its own words.
+def in_parallel(work: Callable[[Sequence[A]], list[B]], items: Sequence[A], sizes: Sequence[float]) -> list[B]:
+    """work(items), one result for each, in order: a part of it here, the others in copies of this process, one per core.
+
+    sizes: what share of the work each item is, roughly. What fails there is done again here, and fails here with its own words. Where a
+    process cannot be copied (no fork on this system, or other threads that may hold locks) all of it is done here.
     """
-    if len(items) < 2 or not _second_core():
+    parts = _dealt(sizes, min(len(items), _cores()))
+    if len(parts) < 2:
         return work(items)
-    here, there = _dealt(sizes)
-    child, answer = _begin(work, [items[i] for i in there])
-    try:
-        mine = work([items[i] for i in here])
-        others = _read(answer)
-    finally:
-        os.close(answer)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-    if others is None:
-        others = work([items[i] for i in there])
-    found = dict(zip((*here, *there), (*mine, *others), strict=True))
+    mine, *others = parts
+    with ProcessPoolExecutor(len(others), get_context("fork"), _take, (work, items)) as pool:
+        with warnings.catch_warnings():
+            # Threads of the linear algebra library, which are idle and which it takes care of.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            theirs = [pool.submit(_part, part) for part in others]
+        found = dict(zip(mine, work([items[i] for i in mine]), strict=True))
+        for part, future in zip(others, theirs, strict=True):
+            found |= zip(part, _result(future) or work([items[i] for i in part]), strict=True)
     return [found[i] for i in range(len(items))]
 
 
-def _dealt(sizes: Sequence[float]) -> tuple[list[int], list[int]]:
-    """Positions in two halves of like size, each in rising order: the largest first, each to the lighter half."""
-    halves: tuple[list[int], list[int]] = ([], [])
-    loads = [0.0, 0.0]
+def _dealt(sizes: Sequence[float], count: int) -> list[list[int]]:
+    """Positions in so many parts of like size, each in rising order: the largest first, each to the lightest part."""
+    parts: list[list[int]] = [[] for _ in range(max(count, 1))]
+    loads = [0.0] * len(parts)
     for i in sorted(range(len(sizes)), key=lambda i: -sizes[i]):
-        lighter = 0 if loads[0] <= loads[1] else 1
-        halves[lighter].append(i)
-        loads[lighter] += sizes[i]
-    return sorted(halves[0]), sorted(halves[1])
+        lightest = loads.index(min(loads))
+        parts[lightest].append(i)
+        loads[lightest] += sizes[i]
+    return [sorted(part) for part in parts]
 
 
-def _second_core() -> bool:
-    """Whether a copy of this process has a core to run on, and no lock that a thread of ours holds at that moment."""
-    return sys.platform == "linux" and threading.active_count() == 1 and len(os.sched_getaffinity(0)) > 1
+def _cores() -> int:
+    """Processes that may work at once; 1 where this one cannot be copied, or where a thread of ours may hold a lock just now."""
+    if "fork" not in get_all_start_methods() or threading.active_count() > 1:
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _begin(work: Callable[[Sequence[A]], list[B]], items: Sequence[A]) -> tuple[int, int]:
-    """Start a copy of this process that does the work and writes the result down a pipe: its id, and the pipe's end."""
-    answer, result = os.pipe()
-    with warnings.catch_warnings():
-        # The idle threads of the linear algebra library, which it takes care of.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        child = os.fork()
-    if child == 0:
-        try:
-            done = pickle.dumps(work(items))
-            with os.fdopen(result, "wb") as pipe:
-                pipe.write(done)
-        finally:
-            # Whatever went wrong: nothing of this copy's may be printed or tidied up twice.
-            os._exit(0)
-    os.close(result)
-    return child, answer
+def _take(work: Callable[[Sequence[A]], list[B]], items: Sequence[A]) -> None:
+    """In a copy: keep what it was copied with. Nothing of it has to be picklable."""
+    global _given
+    _given = work, items
 
 
-def _read(answer: int) -> Any:
-    """What the copy wrote; None where it did not get to the end of it.
+def _part(positions: Sequence[int]) -> list[Any]:
+    work, items = _given
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    done = work([items[i] for i in positions])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt that finds this copy idle is the first process' affair
+    return done
 
-    An interrupt reaches the copy as well, which may still tell what it has: that is waited for, unless there is another.
+
+def _result(future: Future[list[B]]) -> list[B] | None:
+    """What a copy found; None where it failed.
+
+    An interrupt reaches the copy as well, which may still tell what it has: that is waited for, unless it was interrupted itself.
     """
-    written, interrupted = bytearray(), False
-    while True:
-        try:
-            some = os.read(answer, 1 << 20)
-        except KeyboardInterrupt:
-            if interrupted:
-                raise
-            interrupted = True
-            continue
-        if not some:
-            break
-        written += some
     try:
-        return pickle.loads(written)
-    except (EOFError, pickle.UnpicklingError):
-        if interrupted:
-            raise KeyboardInterrupt from None
+        return future.result()
+    except KeyboardInterrupt:
+        if future.done():
+            raise
+        return future.result()
+    except Exception:  # noqa: BLE001  whatever it is, the first process meets it too
         return None

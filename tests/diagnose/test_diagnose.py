@@ -14,7 +14,7 @@ from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.diagnose.selection.search import Search
 from flighttest.errors import FitError
 from flighttest.physics.catalogue import catalogue
-from flighttest.pipeline.parallel import in_halves
+from flighttest.pipeline.parallel import in_parallel
 
 RIVALS = ("steady_wind", "accelerometer_bias", "attitude_offset", "velocity_latency", "ground_effect")
 
@@ -189,10 +189,10 @@ def test_every_block_is_searched():
 
 
 def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.parallel._second_core", lambda: True)
+    monkeypatch.setattr("flighttest.pipeline.parallel._cores", lambda: 2)
     segments = fly(campaign(1), wind=(2.5, 0.0, 0.0))
     only = ("steady_wind", "rate_limit")
-    alone, apart = (diagnose(segments, only=only, side_by_side=way) for way in (one_after_the_other, in_halves))
+    alone, apart = (diagnose(segments, only=only, side_by_side=way) for way in (one_after_the_other, in_parallel))
     assert alone.accepted == ("steady_wind",)
     assert json.dumps(apart.to_json()) == json.dumps(alone.to_json())
 

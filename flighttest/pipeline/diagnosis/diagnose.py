@@ -21,7 +21,7 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
 from flighttest.pipeline.identification.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
-from flighttest.pipeline.parallel import in_halves
+from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
 from flighttest.pipeline.recordings.consistency import doubts, once
 from flighttest.pipeline.recordings.fingerprints import differences
@@ -63,7 +63,7 @@ def run_diagnosis(
         stored.model if stored is not None else base_model(recordings, vehicle),
         previous=previous,
         progress=progress.stage,
-        side_by_side=in_halves,
+        side_by_side=in_parallel,
         flyable=flyable_in(recordings, vehicle),
     )
     return held_against_zone(found, recordings, vehicle)

@@ -11,7 +11,7 @@ import numpy as np
 
 from flighttest.errors import InputError
 from flighttest.identify.expected_information import Expected, Told, expected_of_told, told_by_plans
-from flighttest.pipeline.parallel import in_halves
+from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
 from flighttest.pipeline.store.history import DEFAULT_RUNS, check_runs
@@ -94,7 +94,7 @@ def check(
         return list(zip(made, told_by_plans(made, prior.model, prior.values), strict=True))
 
     loaded = [load_script(resolve(name)) for name in scripts]
-    compiled, told = zip(*in_halves(rehearsed, loaded, [_steps_asked(script) for script in loaded]), strict=True)
+    compiled, told = zip(*in_parallel(rehearsed, loaded, [_steps_asked(script) for script in loaded]), strict=True)
     forecast = [expected_of_told([one], prior.model, prior.values) for one in told]
     altogether = expected_of_told(told, prior.model, prior.values)
     results = tuple(
