@@ -185,11 +185,11 @@ GLOSSARY = (
 
 # What a reader asks, the word to search `flighttest/` for, and the module that answers: among the four files that hold the word most often.
 QUESTIONS = (
-    ("Where do standard errors come from?", "covariance", "estimation/uncertainty/covariance.py"),
-    ("Which terms are tried, and how are sets of them ranked?", "marginal likelihood", "diagnose/selection/subsets.py"),
+    ("Where do standard errors come from?", "cluster", "estimation/uncertainty/covariance.py"),
+    ("Where is the score test?", "score test", "diagnose/selection/candidates.py"),
     ("How is a term judged on data that it was not fitted to?", "cross-validated", "diagnose/selection/comparison.py"),
     ("How does a term get into the report?", "finding", "report/sections/diagnosis.py"),
-    ("How is a change of mode told from a pilot's?", "change of mode", "link/requests.py"),
+    ("How is a change of mode confirmed?", "confirm", "link/ardupilot.py"),
     ("What happens when a target is refused?", "abort mode", "flight/execution/supervisor.py"),
     ("How are parameters put back after a flight?", "restored", "flight/preparation/changes.py"),
     ("Who says that a model is stale?", "stale", "currency/assess.py"),

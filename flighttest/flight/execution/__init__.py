@@ -1,1 +1,1 @@
-"""In the air: state machine and scheduler, legs, resets, supervisor, and the gate that every target passes."""
+"""In the air: state machine and scheduler, legs, resets, and the supervisor when a target was refused."""
