@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from flighttest.estimation.problem import Problem, prior_std
 from flighttest.estimation.responses import nodes_of, zero_order_hold
-from flighttest.estimation.solver import solve
+from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.weighing import start_noise
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import fit
@@ -157,9 +157,9 @@ def main() -> None:
     parts = [p for p in translation.parts if p.block.name == "translation"]
     translation.parts = tuple(parts)
     free = [n for n in parts[0].block.params if n != "T_d_thrust"]
-    noise = start_noise(translation)
-    solve(translation, free=free, noise=noise, estimate_noise=False, robust=False)
-    ours, solved = timed(lambda: solve(translation, free=free, noise=noise, estimate_noise=False, robust=False))
+    begun = Start(noise=start_noise(translation))
+    solve(translation, begun, free=free, estimate_noise=False, robust=False)
+    ours, solved = timed(lambda: solve(translation, begun, free=free, estimate_noise=False, robust=False))
     print(f"thrust and drag alone, {len(parts[0].responses)} responses, same objective as IPOPT below: {ours:.2f} s")
     limit = 20.0 if quick else 300.0
     seconds, good, values = ipopt_single_shooting(translation, limit)

@@ -41,10 +41,11 @@ def against(
     from flighttest.api.verbs import model_of
     from flighttest.identify.models import model_file
     from flighttest.pipeline.diagnosis.against import against as oppose
+    from flighttest.pipeline.recordings.sources import Reading
 
     result = oppose(
-        as_sources(real), as_sources(simulated), None if model is None else _model(model), as_path(output), as_path(columns),
-        as_path(vehicle), progress=Stages(progress),
+        as_sources(real), as_sources(simulated), None if model is None else _model(model), as_path(output), as_path(vehicle),
+        Reading(as_path(columns)), Stages(progress),
     )  # fmt: skip
     mine = result.value.real
     fitted = model_of(mine, model_file.as_data(mine))

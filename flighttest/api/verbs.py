@@ -166,10 +166,11 @@ def diagnose(
     from flighttest.api.fitted_model import fitted_model
     from flighttest.identify.models import model_file
     from flighttest.pipeline.diagnosis.diagnose import diagnose as search
+    from flighttest.pipeline.recordings.sources import Reading
 
     base = None if model is None else fitted_model(model).stored
     result = search(
-        as_sources(sources), base, as_path(output), as_path(columns), as_path(vehicle), progress=Stages(progress)
+        as_sources(sources), base, as_path(output), as_path(vehicle), Reading(as_path(columns)), Stages(progress)
     )
     found = result.value.fit
     accepted = None if found is None else model_of(found, model_file.as_data(found))

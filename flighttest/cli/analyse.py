@@ -107,12 +107,14 @@ def diagnose(
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
     from flighttest.pipeline.diagnosis import against
     from flighttest.pipeline.diagnosis import diagnose as diagnosis
+    from flighttest.pipeline.recordings.sources import Reading
 
+    reading = Reading(columns, workers)
     with LiveProgress(context.show) as progress:
         if simulated:
-            result = against.against(runs, simulated, model, output, columns, vehicle, workers, progress)
+            result = against.against(runs, simulated, model, output, vehicle, reading, progress)
             return context.finish(result)
-        result = diagnosis.diagnose(runs, model, output, columns, vehicle, workers, progress, accept)
+        result = diagnosis.diagnose(runs, model, output, vehicle, reading, progress, accept)
     return context.finish(result)
 
 

@@ -139,7 +139,8 @@ def sim(
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
     from flighttest.pipeline.vehicles import simulator
 
-    for said in simulator.serve(airframe, backend, hide, seed, port, speed, lockstep, model):
+    asked = simulator.Served(airframe, backend, hide, seed, port, speed, lockstep, model)
+    for said in simulator.serve(asked):
         if isinstance(said, str):
             context.show.say(said)
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from flighttest.currency.battery import check
@@ -26,36 +27,48 @@ from flighttest.currency.sequence import drifts
 SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
 
 
+@dataclass(frozen=True)
+class Evidence:
+    """What new recordings say of a model.
+
+    runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same steps of the
+    model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be told;
+    battery_reference: of the model's flights. hovers: the throttle that holds height, of the model's flights and of the newest run.
+    untestable: what could not be tested, one sentence each; appeared: effects that the model does not have.
+    """
+
+    runs: Sequence[Estimates] = ()
+    alike: Alike | None = None
+    spread: Mapping[str, float] | None = None
+    battery: tuple[float, float] | str | None = None
+    battery_reference: tuple[float, float] | None = None
+    hovers: tuple[Hover | None, Hover | None] = (None, None)
+    untestable: Sequence[str] = ()
+    appeared: Sequence[Appeared] = ()
+
+
 def assess(
     *,
     model_fingerprint: Mapping[str, Any],
     vehicle_fingerprint: Mapping[str, Any] | None,
     stored: Estimates,
-    runs: Sequence[Estimates] = (),
-    alike: Alike | None = None,
-    spread: Mapping[str, float] | None = None,
-    battery: tuple[float, float] | str | None = None,
-    battery_reference: tuple[float, float] | None = None,
-    hovers: tuple[Hover | None, Hover | None] = (None, None),
-    untestable: Sequence[str] = (),
+    new: Evidence | None = None,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
-    appeared: Sequence[Appeared] = (),
 ) -> Currency:
     """Is the model still valid?
 
     model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's
-    estimates; runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same
-    steps of the model's flights. battery: (Ohm, std) of the newest run or why
-    it cannot be told. hovers: the throttle that holds height, of the model's flights and of the newest run. untestable: what the
-    caller could not test, one sentence each. subsets: parameters that are tested together; appeared: effects that the model does not have.
+    estimates; new: what recordings since then say; subsets: parameters that are tested together.
     """
+    new = new or Evidence()
+    runs, alike, spread, appeared = new.runs, new.alike, new.spread, new.appeared
     changes: tuple[Change, ...] = ()
-    cannot_tell = list(untestable)
+    cannot_tell = list(new.untestable)
     if vehicle_fingerprint is not None:
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
         cannot_tell += unknown
     tests = subset_tests(stored, runs[-1], spread=spread, alike=alike, subsets=subsets) if runs else ()
-    before, now = hovers
+    before, now = new.hovers
     if before is not None and now is not None:
         alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
         by_gain = next((t for t in tests if t.subset == "thrust" and "K" in t.shifts), None)
@@ -74,7 +87,7 @@ def assess(
         if by_gain is None or by_gain.detectable.get("K", 0.0) > level.detectable[NAME]:
             tests = (*others, level)
     drift = drifts(stored, runs, spread) if len(runs) > 1 else ()
-    checked = check(battery, battery_reference) if battery is not None else None
+    checked = check(new.battery, new.battery_reference) if new.battery is not None else None
     alarms = [t for t in tests if t.alarm]
     crossed = [d for d in drift if d.crossed_at]
     stale = bool(changes or alarms or crossed or appeared)
@@ -93,10 +106,13 @@ def assess(
         moved = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
         moved |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
         narrow = scripts_for(tuple(s for s in SUBSETS if s in moved)) or ALL_SCRIPTS
+    if verdict is Verdict.STALE:
+        sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
+    else:
+        sentence = _current(tests, bool(cannot_tell), compared) if verdict is Verdict.CURRENT else _unknown(compared)
     return Currency(
         verdict=verdict,
-        sentence=_sentence(verdict, changes, alarms, crossed, tests, sides, bool(cannot_tell), compared, appeared)
-        + _of_battery(checked),
+        sentence=sentence + _of_battery(checked),
         changes=changes,
         tests=tests,
         drifts=drift,
@@ -127,33 +143,34 @@ def _of_battery(checked: BatteryCheck | None) -> str:
     return f" The battery is not what it was: {checked.sentence}; the model allows for it wherever the loaded voltage is measured."
 
 
-def _sentence(
-    verdict: Verdict,
+def _unknown(compared: str) -> str:
+    if compared:
+        return (
+            f"Unknown: {compared} are what they were when the model was flown; whether its components are, only vehicle.yaml can say "
+            "(--vehicle), or the spot check."
+        )
+    return "Unknown: nothing was given that could tell whether the model still holds; declare the components, or fly the spot check."
+
+
+def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
+    if not tests:
+        limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
+        alike = f"; {compared} are what they were" if compared else ""
+        return f"Current: nothing that is declared has changed since the model was flown{alike}{limit}."
+    told = list(dict.fromkeys(t.subset for t in tests))
+    blind = [s for s in SUBSETS if s not in told]
+    nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""
+    return f"Current: the new recording agrees with the model in {', '.join(told)}{nothing}."
+
+
+def _stale(
     changes: Sequence[Change],
     alarms: Sequence[SubsetTest],
     crossed: Sequence[Drift],
     tests: Sequence[SubsetTest],
     sides: tuple[Estimates, Estimates] | None,
-    in_part: bool,
-    compared: str,
     appeared: Sequence[Appeared],
 ) -> str:
-    if verdict is Verdict.UNKNOWN and compared:
-        return (
-            f"Unknown: {compared} are what they were when the model was flown; whether its components are, only vehicle.yaml can say "
-            "(--vehicle), or the spot check."
-        )
-    if verdict is Verdict.UNKNOWN:
-        return "Unknown: nothing was given that could tell whether the model still holds; declare the components, or fly the spot check."
-    if verdict is Verdict.CURRENT:
-        if not tests:
-            limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
-            alike = f"; {compared} are what they were" if compared else ""
-            return f"Current: nothing that is declared has changed since the model was flown{alike}{limit}."
-        told = list(dict.fromkeys(t.subset for t in tests))
-        blind = [s for s in SUBSETS if s not in told]
-        nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""
-        return f"Current: the new recording agrees with the model in {', '.join(told)}{nothing}."
     parts = []
     if changes:
         named = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:3]]

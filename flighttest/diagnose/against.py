@@ -19,7 +19,7 @@ from flighttest.diagnose.model import Diagnosis, short
 from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.errors import FitError
 from flighttest.estimation.problem import Noise
-from flighttest.estimation.solver import finite_or_error, solve
+from flighttest.estimation.solver import Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, interval_factor
 from flighttest.estimation.uncertainty.distributions import beyond, quantile
 from flighttest.identify.diagnostics.quality import ChannelQuality, channel_quality
@@ -246,7 +246,7 @@ def predicted(
 ) -> dict[str, ChannelQuality]:
     """Residuals of responses whose parameters are all held: only initial states and each response's disturbance are estimated."""
     problem = problem_of(segments, model, select="all", values=values)
-    solution = solve(problem, free=(), robust=False, noise=noise, estimate_noise=False)
+    solution = solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False)
     return channel_quality(problem, finite_or_error(solution))
 
 

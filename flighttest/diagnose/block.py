@@ -18,7 +18,7 @@ from flighttest.diagnose.residuals.locate import locate, regime_curves, residual
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
-from flighttest.diagnose.selection.held_out import compare, excess, held_out, horizon_rmse
+from flighttest.diagnose.selection.held_out import excess, gains_held_out, held_out, horizon_rmse
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.estimation.estimator import Estimator, part_of
 from flighttest.identify.dead_time import onset_delay, start_values
@@ -34,6 +34,9 @@ COUPLING = "roll_pitch_coupling"
 PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "the throttle"}
 
 
+SEED = 0  # of sign flips and resampling: the same recordings give the same diagnosis
+
+
 @dataclass(frozen=True)
 class Asked:
     """What every block is asked about: responses, base model, candidates, the base model's fit, which responses are held out together."""
@@ -43,9 +46,7 @@ class Asked:
     pool: tuple[Term, ...]
     base: Fit
     groups: NDArray[np.intp]
-    filters: Mapping[str, float] | None
     previous: Mapping[str, tuple[float, float | None]]
-    seed: int
     tell: Callable[[str], None]
 
 
@@ -79,7 +80,7 @@ def answer(block: str, asked: Asked) -> Answer:
     An interrupt (KeyboardInterrupt) ends the search; what is known is reported.
     """
     made = Answer()
-    estimator = Estimator(asked.segments, block, able, asked.filters)
+    estimator = Estimator(asked.segments, block, able)
     model = asked.model
     own = model.with_terms(COUPLING) if block == "roll_pitch" else model
     if not estimator.problem(own).parts:
@@ -114,7 +115,7 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
     after_held = before_held if unchanged else held_out(now.rows, now.names, asked.groups)
     horizons_b = horizon_rmse(base.rows, before_held, segments)
     horizons_a = horizons_b if unchanged else horizon_rmse(now.rows, after_held, segments)
-    for name, h in compare(base.rows, before_held, now.rows, after_held, asked.groups, floor, asked.seed).items():
+    for name, h in gains_held_out(base.rows, before_held, now.rows, after_held, asked.groups, floor, SEED).items():
         steps_b, steps_a = horizons_b.get(name, {}), horizons_a.get(name, {})
         made.heldout[short(name)] = {
             "all": _held(h),
@@ -127,11 +128,11 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
             else "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)",
         }
     first, last = excess(base.rows, floor), excess(now.rows, floor)
-    places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), asked.seed)
+    places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED)
     made.located += places
     above = {place.channel for place in places}
     made.shares += [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
-    left = places if unchanged else locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), asked.seed)
+    left = places if unchanged else locate(now.rows, segments, floor_of(now.rows, segments, RESOLUTION), SEED)
     made.staying |= {place.channel for place in left}
     made.curves += regime_curves(places, base.rows, now.rows, segments)
     made.cells += residual_map(base.rows, now.rows, segments, floor)

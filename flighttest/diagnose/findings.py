@@ -11,7 +11,7 @@ from scipy import stats
 
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.selection.comparison import Evidence
-from flighttest.diagnose.selection.held_out import compare, held_out
+from flighttest.diagnose.selection.held_out import gains_held_out, held_out
 from flighttest.diagnose.selection.search import Search
 from flighttest.estimation.linearisation import FloatArray, IntArray
 from flighttest.identify.fit import Fit
@@ -51,7 +51,7 @@ def finding(
     before, after = held_out(without.rows, without.names, groups), held_out(search.now.rows, search.now.names, groups)
     heldout = {
         short(name): {**asdict(h), "gain_95": list(h.gain_95)}
-        for name, h in compare(without.rows, before, search.now.rows, after, groups, search.floor, seed).items()
+        for name, h in gains_held_out(without.rows, before, search.now.rows, after, groups, search.floor, seed).items()
     }
     parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
     rivals = tuple(
@@ -90,7 +90,7 @@ def finding(
             "probability": evidence.probability / (1 + len(confusable)),
             "floors": evidence.floors,
             "where": {"channel": short(evidence.place[0]), "kind": evidence.place[1]},
-            "heldout_gain": _gain(heldout, evidence),
+            "heldout_gain": held_out_gain(heldout, evidence),
             "p_value": float(stats.chi2.sf(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1))),
             "rms_force_m_s2": _rms_force(search, evidence.effect),
             "rms_force_left_m_s2": _rms_force(search, evidence.profiled),
@@ -102,7 +102,7 @@ def finding(
     )
 
 
-def _gain(heldout: Mapping[str, Mapping[str, Any]], evidence: Evidence) -> float:
+def held_out_gain(heldout: Mapping[str, Mapping[str, Any]], evidence: Evidence) -> float:
     """Of the held-out mean square above the noise floor, in the channel where the term shows most, the share that is gone with it."""
     h = heldout[short(evidence.place[0])]
     above = h["rmse_before"] ** 2 - h["floor"] ** 2

@@ -136,7 +136,8 @@ def rehearsed(
     for repeat in range(min(script.repeat.each, MOST_REPEATS)):
         for k, cell in enumerate(cells_of(script, unit)):
             voltage = float(np.quantile(volts, (repeat + 0.5) / max(script.repeat.each, 1)))
-            planned.append(_planned(cell, model, values, headings[repeat % len(headings)], voltage, script, repeat, k))
+            step = _Step(script, cell, k, repeat, headings[repeat % len(headings)], voltage)
+            planned.append(_planned(step, model, values))
     runs = [Run(s.t_s, start, s.u, signals) for s, start, signals in planned]
     return tuple(
         replace(s, y={**y, **s.y, "height_m": y["p_z_m"]})
@@ -144,17 +145,24 @@ def rehearsed(
     )
 
 
+@dataclass(frozen=True)
+class _Step:
+    """One planned step: the k-th cell of a script, in one of its repeats, at a heading (rad) and a battery voltage (V)."""
+
+    script: Script
+    cell: Cell
+    k: int
+    repeat: int
+    heading_rad: float
+    voltage_v: float
+
+
 def _planned(
-    cell: Cell,
-    model: Model,
-    values: Mapping[str, float],
-    heading: float,
-    voltage: float,
-    script: Script,
-    repeat: int,
-    k: int,
+    planned: _Step, model: Model, values: Mapping[str, float]
 ) -> tuple[Segment, dict[str, float], dict[str, Edges]]:
     """One step as it would be recorded, but for what the vehicle does; where it starts, and the signals besides the references."""
+    script, cell, k, repeat = planned.script, planned.cell, planned.k, planned.repeat
+    heading, voltage = planned.heading_rad, planned.voltage_v
     level = float(model.hover_throttle(values, voltage))
     pieces: list[Piece] = list(cell.lead)
     if cell.counter is not None:

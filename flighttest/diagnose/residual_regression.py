@@ -32,7 +32,7 @@ SYMBOLS = {
 }  # fmt: skip
 
 
-def _functions(variables: dict[str, FloatArray]) -> dict[str, tuple[FloatArray, tuple[str, ...]]]:
+def candidate_functions(variables: dict[str, FloatArray]) -> dict[str, tuple[FloatArray, tuple[str, ...]]]:
     """Formula to (values, variables in it): powers, changes of slope, products with speed, periodic in heading."""
     found: dict[str, tuple[FloatArray, tuple[str, ...]]] = {}
     for name, x in variables.items():
@@ -73,10 +73,10 @@ def describe(
         r = rows.unprofiled_residual[good]
         if good.size < 200:
             continue
-        functions = _functions({k: x[good] for k, x in variables.items()})
+        functions = candidate_functions({k: x[good] for k, x in variables.items()})
         table = {k: v for k, (v, _) in functions.items() if np.ptp(v) > 1e-9}
         fold = folds_of(groups)[rows.segment[good]]
-        chosen, left = _sparse(r, table, fold)
+        chosen, left = sparse_choice(r, table, fold)
         if not chosen:
             continue
         columns = np.stack([np.ones(r.size), *(table[k] for k in chosen)], axis=1)
@@ -100,7 +100,7 @@ def describe(
     return found
 
 
-def _sparse(r: FloatArray, table: dict[str, FloatArray], fold: IntArray) -> tuple[list[str], float]:
+def sparse_choice(r: FloatArray, table: dict[str, FloatArray], fold: IntArray) -> tuple[list[str], float]:
     """Forward choice by grouped held-out error; (functions, share of the held-out mean square they leave)."""
     names = list(table)
     if not names:

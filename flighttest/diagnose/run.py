@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.block import Answer, Asked, answer
+from flighttest.diagnose.block import SEED, Answer, Asked, answer
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
@@ -58,9 +58,7 @@ def diagnose(
     model: Model | None = None,
     *,
     previous: Mapping[str, tuple[float, float | None]] | None = None,
-    filters: Mapping[str, float] | None = None,
     only: Sequence[str] | None = None,
-    seed: int = 0,
     progress: Callable[[str], None] | None = None,
     side_by_side: SideBySide = one_after_the_other,
     flyable: Flyable = as_shipped,
@@ -91,12 +89,12 @@ def diagnose(
     )
     say = progress or silent
     say("fitting the base model")
-    base = _fitted(usable, model, filters, {k: v[0] for k, v in (previous or {}).items()})
-    kept, aside = set_aside(Estimator(usable, "translation", able, filters), model, base.values)
+    base = _fitted(usable, model, {k: v[0] for k, v in (previous or {}).items()})
+    kept, aside = set_aside(Estimator(usable, "translation", able), model, base.values)
     if aside:
-        base = _fitted(kept, model, filters, base.values)
+        base = _fitted(kept, model, base.values)
     groups, group_name = held_out_groups(kept)
-    asked = Asked(kept, model, pool, base, groups, filters, previous or {}, seed, say)
+    asked = Asked(kept, model, pool, base, groups, previous or {}, say)
     blocks = [b for b in BLOCKS if b == "translation" or model.attitude_loops]
 
     def search(some: Sequence[str]) -> list[Answer]:
@@ -130,16 +128,14 @@ def diagnose(
     return replace(found, sentence=f"{found.sentence} {said} set aside.", set_aside=aside)
 
 
-def _fitted(
-    segments: Sequence[Segment], model: Model, filters: Mapping[str, float] | None, start: Mapping[str, float]
-) -> Fit:
+def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float]) -> Fit:
     """A model fitted to every response that can feed it: from the shape of the responses and, where that is better, from `start`, which
     may be of another vehicle."""
-    found = fit(segments, model, filters=filters, select="all", robust=False)
+    found = fit(segments, model, select="all", robust=False)
     known = {k: v for k, v in start.items() if k in model.names}
     if not known:
         return found
-    other = fit(segments, model, filters=filters, select="all", robust=False, start=known)
+    other = fit(segments, model, select="all", robust=False, start=known)
     return min(found, other, key=lambda f: misfit(f.problem, f.solution))
 
 
@@ -154,7 +150,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     final_fit = _final_fit(asked, searches, final)
     before, after = parameter_table(asked.base), parameter_table(final_fit)
     findings = [
-        finding(search, term, after, asked.groups, asked.seed)
+        finding(search, term, after, asked.groups, SEED)
         for term in accepted
         for search in searches
         if term in search.evidence
@@ -216,7 +212,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         next_flight="next.yaml" if proposal else None,
         next_script=proposal.get("script"),
         next_reason={k: v for k, v in proposal.items() if k != "script"},
-        notes=(*_all(answers, "notes"), *cut_short, *_delays(after), *_compensation(after)),
+        notes=(*_all(answers, "notes"), *cut_short, *_delays(after), *compensated_voltage(after)),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )
@@ -236,7 +232,7 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
         assert search.now is not None
         start |= {n: v for n, v in search.now.at.values.items() if n in final.names}
         held |= {n: start[n] for t in search.named for n in search.held(t)}
-    return fit(asked.segments, final, filters=asked.filters, select="all", start=start, frozen=held, robust=False)
+    return fit(asked.segments, final, select="all", start=start, frozen=held, robust=False)
 
 
 def _in_units(name: str, unit: str) -> str:
@@ -330,7 +326,7 @@ def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _compensation(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def compensated_voltage(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Thrust that does not follow the voltage: somebody makes up for it, and it is no physics of the vehicle."""
     alpha = table.get("alpha")
     if alpha is None or float(alpha["value"]) + 2 * float(alpha["std"]) > COMPENSATED:

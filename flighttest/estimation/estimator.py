@@ -21,7 +21,7 @@ from flighttest.estimation.linearisation import (
     project,
 )
 from flighttest.estimation.problem import Problem, prior_std
-from flighttest.estimation.solver import solve
+from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
 from flighttest.estimation.weighing import start_noise
 from flighttest.physics.blocks import Block
@@ -51,7 +51,6 @@ class Estimator:
     segments: tuple[Segment, ...]
     block: str
     select: Callable[[Sequence[Segment], Block], Sequence[int]]
-    filters_hz: Mapping[str, float] | None = None
     _problems: dict[Model, Problem] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -62,7 +61,7 @@ class Estimator:
         """The problem of one model, parts of this block only (none where nothing moves it); kept."""
         if model not in self._problems:
             fed = {b.name: self.select(self.segments, b) for b in model.blocks if part_of(b.name) == self.block}
-            self._problems[model] = Problem.build(self.segments, model, filters=self.filters_hz, fed=fed)
+            self._problems[model] = Problem.build(self.segments, model, fed=fed)
         return self._problems[model]
 
     def start(self, model: Model, values: Mapping[str, float] | None = None) -> Optimum:
@@ -117,11 +116,13 @@ class Estimator:
         begun = bool(start.nuisance)
         found = solve(
             problem,
-            start.values,
+            Start(
+                start.values,
+                start.noise if begun or not noise else None,
+                self.nuisance(problem, start) if begun else None,
+            ),
             free=names,
             robust=False,
-            noise=start.noise if begun or not noise else None,
-            local=self.nuisance(problem, start) if begun else None,
             estimate_noise=noise,
             max_iterations=iterations,
             tolerances=COMPARED,
@@ -144,8 +145,8 @@ class Estimator:
         """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
         problem = self.problem(model)
         found = solve(
-            problem, at.values, free=names, robust=False, noise=at.noise, local=self.nuisance(problem, at),
-            estimate_noise=False, max_iterations=0,
+            problem, Start(at.values, at.noise, self.nuisance(problem, at)), free=names, robust=False, estimate_noise=False,
+            max_iterations=0,
         )  # fmt: skip
         return covariance_of(problem, found)
 

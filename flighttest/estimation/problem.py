@@ -131,7 +131,6 @@ class Problem:
     names: tuple[str, ...]
     values: dict[str, float]
     ties: Mapping[str, str]
-    filters_hz: Mapping[str, float] | None
     _kernels: dict[Any, Kernel] = field(default_factory=dict, repr=False)
     _laid_out: dict[int, tuple[tuple[float, float], list[_Batch]]] = field(default_factory=dict, repr=False, init=False)
 
@@ -142,7 +141,6 @@ class Problem:
         model: Model,
         *,
         fed: Mapping[str, Collection[int]],
-        filters: Mapping[str, float] | None = None,
         values: Mapping[str, float] | None = None,
         fixed: Sequence[str] = (),
         ties: Mapping[str, str] | None = None,
@@ -150,9 +148,9 @@ class Problem:
     ) -> Problem:
         """The problem of these segments, all of them usable; without parts where no segment feeds any block.
 
-        fed: block name to the positions of its segments; filters: as `Provenance.filters`, channel group to cut-off in Hz, of all segments,
-        None takes each one's context['filters']; values: start values by name; fixed: names that stay there; ties: name to the name it
-        equals; dead: channels that were not measured, None: those that never change.
+        fed: block name to the positions of its segments, each of which is read through its context['filters'] (`Provenance.filters`);
+        values: start values by name; fixed: names that stay there; ties: name to the name it equals; dead: channels that were not
+        measured, None: those that never change.
         """
         segments = tuple(segments)
         start = model.start(values)
@@ -166,7 +164,7 @@ class Problem:
         tied = {k: v for k, v in (ties or {}).items() if k in start and v in start}
         reached = {n for part in found for n in part.block.params}
         names = tuple(n for n in model.names if n in reached and n not in fixed and n not in tied)
-        return cls(segments, model, tuple(found), names, start, tied, None if filters is None else dict(filters))
+        return cls(segments, model, tuple(found), names, start, tied)
 
     @cached_property
     def cells(self) -> NDArray[np.intp]:
@@ -258,7 +256,7 @@ class Problem:
 
     def _cutoffs(self, part: Part, index: int) -> Cutoffs:
         """Known measurement filters of a segment: (output, Hz) of those that have one."""
-        known = self.segments[index].context.get("filters", {}) if self.filters_hz is None else self.filters_hz
+        known = self.segments[index].context.get("filters", {})
         return tuple((c, float(hz)) for c in part.outputs if (hz := known.get(CHANNELS[c].group, 0.0)) > 0.0)
 
     def _kernel(self, i: int, free: tuple[str, ...], cutoffs: Cutoffs) -> Kernel:

@@ -9,7 +9,7 @@ variances are updated beside the parameters. Outlying responses are weighted dow
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,14 +105,22 @@ class _PenalisedCost:
         )
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where an estimate begins. values: parameters by name, the problem's own where they are not given; noise, local: a previous estimate's
+    noise, and its nuisance parameters per part (m, n_nuisance)."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    noise: Noise | None = None
+    local: Sequence[FloatArray] | None = None
+
+
 def solve(
     problem: Problem,
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | Start | None = None,
     *,
     free: Sequence[str] | None = None,
     robust: bool = True,
-    noise: Noise | None = None,
-    local: Sequence[FloatArray] | None = None,
     estimate_noise: bool = True,
     max_iterations: int = MAX_ITERATIONS,
     tolerances: Tolerances | None = None,
@@ -120,26 +128,27 @@ def solve(
     """Minimise from `start` (default: the problem's values).
 
     free: names to estimate, default problem.names; with none, only initial states and disturbances are estimated, which is how
-    a fit is judged on segments it has not seen. noise, local: a previous fit's, to start from (or, with estimate_noise False,
-    to keep). max_iterations: with 0 what is known at the start is given back.
+    a fit is judged on segments it has not seen. estimate_noise: False keeps the noise of the start.
+    max_iterations: with 0 what is known at the start is given back.
     """
+    begin = start if isinstance(start, Start) else Start(start or {})
     names = tuple(problem.names if free is None else free)
     params = [problem.model.param[n] for n in names]
     space = Space(*(np.array([getattr(p, k) for p in params]) for k in ("lower", "upper", "scale")))
-    warm = noise is not None
+    warm = begin.noise is not None
     objective = _PenalisedCost(
         problem,
         names,
-        problem.full_values(start or {}),
-        Weighing.even(problem, noise, robust=robust),
+        problem.full_values(begin.values),
+        Weighing.even(problem, begin.noise, robust=robust),
         robust_from=None if not robust else 1 if warm else 3,
         estimate_noise=estimate_noise,
     )
     theta = space.inside(np.array([objective.base[n] for n in names]))
-    begun = [np.array(x) for x in local] if local is not None else [part.start_local() for part in problem.parts]
+    local = begin.local if begin.local is not None else [part.start_local() for part in problem.parts]
     found = minimise(
         objective,
-        objective.begun(theta, begun),
+        objective.begun(theta, [np.array(x) for x in local]),
         space,
         tolerances=tolerances,
         least_iterations=2 if warm or not robust else 4,

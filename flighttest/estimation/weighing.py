@@ -199,7 +199,7 @@ class Weighing:
                     known = 1.0 - posterior[:, k, k] * prior[:, k]
                     values = local[:, k] + step[:, k]
                     found = np.sum(values**2) / max(float(known.sum()), 1e-3 * len(known))
-                    found = np.sqrt(min(found, _between_repeats(values, known, cells, found)))
+                    found = np.sqrt(min(found, variance_between_repeats(values, known, cells, found)))
                     low = max(lowest[k - n_l + n_d], 0.2 * before[0, k])
                     moved.append(np.array([np.clip(found, low, 5.0 * before[0, k]) / spread[0, k]]))
                     spread[:, k] *= moved[-1]
@@ -211,7 +211,7 @@ class Weighing:
         )
 
 
-def _between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.intp], otherwise: float) -> float:
+def variance_between_repeats(values: FloatArray, known: FloatArray, cells: NDArray[np.intp], otherwise: float) -> float:
     """Variance of estimates (m,) between repeats of a cell (one-way analysis of variance), each shrunk to `known` of itself by its prior;
     `otherwise` where too few were repeated."""
     _, which, count = np.unique(cells, return_inverse=True, return_counts=True)

@@ -57,7 +57,7 @@ class _Reserve:
         return True
 
 
-class _Lines:
+class LineFile:
     """A file that is only added to. What could not be written yet waits, whole: a full disk may have space again."""
 
     def __init__(self, path: Path) -> None:
@@ -106,9 +106,9 @@ class Recorder:
         run_dir.mkdir(parents=True, exist_ok=True)
         self._ground_s = ground_s
         self._host_s = host_s
-        self._reserve = _Reserve(run_dir)
-        self._tlog = _Lines(run_dir / RAW_NAME)
-        self._events = _Lines(run_dir / EVENTS_NAME)
+        self.reserve = _Reserve(run_dir)
+        self._tlog = LineFile(run_dir / RAW_NAME)
+        self._events = LineFile(run_dir / EVENTS_NAME)
         self._flushed_s = host_s()
         self._last_us = 0
         self.markers: list[Marker] = []
@@ -125,7 +125,7 @@ class Recorder:
             write()
         except OSError as error:
             self.failure = self.failure or error.strerror or str(error)
-            if not self._reserve.give_back():
+            if not self.reserve.give_back():
                 return False
             return self._written(write)
         return True
@@ -170,7 +170,7 @@ class Recorder:
 
     def finish(self, session: Session, plan: Plan) -> Recording | None:
         """Close the files and write the channels; None when too little was recorded to decode."""
-        self._reserve.give_back()
+        self.reserve.give_back()
         for name, file in ((RAW_NAME, self._tlog), (EVENTS_NAME, self._events)):
             if not self._written(file.close):
                 self._lacks(f"the last {len(file.waiting)} bytes of {name}")

@@ -30,7 +30,6 @@ class TieTest:
 def tie_tests(
     segments: Sequence[Segment],
     model: Model,
-    filters: Mapping[str, float] | None,
     select: Select,
     tied: Solution,
     ties: Mapping[str, str],
@@ -40,7 +39,7 @@ def tie_tests(
     """Fit once more without the ties and ask whether each pair differs."""
     if not ties:
         return ()
-    problem = problem_of(segments, model, filters=filters, select=select, values=tied.values, fixed=frozen)
+    problem = problem_of(segments, model, select=select, values=tied.values, fixed=frozen)
     free = solve(problem, robust=robust)
     covariance = covariance_of(problem, free)
     tests = []

@@ -19,7 +19,7 @@ from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.level import level_notes, level_share
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
-from flighttest.estimation.solver import Solution, finite_or_error, solve
+from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.estimation.weighing import start_noise
 from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
@@ -29,6 +29,7 @@ from flighttest.identify.diagnostics.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
     Doubts,
+    Estimated,
     Known,
     assumed_share,
     judge,
@@ -128,20 +129,16 @@ def fit(
     segments: Sequence[Segment],
     model: Model | None = None,
     *,
-    filters: Mapping[str, float] | None = None,
     select: Select = "paper",
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | Start | None = None,
     frozen: Mapping[str, float] | None = None,
     ties: Mapping[str, str] | None = None,
     robust: bool = True,
-    noise: Noise | None = None,
-    doubt: Mapping[str, float] | None = None,
 ) -> Fit:
     """Estimate the model's parameters from usable segments of one or several recordings, jointly.
 
-    filters: known measurement filters (channel group to Hz); start: values to start from; frozen: held there; ties: name to the
-    name it equals (each tie is tested); noise: of an earlier fit whose estimates are `start`, to stay with its optimum; doubt: further
-    standard errors by name, known from elsewhere. FitError where nothing can be estimated.
+    start: values to start from, with the noise of the estimate that they are to stay with its optimum; frozen: held there; ties: name to
+    the name it equals (each tie is tested). FitError where nothing can be estimated.
     """
     segments = tuple(s for s in segments if s.usable)
     if not segments:
@@ -149,15 +146,16 @@ def fit(
     model = model or default_model(segments)
     _check_names(model, [*(frozen or {}), *(ties or {}), *(ties or {}).values()])
     onset = onset_delay(segments)
-    begin = {**start_values(segments, model, onset), **(start or {}), **(frozen or {})}
+    given = start if isinstance(start, Start) else Start(start or {})
+    begin = {**start_values(segments, model, onset), **given.values, **(frozen or {})}
     spread = voltage_spread_at_equal_throttle(segments)
     held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
     if not throttle_varies(segments):
         held = (*held, "sigma_t", "T_d_thrust")
     while True:
         fixed = (*(frozen or {}), *held)
-        problem = problem_of(segments, model, filters=filters, select=select, values=begin, fixed=fixed, ties=ties)
-        solution = best_of_starts(problem, robust, model.start(start), noise)
+        problem = problem_of(segments, model, select=select, values=begin, fixed=fixed, ties=ties)
+        solution = best_of_starts(problem, robust, model.start(given.values), given.noise)
         covariance = covariance_of(problem, solution)
         hopeless = _hopeless(solution, covariance)
         if not hopeless or len(hopeless) == len(covariance.names):
@@ -168,7 +166,7 @@ def fit(
     apart = {n: r.away(solution.values[n]) for n, r in others.items()}
     covariance = covariance_of(problem, solution)
     tilted = {"K": solution.values["K"] * level_share(problem, solution)}
-    for extra in (apart, moved, doubt or {}, tilted):
+    for extra in (apart, moved, tilted):
         covariance = widened(covariance, extra)
     quality = channel_quality(problem, solution)
     doubts = doubts_of(problem, solution, covariance, quality, others, moved)
@@ -191,7 +189,7 @@ def fit(
         quality=quality,
         valid=valid_range(problem),
         outliers=_outliers(problem, solution),
-        ties=tie_tests(segments, model, filters, select, solution, ties or {}, tuple(frozen or {}), robust),
+        ties=tie_tests(segments, model, select, solution, ties or {}, tuple(frozen or {}), robust),
         notes=(*_notes(problem, solution, model), *differing_notes(estimates, doubts, model)),
         problem=problem,
         solution=solution,
@@ -252,7 +250,7 @@ def _estimates(
                 partner = (covariance.names[j], float(correlation[i, j]))
         insensitive = source_name in solution.insensitive or source_name not in solution.free
         known = judge(
-            param, value, known_std, insensitive, source_name in solution.at_bound, partner, spread, reveals.get(name, ""),
+            param, Estimated(value, known_std, insensitive, source_name in solution.at_bound, partner), spread, reveals.get(name, ""),
             doubts.get(source_name),
         )  # fmt: skip
         source = "assumed" if insensitive else "tied" if name in problem.ties else "fit"
@@ -290,7 +288,7 @@ def _mean_delay(found: Mapping[str, Estimate], covariance: Covariance) -> Estima
     value = float(np.mean([found[n].value for n in names]))
     half = interval_factor(dof) * std
     missing = [n for n in DELAY_PARAM.values() if n in found and n not in names]
-    known = judge(DELAY, value, std, False, False, None, None, "")
+    known = judge(DELAY, Estimated(value, std), None, "")
     doubted = [n for n in names if not found[n].identifiable]
     if doubted:
         known = Known(
@@ -360,10 +358,10 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
 
 def heldout(found: Fit, segments: Sequence[Segment], select: Select = "paper") -> tuple[Problem, Solution]:
     """A fit's parameters on segments it has not seen: only initial states and disturbances are estimated there."""
-    problem = problem_of(segments, found.model, filters=found.problem.filters_hz, select=select, values=found.values)
+    problem = problem_of(segments, found.model, select=select, values=found.values)
     noise = found.noise
     missing = {c for part in problem.parts for c in part.outputs} - set(noise.channel)
     if missing:
         extra = start_noise(problem)
         noise = Noise({**extra.channel, **noise.channel}, {**extra.disturbance, **noise.disturbance})
-    return problem, finite_or_error(solve(problem, free=(), robust=False, noise=noise, estimate_noise=False))
+    return problem, finite_or_error(solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False))

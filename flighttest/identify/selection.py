@@ -44,7 +44,6 @@ def problem_of(
     model: Model,
     *,
     select: Select = "paper",
-    filters: Mapping[str, float] | None = None,
     values: Mapping[str, float] | None = None,
     fixed: Sequence[str] = (),
     ties: Mapping[str, str] | None = None,
@@ -56,7 +55,7 @@ def problem_of(
     usable = tuple(s for s in segments if s.usable)
     dead = dead_channels(usable)
     fed = {block.name: feeding(usable, block, select) for block in model.blocks}
-    problem = Problem.build(usable, model, fed=fed, filters=filters, values=values, fixed=fixed, ties=ties, dead=dead)
+    problem = Problem.build(usable, model, fed=fed, values=values, fixed=fixed, ties=ties, dead=dead)
     if not problem.parts:
         why = "".join(f"; {one}" for one in (never_changing(dead) if dead else "", refusal(usable)) if one)
         raise FitError(

@@ -16,7 +16,7 @@ from flighttest.errors import InputError, LinkError
 URL_FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim"
 _CHUNK = 65536
 _CONNECT_TIMEOUT_S = 5.0
-_PEER_S = 5.0
+PEER_S = 5.0
 _RECONNECT_EVERY_S = 1.0
 
 
@@ -132,14 +132,14 @@ class UdpTransport:
             self._peers[peer] = max(time.monotonic(), self._peers.get(peer, 0.0))
         newest = max(self._peers.values(), default=0.0)
         self._peers = {
-            p: t for p, t in self._peers.items() if t == math.inf or t > time.monotonic() - _PEER_S or t == newest
+            p: t for p, t in self._peers.items() if t == math.inf or t > time.monotonic() - PEER_S or t == newest
         }
         return b"".join(chunks)
 
     def _welcome(self, peer: Peer) -> bool:
         if self._only is None or peer == self._only:
             return True
-        silent = time.monotonic() - self._peers.get(self._only, 0.0) > _PEER_S
+        silent = time.monotonic() - self._peers.get(self._only, 0.0) > PEER_S
         if peer[0] != self._only[0] or not silent:
             return False
         self.keep_to(peer)

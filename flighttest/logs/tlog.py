@@ -106,7 +106,7 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
     if wild.any():
         losses.append(f"{int(np.count_nonzero(wild))} messages have a damaged time stamp and were dropped")
     kept = frames.where(good & ~wild)
-    losses += _missing(kept)
+    losses += missing_messages(kept)
     return kept
 
 
@@ -138,7 +138,7 @@ def _on_one_clock(frames: Frames, losses: list[str]) -> Frames:
     return replace(frames, stamp_us=frames.stamp_us - taken_us)
 
 
-def _missing(frames: Frames) -> list[str]:
+def missing_messages(frames: Frames) -> list[str]:
     """Sentences on messages that never arrived, by gaps in each sender's sequence numbers."""
     sentences: list[str] = []
     for one in np.unique(frames.sender):

@@ -111,7 +111,7 @@ def composed(
         "findings": findings,
         "as_hidden": {f["term"] for f in findings} == set(hidden),
         "prediction": prediction,
-        "shown": plain(_shown(segments, base, improved, {c: v["floor"] for c, v in prediction.items()})),
+        "shown": plain(predicted_stretch(segments, base, improved, {c: v["floor"] for c, v in prediction.items()})),
         "twin": verified.data,
         "twin_report": str(out / "twin" / REPORT_NAME),
         "unused": unused.name,
@@ -144,7 +144,7 @@ def _new_folder(wanted: Path) -> Path:
     return folder
 
 
-def _shown(
+def predicted_stretch(
     segments: Sequence[Segment], base: ModelFile, improved: ModelFile, floors: Mapping[str, float]
 ) -> dict[str, Any] | None:
     """The stretch and channel in which the improved model's open-loop error falls furthest below the base model's, in noise floors."""

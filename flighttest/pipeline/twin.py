@@ -36,7 +36,7 @@ from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.pipeline.recordings.consistency import once
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.flown_with import VEHICLE_NAME, flown_with
 from flighttest.report.document import Document
@@ -75,7 +75,7 @@ def verify(
     check_writable(output)
     stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
-    recordings = once(open_recordings(runs, columns, progress=progress))
+    recordings = once(open_recordings(runs, Reading(columns), progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
     paths = [run for run in runs if isinstance(run, Path)]
@@ -91,7 +91,7 @@ def verify(
             ]
             flown = cut_all(open_recordings(folders, progress=progress), progress)
     progress.stage("comparing the twin with the recordings")
-    data = _compare(stored, segments, found, flown)
+    data = compare_with_recordings(stored, segments, found, flown)
     data |= {
         "flown": [str(f) for f in folders] if output is not None else [],
         "flights": len(folders),
@@ -127,7 +127,7 @@ def replay(
     stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
     change = what_if(stored, changes)
-    recordings = once(open_recordings(runs, columns, progress=progress))
+    recordings = once(open_recordings(runs, Reading(columns), progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
     progress.stage("running the recorded commands on the twin")
@@ -189,7 +189,7 @@ def _fly(stored: ModelFile, run: Path, folder: Path, seed: int, progress: Progre
     return ended.run_dir
 
 
-def _compare(
+def compare_with_recordings(
     stored: ModelFile, segments: Sequence[Segment], found: Diagnosis, flown: Sequence[Segment]
 ) -> dict[str, Any]:
     """twin/1: parameters, error by channel in noise floors, steps, and the verdict."""

@@ -119,7 +119,7 @@ def left(segments: Sequence[Segment], noise: Noise, nominal_voltage_v: float) ->
     usable = [s for s in segments if s.usable and s.kind != "free"]
     residual: dict[tuple[str, str], FloatArray] = {}
     disturbance: dict[tuple[str, str], FloatArray] = {}
-    for block in (_RollPitch(), _Yaw(), _Translation(nominal_voltage_v)):
+    for block in (_RollPitch(), _Yaw(), Translation(nominal_voltage_v)):
         fed = [s for s in usable if not block.kinds or s.kind in block.kinds]
         if not fed:
             continue
@@ -265,7 +265,7 @@ class _Yaw(_Block):
         return (r.y("r_rad_s") - answer)[..., None], decay, 1.0 - decay
 
 
-class _Translation(_Block):
+class Translation(_Block):
     """a' = sigma (K (U/U_n)^alpha T(t - T_d) - a); f = a e_z - D R'v + R'd; v' = R f - g; theta: sigma, K, alpha, T_d, D (3)."""
 
     name = "translation"
@@ -276,14 +276,16 @@ class _Translation(_Block):
         self.nominal_voltage_v = nominal_voltage_v
 
     def start(self, r: _Responses) -> Sequence[float]:
+        """sigma_t, K, alpha, delay and drag to start from."""
         f, throttle = np.mean(r.y("f_z_m_s2"), axis=1), np.mean(r.held("throttle", 0.08), axis=1)
         return 12.0, float(np.median(f / throttle)), 1.5, 0.08, 0.3, 0.3, 0.3
 
     def of(self, r: _Responses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `_Block.of`, drag and thrust in body axes and velocity in the world."""
         sigma, gain, alpha, delay, *drag = theta
         m, n = r.t_s.shape
         voltage = np.repeat((r.y("voltage_v") / self.nominal_voltage_v) ** alpha, PARTS, axis=1)[:, : PARTS * (n - 1)]
-        turn = _rotation(*(r.y(f"{axis}_rad") for axis in ("roll", "pitch", "yaw")))
+        turn = body_to_world(*(r.y(f"{axis}_rad") for axis in ("roll", "pitch", "yaw")))
         back = turn.transpose(0, 1, 3, 2)
         v = np.stack([r.y(f"v_{axis}_m_s") for axis in "xyz"], axis=2)
         force = -np.asarray(drag) * np.matmul(back, v[..., None])[..., 0]
@@ -306,7 +308,7 @@ def _integral(values: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros_like(values[:, :1]), np.cumsum(mean, axis=1) * STEP_S], axis=1)
 
 
-def _rotation(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+def body_to_world(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
     """(..., 3, 3) body (FLU) to world (NWU), yaw then pitch then roll."""
     (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
     rows = (

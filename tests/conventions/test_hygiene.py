@@ -1,6 +1,8 @@
 """Conventions that a machine can check."""
 
 import ast
+import importlib
+import re
 from pathlib import Path
 
 import pytest
@@ -32,15 +34,6 @@ def test_a_package_of_more_than_a_dozen_modules_is_divided(repository):
     assert not {folder: n for folder, n in count.items() if n > MAX_MODULES}, "divide by meaning into sub-packages"
 
 
-# Public names that two modules of one package still share.
-TWICE = {
-    "diagnose": {"compare"},
-    "pipeline": {"accept", "of_manifest"},
-    "report": {"render"},
-    "sim": {"serve_inherited"},
-}
-
-
 def test_a_public_name_is_defined_once_in_its_package(repository):
     where: dict[tuple[str, str], list[str]] = {}
     for path in modules(repository):
@@ -49,9 +42,90 @@ def test_a_public_name_is_defined_once_in_its_package(repository):
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
                 where.setdefault((package, node.name), []).append(path.name)
     twice = {key: files for key, files in where.items() if len(files) > 1}
-    assert not {key: files for key, files in twice.items() if key[1] not in TWICE.get(key[0], set())}
-    gone = {(package, name) for package, names in TWICE.items() for name in names} - set(twice)
-    assert not gone, "take these out of TWICE"
+    assert not twice
+
+
+def exported(source: str) -> tuple[set[str], list[str] | None]:
+    """What a module defines or, where it is a package, takes from its own modules, for others; and what it says it offers, if it does."""
+    offered, said = set(), None
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            offered.add(node.name)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("flighttest."):
+            offered |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            said = ast.literal_eval(node.value)
+    used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    return {name for name in offered - used if not name.startswith("_")}, said
+
+
+def test_what_a_package_offers_is_in_its_list(repository):
+    lacking = {}
+    for path in modules(repository):
+        offered, said = exported(path.read_text())
+        if path.name == "__init__.py" and not offered <= set(said or ()):
+            lacking[path.relative_to(repository).as_posix()] = sorted(offered - set(said or ()))
+    assert not lacking, "taken into the package for others, and not in its __all__"
+
+
+def test_what_a_module_says_it_offers_is_there(repository):
+    for path in modules(repository):
+        _, said = exported(path.read_text())
+        if said is not None:
+            module = importlib.import_module(
+                ".".join(path.relative_to(repository).with_suffix("").parts).removesuffix(".__init__")
+            )
+            assert len(said) == len(set(said))
+            assert not [name for name in said if not hasattr(module, name)], path
+
+
+PRIVATE = re.compile(r"_(?!_)\w+")
+# Names with an underscore of other libraries: pymavlink's time of a message, ctypes' and namedtuples' methods.
+FOREIGN = {"_timestamp", "_fields_", "_replace", "_asdict"}
+
+
+def private_names(source: str) -> set[str]:
+    """Names with an underscore that a test takes from a module of the package, or puts another thing in the place of."""
+    tree = ast.parse(source)
+    modules, taken = set(), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("flighttest"):
+            modules |= {alias.asname or alias.name for alias in node.names}
+            taken |= {alias.name for alias in node.names if PRIVATE.fullmatch(alias.name)}
+        if isinstance(node, ast.Import):
+            modules |= {alias.asname or alias.name for alias in node.names if alias.name.startswith("flighttest")}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            taken |= {node.attr} if PRIVATE.fullmatch(node.attr) else set()
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("flighttest."):
+            taken |= {part for part in node.value.split(".") if PRIVATE.fullmatch(part)}
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("setattr") and len(node.args) > 1:
+            named = node.args[1]
+            if isinstance(named, ast.Constant) and isinstance(named.value, str) and PRIVATE.fullmatch(named.value):
+                taken.add(named.value)
+    return taken - FOREIGN
+
+
+def test_tests_are_of_public_behaviour(repository):
+    found = {
+        p.relative_to(repository).as_posix(): private_names(p.read_text()) for p in (repository / "tests").rglob("*.py")
+    }
+    assert not {path: names for path, names in found.items() if names}, (
+        "test what is public, or make it so, with its contract"
+    )
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from flighttest.plan.check import _x",
+        "from flighttest.plan import check\ncheck._x(1)",
+        "def f(patch):\n    patch.setattr('flighttest.plan.check._x', 1)",
+        "def f(patch, module):\n    patch.setattr(module, '_x', 1)",
+    ],
+)
+def test_the_search_for_private_names_sees_each_way(source):
+    assert private_names(source) == {"_x"}
 
 
 def printing_calls(source: str) -> list[int]:

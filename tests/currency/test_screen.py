@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from flighttest.currency.assess import assess
+from flighttest.currency.assess import Evidence, assess
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.report.render.terminal import render
 from flighttest.report.sections.currency import Reflight, status_document
@@ -24,8 +24,8 @@ def found(resistance=(0.02, 0.0004), **factors):
     moved = VALUES * [factors.get(n, 1.0) for n in NAMES]
     after = Estimates("new", NAMES, moved, np.diag((0.003 * VALUES) ** 2))
     return assess(
-        model_fingerprint={}, vehicle_fingerprint=None, stored=exact, runs=[after], alike=Alike(exact, after, 12),
-        battery=resistance, battery_reference=resistance,
+        model_fingerprint={}, vehicle_fingerprint=None, stored=exact,
+        new=Evidence(runs=[after], alike=Alike(exact, after, 12), battery=resistance, battery_reference=resistance),
     )  # fmt: skip
 
 

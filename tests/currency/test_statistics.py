@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flighttest.currency import battery, compare, sequence
-from flighttest.currency.assess import assess
+from flighttest.currency.assess import Evidence, assess
 from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests
 from flighttest.currency.discrepancy import measured, prior
 from flighttest.currency.hover import hover, hover_test
@@ -303,7 +303,7 @@ def test_a_slower_thrust_is_not_called_less_thrust():
     base = Estimates("m", ("sigma_t", "K"), np.array([20.0, 50.0]), np.diag([0.04, 0.04]))
     for values, lag in (([14.0, 50.1], True), ([20.0, 44.0], False)):
         new = Estimates("r", ("sigma_t", "K"), np.array(values), np.diag([0.04, 0.04]))
-        found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=base, runs=[new])
+        found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=base, new=Evidence(runs=[new]))
         assert found.verdict is Verdict.STALE
         assert ("what delays the thrust" in found.sentence) is lag, found.sentence
         assert ("another mass (weigh it)" in found.could_also_be) is not lag

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.diagnose.findings import _gain, parameter_table
+from flighttest.diagnose.findings import held_out_gain, parameter_table
 from flighttest.identify.fit import Estimate
 from flighttest.physics.model import Model
 
@@ -44,4 +44,4 @@ def test_what_was_not_estimated_is_not_in_the_table():
 )
 def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain):
     held = {"f_z": {"rmse_before": before, "rmse_after": after, "floor": 1.0}}
-    assert _gain(held, SimpleNamespace(place=("f_z_m_s2", "roll_step"))) == pytest.approx(gain)
+    assert held_out_gain(held, SimpleNamespace(place=("f_z_m_s2", "roll_step"))) == pytest.approx(gain)

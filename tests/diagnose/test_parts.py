@@ -9,7 +9,7 @@ from made_rows import rows_of
 from flighttest.diagnose import run
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.residuals import locate
-from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, _independent_times, _shared, high_frequency
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
 from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
 from flighttest.diagnose.selection.held_out import held_out, held_out_groups
@@ -112,18 +112,18 @@ def test_orthonormal_drops_what_repeats(rng):
 
 def test_what_repeats_share_is_compared_with_their_spread_at_the_same_times():
     at_time = {0: (1.0, 10.0), 1: (90.0, 10.0)}  # late times scatter 90 times as much
-    ratio, repeats = _shared([(0, 0.1), (1, 9.0)], at_time)
+    ratio, repeats = shared_error([(0, 0.1), (1, 9.0)], at_time)
     assert ratio == pytest.approx(1.0)
     assert repeats == pytest.approx(10.0)
-    assert _shared([(0, 9.0)], at_time)[0] == pytest.approx(90.0)
+    assert shared_error([(0, 9.0)], at_time)[0] == pytest.approx(90.0)
 
 
 def test_a_response_that_goes_astray_as_a_whole_is_one_observation(rng):
     at_time = dict.fromkeys(range(20), (4.0, 4.0))
     gust = [[(b, float(g)) for b in range(20)] for g in rng.normal(size=40)]
-    assert _independent_times(gust, at_time) == pytest.approx(1.0, abs=0.05)
+    assert independent_times(gust, at_time) == pytest.approx(1.0, abs=0.05)
     white = [list(enumerate(rng.normal(size=20).tolist())) for _ in range(40)]
-    assert _independent_times(white, at_time) == pytest.approx(20, rel=0.2)
+    assert independent_times(white, at_time) == pytest.approx(20, rel=0.2)
 
 
 @pytest.mark.parametrize(("amplitude", "ordered"), [(1e-3, False), (6e-3, True)])
@@ -131,7 +131,7 @@ def test_what_a_slow_variable_orders_must_exceed_what_estimators_wander_by(ampli
     response = np.repeat(np.arange(20), 50)
     voltage = 24.0 - 0.1 * response
     drift = amplitude * np.where(voltage > 23.0, 1.0, -1.0)
-    assert locate._ordered("pitch_rad", drift, {"voltage": voltage}, response, 1e-4, 0) is ordered
+    assert locate.ordered_by_a_variable("pitch_rad", drift, {"voltage": voltage}, response, 1e-4, 0) is ordered
 
 
 def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
@@ -148,14 +148,16 @@ def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
 def test_what_would_be_seen_is_told_for_the_usual_value_of_a_nonlinear_parameter():
     term = SimpleNamespace(id="thrust_fade", shapes=(SimpleNamespace(name="tau", nominal=60.0),))
     settings = [SimpleNamespace(term=term, shape={"tau": tau}) for tau in (5.0, 40.0, 300.0)]
-    assert detectability._usual(settings) == [settings[1]]
+    assert detectability.usual_settings(settings) == [settings[1]]
 
 
 @pytest.mark.parametrize(("size", "error"), [(1.5, "error"), (5.0, "excess error")])
 def test_the_side_that_is_named_is_the_one_with_the_error(size, error):
     x = np.linspace(0.0, 10.0, 2000)
     r = np.where(x > 8.0, size, 0.0)
-    place = locate._located("v_z_m_s", "thrust", "throttle_step", r, x, "speed_up_m_s", 0.9, 0.005, 1.0, True)
+    place = locate.located_at(
+        "v_z_m_s", "thrust", "throttle_step", r, locate.Orders("speed_up_m_s", x, 0.9, 0.005), 1.0, True
+    )
     assert place.regime["above"] == pytest.approx(8.0, abs=0.01)
     assert f"100 % of the {error} lies in 20 % of the samples" in place.sentence
 
@@ -180,8 +182,8 @@ def test_a_curve_is_of_the_steps_that_were_located():
 
 @pytest.mark.parametrize(("alpha", "std", "told"), [(0.03, 0.05, True), (1.7, 0.03, False), (0.1, 0.4, False)])
 def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, std, told):
-    notes = run._compensation({"alpha": {"value": alpha, "std": std}})
+    notes = run.compensated_voltage({"alpha": {"value": alpha, "std": std}})
     assert bool(notes) is told
-    assert run._compensation({}) == []
+    assert run.compensated_voltage({}) == []
     if told:
         assert "MOT_BAT_VOLT_MAX" in notes[0]

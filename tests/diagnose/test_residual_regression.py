@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flighttest.diagnose.residual_regression import _functions, _sparse
+from flighttest.diagnose.residual_regression import candidate_functions, sparse_choice
 
 
 def _table(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
@@ -13,7 +13,7 @@ def _table(rng: np.random.Generator, n: int) -> dict[str, np.ndarray]:
 def test_a_law_is_found_and_says_what_it_leaves():
     rng = np.random.default_rng(1)
     table = _table(rng, 600)
-    chosen, left = _sparse(0.4 * table["w^2"] + 0.1 * rng.standard_normal(600), table, np.arange(600) % 4)
+    chosen, left = sparse_choice(0.4 * table["w^2"] + 0.1 * rng.standard_normal(600), table, np.arange(600) % 4)
     assert chosen == ["w^2"]
     assert 0.0 < left < 0.05
 
@@ -25,7 +25,7 @@ def test_what_is_no_better_than_nothing_is_no_description():
     table = _table(rng, 600)
     sign = np.array([1.0, -1.0, 1.0, -1.0])[fold]
     r = 3.0 * sign + table["w"] + 0.1 * rng.standard_normal(600)
-    assert _sparse(r, table, fold) == ([], 1.0)
+    assert sparse_choice(r, table, fold) == ([], 1.0)
 
 
 def test_sparse_regression_keeps_the_one_function_that_is_there():
@@ -33,14 +33,14 @@ def test_sparse_regression_keeps_the_one_function_that_is_there():
     x = rng.normal(size=(600, 6))
     r = 2.0 * x[:, 3] ** 2 + rng.normal(0, 0.3, 600)
     table = {f"x{k}": x[:, k] for k in range(6)} | {f"x{k}^2": x[:, k] ** 2 for k in range(6)}
-    chosen, left = _sparse(r, table, np.arange(600) % 5)
+    chosen, left = sparse_choice(r, table, np.arange(600) % 5)
     assert chosen == ["x3^2"]
     assert left < 0.1
-    assert _sparse(rng.normal(size=600), table, np.arange(600) % 5)[0] == []
+    assert sparse_choice(rng.normal(size=600), table, np.arange(600) % 5)[0] == []
 
 
 def test_a_formula_names_the_variables_in_it_and_its_knots_with_their_sign():
-    found = _functions({"speed_up_m_s": np.linspace(-3.0, 0.0, 11), "tilt_rad": np.linspace(0.0, 0.5, 11)})
+    found = candidate_functions({"speed_up_m_s": np.linspace(-3.0, 0.0, 11), "tilt_rad": np.linspace(0.0, 0.5, 11)})
     values, uses = found["max(w + 1.8, 0)"]
     assert values[-1] == 1.8
     assert uses == ("speed_up_m_s",)

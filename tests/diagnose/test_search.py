@@ -40,7 +40,7 @@ class Scripted(Search):
     lacking: bool = False
     bare: tuple = ()  # terms without a linear coefficient
 
-    def _fit(self, model, start, inactive):
+    def fit_of(self, model, start, inactive):
         return fitted()
 
     def linearise(self):
@@ -58,7 +58,7 @@ class Scripted(Search):
         self.subsets = SimpleNamespace(terms=lambda s: frozenset(self.candidates[j].term.id for j in s.members))
         self.lack_of_fit = self.lacking
 
-    def _refitted(self, among, members, scored):
+    def refitted(self, among, members, scored):
         made = fitted(*among.model.terms, *(c.term.id for c in members))
         self.refits.append("".join(made.model.terms))
         return made
@@ -180,13 +180,13 @@ def test_an_interrupted_search_keeps_what_it_had(searched, made, monkeypatch):
 
 
 def test_a_refit_that_is_not_finite_is_a_dropped_candidate(searched, monkeypatch):
-    usual = Scripted._refitted
+    usual = Scripted.refitted
 
     def diverging(self, among, members, scored):
         found = usual(self, among, members, scored)
         return replace(found, at=SimpleNamespace(objective=np.inf)) if "a" in found.model.terms else found
 
-    monkeypatch.setattr(Scripted, "_refitted", diverging)
+    monkeypatch.setattr(Scripted, "refitted", diverging)
     search = searched({"a": 10.0, "b": 8.0}, {})
     assert search.refits == ["a", "b", "ab"]
     assert search.named == {"b"}
@@ -207,7 +207,7 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     column = (cosine * effect + np.sqrt(1 - cosine**2) * other + 3.0 * base)[:, None]
     alike = Candidate(SimpleNamespace(id="b"), {}, ("b0",), column, column)
     asked = []
-    monkeypatch.setattr(Search, "_refitted", lambda _self, _among, members, _s: asked.append(members) or without)
+    monkeypatch.setattr(Search, "refitted", lambda _self, _among, members, _s: asked.append(members) or without)
     monkeypatch.setattr(search_module, "inadmissible", lambda *_: "")
     monkeypatch.setattr(search_module, "floor_of", lambda *_: None)
     monkeypatch.setattr(search_module, "log_evidence", lambda *_: (1.0, None))
@@ -271,7 +271,7 @@ def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated(
 
     model = Model(("linear_drag", "steady_wind"))
     search = Search(Estimator(), (), np.zeros(1, dtype=int))
-    fitted = search._fit(model, SimpleNamespace(values={"K": 50.0, "w_north": 2.0, "w_up": 0.0}), frozenset())
+    fitted = search.fit_of(model, SimpleNamespace(values={"K": 50.0, "w_north": 2.0, "w_up": 0.0}), frozenset())
     assert asked == [("K", "w_north", "w_up"), ("K", "w_north")]
     assert fitted.names == ("K", "w_north")
     assert fitted.at.values["w_up"] == 0.0

@@ -11,7 +11,7 @@ from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise, prior_std
 from flighttest.estimation.solver import solve
-from flighttest.estimation.weighing import State, Weighing, _between_repeats, start_noise
+from flighttest.estimation.weighing import State, Weighing, start_noise, variance_between_repeats
 from flighttest.identify.fit import default_model
 from flighttest.identify.selection import able
 from tests.diagnose.flight import campaign, fly
@@ -157,14 +157,14 @@ def test_the_variance_between_repeats_is_that_of_a_one_way_analysis():
     cells = np.repeat(np.arange(12), 3)
     values = rng.normal(0, 5.0, 12)[cells] + rng.normal(0, 0.3, 36)
     within = sum(np.sum((values[cells == c] - values[cells == c].mean()) ** 2) for c in range(12)) / 24
-    assert _between_repeats(values, np.ones(36), cells, 99.0) == pytest.approx(within)
+    assert variance_between_repeats(values, np.ones(36), cells, 99.0) == pytest.approx(within)
 
 
 @pytest.mark.parametrize(("repeats", "known"), [(7, False), (8, True)])
 def test_of_few_repeats_no_variance_is_taken(repeats, known):
     cells = np.r_[np.zeros(repeats + 1, dtype=int), 1, 2]
     values = np.r_[np.tile([0.1, -0.1], repeats)[: repeats + 1], 5.0, -5.0]
-    assert (_between_repeats(values, np.ones(values.size), cells, 99.0) < 1.0) is known
+    assert (variance_between_repeats(values, np.ones(values.size), cells, 99.0) < 1.0) is known
 
 
 @pytest.mark.parametrize(("power", "held"), [(0.6, True), (1.6, False)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from flighttest.estimation.integration.filters import _forced, _free
+from flighttest.estimation.integration.filters import forced_response, free_response
 from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.responses import Response, nodes_of
 from flighttest.estimation.voltage_interpolation import between_samples
@@ -184,7 +184,7 @@ def whole_chain(kernel, n_nodes):
         z = z or {n: (y0[block.outputs.index(n)], ca.SX(0)) for n in kernel.filters_hz}
         for n, hz in kernel.filters_hz.items():
             i, w, (now, rate) = block.outputs.index(n), 2 * np.pi * hz, z[n]
-            free, forced = _free(ca, w, h), _forced(w, (y0[i], ym[i], y1[i]), h, ca)
+            free, forced = free_response(ca, w, h), forced_response(w, (y0[i], ym[i], y1[i]), h, ca)
             z[n] = forced[0] + free[0] * now + free[1] * rate, forced[1] + free[2] * now + free[3] * rate
             y[kernel.outputs.index(n)] = z[n][0]
         rows.append(y)

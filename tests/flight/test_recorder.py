@@ -138,13 +138,13 @@ def test_the_space_kept_back_ends_the_record(run_dir: Path) -> None:
     made, mav = recorder(run_dir), parser(1, 1)
     held = contextlib.ExitStack()
     held.enter_context(full_from(300))
-    give_back = made._reserve.give_back
+    give_back = made.reserve.give_back
 
     def freed() -> bool:
         held.close()
         return give_back()
 
-    made._reserve.give_back = freed  # type: ignore[method-assign]
+    made.reserve.give_back = freed  # type: ignore[method-assign]
     for k in range(100):
         made.tap(*attitude(k, mav))
     made.flush(force=True)
@@ -164,8 +164,8 @@ def test_the_reserve_is_of_its_size_and_leaves_nothing(run_dir: Path) -> None:
         "raw.tlog",
         "script.yaml",
     ]
-    assert made._reserve.give_back()
-    assert not made._reserve.give_back()
+    assert made.reserve.give_back()
+    assert not made.reserve.give_back()
 
 
 def test_a_long_flight_takes_no_memory(run_dir: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from flighttest.errors import RecordingError
 from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.response import Learnt
-from flighttest.flight.recorder import _Lines
+from flighttest.flight.recorder import LineFile
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
@@ -215,15 +215,15 @@ def test_a_disk_that_fills_up_in_a_step_lands_the_vehicle(run_dir: Path, monkeyp
     began = on_mark(link, " step")
     opened: list[object] = []
 
-    def flush(lines: _Lines) -> None:
+    def flush(lines: LineFile) -> None:
         """On a disk that is full from the step on."""
         if began and lines.waiting:
             opened.append(lines)
             raise OSError(errno.ENOSPC, "No space left on device")
         written(lines)
 
-    written = _Lines.flush
-    monkeypatch.setattr(_Lines, "flush", flush)
+    written = LineFile.flush
+    monkeypatch.setattr(LineFile, "flush", flush)
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert opened
     assert result.outcome is FlightOutcome.RECORD_LOST
@@ -246,7 +246,7 @@ def test_a_device_in_place_of_the_record_is_not_read_to_its_end(run_dir: Path, m
     run_dir.mkdir()
     (run_dir / "raw.tlog").symlink_to("/dev/full")
     link = FaultyLink(options())
-    monkeypatch.setattr(_Lines, "flush", lambda _lines: None)
+    monkeypatch.setattr(LineFile, "flush", lambda _lines: None)
     result = fly(make_plan(), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.COMPLETED
     assert not link.sim.vehicle.armed

@@ -179,7 +179,7 @@ def test_runs_with_different_filters_are_each_read_through_their_own():
 
     mixed = [filtered(s, 8.0 if i % 2 else 40.0, "a" if i % 2 else "b") for i, s in enumerate(flown)]
     own = fit(mixed)
-    one = fit(mixed, filters={"specific_force": 40.0})
+    one = fit([replace(s, context={"filters": {"specific_force": 40.0}}) for s in mixed])
     assert abs(own.values["sigma_t"] / TRUTH["sigma_t"] - 1) < 0.01
     assert abs(own.values["T_d_thrust"] - TRUTH["T_d"]) < 5e-4
     assert own.quality["f_z_m_s2"].rmse < 0.5 * one.quality["f_z_m_s2"].rmse

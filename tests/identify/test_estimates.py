@@ -180,9 +180,3 @@ def test_the_integrators_steps_put_no_bias_into_the_attitude_loops():
     for name in ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r"):
         assert exact.estimates[name].value == pytest.approx(TRUTH[name], rel=3e-5), name
     assert exact.estimates["T_d_attitude"].value == pytest.approx(TRUTH["T_d"], rel=3e-5)
-
-
-def test_a_doubt_known_from_elsewhere_is_part_of_the_interval(found, flown):
-    doubted = fit(flown, start=found.values, doubt={"K": 1.0}).estimates
-    assert doubted["K"].std == pytest.approx(np.hypot(found.estimates["K"].std, 1.0), rel=0.02)
-    assert doubted["d_z"].std == pytest.approx(found.estimates["d_z"].std, rel=0.02)

@@ -124,7 +124,7 @@ def blown_up(beyond: float) -> Callable[..., list[PartEvaluation]]:
 
 def test_a_start_from_which_the_response_diverges_is_a_dropped_candidate(monkeypatch):
     monkeypatch.setattr(Problem, "evaluate", blown_up(40.0))
-    monkeypatch.setattr(optima, "_followed", lambda *_: False)
+    monkeypatch.setattr(optima, "followed", lambda *_: False)
     found = fit(rolled((5.0, 12.0, 17.5, 30.0)), Model())
     assert found.status.good
     assert found.values["omega_phi"] == pytest.approx(OMEGA, rel=0.01)

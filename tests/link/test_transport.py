@@ -106,7 +106,7 @@ def beat(system: int, mode: int, armed: bool = True) -> bytes:
 
 def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever else reaches the port can neither speak as the vehicle nor receive its targets; a station beside it does no harm."""
-    monkeypatch.setattr("flighttest.link.transport._PEER_S", 0.2)
+    monkeypatch.setattr("flighttest.link.transport.PEER_S", 0.2)
     port = free_port(socket.SOCK_DGRAM)
     session = Session(Port(open_transport(f"udpin:127.0.0.1:{port}")))
     with contextlib.ExitStack() as opened:

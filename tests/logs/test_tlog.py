@@ -295,7 +295,7 @@ def test_frames_that_overtook_one_another_are_no_loss():
     order = np.arange(2000)
     order[100:1900:50], order[101:1901:50] = order[101:1901:50].copy(), order[100:1900:50].copy()
     frames = SimpleNamespace(sender=np.full(2000, 257), sequence=order % 256)
-    assert tlog._missing(frames) == []
+    assert tlog.missing_messages(frames) == []
     lossy = SimpleNamespace(sender=np.full(1800, 257), sequence=order[order % 10 != 0] % 256)
-    (said,) = tlog._missing(lossy)
+    (said,) = tlog.missing_messages(lossy)
     assert "(10.0 %)" in said

@@ -95,7 +95,7 @@ def test_the_simulator_alone_is_told_and_the_printed_commands_exist(tmp_path, mo
     monkeypatch.setattr(demos.twins, "verify", lambda *_args, **_more: verified)
     monkeypatch.setattr(demos, "open_recordings", lambda *_args, **_more: ())
     monkeypatch.setattr(demos, "predicted", lambda *_: {})
-    monkeypatch.setattr(demos, "_shown", lambda *_: None)
+    monkeypatch.setattr(demos, "predicted_stretch", lambda *_: None)
     out = tmp_path / "a demo"
     out.mkdir()
     (out / "kept").touch()  # an accepted model there would be the base of the diagnosis
@@ -117,11 +117,11 @@ def test_the_stretch_shown_is_where_the_improved_model_is_better(flight_csv):
     usable = [s for s in cut_all(open_recordings([flight_csv])) if s.usable]
     segments = [s for kind in ("roll_step", "throttle_step") for s in [s for s in usable if s.kind == kind][:2]]
     base, improved = stored(K=51.0), stored()
-    shown = demos._shown(segments, base, improved, {"v_z_m_s": 0.02, "roll_rad": 0.002})
+    shown = demos.predicted_stretch(segments, base, improved, {"v_z_m_s": 0.02, "roll_rad": 0.002})
     assert shown["channel"] == "v_z_m_s"
     errors = [np.sqrt(np.mean((shown[k] - shown["measured"]) ** 2)) for k in ("before", "after")]
     assert errors[1] < 0.5 * errors[0]
-    assert demos._shown(segments, improved, improved, {"v_z_m_s": 0.02}) is None
+    assert demos.predicted_stretch(segments, improved, improved, {"v_z_m_s": 0.02}) is None
 
 
 def test_an_effect_that_the_vehicle_does_not_have_is_refused_before_anything_is_written(tmp_path, capsys):

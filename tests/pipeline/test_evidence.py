@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.currency.assess import assess
+from flighttest.currency.assess import Evidence, assess
 from flighttest.currency.compare import Estimates, subset_tests
 from flighttest.currency.model import Appeared, Verdict
 from flighttest.diagnose import Verdict as Found
@@ -58,7 +58,7 @@ def test_a_change_of_any_parameter_makes_the_model_stale(name, subset):
     def verdict(factor):
         new = estimates(model, names, **{name: factor})
         both = {"model_fingerprint": {}, "vehicle_fingerprint": None, "subsets": subsets_of(model.model)}
-        return assess(stored=estimates(model, names), runs=[new], spread={"d_x": 0.03}, **both)
+        return assess(stored=estimates(model, names), new=Evidence(runs=[new], spread={"d_x": 0.03}), **both)
 
     found = verdict(1.6)
     assert found.verdict is Verdict.STALE
@@ -101,7 +101,9 @@ def test_an_effect_that_came_makes_the_model_stale():
     model = stored()
     same = estimates(model, model.model.names)
     new = Appeared("ground_effect", "Ground effect", "R2_m2 of 0.1", False)
-    found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=same, runs=[same], appeared=(new,))
+    found = assess(
+        model_fingerprint={}, vehicle_fingerprint=None, stored=same, new=Evidence(runs=[same], appeared=(new,))
+    )
     assert found.verdict is Verdict.STALE
     assert "what the model does not have: ground effect" in found.sentence
     assert found.fly

@@ -269,7 +269,7 @@ def test_steps_that_were_not_flown_are_named_with_the_reason():
         LegResult("a/r3", LegOutcome.LEFT_OUT),
     )
     ended = FlightResult(FlightOutcome.COMPLETED, Path("run"), legs, (), {})
-    assert flying._unflown(ended) == [
+    assert flying.unflown_steps(ended) == [
         f"a/r1 and 1 more not flown: {LegOutcome.REFUSED.value}: {high}",
         f"a/r3 not flown: {LegOutcome.LEFT_OUT.value}",
     ]

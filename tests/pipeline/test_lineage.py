@@ -68,35 +68,35 @@ def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_p
 
 
 def test_a_component_change_ends_a_model_by_name(tmp_path):
-    lineage.accept(write_model(tmp_path / "one"), tmp_path)
-    whole, _ = lineage.accept(write_model(tmp_path / "two", components="P2"), tmp_path)
+    lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
+    whole, _ = lineage.take_into_use(write_model(tmp_path / "two", components="P2"), tmp_path)
     assert whole.generations[0].ended == ("propellers P1 is now P2",)
 
 
 def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
     folder = write_model(tmp_path / "one", vehicle=None)
     with pytest.raises(InputError, match="not known which vehicle") as told:
-        lineage.accept(folder, tmp_path)
+        lineage.take_into_use(folder, tmp_path)
     assert "--vehicle" in told.value.hint
     (tmp_path / "vehicle.yaml").write_text("format: vehicle/1\nname: stork\n")
-    whole, _ = lineage.accept(folder, tmp_path, tmp_path / "vehicle.yaml")
+    whole, _ = lineage.take_into_use(folder, tmp_path, tmp_path / "vehicle.yaml")
     assert whole.vehicle == "stork"
     with pytest.raises(InputError, match="is a model of heron, not of stork"):
-        lineage.accept(write_model(tmp_path / "two"), tmp_path, tmp_path / "vehicle.yaml")
+        lineage.take_into_use(write_model(tmp_path / "two"), tmp_path, tmp_path / "vehicle.yaml")
 
 
 def test_a_model_that_knows_less_does_not_take_the_place_of_one_that_knows_more(tmp_path):
-    lineage.accept(write_model(tmp_path / "one"), tmp_path)
+    lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
     with pytest.raises(InputError, match="knows less than the model in use, of alpha") as told:
-        lineage.accept(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
+        lineage.take_into_use(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
     both = f"flighttest diagnose {tmp_path / 'a'} {tmp_path / 'two'} -o {tmp_path / 'two' / 'together'} --accept"
     assert both in told.value.hint
     # Also where a term joined: the two heights of a ground effect tell less of the drag than a campaign.
     longer = (*PAPER, "ground_effect")
     with pytest.raises(InputError, match="of alpha"):
-        lineage.accept(write_model(tmp_path / "two", longer, runs=("b",), unknown=("alpha",)), tmp_path)
+        lineage.take_into_use(write_model(tmp_path / "two", longer, runs=("b",), unknown=("alpha",)), tmp_path)
     assert len(lineage.lineage_of(tmp_path, "heron").generations) == 1
-    lineage.accept(write_model(tmp_path / "two", longer, runs=("a", "b"), unknown=("alpha",)), tmp_path)
+    lineage.take_into_use(write_model(tmp_path / "two", longer, runs=("a", "b"), unknown=("alpha",)), tmp_path)
     assert len(lineage.lineage_of(tmp_path, "heron").generations) == 2
 
 
@@ -111,9 +111,9 @@ def test_a_folder_stands_for_the_improved_model_before_the_first_fit(tmp_path):
 
 def test_plans_are_made_with_the_accepted_model_of_this_vehicle_only(tmp_path):
     assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] is None
-    lineage.accept(write_model(tmp_path / "one"), tmp_path)
+    lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
     assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] is None
-    lineage.accept(write_model(tmp_path / "two", vehicle="paper"), tmp_path)
+    lineage.take_into_use(write_model(tmp_path / "two", vehicle="paper"), tmp_path)
     assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] == tmp_path / "models" / "paper" / "001.yaml"
 
 
@@ -157,7 +157,7 @@ def test_what_a_campaign_found_is_accepted_where_that_was_asked_for(tmp_path):
     found = campaign.Analysis((), (), SimpleNamespace(status=SimpleNamespace(good=True)))  # type: ignore[arg-type]
 
     def accepting(folder, name, status=Status.DONE, keep=True):
-        return campaign._accepting(found, status, folder, name, tmp_path, keep)
+        return campaign.how_to_accept(found, status, folder, name, tmp_path, keep)
 
     heron, nobody = write_model(tmp_path / "1"), write_model(tmp_path / "2", vehicle=None)
     assert accepting(heron, "heron", keep=False) == f"flighttest accept {heron} --out {tmp_path}"

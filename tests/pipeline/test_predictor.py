@@ -62,7 +62,7 @@ def test_lags_are_those_of_the_paper(predictor):
 
 def test_a_flight_straight_up_and_down_is_computed_briefly_and_the_same():
     predictor = ModelPredictor()
-    assert predictor._forms.level is not None
+    assert predictor.forms.level is not None
     start, yaw, volts = np.zeros((2, 3)), np.array([0.0, 1.0]), np.array([24.0, 22.0])
 
     def steer(tilt_rad: float, from_s: float) -> Motion:
@@ -86,7 +86,7 @@ def test_a_flight_straight_up_and_down_is_computed_briefly_and_the_same():
 def test_in_wind_nothing_is_taken_for_straight():
     model = Model().with_terms("steady_wind")
     windy = ModelPredictor(model, {"w_north": 3.0})
-    assert windy._forms.level is None
+    assert windy.forms.level is None
 
 
 def test_a_corrected_prior_hovers_where_it_was_seen_to():

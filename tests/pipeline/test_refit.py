@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from flighttest.estimation.solver import Start
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis import diagnose as diagnosis
 
@@ -27,6 +28,5 @@ def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_m
     for model, options in asked:
         assert model == found.model
         assert options["frozen"] == known
-        assert options["start"] == own.values
-        assert options["noise"] == "noise"
+        assert options["start"] == Start(own.values, "noise")
     assert len(asked) == len(known)

@@ -5,13 +5,13 @@ import pytest
 
 from flighttest.errors import FlighttestError
 from flighttest.pipeline.identification.fitting import fit, segment
-from flighttest.pipeline.recordings.sources import import_log, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, import_log, open_recordings
 from flighttest.pipeline.results import Status
 
 
 def test_processes_give_the_same_bit_for_bit(flight_csv, worn_csv):
     alone = open_recordings([flight_csv, worn_csv])
-    together = open_recordings([flight_csv, worn_csv], workers=2)
+    together = open_recordings([flight_csv, worn_csv], Reading(workers=2))
     assert [r.name for r in alone] == [r.name for r in together]
     for a, b in zip(alone, together, strict=True):
         for group in a.series:
@@ -26,7 +26,7 @@ def test_the_same_recording_twice_gets_two_names(flight_csv):
 
 def test_a_cluster_that_is_not_there_is_said(flight_csv):
     with pytest.raises(FlighttestError, match=r"distributed|cluster"):
-        open_recordings([flight_csv], scheduler="tcp://127.0.0.1:1")
+        open_recordings([flight_csv], Reading(scheduler="tcp://127.0.0.1:1"))
 
 
 def test_a_cross_check_that_diverges_does_not_lose_the_fit_of_a_recorded_flight(shared_data):

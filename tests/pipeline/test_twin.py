@@ -46,7 +46,7 @@ def test_a_model_without_attitude_loops_has_no_twin(monkeypatch, work):
 
 def test_a_model_does_not_fly_under_another_autopilot():
     with pytest.raises(InputError, match="have its autopilot in them"):
-        next(simulator.serve("paper", "sitl", (), 1, 0, 1.0, False, "model.yaml"))
+        next(simulator.serve(simulator.Served(backend="sitl", model="model.yaml")))
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, chang
     errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
     monkeypatch.setattr(twin, "predicted", lambda *_: {"f_z_m_s2": quality})
     monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, values, errors))
-    data = twin._compare(file, [], found, ())
+    data = twin.compare_with_recordings(file, [], found, ())
     data |= {"flights": 0, "assumed": []}
     assert data["verdict"] == verdict
     said = verify_sentence(data)

@@ -23,7 +23,7 @@ def response(k, lift=0.0, noise=0.0, wind=0.0):
     volts = 22.0 - 0.1 * k + 0 * t
 
     def turn(s):
-        return oracle._rotation(*(np.interp(s, t, a) for a in (roll, pitch, heading + 0 * t)))
+        return oracle.body_to_world(*(np.interp(s, t, a) for a in (roll, pitch, heading + 0 * t)))
 
     def forces(s, v, a):
         air = turn(s).T @ (v - [wind, 0.0, 0.0])
@@ -52,12 +52,12 @@ def flight(**more):
     return [response(k, **more) for k in range(6)]
 
 
-NOISE = Noise({c: 0.1 if c.startswith("f") else 0.02 for c in oracle._Translation.channels}, {"translation": 0.03})
+NOISE = Noise({c: 0.1 if c.startswith("f") else 0.02 for c in oracle.Translation.channels}, {"translation": 0.03})
 
 
 def test_of_the_papers_own_equations_nothing_is_left():
     left = oracle.left(flight(), NOISE, 22.2)
-    assert set(left.residual) == {(f"step{k}", c) for k in range(6) for c in oracle._Translation.channels}
+    assert set(left.residual) == {(f"step{k}", c) for k in range(6) for c in oracle.Translation.channels}
     assert max(float(np.sqrt(np.mean(x**2))) / NOISE.std[c] for (c, _), x in left.places().items()) < 0.1
 
 
@@ -104,7 +104,7 @@ def tilt(k, third_pole_s=0.0):
         x = solve_ivp(rate, (t[0], t[-1]), [0.02, 0.1, 0.0], t_eval=t, max_step=2e-3, rtol=1e-8).y
         y[f"{axis}_rad"] = x[0]
         u[f"{axis}_ref_rad"] = (np.array([-1.0, 0.0]), np.array([0.0, step]))
-    y |= dict.fromkeys(("yaw_rad", *oracle._Translation.channels), 0.0 * t) | {"voltage_v": 22.0 + 0.0 * t}
+    y |= dict.fromkeys(("yaw_rad", *oracle.Translation.channels), 0.0 * t) | {"voltage_v": 22.0 + 0.0 * t}
     y["f_z_m_s2"] = 9.8 + 0.0 * t
     kind = ("roll_step", "pitch_step")[k % 2]
     return Segment(f"tilt{k}", "run", kind, {"amplitude_rad": size}, 1, 0.0, t, y, u)

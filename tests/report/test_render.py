@@ -76,7 +76,7 @@ def document():
 
 
 def test_the_page_is_self_contained():
-    page = html.render(document())
+    page = html.page_of(document())
     outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", outside)
     assert "@import" not in outside
@@ -84,13 +84,13 @@ def test_the_page_is_self_contained():
 
 
 def test_a_page_without_figures_carries_no_script():
-    page = html.render(Document("t", "v", sections=(Section("s", "S", (Paragraph("p"),)),)))
+    page = html.page_of(Document("t", "v", sections=(Section("s", "S", (Paragraph("p"),)),)))
     assert "<script" not in page
     assert len(page) < 20_000
 
 
 def test_text_is_escaped_and_specs_survive_the_script_element():
-    page = html.render(document())
+    page = html.page_of(document())
     assert "&lt;b&gt;" in page
     assert "title &amp; more" in page
     specs = re.findall(r'<script type="application/json" id="[^"]+">(.*?)</script>', page, flags=re.DOTALL)
@@ -99,7 +99,7 @@ def test_text_is_escaped_and_specs_survive_the_script_element():
 
 
 def test_commands_in_prose_are_set_as_code():
-    page = html.render(Document("t", "v", sections=(Section("s", "S", (Paragraph("run `flighttest <x>` now"),)),)))
+    page = html.page_of(Document("t", "v", sections=(Section("s", "S", (Paragraph("run `flighttest <x>` now"),)),)))
     assert "<code>flighttest &lt;x&gt;</code>" in page
 
 
@@ -152,7 +152,7 @@ def test_an_interrupted_diagnosis_is_no_good_news():
     assert verdict_tone(data) == "good"
     assert verdict_tone({**data, "complete": False}) == "warn"
     shown = Document("diagnosis", "Interrupted.", "warn", diagnosis_sections({**data, "complete": False}))
-    assert "of what was searched before the interruption" in html.render(shown)
+    assert "of what was searched before the interruption" in html.page_of(shown)
 
 
 def test_the_responses_shown_are_those_that_missed_by_most_noise_floors():

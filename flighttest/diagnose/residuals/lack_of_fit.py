@@ -221,8 +221,8 @@ def _pure_error(
     usual = each[int(np.searchsorted(weight, 0.5 * weight[-1]))][0]
     shared = {}
     for kind, values in kinds.items():
-        ratio, repeats = _shared(values, at_time)
-        several = _independent_times(list(apart.get(kind, {}).values()), at_time)
+        ratio, repeats = shared_error(values, at_time)
+        several = independent_times(list(apart.get(kind, {}).values()), at_time)
         shared[kind] = ratio, cells_of[kind], repeats, several
     return square / dof, dof, lack / lack_dof, lack_dof, shared, usual
 
@@ -239,7 +239,9 @@ def _binned(responses: Sequence[tuple[Segment, IntArray, FloatArray]]) -> tuple[
     return made, first
 
 
-def _shared(values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[float, float]]) -> tuple[float, float]:
+def shared_error(
+    values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[float, float]]
+) -> tuple[float, float]:
     """(what repeats share over their pure error at the same times, repeats that say how large that is).
 
     A velocity's error grows while a response lasts, so late times are compared with late times. The repeats are those of one time.
@@ -251,7 +253,7 @@ def _shared(values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[flo
     return sum(v for v, _, _ in known) / pure, sum(p * free for _, p, free in known) / pure
 
 
-def _independent_times(
+def independent_times(
     curves: Sequence[Sequence[tuple[int, float]]], at_time: Mapping[int, tuple[float, float]]
 ) -> float:
     """How many independent looks one response gives, 1 or more: few where what differs lasts (a gust moves the whole response), many

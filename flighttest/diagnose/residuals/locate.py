@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -172,7 +173,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             least = floor.at(name, str(kind))
             excess = float(np.sum(r**2)) / least**2 - at.size
             here = {v: x[at] for v, x in variables.items()}
-            if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or _ordered(
+            if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed
             ):
                 places.append((excess, name, str(kind), at))
@@ -181,25 +182,13 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
         r = rows.unprofiled_residual[at]
         scores = {v: explained_by(r, x[at], rows.segment[at], seed) for v, x in variables.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
-        share, p_value = scores.get(best, (0.0, 1.0))
-        found.append(
-            _located(
-                name,
-                maneuvers[kind].most_common(1)[0][0],
-                kind,
-                r,
-                variables[best][at] if best else None,
-                best,
-                share,
-                p_value,
-                floor.at(name, kind),
-                floor.repeated(name, kind),
-            )
-        )
+        orders = Orders(best, variables[best][at], *scores[best]) if best else Orders()
+        flown_as = maneuvers[kind].most_common(1)[0][0]
+        found.append(located_at(name, flown_as, kind, r, orders, floor.at(name, kind), floor.repeated(name, kind)))
     return found
 
 
-def _ordered(
+def ordered_by_a_variable(
     channel: str,
     r: FloatArray,
     variables: Mapping[str, FloatArray],
@@ -222,18 +211,22 @@ def _ordered(
     return False
 
 
-def _located(
-    name: str,
-    maneuver: str,
-    kind: str,
-    r: FloatArray,
-    x: FloatArray | None,
-    variable: str,
-    share: float,
-    p_value: float,
-    floor: float,
-    repeated: bool,
+@dataclass(frozen=True)
+class Orders:
+    """The variable that explains a residual best, at its samples, if any: which share of the variance, and its p-value."""
+
+    variable: str = ""
+    x: FloatArray | None = None
+    share: float = 0.0
+    p_value: float = 1.0
+
+
+def located_at(
+    name: str, maneuver: str, kind: str, r: FloatArray, orders: Orders, floor: float, repeated: bool
 ) -> Located:
+    """A mismatch in words and numbers. r: (n,) residual of a channel in one kind of maneuver; floor: what repeats differ by, or, where
+    nothing was repeated, what may be noise."""
+    x, variable, share, p_value = orders.x, orders.variable, orders.share, orders.p_value
     unit = CHANNELS[name].unit
     rmse = float(np.sqrt(np.mean(r**2)))
     words = WORDS.get(name, short(name))

@@ -16,7 +16,7 @@ import numpy as np
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import null_value, usual_size
-from flighttest.diagnose.selection.held_out import compare, cross_validated, held_out, places, size_in_floors
+from flighttest.diagnose.selection.held_out import cross_validated, gains_held_out, held_out, places, size_in_floors
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import kinds_of
@@ -147,7 +147,7 @@ def evidence_of(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
     held = [held_out(f.rows, f.names, groups) for f in (without, fitted)]
-    gains = compare(without.rows, held[0], fitted.rows, held[1], groups, floor)
+    gains = gains_held_out(without.rows, held[0], fitted.rows, held[1], groups, floor)
     return Evidence(
         term=term.id,
         nats=nats,

@@ -62,7 +62,7 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
     unprofiled = now.rows.unprofiled_columns(now.names)
     asked = math.sqrt(2.0 * log_odds_asked(len(search.pool))) + POWER
     found: dict[str, tuple[float, str]] = {}
-    for c in _usual(search.candidates):
+    for c in usual_settings(search.candidates):
         whitened = c.columns * root
         own = whitened - basis @ (basis.T @ whitened)
         for k in range(own.shape[1]):
@@ -82,7 +82,7 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
     return found
 
 
-def _usual(candidates: Sequence[Candidate]) -> list[Candidate]:
+def usual_settings(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Of each term the grid value that is nearest to the usual one: at its most visible it may be what never flies."""
     best: dict[str, tuple[float, Candidate]] = {}
     for c in candidates:

@@ -119,7 +119,7 @@ class HeldOut:
     gain_95: tuple[float, float]
 
 
-def compare(
+def gains_held_out(
     before: Linearisation,
     before_residual: FloatArray,
     after: Linearisation,

@@ -100,7 +100,7 @@ class Search:
     def run(self, model: Model, start: Optimum) -> None:
         """Fit the base, then search. What is known when it is interrupted is kept."""
         self.insensitive = self.estimator.insensitive(model, start)
-        self.base = self.now = self._fit(model, start, self.inactive)
+        self.base = self.now = self.fit_of(model, start, self.inactive)
         self.floor = floor_of(self.base.rows, self.estimator.segments, RESOLUTION)
         self.progress("base model fitted")
         for _ in range(MOST_ROUNDS):
@@ -118,7 +118,7 @@ class Search:
             if proposed & set(self.rejected):
                 continue
             self.progress(f"refitting with {' and '.join(sorted(proposed))}")
-            fitted = self._refitted(before, [self.candidates[j] for j in scored.members], scored)
+            fitted = self.refitted(before, [self.candidates[j] for j in scored.members], scored)
             if not np.isfinite(fitted.at.objective):
                 continue
             kept, evidence, left = self._pruned(fitted, proposed)
@@ -223,7 +223,7 @@ class Search:
             if cosine > ALIASED and name not in self.rejected:
                 self.progress(f"trying {name} in place of {term}")
                 scored = Scored((j,), 0.0, np.zeros(self.candidates[j].columns.shape[1]))
-                other = self._refitted(without, [self.candidates[j]], scored)
+                other = self.refitted(without, [self.candidates[j]], scored)
                 finite = bool(np.isfinite(other.at.objective))
                 if finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
                     floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
@@ -237,7 +237,8 @@ class Search:
     def _members(self, fitted: Fitted) -> frozenset[str]:
         return frozenset(t.id for t in self.pool if t.id in fitted.model.terms and t.id not in fitted.inactive)
 
-    def _fit(self, model: Model, start: Optimum, inactive: frozenset[str]) -> Fitted:
+    def fit_of(self, model: Model, start: Optimum, inactive: frozenset[str]) -> Fitted:
+        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`)."""
         names = self._free(model, inactive)
         at = self.estimator.fit(model, start, names)
         if stuck := self._not_estimates(model, at, names):
@@ -265,7 +266,7 @@ class Search:
         known = self.estimator.problem(model).names
         return tuple(n for n in known if model.term_of(n) not in inactive and n not in self.insensitive)
 
-    def _refitted(self, among: Fitted, members: list[Candidate], scored: Scored) -> Fitted:
+    def refitted(self, among: Fitted, members: list[Candidate], scored: Scored) -> Fitted:
         """Joint fit with candidates, from where their scores point, or from their null values where that is nearer."""
         terms = [c.term for c in members]
         model = among.model.with_terms(*(t for t in terms if t.id not in among.model.terms))
@@ -283,13 +284,13 @@ class Search:
         if shape and len(shape) < sum(len(t.params) for t in terms):
             # A nonlinear parameter means nothing until its coefficient has grown: the size comes first.
             first = self.estimator.fit(model, first, [n for n in self._free(model, inactive) if n not in shape])
-        fitted = self._fit(model, first, inactive)
+        fitted = self.fit_of(model, first, inactive)
         if not self._astray(among):
             return fitted
         # The base bent itself towards what is missing, and small steps from there do not lead back.
         back = {n: v for n, v in self.origin.items() if n in among.names}
         again = self.estimator.start(model, among.at.values | (pointed if first is starts[0] else null) | back)
-        other = self._fit(model, again, inactive)
+        other = self.fit_of(model, again, inactive)
         return max(fitted, other, key=lambda f: f.at.log_likelihood)
 
     def _astray(self, fitted: Fitted) -> bool:
@@ -311,9 +312,9 @@ class Search:
         if term in self.inactive:
             null = {p.name: null_value(p) for p in self.terms[term].amplitudes}
             start = self.estimator.moved(fitted.model, fitted.at, null)
-            return self._fit(fitted.model, start, fitted.inactive | {term})
+            return self.fit_of(fitted.model, start, fitted.inactive | {term})
         model = fitted.model.without_terms(term)
-        return self._fit(model, self.estimator.moved(model, fitted.at), fitted.inactive)
+        return self.fit_of(model, self.estimator.moved(model, fitted.at), fitted.inactive)
 
     def probabilities(self) -> Mapping[str, float]:
         """Of every term that was refitted: that it is needed."""

@@ -79,7 +79,9 @@ class Butterworth:
             ends = [v[members] for v in y]
             values, before = self._values(lag, ends, w, members, h, shape)
             out[members] = values[:, :, 0].reshape(-1, len(members)).T
-            forced = _forced(w, (dy[0][:, members], dy[1][:, members], dy[2][:, members]), _safe(h)[:, None, None])
+            forced = forced_response(
+                w, (dy[0][:, members], dy[1][:, members], dy[2][:, members]), _safe(h)[:, None, None]
+            )
             if moved.size:
                 was = before.reshape(-1, 2, len(members))
                 arguments = [*(v.T.ravel() for v in ends), was[:, 0].ravel(), was[:, 1].ravel()]
@@ -102,7 +104,7 @@ class Butterworth:
         self, lag: Lag, y: Sequence[FloatArray], w: float, members: list[int], h: FloatArray, shape: tuple[int, int]
     ) -> tuple[FloatArray, FloatArray]:
         """Filter states after and before each piece, (pieces, responses, 2, members); moves them on."""
-        force = np.stack([f.T for f in _forced(w, (y[0], y[1], y[2]), _safe(h))], axis=1).reshape(*shape, 2, -1)
+        force = np.stack([f.T for f in forced_response(w, (y[0], y[1], y[2]), _safe(h))], axis=1).reshape(*shape, 2, -1)
         matrix = _matrix(w, h).reshape(*shape, 2, 2)
         made = np.empty((shape[0] + 1, *force.shape[1:]))
         made[0] = lag.z[:, :, members]
@@ -126,20 +128,20 @@ def _safe(h: FloatArray) -> FloatArray:
 
 def _matrix(w: float, h: FloatArray) -> FloatArray:
     """E of each piece, (n, 2, 2)."""
-    e11, e12, e21, e22 = _free(np, w, _safe(h))
+    e11, e12, e21, e22 = free_response(np, w, _safe(h))
     return np.stack([np.stack([e11, e12], axis=-1), np.stack([e21, e22], axis=-1)], axis=-2)
 
 
-def _free(lib: Any, w: float, h: Any) -> tuple[Any, Any, Any, Any]:
+def free_response(lib: Any, w: float, h: Any) -> tuple[Any, Any, Any, Any]:
     """exp(A h) of w^2/(s^2 + sqrt(2) w s + w^2) for the state (output, its rate), as (e11, e12, e21, e22). lib: numpy or casadi."""
     a = w / math.sqrt(2.0)
     decay, c, s = lib.exp(-a * h), lib.cos(a * h), lib.sin(a * h)
     return decay * (c + s), decay * s / a, -2 * a * decay * s, decay * (c - s)
 
 
-def _forced(w: float, y: tuple[Any, Any, Any], h: Any, lib: Any = np) -> tuple[Any, Any]:
+def forced_response(w: float, y: tuple[Any, Any, Any], h: Any, lib: Any = np) -> tuple[Any, Any]:
     """What the parabola through a piece's ends and middle adds to the filter's output and its rate after a piece of length h."""
-    e11, e12, e21, e22 = _free(lib, w, h)
+    e11, e12, e21, e22 = free_response(lib, w, h)
     (y0, ym, y1), lag = y, math.sqrt(2.0) / w
     bend = ym - 0.5 * (y0 + y1)
     u2 = -4.0 * bend / h**2
@@ -154,7 +156,7 @@ def _forced(w: float, y: tuple[Any, Any, Any], h: Any, lib: Any = np) -> tuple[A
 def _by_length(w: float) -> Vectorised:
     """Derivative of a filter's state after a piece by the piece's length: of rows (y0, ym, y1, z, z_dot, h), (2, n)."""
     y0, ym, y1, z, z_dot, h = symbols = [ca.SX.sym(n) for n in ("y0", "ym", "y1", "z", "z_dot", "h")]
-    e11, e12, e21, e22 = _free(ca, w, h)
-    forced = _forced(w, (y0, ym, y1), h, ca)
+    e11, e12, e21, e22 = free_response(ca, w, h)
+    forced = forced_response(w, (y0, ym, y1), h, ca)
     after = ca.vertcat(forced[0] + e11 * z + e12 * z_dot, forced[1] + e21 * z + e22 * z_dot)
     return Vectorised(ca.Function("by_length", [ca.vertcat(*symbols)], [ca.densify(ca.cse(ca.jacobian(after, h)))]))

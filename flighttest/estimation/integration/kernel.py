@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from flighttest.estimation.integration.compiled import CHAIN, Slopes, chain, differentiated, observed
 from flighttest.estimation.integration.filters import Butterworth
 from flighttest.estimation.integration.native import library
-from flighttest.estimation.integration.native_block import NativeBlock
+from flighttest.estimation.integration.native_block import NativeBlock, Rows
 from flighttest.estimation.responses import Nodes
 from flighttest.physics.blocks import Block
 
@@ -69,7 +69,7 @@ class Kernel:
         m, k, _ = nodes.shape
         if (native := self._native()) is not None:
             first, target = k * np.arange(m + 1), np.tile(np.arange(k), m)
-            return native.run(p, local, nodes.reshape(m * k, -1), first, target, k, None, slopes=sensitivities)
+            return native.run(p, local, Rows(nodes.reshape(m * k, -1), first, target), k, None, slopes=sensitivities)
         y = np.empty((m, k, len(self.outputs)))
         dy = np.empty((m, k, len(self.outputs), self.n_columns if sensitivities else 0))
         # A trial step of a solver may diverge: its cost is then infinite, and it is refused.
@@ -86,7 +86,8 @@ class Kernel:
         n_outputs) is."""
         m, n, n_y = mask.shape
         if (native := self._native()) is not None:
-            return native.run(p, local, nodes.rows, nodes.first, nodes.target, n, mask, slopes=sensitivities)
+            rows = Rows(nodes.rows, nodes.first, nodes.target)
+            return native.run(p, local, rows, n, mask, slopes=sensitivities)
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, self.n_columns if sensitivities else 0))
         for which, stacked, samples in nodes.padded:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -46,6 +47,16 @@ class _Task(ctypes.Structure):
         ("delay", ctypes.c_double),
         *((n, _AT) for n in ("p", "local", "nodes", "delay_slope", "mask", "first", "target", "order", "y", "dy")),
     )
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Nodes of m responses, one response after the other: rows (N, n_data), as for `Kernel.run`; first (m + 1,): where each begins; target
+    (N,): the sample of its response that a node is, -1 for none."""
+
+    rows: FloatArray
+    first: IndexArray
+    target: IndexArray
 
 
 class NativeBlock:
@@ -93,9 +104,7 @@ class NativeBlock:
         self,
         p: FloatArray,
         local: FloatArray,
-        nodes: FloatArray,
-        first: IndexArray,
-        target: IndexArray,
+        nodes: Rows,
         n: int,
         mask: NDArray[np.bool_] | None,
         *,
@@ -103,9 +112,9 @@ class NativeBlock:
     ) -> tuple[FloatArray, FloatArray]:
         """Outputs (m, n, n_outputs) and, with slopes, derivatives (m, n, n_outputs, n_columns), 0 where masked.
 
-        nodes (N, n_data): rows as for `Kernel.run`, of one response after the other; first (m + 1,): where each begins; target (N,): the
-        sample of its response that a node is, -1 for none.
+        n: samples of the longest response.
         """
+        first = nodes.first
         m = len(local)
         delay, by_params = self._slope(p)
         slope = np.zeros(self.n_columns)
@@ -115,8 +124,8 @@ class NativeBlock:
         order = np.argsort(np.diff(first), kind="stable")
         y = np.zeros((m, n, self.n_outputs))
         dy = np.zeros((m, n, self.n_outputs, self.n_columns if slopes else 0))
-        arrays = [np.ascontiguousarray(a, dtype=float) for a in (p, local, nodes)]
-        indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (first, target, order)]
+        arrays = [np.ascontiguousarray(a, dtype=float) for a in (p, local, nodes.rows)]
+        indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (first, nodes.target, order)]
         counted = None if mask is None else np.ascontiguousarray(mask)
         task = _Task(
             m, arrays[2].shape[1], n, int(slopes), float(delay), *(a.ctypes.data for a in (*arrays, slope)),

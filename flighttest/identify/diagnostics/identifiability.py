@@ -77,23 +77,27 @@ def maneuver_for(param: Param, reveals: str) -> str:
     return _FLY.get(param.name, reveals or "thrust")
 
 
+@dataclass(frozen=True)
+class Estimated:
+    """One parameter as the solver left it. std: None where none was estimated; partner: the parameter it is most correlated with."""
+
+    value: float
+    std: float | None
+    insensitive: bool = False
+    at_bound: bool = False
+    partner: tuple[str, float] | None = None
+
+
 def judge(
-    param: Param,
-    value: float,
-    std: float | None,
-    insensitive: bool,
-    at_bound: bool,
-    partner: tuple[str, float] | None,
-    voltage_spread_v: float | None,
-    reveals: str,
-    doubts: Doubts | None = None,
+    param: Param, found: Estimated, voltage_spread_v: float | None, reveals: str, doubts: Doubts | None = None
 ) -> Known:
-    """Verdict on one parameter. std: None where none was estimated; partner: the parameter it is most correlated with."""
+    """Verdict on one parameter. reveals: the maneuver that excites it, where its term names one."""
     doubts = doubts or Doubts()
+    value, std, partner = found.value, found.std, found.partner
     fly = maneuver_for(param, reveals)
-    if insensitive:
+    if found.insensitive:
         return Known(False, _WHY_INSENSITIVE.get(param.name, f"nothing in this data depends on {param.name}"), fly)
-    if at_bound:
+    if found.at_bound:
         return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
     if std is None:
         return Known(False, "no error could be estimated for it", fly)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Part, Problem
-from flighttest.estimation.solver import Solution, finite_or_error, solve
+from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, std_of
 from flighttest.identify.diagnostics.closed_loop import steered
 from flighttest.identify.diagnostics.quality import noise_floor
@@ -56,7 +56,7 @@ class Rival:
 
 def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, Rival]]:
     """The best of several optima, and by name the parameters of others that this data cannot tell from it."""
-    groups = [g for g in _groups(problem, solution) if not all(_followed(problem, solution, i) for i in g)]
+    groups = [g for g in _groups(problem, solution) if not all(followed(problem, solution, i) for i in g)]
     if not groups or not solution.status.good:
         return solution, {}
     parts = tuple(problem.parts[i] for g in groups for i in g)
@@ -75,7 +75,7 @@ def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution
         if not any(_apart(n, best, mine, scout, theirs) for n in free):
             continue
         there = {**best.values, **{n: scout.values[n] for n in free}}
-        other = solve(problem, there, robust=robust, noise=best.noise, max_iterations=MANY_STEPS)
+        other = solve(problem, Start(there, best.noise), robust=robust, max_iterations=MANY_STEPS)
         if not other.status.good:
             continue
         best, found = _between(problem, groups, best, other, found, robust)
@@ -105,7 +105,7 @@ def _between(
         elif better <= BETTER:
             found = {**found, **{n: Rival(other.values[n], better) for n in apart if n not in found}}
     if taken:
-        again = solve(problem, {**best.values, **taken}, robust=robust, noise=best.noise)
+        again = solve(problem, Start({**best.values, **taken}, best.noise), robust=robust)
         if again.status.good:
             return again, found
     return best, found
@@ -123,7 +123,7 @@ def _groups(problem: Problem, solution: Solution) -> list[list[int]]:
     return [sorted(members) for _, members in groups]
 
 
-def _followed(problem: Problem, solution: Solution, i: int) -> bool:
+def followed(problem: Problem, solution: Solution, i: int) -> bool:
     """Whether a part's responses are steps that the model follows, or have no lag to be looked for."""
     part, made = problem.parts[i], solution.evaluations[i]
     if not any(n.startswith(("T_d", "omega", "sigma")) for n in part.block.params if n in solution.free):
@@ -203,18 +203,18 @@ def best_of_starts(
 
     noise: the start is an estimate already, and this its noise: of optima that serve alike, the one next to it is meant.
     """
-    start, noise_was_estimated = None, noise is None
+    start, noise_was_estimated = Start({}, noise), noise is None
     if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
         # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
         coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
         if coarse.status is not FitStatus.DIVERGED:
-            start, noise = coarse.values, coarse.noise
+            start = Start(coarse.values, coarse.noise)
             problem.values = dict(coarse.values)  # which also sets the integrator's step
-    first = solve(problem, start, robust=robust, noise=noise)
+    first = solve(problem, start, robust=robust)
     if first.status.good:
         return _off_the_samples(problem, first, robust) if noise_was_estimated else first
     others = [nominal, {**first.values, **{n: v * 0.6 for n, v in problem.values.items() if n.startswith("T_d")}}]
-    found = [first] + [solve(problem, start, robust=robust) for start in others]
+    found = [first] + [solve(problem, other, robust=robust) for other in others]
     finite = [s for s in found if s.status is not FitStatus.DIVERGED]
     good = [s for s in finite if s.status.good] or finite or [finite_or_error(first)]
     return min(good, key=lambda solution: misfit(problem, solution))
@@ -237,12 +237,12 @@ def _off_the_samples(problem: Problem, found: Solution, robust: bool) -> Solutio
         return found
     few = problem.thinned(COARSE_STRIDE) if len(problem.segments) >= 3 * COARSE_STRIDE**2 else problem
     here, there = (
-        solve(few, {**found.values, **moved}, robust=robust, noise=found.noise, max_iterations=12)
+        solve(few, Start({**found.values, **moved}, found.noise), robust=robust, max_iterations=12)
         for moved in ({}, on_sample)
     )
     if FitStatus.DIVERGED in (here.status, there.status) or misfit(few, there) > misfit(few, here) - LIKELIER:
         return found
-    other = solve(problem, there.values, robust=robust, noise=there.noise)
+    other = solve(problem, Start(there.values, there.noise), robust=robust)
     return other if other.status.good and misfit(problem, other) < misfit(problem, found) else found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Part, Problem
-from flighttest.estimation.solver import solve
+from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, std_of
 from flighttest.identify.fit import Fit
 
@@ -56,7 +56,7 @@ def alternation(found: Fit) -> Alternation | None:
         rounds += 1
         before = dict(values)
         for half, free in ((thrust, free_3), (tilt, free_4)):
-            solved = solve(half, values, free=free, robust=False, noise=noise, estimate_noise=False, max_iterations=15)
+            solved = solve(half, Start(values, noise), free=free, robust=False, estimate_noise=False, max_iterations=15)
             if solved.status is FitStatus.DIVERGED:
                 return None
             values = {**values, **{n: solved.values[n] for n in free}}

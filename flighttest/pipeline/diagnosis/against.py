@@ -16,7 +16,7 @@ from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all, model_data
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.consistency import once
-from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
@@ -35,16 +35,15 @@ def against(
     simulated: Sequence[Source],
     model: Path | ModelFile | None = None,
     output: Path | None = None,
-    columns: Path | None = None,
     vehicle: Path | None = None,
-    workers: int = 1,
+    reading: Reading | None = None,
     progress: Progress = SILENT,
 ) -> Result:
     """Compare; with `output` write against.json, report.html and model.yaml (the model of the real recordings)."""
     check_writable(output)
     declared = load_vehicle(vehicle) if vehicle is not None else None
     stored = model_file.read(model) if isinstance(model, Path) else model
-    sides = [once(open_recordings(paths, columns, workers, progress)) for paths in (runs, simulated)]
+    sides = [once(open_recordings(paths, reading, progress)) for paths in (runs, simulated)]
     twice = {_content(r): r.name for r in sides[0]}
     for recording in sides[1]:
         if _content(recording) in twice:

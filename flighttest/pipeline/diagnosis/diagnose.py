@@ -13,6 +13,7 @@ from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
 from flighttest.documents import write_text
 from flighttest.errors import InputError
+from flighttest.estimation.solver import Start
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.models import model_file
@@ -25,7 +26,7 @@ from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
 from flighttest.pipeline.recordings.consistency import doubts, once
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.flown_with import words_of
 from flighttest.pipeline.store.history import DEFAULT_RUNS
@@ -73,9 +74,8 @@ def diagnose(
     runs: Sequence[Source],
     model: Path | ModelFile | None = None,
     output: Path | None = None,
-    columns: Path | None = None,
     vehicle: Path | None = None,
-    workers: int = 1,
+    reading: Reading | None = None,
     progress: Progress = SILENT,
     keep: bool = False,
 ) -> Result:
@@ -86,7 +86,7 @@ def diagnose(
         raise InputError("--accept needs a folder for the model", "name one with -o DIR")
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     stored = model_file.read(model) if isinstance(model, Path) else model
-    recordings = open_recordings(runs, columns, workers, progress)
+    recordings = open_recordings(runs, reading, progress)
     doubtful = doubts(recordings)
     recordings = once(recordings)
     segments = cut_all(recordings, progress)
@@ -139,7 +139,7 @@ def refit(
     if not known:
         return fitted, ()
     usable = [s for s in segments if s.usable]
-    again = identify(usable, found.model, select="all", start=fitted.values, frozen=known, noise=fitted.noise)
+    again = identify(usable, found.model, select="all", start=Start(fitted.values, fitted.noise), frozen=known)
     return again, tuple(known)
 
 
@@ -172,8 +172,7 @@ def write_diagnosis(
         segments,
         diagnosis=data,
         next_script=script,
-        verdict=found.sentence,
-        tone=verdict_tone(data),
+        said=(found.sentence, verdict_tone(data)),
     )
     html.write(page, folder / REPORT_NAME)
     return data, fitted

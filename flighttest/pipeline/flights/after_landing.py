@@ -26,7 +26,7 @@ from flighttest.pipeline.store.identities import whose
 from flighttest.pipeline.store.lineage import model_of, together, worse
 from flighttest.pipeline.store.models import accepted
 from flighttest.pipeline.validity.reflights import reflights
-from flighttest.pipeline.validity.status import judge
+from flighttest.pipeline.validity.status import Today, judge
 from flighttest.recording import Recording
 from flighttest.report.document import Bullets, Document, Section, Tone
 from flighttest.report.render import html
@@ -53,27 +53,32 @@ class Analysis:
     improved: Fit | None = None
 
 
+@dataclass(frozen=True)
+class Landed:
+    """A campaign that was flown. folders: its runs, all in `out`; notes: of the flights; usable: False when one was aborted."""
+
+    folders: Sequence[Path]
+    out: Path
+    vehicle: Vehicle | None = None
+    notes: Sequence[str] = ()
+    usable: bool = True
+
+
 def analyse(
-    folders: Sequence[Path],
-    *,
-    out: Path,
-    vehicle: Vehicle | None = None,
+    landed: Landed,
     previous: ModelFile | None = None,
+    *,
     diagnose: bool = True,
     keep: bool = False,
-    notes: Sequence[str] = (),
-    usable: bool = True,
     progress: Progress = SILENT,
 ) -> Result:
-    """Cut, fit, compare with the previous model, diagnose, and write it all into the run folders.
-
-    out: the folder of runs; keep: the model becomes the vehicle's. usable: False when the flight was aborted.
-    """
+    """Cut, fit, compare with the previous model, diagnose, and write it all into the run folders. keep: the model becomes the vehicle's."""
+    folders, out, vehicle, notes = landed.folders, landed.out, landed.vehicle, landed.notes
     recordings = open_recordings(folders, progress=progress)
     name = whose(recordings, vehicle, out)
     if previous is None and vehicle is not None and not vehicle.name:
         previous = model_of(out, name)  # a vehicle that nobody named is known by its autopilot once it has been read
-    found = _analysis(recordings, vehicle, name, previous, diagnose, folders[-1], out, progress)
+    found = _analysis(landed, recordings, name, previous, diagnose, progress)
     for folder, recording in zip(folders, recordings, strict=True):
         keep_segments(folder, [s for s in found.segments if s.run == recording.name])
     data: dict[str, Any] = {"runs": [str(f) for f in folders], "notes": list(notes)}
@@ -93,9 +98,9 @@ def analyse(
         data["currency"] = {"verdict": found.currency.verdict.name, "sentence": found.currency.sentence}
     if found.diagnosis is not None:
         data["diagnosis"] = found.diagnosis
-    status = _status(found, usable)
-    told = _accepting(found, status, folders[-1], name, out, keep)
-    return Result(_summary(found, view, folders, notes, page, vehicle, told, out), data, status, found)
+    status = _status(found, landed.usable)
+    told = how_to_accept(found, status, folders[-1], name, out, keep)
+    return Result(_summary(found, view, landed, page, told), data, status, found)
 
 
 def _out_words(out: Path) -> str:
@@ -108,7 +113,7 @@ def _changed(found: Analysis) -> bool:
     return found.currency is not None and bool(found.currency.changes)
 
 
-def _accepting(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
+def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
     """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
     if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
         return ""
@@ -126,15 +131,14 @@ def _accepting(found: Analysis, status: Status, folder: Path, name: str, out: Pa
 
 
 def _analysis(
+    landed: Landed,
     recordings: Sequence[Recording],
-    vehicle: Vehicle | None,
     name: str,
     previous: ModelFile | None,
     diagnose: bool,
-    folder: Path,
-    out: Path,
     progress: Progress,
 ) -> Analysis:
+    vehicle, folder = landed.vehicle, landed.folders[-1]
     segments = cut_all(recordings, progress)
     try:
         fitted: Fit | None = fit_segments(segments, recordings, vehicle, progress=progress)
@@ -152,7 +156,7 @@ def _analysis(
             progress.stage(f"no diagnosis: {error.message}")
     currency = None
     if previous is not None and fitted is not None:
-        currency = judge(previous, recordings, vehicle, name, out, progress, diagnosed=result)
+        currency = judge(previous, Today(recordings, vehicle, name, landed.out), progress, diagnosed=result)
     return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained, previous, improved)
 
 
@@ -205,26 +209,16 @@ def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Docume
         extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(notes)),)))
     if found.currency is not None:
         extra += status_document(found.currency, {}, ()).sections
-    return run_document(
-        found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, verdict=verdict, tone=tone
-    )
+    return run_document(found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, said=(verdict, tone))
 
 
-def _summary(
-    found: Analysis,
-    view: FitView | None,
-    folders: Sequence[Path],
-    notes: Sequence[str],
-    page: Document,
-    vehicle: Vehicle | None,
-    accepting: str,
-    out: Path,
-) -> Document:
+def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Document, accepting: str) -> Document:
     """What the terminal shows: the verdict, what is missing, the parameters (or what speaks for and against the model in use), where
     everything is."""
+    folders, notes = landed.folders, landed.notes
     sections: list[Section] = list(missing_sections(found.diagnosis)) if found.diagnosis is not None else []
     if found.currency is not None and found.previous is not None and not renewed(found):
-        rows, _, _ = reflights(found.currency, found.previous, vehicle)
+        rows, _, _ = reflights(found.currency, found.previous, landed.vehicle)
         sections += status_document(found.currency, {}, rows, brief=True).sections
     elif view is not None:
         better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
@@ -245,7 +239,9 @@ def _summary(
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         reason = found.diagnosis.get("next_reason") or {}
-        command = f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{_out_words(out)}"
+        command = (
+            f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{_out_words(landed.out)}"
+        )
         facts["fly next"] = (
             f"{reason.get('maneuver')}: {reason['zone']}" if reason.get("fits_zone") is False else command
         )

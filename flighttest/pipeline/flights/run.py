@@ -19,7 +19,7 @@ from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.link.onboard import fetch
-from flighttest.pipeline.flights.after_landing import analyse
+from flighttest.pipeline.flights.after_landing import Landed, analyse
 from flighttest.pipeline.planning.checking import plans, prior_of
 from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
@@ -228,7 +228,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             notes.append(
                 f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
             )
-        notes += _unflown(ended)
+        notes += unflown_steps(ended)
         if ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe:
             break
     usable = len(ends) == len(compiled) and all(e.as_planned and not e.incomplete for e in ends)
@@ -237,10 +237,8 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     if request.fly_only:
         return _flown(compiled, folders, ends, notes, usable)
     try:
-        found = analyse(
-            folders, out=request.out, vehicle=vehicle, previous=previous, diagnose=wanted, keep=request.accept, notes=notes,
-            usable=usable, progress=progress,
-        )  # fmt: skip
+        landed = Landed(folders, request.out, vehicle, notes, usable)
+        found = analyse(landed, previous, diagnose=wanted, keep=request.accept, progress=progress)
     except (FlighttestError, OSError) as error:
         if usable and not isinstance(error, OSError):
             raise
@@ -259,7 +257,7 @@ def _lacking(ends: Sequence[FlightResult]) -> str:
     return f"The record is not complete: {found}." if found else ""
 
 
-def _unflown(ended: FlightResult) -> list[str]:
+def unflown_steps(ended: FlightResult) -> list[str]:
     """Why steps that were tried are missing: one sentence for each reason."""
     flown = {leg.leg for leg in ended.legs if leg.outcome is LegOutcome.FLOWN}
     reasons: dict[str, list[str]] = {}

@@ -24,7 +24,7 @@ from flighttest.pipeline.presenters.not_identifiable import why_nothing
 from flighttest.pipeline.recordings.batteries import battery_data
 from flighttest.pipeline.recordings.consistency import doubts, once
 from flighttest.pipeline.recordings.fingerprints import of_recordings
-from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.identities import identity_of
@@ -62,7 +62,7 @@ def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tup
 
 def segment(runs: Sequence[Source], columns: Path | None = None, progress: Progress = SILENT) -> Result:
     """Table of responses, each accepted or rejected with its reason."""
-    recordings = open_recordings(runs, columns, progress=progress)
+    recordings = open_recordings(runs, Reading(columns), progress)
     segments = cut_all(recordings, progress)
     views = segment_views(segments)
     section = fit_sections.segments(views)
@@ -238,7 +238,7 @@ def fit(
     options = options or FitOptions()
     check_writable(None if output is None else output.parent)
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
-    recordings = open_recordings(runs, columns, options.workers, progress, options.scheduler)
+    recordings = open_recordings(runs, Reading(columns, options.workers, options.scheduler), progress)
     doubtful = doubts(recordings)
     recordings = once(recordings)
     segments = cut_all(recordings, progress)

@@ -101,10 +101,10 @@ def run_document(
     extra: Sequence[Section] = (),
     diagnosis: Mapping[str, Any] | None = None,
     next_script: str = "",
-    verdict: str = "",
-    tone: Tone | None = None,
+    said: tuple[str, Tone | None] = ("", None),
 ) -> Document:
-    """The page of a run or campaign: verdict, provenance, fit, diagnosis, responses."""
+    """The page of a run or campaign: verdict, provenance, fit, diagnosis, responses. said: verdict and tone, where not the fit's."""
+    verdict, tone = said
     sections: list[Section] = []
     if view is not None:
         made = fit_sections.fit_sections(view)
@@ -149,7 +149,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
         view,
         segments,
         diagnosis=diagnosis,
-        verdict=f"No model could be fitted: {reason}." if reason else "",
+        said=(f"No model could be fitted: {reason}." if reason else "", None),
     )
     target = output or (folder / REPORT_NAME if folder.is_dir() else Path(REPORT_NAME))
     if folder.is_dir() and output is None:

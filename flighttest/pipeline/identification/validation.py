@@ -13,7 +13,7 @@ from flighttest.identify.validation.validate import Validation, Variation, compa
 from flighttest.identify.validation.validate import validate as compare_models
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.history import DEFAULT_RUNS, check_runs
 from flighttest.pipeline.store.identities import whose
@@ -42,7 +42,7 @@ def validate(
     check_runs(out)
     if model is None:
         model, runs = _parted(runs)
-    recordings = open_recordings(runs, columns, progress=progress) if model is None else ()
+    recordings = open_recordings(runs, Reading(columns), progress) if model is None else ()
     if model is None:
         name = whose(recordings, None, out)
         if not name:
@@ -53,7 +53,7 @@ def validate(
         model = Path(in_use(out, name).path)
     stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
     earlier = model_file.read(previous) if isinstance(previous, Path) else previous
-    recordings = recordings or open_recordings(runs, columns, progress=progress)
+    recordings = recordings or open_recordings(runs, Reading(columns), progress)
     segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
     progress.stage("running the models open loop")
     usable = [s for s in segments if comparable(s)]

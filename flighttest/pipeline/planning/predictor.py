@@ -161,7 +161,7 @@ class ModelPredictor:
             asked[k, :, :flying] = targets.T
             history.append(asked[k, :, :flying])
             if step.straight and asked[k, :3].any():
-                step = Stepping(self._forms, u, dt_s)
+                step = Stepping(self.forms, u, dt_s)
             for column in (3,) if step.straight else range(4):
                 row, (whole, part) = rows[column], lag[column]
                 late = history[-1 - int(whole)][column]
@@ -196,10 +196,11 @@ class ModelPredictor:
         return slice(found[0], found[-1] + 1) if found == list(range(found[0], found[-1] + 1)) else found
 
     @cached_property
-    def _forms(self) -> Forms:
+    def forms(self) -> Forms:
+        """The system's functions in the shortest form that gives the same."""
         return Forms(self.model.system, self._p)
 
     def _stepper(self, x: FloatArray, u: FloatArray, dt_s: float) -> Stepping:
         """The shortest way to fly on from these states."""
         sideways = [i for i, n in enumerate(self._states) if n in SIDEWAYS]
-        return Stepping(self._forms, u, dt_s, straight=not x[sideways].any())
+        return Stepping(self.forms, u, dt_s, straight=not x[sideways].any())

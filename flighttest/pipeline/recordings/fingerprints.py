@@ -39,7 +39,7 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
     return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
 
 
-def of_manifest(manifest: Mapping[str, Any]) -> dict[str, Any]:
+def fingerprint_of_run(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """Of a run, by its manifest alone."""
     vehicle = manifest.get("vehicle") or {}
     made = fingerprint(None, str(manifest.get("firmware") or ""), manifest.get("parameters") or {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -72,18 +72,23 @@ def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
     return Recording(folder.name, recording.series, marks, provenance)
 
 
-def open_recordings(
-    sources: Sequence[Source],
-    columns: Path | None = None,
-    workers: int = 1,
-    progress: Progress = SILENT,
-    scheduler: str | None = None,
-) -> tuple[Recording, ...]:
-    """All of them, in order, those that were read before as they are; each name is made unique, since segments carry it.
+@dataclass(frozen=True)
+class Reading:
+    """How recordings are read. columns: column map of foreign tables; workers: processes on this machine; scheduler: address of a Dask
+    cluster instead, whose workers see the same paths."""
 
-    workers: processes on this machine; scheduler: address of a Dask cluster instead, whose workers see the same paths.
-    """
-    read = partial(open_recording, columns=columns)
+    columns: Path | None = None
+    workers: int = 1
+    scheduler: str | None = None
+
+
+def open_recordings(
+    sources: Sequence[Source], reading: Reading | None = None, progress: Progress = SILENT
+) -> tuple[Recording, ...]:
+    """All of them, in order, those that were read before as they are; each name is made unique, since segments carry it."""
+    reading = reading or Reading()
+    workers, scheduler = reading.workers, reading.scheduler
+    read = partial(open_recording, columns=reading.columns)
     paths = [source for source in sources if isinstance(source, Path)]
     if scheduler is not None:
         progress.stage(f"reading {len(paths)} recordings on {scheduler}")

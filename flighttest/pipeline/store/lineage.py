@@ -19,7 +19,7 @@ from flighttest.errors import FlighttestError, InputError, ModelError
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.model import PAPER_TERMS
-from flighttest.pipeline.recordings.fingerprints import of_manifest
+from flighttest.pipeline.recordings.fingerprints import fingerprint_of_run
 from flighttest.pipeline.store.history import AS_GOOD, campaigns, standing
 from flighttest.pipeline.store.identities import (
     LINEAGE_NAME,
@@ -142,7 +142,7 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
     return found
 
 
-def accept(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage, Generation]:
+def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage, Generation]:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use. InputError where the vehicle is not known
     or another one's, or where the model knows less than the one in use, of an unchanged vehicle and without its flights."""
     if not path.exists():
@@ -256,6 +256,6 @@ def stale_since(one: Lineage, out: Path) -> tuple[str, ...]:
         except FlighttestError:
             continue
         if (manifest.get("vehicle") or {}).get("name") == one.vehicle:
-            changes, _ = declared_changes(fingerprint, of_manifest(manifest))
+            changes, _ = declared_changes(fingerprint, fingerprint_of_run(manifest))
             return tuple(f"{c.name} {c.before} is now {c.after} ({run.name})" for c in changes)
     return ()

@@ -9,8 +9,7 @@ from pathlib import Path
 from flighttest.errors import FlighttestError
 from flighttest.pipeline.results import Result
 from flighttest.pipeline.store.history import check_runs, when
-from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since
-from flighttest.pipeline.store.lineage import accept as accept_model
+from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since, take_into_use
 from flighttest.report.document import Cell, Document, Paragraph, Section, Table
 from flighttest.report.numbers import join
 from flighttest.vehicle.load import load_vehicle
@@ -18,7 +17,7 @@ from flighttest.vehicle.load import load_vehicle
 
 def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
     """The model of a run or diagnosis folder, or a model file, becomes its vehicle's model in use."""
-    whole, made = accept_model(path, out, vehicle)
+    whole, made = take_into_use(path, out, vehicle)
     facts = {
         "vehicle": whole.vehicle,
         "model": str(whole.current),
@@ -38,7 +37,7 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
 def accepted(path: Path, out: Path, vehicle: Path | None) -> str:
     """Accept, in one sentence; why not, where it could not be: what was flown and found stays."""
     try:
-        whole, made = accept_model(path, out, vehicle)
+        whole, made = take_into_use(path, out, vehicle)
     except FlighttestError as error:
         return f"not accepted: {error.message}; {error.hint}"
     return f"done: {_sentence(whole, made)} ({whole.current})"

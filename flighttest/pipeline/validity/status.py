@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,14 @@ import numpy as np
 
 from flighttest.currency import alike
 from flighttest.currency.alike import DELAY_S
-from flighttest.currency.assess import assess
+from flighttest.currency.assess import Evidence, assess
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.hover import Hover, hover
 from flighttest.currency.model import Currency, Verdict
 from flighttest.diagnose import Diagnosis
 from flighttest.errors import FitError, InputError
 from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.solver import Start
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.models import model_file
@@ -83,7 +84,7 @@ def status(
     else:
         stored = in_use(out, name)
         name = name or stored.vehicle_name
-    found = judge(stored, recordings, declared, name, out, progress, present)
+    found = judge(stored, Today(recordings, declared, name, out, present), progress)
     return finish(found, stored, declared, [named(r) for r in runs], output, present)
 
 
@@ -93,19 +94,21 @@ def _one_vehicle(stored: ModelFile, name: str) -> None:
         raise InputError(f"{stored.path} is a model of {stored.vehicle_name}, not of {name}", f"name a model of {name}")
 
 
-def judge(
-    stored: ModelFile,
-    recordings: Sequence[Recording],
-    vehicle: Vehicle | None,
-    name: str = "",
-    out: Path | None = None,
-    progress: Progress = SILENT,
-    present: Present | None = None,
-    diagnosed: Diagnosis | None = None,
-) -> Currency:
-    """All the evidence. recordings: one new campaign, possibly none; name: the vehicle's; out: where its earlier campaigns may lie;
-    present: the vehicle as it is now, which counts more than what the recordings say of it; diagnosed: the new recordings from this model
-    on, found here where it is not given."""
+@dataclass(frozen=True)
+class Today:
+    """What is known of a vehicle today. recordings: one new campaign, possibly none; vehicle: as declared; name: the vehicle's; out: where
+    its earlier campaigns may lie; present: the vehicle as it is now, which counts more than what the recordings say of it."""
+
+    recordings: Sequence[Recording] = ()
+    vehicle: Vehicle | None = None
+    name: str = ""
+    out: Path | None = None
+    present: Present | None = None
+
+
+def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed: Diagnosis | None = None) -> Currency:
+    """All the evidence. diagnosed: the new recordings from this model on, found here where it is not given."""
+    recordings, vehicle, name, out, present = now.recordings, now.vehicle, now.name, now.out, now.present
     subsets = subsets_of(stored.model)
     tested = [n for names in subsets.values() for n in names]
     base = watched(stored, "model", tested)
@@ -137,15 +140,17 @@ def judge(
         model_fingerprint=stored.fingerprint,
         vehicle_fingerprint=today,
         stored=base,
-        runs=series,
-        alike=paired,
-        spread=spread,
-        battery=battery,
-        battery_reference=battery_reference(stored),
-        hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
-        untestable=untestable,
+        new=Evidence(
+            runs=series,
+            alike=paired,
+            spread=spread,
+            battery=battery,
+            battery_reference=battery_reference(stored),
+            hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
+            untestable=untestable,
+            appeared=appeared(diagnosed, stored) if diagnosed is not None else (),
+        ),
         subsets=subsets,
-        appeared=appeared(diagnosed, stored) if diagnosed is not None else (),
     )
     missed = untested(stored, subsets, found.tests, stds, spread) if recordings else ()
     unseen = not_shown(diagnosed) if diagnosed is not None and stored.diagnosed else (NOT_DIAGNOSED,) if usable else ()
@@ -206,13 +211,13 @@ def reestimate_segments(
     stored: ModelFile, segments: Sequence[Segment], name: str
 ) -> tuple[Estimates, dict[str, float | None]]:
     """`reestimate` from segments that are already cut."""
-    noise = stored_noise(stored, problem_of(segments, stored.model, values=stored.values))
-    found = identify(segments, stored.model, start=stored.values, noise=noise)
+    start = Start(stored.values, stored_noise(stored, problem_of(segments, stored.model, values=stored.values)))
+    found = identify(segments, stored.model, start=start)
     tested = [n for names in subsets_of(stored.model).values() for n in names]
     stds = {n: found.estimates[n].std for n in tested if n in found.estimates}
     weak = {n: stored.values[n] for n in stds if _tells_less(found, stored, n)}
     if weak:
-        found = identify(segments, stored.model, start=stored.values, frozen=weak, noise=noise)
+        found = identify(segments, stored.model, start=start, frozen=weak)
     estimates = watched(model_file.from_fit(found), name, tested)
     return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v)), stds
 

@@ -60,17 +60,24 @@ def of_model(
     return options_of(stored, parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)
 
 
-def serve(
-    airframe: str,
-    backend: str,
-    hide: Sequence[str],
-    seed: int,
-    port: int,
-    speed: float,
-    lockstep: bool,
-    model: Path | None = None,
-) -> Iterator[str | Serving]:
-    """Serve until interrupted; yields what is going on, and once it can be connected to, where. model: flies instead of an airframe."""
+@dataclass(frozen=True)
+class Served:
+    """A vehicle to serve, in the words of the command line. model: flies instead of an airframe; port: 0 takes a free one."""
+
+    airframe: str = "paper"
+    backend: str = "builtin"
+    hide: Sequence[str] = ()
+    seed: int = 1
+    port: int = 0
+    speed: float = 1.0
+    lockstep: bool = False
+    model: Path | None = None
+
+
+def serve(asked: Served) -> Iterator[str | Serving]:
+    """Serve until interrupted; yields what is going on, and once it can be connected to, where."""
+    airframe, backend, hide, seed = asked.airframe, asked.backend, asked.hide, asked.seed
+    port, speed, lockstep, model = asked.port, asked.speed, asked.lockstep, asked.model
     if model is not None and backend == "sitl":
         raise InputError(
             "the attitude loops of a model have its autopilot in them: they do not fly under another one",

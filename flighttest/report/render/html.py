@@ -16,7 +16,7 @@ from flighttest.report.render.figures import specification
 THEME_BUTTON = '<button id="theme" type="button">light / dark</button>'
 
 
-def render(document: Document) -> str:
+def page_of(document: Document) -> str:
     """The page as text."""
     sections = "\n".join(_section(section) for section in document.sections)
     links = "".join(f'<a href="#{escape(s.id)}">{escape(s.title)}</a>' for s in document.sections if s.title)
@@ -50,7 +50,7 @@ def render(document: Document) -> str:
 def write(document: Document, path: Path) -> Path:
     """Write the page and give its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(render(document), encoding="utf-8")
+    path.write_text(page_of(document), encoding="utf-8")
     return path
 
 

@@ -167,7 +167,7 @@ def stop_physics(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def serve_inherited(descriptor: int, options: SimOptions) -> None:
+def serve_physics(descriptor: int, options: SimOptions) -> None:
     """The child's part: serve until the parent's end of our standard input closes."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, fileno=descriptor)
     noise = SensorNoise().scaled(options.noise)
@@ -183,4 +183,4 @@ def serve_inherited(descriptor: int, options: SimOptions) -> None:
 
 
 if __name__ == "__main__":
-    serve_inherited(int(sys.argv[1]), SimOptions.from_json(sys.argv[2]))
+    serve_physics(int(sys.argv[1]), SimOptions.from_json(sys.argv[2]))
