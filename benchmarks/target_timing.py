@@ -1,6 +1,6 @@
 """When attitude targets leave for the vehicle, by the kernel's time stamps at the vehicle's socket: real time, 50 Hz, all streams on.
 
-python benchmarks/target_timing.py [--seconds 30] [--busy N] [--plain]    N processes that only compute run beside it
+python benchmarks/target_timing.py [--seconds 30] [--busy N] [--plain] [--same]    N processes that only compute run beside it
 
 The sender is the flight's own: session, recorder, reading of the state, one target per period on a grid. The gate and the rest of a leg
 (0.1 ms) are left out.
@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flighttest.flight.execution.control import AHEAD_SHARE
 from flighttest.flight.preparation import priority
 from flighttest.flight.preparation.preflight import RATES_HZ
 from flighttest.flight.recorder import Recorder
@@ -89,6 +90,7 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=30.0)
     options.add_argument("--busy", type=int, default=0)
     options.add_argument("--plain", action="store_true", help="without the priority that a real flight takes")
+    options.add_argument("--same", action="store_true", help="from the thread that does all the rest, as before")
     asked = options.parse_args()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
@@ -108,12 +110,15 @@ def main() -> None:
         vehicle, reader = ArduPilot(session), StateReader(session)
         start, tick = session.now_s(), 0
         with first:
+            end, ahead_s = (lambda: None, 0.0) if asked.same else (session.port.send_on_time(), AHEAD_SHARE * PERIOD_S)
             while session.now_s() < start + asked.seconds:
-                vehicle.steer(0.1, 0.0, 0.0, None, 0.2)
+                t_s = max(session.now_s() - start, tick * PERIOD_S)
+                vehicle.steer((0.1, 0.0, 0.0), None, 0.2, start + t_s if ahead_s else None)
                 tick = max(tick + 1, int((session.now_s() - start) / PERIOD_S + 1e-6) + 1)
-                session.advance(start + tick * PERIOD_S)
+                session.advance(start + tick * PERIOD_S - ahead_s)
                 reader.read()
                 recorder.flush()
+            end()
     t_s = np.sort(np.array(came.get(timeout=20.0)))[25:]
     for one in beside:
         one.terminate()

@@ -67,7 +67,7 @@ def fly(
     manifest = first_manifest(plan, link_url, options.weather, options.resume)
     recorder = Recorder(run_dir, session.clock.ground_s, manifest, plan)
     session.port.tap(recorder.tap)
-    flight = _Flight(plan, session, recorder, options)
+    flight = _Flight(plan, session, recorder, options, real_clock=clock is None)
     try:
         return flight.run()
     finally:
@@ -78,11 +78,14 @@ def fly(
 class _Flight:
     """One flight from the first HEARTBEAT to the restored parameters."""
 
-    def __init__(self, plan: Plan, session: Session, recorder: Recorder, options: FlightOptions) -> None:
+    def __init__(
+        self, plan: Plan, session: Session, recorder: Recorder, options: FlightOptions, *, real_clock: bool
+    ) -> None:
         self.plan = plan
         self.session = session
         self.recorder = recorder
         self.options = options
+        self._real_clock = real_clock
         self.vehicle = ArduPilot(session)
         self.notes: list[str] = []
         self.held = contextlib.ExitStack()
@@ -181,6 +184,8 @@ class _Flight:
         if not simulator:
             session.clock.keep_real_time()
             self.held.enter_context(priority.first())
+        if self._real_clock and not session.lock_step and session.clock.pace == 1.0:
+            self.held.callback(session.port.send_on_time())
         firmware = vehicle.firmware()
         self.recorder.manifest.update(
             firmware=f"ArduCopter {firmware}" if firmware else "",
@@ -307,7 +312,9 @@ class _Flight:
             silence_max_s=0.5 * self._pace,
             uplink_silence_max_s=1.5 * self._pace,
             mode_age_max_s=2.5 * self._pace,
-            held_up_max_s=0.5 * self._pace if preflight.is_simulator(self._parameters) else preflight.TIMEOUT_S,
+            held_up_max_s=0.5 * self._pace
+            if preflight.is_simulator(self._parameters)
+            else 0.5 * preflight.TIMEOUT_S + 1.0 / plan.rate_hz,
         )
 
     @property

@@ -34,7 +34,7 @@ class Refusal(Enum):
     DISARMED = "the vehicle is not armed"
     LINK = "nothing was heard from the vehicle for too long"
     UPLINK = "the vehicle has not answered for too long: what is sent may not arrive"
-    HELD_UP = "the ground was held up for longer than the vehicle follows a target"
+    HELD_UP = "a target left too late: the ground was held up"
     TELEMETRY_OLD = "attitude telemetry is missing or too old"
     POSITION_OLD = "position telemetry is missing or too old"
     EKF = "the autopilot's state estimate is not healthy"
@@ -60,7 +60,7 @@ class GateLimits:
     judged and are left to the height limits and the fence. zone_placed: whether it is known where the zone is, so that a step is judged
     by it wherever the vehicle has a position. mode_age_max_s: of the last HEARTBEAT: without one a pilot's take-over is not seen.
     uplink_silence_max_s: six unanswered questions in a row, which a link that loses a fifth each way has once in 500 questions.
-    held_up_max_s: between two targets of a step, which a real vehicle follows no longer than GUID_TIMEOUT.
+    held_up_max_s: between two targets of a step, which a real vehicle follows no longer than GUID_TIMEOUT: half of that, and a period.
     """
 
     limits: Limits

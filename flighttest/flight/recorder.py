@@ -139,10 +139,10 @@ class Recorder:
         """Stamp by another ground clock from now on (lock-step has begun)."""
         self._ground_s = ground_s
 
-    def tap(self, frame: bytes, _message: Message) -> None:
+    def tap(self, frame: bytes, _message: Message, ago_s: float = 0.0) -> None:
         """Write one frame; given to `Port.tap`. Nothing of it stays in memory: the channels are read from raw.tlog in the end."""
         us = max(
-            int(self._ground_s() * 1e6), self._last_us
+            int((self._ground_s() - ago_s) * 1e6), self._last_us
         )  # a record whose time goes back cannot be read by other tools
         self._last_us = us
         self._tlog.add(_STAMP.pack(us) + frame)

@@ -245,29 +245,44 @@ class ArduPilot:
             )
         )  # fmt: skip
 
-    def mark(self, leg_id: str, phase: str) -> None:
-        """Write a segment mark into the vehicle's onboard log."""
-        self.session.send(mark_message(leg_id, phase))
+    def mark(self, leg_id: str, phase: str, at_s: float | None = None) -> None:
+        """Write a segment mark into the vehicle's onboard log, at_s as for a target."""
+        self._send(mark_message(leg_id, phase), at_s)
 
     def disarm(self) -> Ack:
         """Ask to disarm; ArduCopter refuses in the air."""
         return self.command(book.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
     def steer(
-        self, roll_rad: float, pitch_rad: float, yaw_rad: float, yaw_rate_rad_s: float | None, throttle: float
+        self,
+        attitude_rad: tuple[float, float, float],
+        yaw_rate_rad_s: float | None,
+        throttle: float,
+        at_s: float | None = None,
     ) -> None:
-        """Send one attitude target. Only `FlightControl.steer` calls this: every target passes the gate first."""
-        self.session.send(
-            target_message(
-                t_vehicle_s=self.session.now_s(),
-                system=self.session.vehicle_system,
-                roll_rad=roll_rad,
-                pitch_rad=pitch_rad,
-                yaw_rad=yaw_rad,
-                yaw_rate_rad_s=yaw_rate_rad_s,
-                throttle=throttle,
-            )
+        """Send one attitude target. Only `FlightControl.steer` calls this: every target passes the gate first.
+
+        at_s: when the vehicle's clock shows that; None: now, in place of any that waits for its time.
+        """
+        roll, pitch, yaw = attitude_rad
+        message = target_message(
+            t_vehicle_s=self.session.now_s() if at_s is None else at_s,
+            system=self.session.vehicle_system,
+            roll_rad=roll,
+            pitch_rad=pitch,
+            yaw_rad=yaw,
+            yaw_rate_rad_s=yaw_rate_rad_s,
+            throttle=throttle,
         )
+        if at_s is None:
+            self.session.port.cancel()
+        self._send(message, at_s)
+
+    def _send(self, message: Message, at_s: float | None) -> None:
+        if at_s is None:
+            self.session.send(message)
+        else:
+            self.session.send_at(at_s, message)
 
 
 class LaggedYaw:

@@ -64,7 +64,7 @@ class Session:
         self.last_heard_s = 0.0
         self.boots = 0
         self.overtaken = 0  # HEARTBEATs that came after one sent later, or after one of another vehicle
-        self.held = False  # a frame may have shown that the pilot has the vehicle: nothing but granted time is sent
+        self._held = False
         self._sequence = Sequence()
 
     def listen(self, listener: Callable[[Message, float], None]) -> None:
@@ -108,9 +108,25 @@ class Session:
         """The vehicle's time, s."""
         return self.clock.now_s()
 
+    @property
+    def held(self) -> bool:
+        """Whether a frame may have shown that the pilot has the vehicle: nothing but granted time is sent."""
+        return self._held
+
+    @held.setter
+    def held(self, held: bool) -> None:
+        self._held = held
+        if held:
+            self.port.cancel()
+
     def send(self, message: Message) -> bool:
         """Send one message; False after `port.mute()`, and while `held`."""
         return not self.held and self.port.send(message)
+
+    def send_at(self, t_s: float, message: Message) -> bool:
+        """Send one message when the vehicle's clock shows t_s, if it is not cancelled before (`port.cancel`)."""
+        wait_s = (t_s - self.now_s()) / max(self.clock.pace, 0.05)
+        return not self.held and self.port.send_at(max(wait_s, 0.0), message)
 
     def advance(self, until_s: float) -> None:
         """Let time pass until the vehicle's clock shows until_s, taking in what arrives. Returns at once when it is past."""

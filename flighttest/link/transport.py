@@ -104,7 +104,7 @@ class UdpTransport:
 
     def send(self, data: bytes) -> None:
         """Send one datagram; nobody heard yet, or a full buffer, loses it."""
-        for peer in self._peers:
+        for peer in tuple(self._peers):  # another thread may be receiving
             with contextlib.suppress(OSError):  # unreachable now may be reachable later; loss shows as missing answers
                 self._socket.sendto(data, peer)
 
@@ -164,46 +164,52 @@ class TcpTransport:
         connected.setblocking(False)
         return connected
 
-    def _lose(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = None
-        self._next_try_s = time.monotonic() + _RECONNECT_EVERY_S
+    def _lose(self, lost: socket.socket | None = None) -> None:
+        # One thread may send while another receives: whoever finds the connection gone must not close the next one.
+        if lost is not None:
+            lost.close()
+        if self._socket is lost:
+            self._socket = None
+            self._next_try_s = time.monotonic() + _RECONNECT_EVERY_S
 
     def send(self, data: bytes) -> None:
         """Send all of it, or nothing while the other side is away."""
         view = memoryview(data)
-        while self._socket is not None and view:
+        connected = self._socket
+        while connected is not None and view:
             try:
-                view = view[self._socket.send(view) :]
+                view = view[connected.send(view) :]
             except BlockingIOError:
                 # Half a frame would spoil the next one: wait for space, or treat a stuck peer as gone.
-                if not select.select([], [self._socket], [], 0.5)[1]:
-                    self._lose()
-            except OSError:
-                self._lose()
+                if not select.select([], [connected], [], 0.5)[1]:
+                    self._lose(connected)
+                    return
+            except (OSError, ValueError):  # the latter where the other thread has closed it
+                self._lose(connected)
+                return
 
     def receive(self, timeout_s: float) -> bytes:
         """What has arrived; tries to connect again once a second while the other side is away."""
-        if self._socket is None:
+        connected = self._socket
+        if connected is None:
             if time.monotonic() < self._next_try_s:
                 time.sleep(min(max(timeout_s, 0.0), 0.05))
                 return b""
             try:
-                self._socket = self._connect(0.5)
+                connected = self._socket = self._connect(0.5)
             except OSError:
                 self._lose()
                 return b""
-        if not select.select([self._socket], [], [], max(timeout_s, 0.0))[0]:
-            return b""
         try:
-            data = self._socket.recv(_CHUNK)
+            if not select.select([connected], [], [], max(timeout_s, 0.0))[0]:
+                return b""
+            data = connected.recv(_CHUNK)
         except BlockingIOError:
             return b""
-        except OSError:
+        except (OSError, ValueError):
             data = b""
         if not data:
-            self._lose()
+            self._lose(connected)
         return data
 
     def close(self) -> None:
@@ -221,7 +227,8 @@ class SerialTransport:
 
     def send(self, data: bytes) -> None:
         """Write the bytes; a device that is gone loses them."""
-        with contextlib.suppress(OSError):  # pyserial's SerialException is an OSError
+        # pyserial's SerialException is an OSError; the others come where it is opened anew meanwhile
+        with contextlib.suppress(OSError, TypeError, ValueError):
             self._port.write(data)
 
     def receive(self, timeout_s: float) -> bytes:

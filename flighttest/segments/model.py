@@ -22,6 +22,7 @@ class Flaw(Enum):
     CLIPPED = "a sensor or a command was at its limit"
     WRONG_MODE = "the autopilot was not in the maneuver's mode"
     LINK_LOST = "targets stopped arriving during the response"
+    LATE = "a target left more than 0.1 s late during the response"
     TOO_SHORT = "less than 0.3 s was recorded after the step"
     ABORTED = "the flight was aborted during the response"
     NOT_A_NUMBER = "a recorded channel is not a number for most of the response"

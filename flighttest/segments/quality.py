@@ -21,6 +21,7 @@ _ERROR_MAX_RAD = 0.12
 _CLIP_M_S2 = 15.95 * 9.80665  # the usual accelerometers end at 16 g
 _GUIDED_NOGPS = 20
 _SILENCE_S = 0.25
+_LATE_S = 0.1  # half of the GUID_TIMEOUT that a flight asks for: later, and the vehicle may have let go of the step
 _GAP_S = 0.1
 _PRIMARY = {
     "roll_step": ("roll_rad",), "pitch_step": ("pitch_rad",), "yaw_rate_step": ("r_rad_s",),
@@ -54,8 +55,12 @@ def flaws_of(
             found.add(Flaw.CLIPPED)
         if np.any(np.isfinite(references.values[:, -1])) and np.count_nonzero(np.isnan(throttle)) > 0.2 * throttle.size:
             found.add(Flaw.WRONG_MODE)
-        elif streamed and references.streamed and _silent(references, response):
-            found.add(Flaw.LINK_LOST)
+        elif streamed and references.streamed:
+            longest_s = _longest_gap_s(references, response)
+            if longest_s > max(_SILENCE_S, 5.0 * references.period_s):
+                found.add(Flaw.LINK_LOST)
+            elif longest_s > references.period_s + _LATE_S:
+                found.add(Flaw.LATE)
     return tuple(flaw for flaw in Flaw if flaw in found)
 
 
@@ -112,9 +117,9 @@ def _unrest(references: References | None, response: Response, t_s: FloatArray, 
     return False
 
 
-def _silent(references: References, response: Response) -> bool:
-    """Whether targets stopped for a while between the start and the end of a response."""
+def _longest_gap_s(references: References, response: Response) -> float:
+    """The longest time for which no target came between the start and the end of a response."""
     a = max(int(np.searchsorted(references.t_s, response.start_s, side="right")) - 1, 0)
     b = int(np.searchsorted(references.t_s, response.end_s, side="right"))
     times = np.append(np.maximum(references.t_s[a:b], response.start_s), response.end_s)
-    return bool(np.max(np.diff(times), initial=0.0) > max(_SILENCE_S, 5.0 * references.period_s))
+    return float(np.max(np.diff(times), initial=0.0))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 from flighttest.errors import FlighttestError
-from flighttest.flight import FlightResult, FlightState, LegOutcome
+from flighttest.flight import FlightResult, FlightState, LegOutcome, recorder
 from flighttest.mavlink import CopterMode
 from flighttest.sim import SimOptions
 from tests.faults.proxy import Endless, Fault, Proxy, When
@@ -29,13 +33,21 @@ FAULTS: tuple[Fault, ...] = (
     Fault("all doubled", 30.0, double=True),
     Fault("150 ms reordering", 30.0, jitter_s=0.15),
     Fault("300 ms latency", 30.0, latency_s=0.3),
+    Fault("one bit in 10 % of the frames", 30.0, corrupt=0.1),
+    Fault("5760 bytes/s", 30.0, bytes_per_s=5760.0),
+    Fault("reset for 1 s", 1.0, up=True, down=True, cut=True),
     Fault("stall 4 s, then all", 4.0, hold=True),
     Fault("client frozen 4 s", 4.0, freeze=True),
     Fault("clock leaps a day", 1.0, leap=True),
     Fault("one false stamp", 1.0, stamp=True),
+    Fault("one false mode", 1.0, false_mode=True),
+    Fault("one false disarmed", 1.0, false_disarmed=True),
     Fault("second vehicle", 10.0, twin=True),
     Fault("streams switched off", 1.0, station=True),
     Fault("reboot", 1.0, reboot=True),
+    Fault("disk full", FOR_GOOD_S, disk=True),
+    Fault("Ctrl-C", 1.0, presses=1),
+    Fault("Ctrl-C twice", 1.0, presses=2),
     Fault("pilot", 1.0, pilot_after_s=0.15),
     Fault("pilot while down 3.2 s", 3.2, down=True, pilot_after_s=1.0),
     Fault("pilot while up 15 s", 15.0, up=True, pilot_after_s=1.0),
@@ -78,11 +90,10 @@ def fly_cell(fault: Fault, when: When, folder: Path) -> Cell:
     """Fly two steps with a fault in one state."""
     options = SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0)
     proxy = Proxy(options, fault, when, after_s=0.05 if when is When.FLYING else 0.0)
-    # A stop at once is what leads to an abort.
-    stops = _press(proxy) if when is When.ABORTING else lambda: 0
-    plan = make_plan(make_leg("a"), make_leg("b"))
     try:
-        result = fly(plan, "proxy", folder, transport=proxy, clock=proxy.clock(), stop_requested=stops)
+        with full_disk(proxy):
+            plan = make_plan(make_leg("a"), make_leg("b"))
+            result = fly(plan, "proxy", folder, transport=proxy, clock=proxy.clock(), stop_requested=_presses(proxy))
     except FlighttestError as error:
         wrong = () if not proxy.sim.vehicle.armed else (f"an error left an armed vehicle: {error.message}",)
         return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - 1000.0, wrong)
@@ -93,15 +104,28 @@ def fly_cell(fault: Fault, when: When, folder: Path) -> Cell:
     )
 
 
-def _press(proxy: Proxy):  # type: ignore[no-untyped-def]
-    began: list[float] = []
+def _presses(proxy: Proxy) -> Callable[[], int]:
+    """How often Ctrl-C was pressed: by the fault, or once in the first step where an abort is what is looked at."""
 
-    def stops() -> int:
-        if When.FLYING in proxy._reached and not began:
-            began.append(proxy.now_s)
-        return 1 if began else 0
+    def count() -> int:
+        first = When.ABORTING is proxy.when and proxy.reached(When.FLYING)
+        return max(proxy.presses, int(first))
 
-    return stops
+    return count
+
+
+@contextlib.contextmanager
+def full_disk(proxy: Proxy) -> Iterator[None]:
+    """While the fault is there, nothing that is recorded can be written."""
+
+    def flush(lines: recorder._Lines) -> None:
+        if proxy.fault.disk and proxy.active and lines.waiting:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written(lines)
+
+    written = recorder._Lines.flush
+    with mock.patch.object(recorder._Lines, "flush", flush):
+        yield
 
 
 def _wrong(proxy: Proxy, result: FlightResult) -> list[str]:
@@ -140,6 +164,10 @@ def _wrong(proxy: Proxy, result: FlightResult) -> list[str]:
     flown = {leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN}
     if result.as_planned and not flown:
         found.append("as planned, with nothing flown")
+    if fault.disk and proxy.began_s is not None and not result.incomplete:
+        found.append("nothing was written, and the record is called whole")
+    if fault.presses and proxy.began_s is not None and result.as_planned and proxy.when is not When.LANDING:
+        found.append("the operator asked to stop, and it is called as planned")
     if left is FlightState.LANDED and result.parameters_left:
         found.append("landed, and parameters were not restored")
     return found

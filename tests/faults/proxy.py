@@ -7,7 +7,6 @@ as long as its computation, and a seed gives the same flight again.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -46,7 +45,10 @@ class Fault:
     loss: share lost each way; double: each frame twice; jitter_s: each frame late by up to this, in any order; latency_s: all late;
     hold: nothing passes, and all of it at the end; freeze: the client itself stands still; leap, stamp: the vehicle's clock a day
     ahead, for good or in one frame; twin: a second vehicle of the same id; station: another ground station switches streams
-    off, once; reboot: the vehicle starts anew; pilot: the pilot chooses LOITER (also when a fault is there: `pilot_after_s`).
+    off, once; reboot: the vehicle starts anew; pilot: the pilot chooses LOITER (also when a fault is there: `pilot_after_s`);
+    corrupt: share of frames each way of which one bit is turned; bytes_per_s: of a serial line, with a buffer of a second; false_mode,
+    false_disarmed: one HEARTBEAT that is not so; presses: how often Ctrl-C is pressed; disk: the disk of the record is full; cut: the
+    first frame each way breaks off in its middle, as where a connection is reset.
     """
 
     name: str
@@ -65,6 +67,13 @@ class Fault:
     station: bool = False
     reboot: bool = False
     pilot_after_s: float | None = None
+    corrupt: float = 0.0
+    bytes_per_s: float | None = None
+    false_mode: bool = False
+    false_disarmed: bool = False
+    presses: int = 0
+    disk: bool = False
+    cut: bool = False
 
     @property
     def for_good(self) -> bool:
@@ -86,6 +95,7 @@ class Proxy:
     began_s: float | None = None
     switched_s: float | None = None
     sent_after_switch: list[tuple[float, str]] = field(default_factory=list)
+    presses: int = 0
 
     def __post_init__(self) -> None:
         self.sim = InProcess(self.options)
@@ -98,6 +108,9 @@ class Proxy:
         self._station, self._twin = parser(255, 190), parser(1, 1)
         self._twin.seq = 120
         self._twin_next_s = 0.0
+        self._free_s: dict[
+            bool, float
+        ] = {}  # when a serial line has sent what it was given, by whether it is the uplink
         self._done: set[str] = set()
         self._reached: dict[When, float] = {}
 
@@ -111,6 +124,10 @@ class Proxy:
     def active(self) -> bool:
         """Whether the fault is there now."""
         return self.began_s is not None and self.began_s <= self.now_s < self.began_s + self.fault.lasts_s
+
+    def reached(self, when: When) -> bool:
+        """Whether the client has come to that."""
+        return when in self._reached
 
     def _look(self, message: object) -> None:
         """What the client is at."""
@@ -150,6 +167,8 @@ class Proxy:
     def _act(self) -> None:
         """What happens once."""
         fault = self.fault
+        if self._once("presses", fault.presses > 0):
+            self.presses = fault.presses
         if self._once("station", fault.station):
             for number in (
                 book.MAVLINK_MSG_ID_ATTITUDE,
@@ -215,7 +234,15 @@ class Proxy:
         if kind == "PARAM_VALUE" and message.param_id == "SIM_LOCKSTEP":  # type: ignore[attr-defined]
             value = (message.param_value, message.param_type, message.param_count, message.param_index)  # type: ignore[attr-defined]
             return bytes(book.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
-        if not (fault.leap or fault.stamp) or self.began_s is None or self.now_s < self.began_s:
+        if self.began_s is None or self.now_s < self.began_s:
+            return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
+        if kind == "HEARTBEAT" and self._once("false", fault.false_mode or fault.false_disarmed):
+            if fault.false_mode:
+                message.custom_mode = int(CopterMode.LOITER)  # type: ignore[attr-defined]
+            else:
+                message.base_mode &= ~book.MAV_MODE_FLAG_SAFETY_ARMED  # type: ignore[attr-defined]
+            return bytes(message.pack(again))  # type: ignore[attr-defined]
+        if not (fault.leap or fault.stamp):
             return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
         if fault.stamp and kind != "ATTITUDE":
             return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
@@ -241,9 +268,19 @@ class Proxy:
         fault, due_s = self.fault, self.now_s
         copies = 1
         if self.active:
+            if fault.cut and self._once("cut up" if queue is self._up else "cut down", True):
+                frame, lost = frame[: len(frame) // 2], False
             if lost or self._draw.random() < fault.loss:
                 return
             due_s += fault.latency_s + fault.jitter_s * self._draw.random()
+            if self._draw.random() < fault.corrupt:
+                place = self._draw.randrange(8 * len(frame))
+                frame = bytes(b ^ (1 << place % 8 if i == place // 8 else 0) for i, b in enumerate(frame))
+            if fault.bytes_per_s is not None:
+                free_s = max(self._free_s.get(queue is self._up, 0.0), self.now_s)
+                if free_s - self.now_s > 1.0:
+                    return
+                due_s = self._free_s[queue is self._up] = free_s + len(frame) / fault.bytes_per_s
             copies = 2 if fault.double else 1
             if fault.hold:
                 assert self.began_s is not None
@@ -257,6 +294,3 @@ class Proxy:
         if due:
             queue[:] = [entry for entry in queue if entry[0] > self.now_s]
         return b"".join(frame for _, _, frame in due)
-
-
-Hook = Callable[[float], int]

@@ -185,10 +185,13 @@ def test_a_real_vehicle_is_flown_before_other_programs(run_dir: Path, monkeypatc
     asked: list[int] = []
     monkeypatch.setattr(os, "getpriority", lambda *_: 0)
     monkeypatch.setattr(os, "setpriority", lambda _which, _who, value: asked.append(value))
+    scheduled: list[int] = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda _who, policy, _parameters: scheduled.append(policy))
     fly(make_plan(), "sim", run_dir.with_name("simulator"), transport=FaultyLink(options()))
     assert asked == [], "a simulator waits"
     monkeypatch.setattr("flighttest.flight.preparation.preflight.is_simulator", lambda _parameters: False)
     with pytest.raises(PreflightError):
         fly(make_plan(), "sim", run_dir, transport=FaultyLink(options()))
     assert asked == [-15, 0]
+    assert scheduled == [os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.SCHED_OTHER]
     assert gc.get_freeze_count() == 0

@@ -13,6 +13,7 @@ from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.response import Learnt
 from flighttest.flight.recorder import LineFile
 from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.port import Port
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget, Plan
@@ -281,3 +282,13 @@ def test_a_host_that_was_held_up_in_a_step_flies_it_again(run_dir: Path) -> None
 
     result = fly(make_plan(make_leg("a", pause)), "sim", run_dir, transport=link)
     assert [leg.outcome for leg in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN]
+
+
+def test_a_step_whose_targets_left_too_late_is_flown_again_and_says_so(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = iter([0.0] * 20 + [0.6])
+    monkeypatch.setattr(Port, "late_s", property(lambda _port: next(late, 0.0)))
+    result = fly(make_plan(make_leg("a")), "sim", run_dir, transport=FaultyLink(options()))
+    assert [leg.outcome for leg in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN]
+    assert result.legs[0].why[0] == "a target left too late: the ground was held up"

@@ -38,6 +38,12 @@ def test_silence_of_the_targets(campaign):
     assert segment.flaws == (Flaw.LINK_LOST,)
 
 
+def test_a_late_target(campaign):
+    edge = campaign.edges_s()[0]
+    assert first(without(campaign.recording(), "reference", edge + 0.2, edge + 0.37)).flaws == (Flaw.LATE,)
+    assert first(without(campaign.recording(), "reference", edge + 0.2, edge + 0.25)).flaws == ()
+
+
 def test_unrest_before_the_step(campaign):
     edge = campaign.edges_s()[0]
     moving = changed(campaign.recording(), "rates", "q_rad_s", lambda t, q: np.where(np.abs(t - edge) < 0.2, 0.6, q))

@@ -24,6 +24,7 @@ from flighttest.mavlink.dialect import Message, is_armed
 from flighttest.plan import AttitudeTarget
 
 PROGRESS_EVERY_S = 0.25
+AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 DOUBT_S = 2.5  # for which a HEARTBEAT that contradicts those before is waited for to be repeated: it comes once a second at least
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
@@ -226,15 +227,26 @@ class FlightControl:
 
     # -- targets -------------------------------------------------------------------------------------------------------------
 
+    @property
+    def ahead_s(self) -> float:
+        """How long before its time a target is judged and handed over: nothing where no thread sends it on time."""
+        return AHEAD_SHARE * self.period_s if self.session.port.on_time else 0.0
+
     def steer(
-        self, target: AttitudeTarget, yaw_rad: float, with_rate: bool = False, *, step: bool = False
+        self,
+        target: AttitudeTarget,
+        yaw_rad: float,
+        with_rate: bool = False,
+        *,
+        step: bool = False,
+        at_s: float | None = None,
     ) -> tuple[Refusal, ...]:
         """Send a target if the gate lets it pass; else send nothing and say why. yaw_rad: the heading for the quaternion; step: see
-        `gate.refusals`."""
+        `gate.refusals`; at_s: when it leaves, None at once."""
         found = refusals(target, self.state, self.gate, step=step)
         if not found and not self.taken_over:
             rate = target.yaw_rate_rad_s if with_rate else None
-            self.vehicle.steer(target.roll_rad, target.pitch_rad, yaw_rad, rate, target.throttle)
+            self.vehicle.steer((target.roll_rad, target.pitch_rad, yaw_rad), rate, target.throttle, at_s)
         return found
 
     def release_target(self) -> AttitudeTarget:

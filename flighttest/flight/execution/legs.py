@@ -72,10 +72,12 @@ def finish(
     return LegResult(leg.id, outcome, why, refused)
 
 
-def _mark(control: FlightControl, leg: Leg, phase: str) -> None:
-    control.vehicle.mark(mark_id(leg.id), "_".join(phase.split()))
+def _mark(control: FlightControl, leg: Leg, phase: str, at_s: float | None = None) -> None:
+    control.vehicle.mark(mark_id(leg.id), "_".join(phase.split()), at_s)
     record = next((p.record for p in leg.phases if p.name == phase), False)
-    control.recorder.event("phase", phase, control.session.now_s(), {"leg": leg.id, "record": record})
+    control.recorder.event(
+        "phase", phase, control.session.now_s() if at_s is None else at_s, {"leg": leg.id, "record": record}
+    )
 
 
 def fly_leg(control: FlightControl, leg: Leg, airframe: Airframe, trace: ThrottleTrace | None = None) -> LegResult:
@@ -86,36 +88,40 @@ def fly_leg(control: FlightControl, leg: Leg, airframe: Airframe, trace: Throttl
     control.on(Event.SETTLED)
     begin(control, leg)
     steering = _Profile(control, leg, airframe) if leg.profile is not None else _Path(control, leg, airframe)
+    port, ahead_s = control.session.port, control.ahead_s
+    port.forget_late()
     start = sent_s = control.session.now_s()
     phase_now = ""
     tick = 0
     while True:
-        t_s = control.session.now_s() - start
-        if control.session.now_s() - sent_s > control.gate.held_up_max_s:
+        t_s = max(control.session.now_s() - start, tick * control.period_s)  # of the target that leaves next
+        if start + t_s - sent_s + port.late_s > control.gate.held_up_max_s:
             return _refused(control, leg, (Refusal.HELD_UP,))
         if t_s >= leg.duration_s - 1e-6:
             break
         target, yaw, with_rate = steering.at(t_s)
-        refused = control.steer(target, yaw, with_rate, step=True)
-        sent_s = control.session.now_s()
+        at_s = start + t_s if ahead_s else None
+        refused = control.steer(target, yaw, with_rate, step=True, at_s=at_s)
+        sent_s = start + t_s if ahead_s else control.session.now_s()
         if trace is not None:
             state = control.state
             trace.seen(state.t_s - min(state.position_age_s, 1.0), state.climb_m_s, state.height_m)
             if not refused:
-                trace.sent(control.session.now_s(), target)
+                trace.sent(sent_s, target)
         if refused:
             return _refused(control, leg, refused)
         phase = next((p.name for p in reversed(leg.phases) if t_s >= p.start_s - 1e-6), "")
         if phase != phase_now:
             phase_now = phase
-            _mark(control, leg, phase)
+            _mark(control, leg, phase, at_s)
             control.tell(phase=phase)
         if control.stop_asked:
             reached = supervisor.abort(control, (control.stop_reason,))
             return finish(control, leg, LegOutcome.STOPPED, (f"in {reached.name}",))
         # On a grid from the leg's start; a host that was held up drops ticks instead of sending them late in a burst.
         tick = max(tick + 1, math.floor((control.session.now_s() - start) / control.period_s + 1e-6) + 1)
-        control.until(start + tick * control.period_s)
+        control.until(start + tick * control.period_s - ahead_s)
+    control.until(start + leg.duration_s)
     control.release()
     while control.state.uplink_silence_s > UNSURE_S * control.pace:
         # Whether the step's last targets arrived is not known yet; GUID_TIMEOUT ends what did.
