@@ -72,7 +72,7 @@ def import_log(
 
 def fetch_log(connect: str, output: AnyPath, *, number: int | None = None, progress: Tell | None = None) -> Path:
     """Download an onboard log over MAVLink, the newest where no number is given, into a run folder or a .bin file; gives the log's path."""
-    from flighttest.pipeline.flights.run import fetch_log as fetch
+    from flighttest.pipeline.flights.fetching import fetch_log as fetch
 
     return Path(fetch(connect, Path(output), number, Stages(progress)).data["file"])
 

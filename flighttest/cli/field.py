@@ -54,6 +54,8 @@ def check(
 @click.option("--set-params", is_flag=True, help="Set what the preflight asks for and restore it afterwards.")
 @click.option("--waive", multiple=True, metavar="CHECK", help="Waive one preflight check by name.")
 @click.option("--weather", default="", metavar="TEXT", help="Kept with the run: wind, temperature, pressure.")
+@click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
+@click.option("--sysid", type=click.IntRange(1, 255), help="Our own MAVLink system id, where 245 is somebody else's.")
 @click.option("--yes", is_flag=True, help="Do not ask before arming.")
 def run(
     context: Context,
@@ -72,6 +74,8 @@ def run(
     set_params: bool,
     waive: tuple[str, ...],
     weather: str,
+    signing_key: Path | None,
+    sysid: int | None,
     yes: bool,
 ) -> int:
     """Fly maneuver scripts, record, cut, fit, diagnose and report.
@@ -100,6 +104,8 @@ def run(
         waive=waive,
         weather=weather,
         accept=accept,
+        signing_key=signing_key,
+        sysid=sysid,
     )
     request = flying.as_before(request)
     context.show.say(flying.announce(request))
@@ -158,11 +164,26 @@ def sim(
 @click.option("--log", "log_id", type=int, help="Number of the log; otherwise the newest.")
 def fetch_log(context: Context, connect: str, output: Path, log_id: int | None) -> int:
     """Download the onboard log over MAVLink into a run folder."""
-    from flighttest.pipeline.flights import run as flying
+    from flighttest.pipeline.flights import fetching
 
     with LiveProgress(context.show) as progress:
-        result = flying.fetch_log(connect, output, log_id, progress)
+        result = fetching.fetch_log(connect, output, log_id, progress)
     return context.finish(result)
+
+
+@command("sign")
+@click.argument("key", type=FILE, metavar="KEY")
+@click.option("--connect", metavar="URL", required=True, help="The vehicle.")
+@click.option("--remove", is_flag=True, help="Take the key away from the vehicle.")
+def sign(context: Context, key: Path, connect: str, remove: bool) -> int:
+    """Give a vehicle the key in file KEY (made where there is none): from then on it takes only frames signed with it.
+
+    The key crosses the link in the clear: use a cable.
+    """
+    from flighttest.pipeline.vehicles import signing
+
+    with LiveProgress(context.show) as progress:
+        return context.finish(signing.sign(connect, key, remove, progress))
 
 
 @command("demo")
@@ -184,4 +205,4 @@ def demo(context: Context, hide: tuple[str, ...], seed: int, airframe: str, out:
         return context.finish(demos.demo(request, progress))
 
 
-COMMANDS: tuple[click.Command, ...] = (demo, check, run, sim, fetch_log)
+COMMANDS: tuple[click.Command, ...] = (demo, check, run, sim, fetch_log, sign)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flighttest.cli.base import FOLDER, Context, command
+from flighttest.cli.base import FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 
 if TYPE_CHECKING:
@@ -75,11 +75,12 @@ def runs(context: Context, folder: Path, html: bool) -> int:
 
 @command("doctor")
 @click.option("--connect", metavar="URL", help="Also try to reach a vehicle.")
-def doctor(context: Context, connect: str | None) -> int:
+@click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
+def doctor(context: Context, connect: str | None, signing_key: Path | None) -> int:
     """What is installed and reachable, and what to do about what is not."""
     from flighttest.pipeline import info
 
-    return context.finish(info.doctor(connect))
+    return context.finish(info.doctor(connect, signing_key))
 
 
 COMMANDS: tuple[click.Command, ...] = (prove, terms, runs, doctor)

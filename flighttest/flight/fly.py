@@ -63,7 +63,8 @@ def fly(
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
     """
     options = options or FlightOptions()
-    session = Session(Port(transport if transport is not None else open_transport(link_url)), clock)
+    opened = transport if transport is not None else open_transport(link_url)
+    session = Session(Port(opened, system=options.system, key=options.signing_key), clock)
     manifest = first_manifest(plan, link_url, options.weather, options.resume)
     recorder = Recorder(run_dir, session.clock.ground_s, manifest, plan)
     session.port.tap(recorder.tap)
@@ -380,6 +381,8 @@ class _Flight:
                 self.notes.append(str(error))
         if self.session.port.turned_away:
             self._note(f"{self.session.port.turned_away} datagrams that others sent to this port were left out")
+        if self.session.port.refused:
+            self._note(f"{self.session.port.refused} frames that were not signed with the key were left out")
         left |= self._unrestored
         if left:
             text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())

@@ -9,6 +9,7 @@ from pathlib import Path
 from flighttest.flight.execution.response import Replanner
 from flighttest.flight.outcome import OnProgress
 from flighttest.flight.preparation.changes import Left
+from flighttest.link.port import OWN_SYSTEM
 
 OnStage = Callable[[str], None]
 OnVehicle = Callable[[str, Mapping[str, float]], None]  # firmware, parameters
@@ -25,7 +26,8 @@ class FlightOptions:
     one goes on with, for the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
     thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
     that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
-    confirm: asked once before arming. weather: kept with the run.
+    confirm: asked once before arming. weather: kept with the run. signing_key: with which frames are signed, and without which none is
+    taken; system: our own system id.
     """
 
     set_params: bool = False
@@ -40,3 +42,5 @@ class FlightOptions:
     stop_requested: Callable[[], int] = lambda: 0
     confirm: Callable[[str], bool] | None = None
     weather: str = ""
+    signing_key: bytes | None = None
+    system: int = OWN_SYSTEM

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from flighttest.link.sender import Sender
 from flighttest.link.transport import Peer, Transport, UdpTransport
 from flighttest.mavlink.dialect import Message, parser
+from flighttest.mavlink.signing import SignedLink
 
 OWN_SYSTEM = 245  # not a ground station's 255, so that FS_GCS_ENABLE does not watch us
 OWN_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -23,12 +24,23 @@ class Tap(Protocol):
 
 
 class Port:
-    """Sends and receives messages. `mute()` is final: after it, nothing leaves. system: our own system id."""
+    """Sends and receives messages. `mute()` is final: after it, nothing leaves. system: our own system id.
 
-    def __init__(self, transport: Transport, *, system: int = OWN_SYSTEM, component: int = OWN_COMPONENT) -> None:
+    key: with which every frame is signed; what is not signed with it is refused.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        system: int = OWN_SYSTEM,
+        component: int = OWN_COMPONENT,
+        key: bytes | None = None,
+    ) -> None:
         self.system = system
         self._transport = transport
-        self._mav: Any = parser(system, component)
+        self._mav: Any = parser(system, component) if key is None else SignedLink(system, component, key)
+        self.signs = key is not None
         self._taps: list[Tap] = []
         self.muted = False
         self.frames_sent = 0
@@ -56,6 +68,16 @@ class Port:
         """Datagrams that came from others since."""
         return getattr(self._transport, "turned_away", 0)
 
+    @property
+    def refused(self) -> int:
+        """Frames that were not signed with the key."""
+        return self._mav.refused if self.signs else 0
+
+    @property
+    def hears_signatures(self) -> bool:
+        """Whether the vehicle signs what it sends."""
+        return bool(self._mav.signing.sig_count)
+
     def mute(self) -> None:
         """Never send again: the pilot has the vehicle."""
         self.muted = True
@@ -73,6 +95,8 @@ class Port:
 
     def _hand_over(self, message: Message) -> bytes:
         with self._lock:
+            if self.signs:
+                self._mav.now()
             frame = bytes(message.pack(self._mav))
             self._mav.seq = (self._mav.seq + 1) % 256
             self._transport.send(frame)

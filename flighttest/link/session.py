@@ -292,7 +292,9 @@ class Session:
         self.listen(look)
         try:
             deadline = self.now_s() + timeout_s
-            while not found and self.now_s() < deadline:
+            while (
+                not found and self.now_s() < deadline - 1e-6
+            ):  # nearer no simulator grants time: it has whole milliseconds
                 self.advance(min(self.now_s() + 0.02, deadline))
                 if not found:
                     self.require_link()  # after what has waited was read: nobody may have looked for long
@@ -307,6 +309,11 @@ class Session:
         """
         timeout_s = CONNECT_S if timeout_s is None else timeout_s
         beat = self.await_message(lambda m: m.get_type() == "HEARTBEAT", timeout_s)
+        if beat is None and self.port.refused:
+            raise LinkError(
+                f"{self.port.refused} frames were refused: none was signed with this key",
+                "give the vehicle its key with `flighttest sign`, or leave the key out",
+            )
         if beat is None:
             raise LinkError(
                 f"no HEARTBEAT of an autopilot within {timeout_s:.0f} s",
@@ -317,6 +324,11 @@ class Session:
             self._next_timesync_s = 0.0
             if self.await_message(lambda m: m.get_type() == "TIMESYNC" and self.offset is not None, 0.1) is not None:
                 break
+        if self.offset is None and self.port.hears_signatures and not self.port.signs:
+            raise LinkError(
+                "the vehicle signs what it sends, and does not answer what is not signed",
+                "give its key: --signing-key FILE, or signing_key in vehicle.yaml",
+            )
         self._asked_s.clear()  # on a clock that was not the vehicle's yet
         self._answered_s = None
         return beat

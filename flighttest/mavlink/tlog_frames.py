@@ -68,9 +68,11 @@ class Frames:
         return np.asarray(self.stamp_us, dtype=np.float64) * 1e-6
 
     def bytes_of(self, i: int) -> bytes:
-        """Frame i from its magic byte to its checksum."""
+        """Frame i from its magic byte to its checksum, or its signature."""
         start = int(self.at[i]) + _STAMP_BYTES
-        return self.data[start : int(self.payload[i] + self.length[i]) + 2].tobytes()
+        end = int(self.payload[i] + self.length[i]) + 2
+        signed = self.data[start] == _V2 and self.data[start + 2] & _INCOMPATIBLE_SIGNED
+        return self.data[start : end + (_SIGNATURE_BYTES if signed else 0)].tobytes()
 
 
 def split(data: bytes) -> Frames:

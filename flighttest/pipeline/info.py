@@ -7,10 +7,12 @@ import platform
 import shutil
 import socket
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, LinkError
+from flighttest.mavlink.signing import read_key
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.core import Term
 from flighttest.pipeline.results import Result, Status
@@ -115,8 +117,8 @@ def _term_section(term: Term) -> Section:
     return Section(term.id, f"{term.id}: {term.title}", (Paragraph(term.plain), facts, table))
 
 
-def doctor(connect: str | None) -> Result:
-    """What is installed and reachable. `connect`: also try this vehicle."""
+def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
+    """What is installed and reachable. `connect`: also try this vehicle, with this key."""
     rows: list[tuple[Cell | str, ...]] = []
     data: list[dict[str, Any]] = []
 
@@ -161,7 +163,7 @@ def doctor(connect: str | None) -> Result:
             note("local sockets", str(error), False, "the built-in vehicle needs a TCP port on 127.0.0.1")
     status = Status.DONE
     if connect is not None:
-        status = _reach(connect, note)
+        status = _reach(connect, read_key(signing_key) if signing_key is not None else None, note)
     missing = [d["what"] for d in data if d["needed"] and not d["ok"]]
     verdict = "Everything this tool needs is here." if not missing else f"Missing: {', '.join(missing)}."
     if missing and status is Status.DONE:
@@ -175,11 +177,11 @@ def doctor(connect: str | None) -> Result:
     return Result(document, {"version": __version__, "checks": data}, status)
 
 
-def _reach(connect: str, note: Any) -> Status:
+def _reach(connect: str, key: bytes | None, note: Any) -> Status:
     from flighttest.pipeline.vehicles.live import hello
 
     try:
-        note("vehicle", hello(connect), True)
+        note("vehicle", hello(connect, key), True)
     except LinkError as error:
         note("vehicle", error.message, False, error.hint)
         return Status.UNUSABLE

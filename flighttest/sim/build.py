@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,6 +17,7 @@ from flighttest.sim.plants.plant_rotor import RotorPlant
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
 from flighttest.sim.sensors import SensorNoise
+from flighttest.sim.wire import UNIX_2015_S
 
 
 def build_plant(options: SimOptions) -> Plant:
@@ -60,7 +62,7 @@ def _battery(options: SimOptions, battery: Battery) -> Battery:
 def build_vehicle(options: SimOptions) -> Autopilot:
     """The vehicle of these options, just switched on."""
     plant = build_plant(options)
-    return Autopilot(
+    vehicle = Autopilot(
         plant,
         seed=options.seed,
         noise=SensorNoise(**(options.model or {}).get("noise", {})).scaled(options.noise),
@@ -68,3 +70,6 @@ def build_vehicle(options: SimOptions) -> Autopilot:
         parameters=options.parameters,
         capacity_ah=plant.battery.capacity_ah,
     )
+    # As one that has had the time from satellites; nothing else of the vehicle knows what day it is.
+    vehicle.encoder.signing.set(bytes.fromhex(options.signing_key), int((time.time() - UNIX_2015_S) * 1e5))
+    return vehicle

@@ -62,7 +62,7 @@ class Host:
 
     def greet(self) -> bytes:
         """What a new connection is sent first."""
-        return heartbeat(self.vehicle)
+        return self.vehicle.encoder.signing.seal(heartbeat(self.vehicle))
 
     def serve(self, mail: Mail) -> None:
         """Handle everything of one connection that may be handled now; in lock-step this runs the granted time."""
@@ -106,6 +106,7 @@ class Host:
     def drain(self) -> bytes:
         """Everything the vehicle has sent since the last call."""
         outbox = self.vehicle.outbox
-        data = b"".join(outbox)
+        signing = self.vehicle.encoder.signing
+        data = b"".join(map(signing.seal, outbox) if signing.key else outbox)
         outbox.clear()
         return data

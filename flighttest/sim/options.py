@@ -24,6 +24,7 @@ class SimOptions:
     the client grants some (see `lockstep`); paced: no sooner than `speed` allows. ready_s, gps_s: when it can arm and has a position, s
     after boot. parameters: autopilot parameters that differ from their defaults.
     voltage_v: at which the battery rests; capacity_ah: None keeps the airframe's.
+    signing_key: hexadecimal; with it frames are signed, and only signed ones are taken.
     model: an identified model that flies instead of the airframe, as plain data: terms, values (every parameter), constants (further
     arguments of `physics.model.Model`), and optionally battery (cells, resistance_ohm) and noise (fields of `SensorNoise`).
     """
@@ -43,6 +44,7 @@ class SimOptions:
     parameters: Mapping[str, float] = field(default_factory=dict)
     voltage_v: float | None = None
     capacity_ah: float | None = None
+    signing_key: str = ""
     model: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:

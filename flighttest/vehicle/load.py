@@ -25,6 +25,7 @@ KEYS = (
     "mass_kg",
     "rotor_height_m",
     "components",
+    "signing_key",
 )
 REQUIRED = (
     "format",
@@ -96,6 +97,7 @@ def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehic
         rotor_height_m=rotor,
         components=_components(document, fields["components"], Path(file).parent) if "components" in fields else {},
         path=file,
+        signing_key=str(Path(file).parent / key) if (key := text("signing_key", "")) else None,
         flies=set(REQUIRED) <= set(fields),
     )
 

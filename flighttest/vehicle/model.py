@@ -42,6 +42,7 @@ class Zone:
 class Vehicle:
     """A vehicle as declared in vehicle.yaml. `components` maps battery, propellers, motors, payload, ... to their fields.
 
+    signing_key: path of the file with the key that MAVLink frames are signed with.
     flies: whether all is declared that a flight needs; otherwise zone, firmware and hover throttle are placeholders."""
 
     name: str
@@ -54,4 +55,5 @@ class Vehicle:
     rotor_height_m: float = 0.2
     components: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     path: str = ""
+    signing_key: str | None = None
     flies: bool = True

@@ -203,7 +203,9 @@ class Proxy:
             raise Endless(f"still flying after {self.limit_s:.0f} s")
         if self._once("freeze", self.fault.freeze):
             self._pass(self.fault.lasts_s)
-        end_s = self.now_s + timeout_s
+        end_s = self.now_s + (
+            max(timeout_s, 1e-6) if timeout_s > 0.0 else 0.0
+        )  # a wait below rounding would be none for ever
         while True:
             data = self._arrived(self._down)
             if data or self.now_s >= end_s:

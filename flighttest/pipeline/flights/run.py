@@ -18,12 +18,11 @@ from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOut
 from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.link.onboard import fetch
+from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.flights.after_landing import Landed, analyse
 from flighttest.pipeline.planning.checking import plans, prior_of
 from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
-from flighttest.pipeline.recordings.sources import open_recording
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import FlownWith, flown_with, keep
 from flighttest.pipeline.store.history import DEFAULT_RUNS
@@ -34,7 +33,6 @@ from flighttest.pipeline.validity.status import flown_until
 from flighttest.pipeline.vehicles.live import BUILTIN
 from flighttest.pipeline.vehicles.simulator import options
 from flighttest.plan import Plan
-from flighttest.recording.store import MANIFEST_NAME, write_recording
 from flighttest.report.document import Block, Bullets, Document, Section
 from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
@@ -67,6 +65,8 @@ class FlightRequest:
     waive: tuple[str, ...] = ()
     weather: str = ""
     accept: bool = False
+    signing_key: Path | None = None
+    sysid: int | None = None
 
 
 def as_before(request: FlightRequest) -> FlightRequest:
@@ -134,9 +134,18 @@ def connection(request: FlightRequest) -> Iterator[str]:
     # In lock-step from the first moment: a seed gives the same flight again, whatever the host was doing meanwhile.
     speed = request.speed or BUILTIN_SPEED
     made = options(request.airframe, request.hide, request.seed, speed, lockstep=True)
-    made = replace(made, paced=request.speed is not None)
+    key = key_of(request)
+    made = replace(made, paced=request.speed is not None, signing_key=key.hex() if key is not None else "")
     with start_simulator(made) as simulation:
         yield simulation.url
+
+
+def key_of(request: FlightRequest) -> bytes | None:
+    """The key that frames are signed with: --signing-key, else the vehicle file's."""
+    if request.signing_key is not None:
+        return read_key(request.signing_key)
+    declared = load_vehicle(request.vehicle).signing_key if request.vehicle is not None else None
+    return read_key(Path(declared)) if declared is not None else None
 
 
 def new_run(out: Path, script: str, now: datetime.datetime) -> Path:
@@ -326,6 +335,8 @@ def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions,
             on_stage=progress.stage,
             stop_requested=stops,
             weather=request.weather,
+            signing_key=key_of(request),
+            system=request.sysid or asked.system,
         )
         ended = fly(plan, url, folder, wanted)
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
@@ -356,31 +367,3 @@ def _flown(
     }
     document = Document("flight", verdict, "good" if usable else "bad", (Section("flights", "", tuple(blocks)),))
     return Result(document, data, Status.DONE if usable else Status.UNUSABLE, tuple(ends))
-
-
-def fetch_log(url: str, output: Path, number: int | None = None, progress: Progress = SILENT) -> Result:
-    """Download an onboard log: into a file named so, or as onboard.bin into a run folder (made where there is none)."""
-    is_file = output.suffix.lower() in (".bin", ".ulg", ".log")
-    path = output if is_file else output / "onboard.bin"
-    if url == BUILTIN:
-        raise InputError(
-            "the built-in vehicle keeps no onboard log: what it sends is in its run's raw.tlog",
-            "name a vehicle that keeps one, as tcp:HOST:PORT; `flighttest sim --backend sitl` starts an ArduPilot that does",
-        )
-    progress.stage(f"connecting to {url}")
-    told = -1
-
-    def tell(share: float) -> None:
-        nonlocal told
-        tenth = int(share * 10)
-        if tenth > told:
-            told = tenth
-            progress.stage(f"downloading: {tenth * 10} %")
-
-    log = fetch(url, path, number, tell)
-    if not is_file and not (output / MANIFEST_NAME).exists():
-        progress.stage("reading the log")
-        write_recording(output, open_recording(path))
-    facts = {"log": f"{log.number} {log.date}".strip(), "size": f"{log.size_bytes / 1e6:.1f} MB", "file": str(path)}
-    document = Document("fetch-log", f"Log {log.number} is in {path}.", "good", (), facts)
-    return Result(document, {"file": str(path), "number": log.number, "date": log.date, "size_bytes": log.size_bytes})

@@ -60,10 +60,10 @@ def _built_in() -> Iterator[str]:
         yield simulation.url
 
 
-def hello(url: str) -> str:
+def hello(url: str, key: bytes | None = None) -> str:
     """What answers at a URL, in words. `sim` is the built-in vehicle, started for it. LinkError when nothing does."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
-        session = Session(Port(open_transport(where)))
+        session = Session(Port(open_transport(where), key=None if url == BUILTIN else key))
         try:
             beat = session.connect()
             return f"{url}: {_NAMES.get(beat.autopilot, 'autopilot')} {ArduPilot(session).firmware()}".strip()

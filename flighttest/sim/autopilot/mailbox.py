@@ -30,6 +30,7 @@ class Mailbox:
         self._handlers: dict[str, Callable[[Any], None]] = {
             "SET_ATTITUDE_TARGET": self._attitude_target,
             "TIMESYNC": self._timesync,
+            "SETUP_SIGNING": self._setup_signing,
             "PARAM_REQUEST_READ": self._parameter_read,
             "PARAM_REQUEST_LIST": self._parameter_list,
             "PARAM_SET": self._parameter_set,
@@ -46,6 +47,8 @@ class Mailbox:
 
     def receive(self, message: Any) -> None:
         """Handle one message; those for other systems, and those nobody here knows, are ignored."""
+        if not self._v.encoder.signing.takes(message):
+            return
         handler = self._handlers.get(message.get_type())
         if handler is None:
             return
@@ -174,6 +177,10 @@ class Mailbox:
             v = self._v
             now = int(v.time_s * 1e9)
             v.outbox.append(v.encoder.message(book.MAVLink_timesync_message(now, m.ts1)))
+
+    def _setup_signing(self, m: Any) -> None:
+        if not self._v.armed:
+            self._v.encoder.signing.set(bytes(m.secret_key), m.initial_timestamp)
 
     def _data_stream(self, m: Any) -> None:
         v = self._v

@@ -1,0 +1,41 @@
+"""`flighttest fetch-log`: the onboard log, over MAVLink."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from flighttest.errors import InputError
+from flighttest.link.onboard import fetch
+from flighttest.pipeline.recordings.sources import open_recording
+from flighttest.pipeline.results import SILENT, Progress, Result
+from flighttest.pipeline.vehicles.live import BUILTIN
+from flighttest.recording.store import MANIFEST_NAME, write_recording
+from flighttest.report.document import Document
+
+
+def fetch_log(url: str, output: Path, number: int | None = None, progress: Progress = SILENT) -> Result:
+    """Download an onboard log: into a file named so, or as onboard.bin into a run folder (made where there is none)."""
+    is_file = output.suffix.lower() in (".bin", ".ulg", ".log")
+    path = output if is_file else output / "onboard.bin"
+    if url == BUILTIN:
+        raise InputError(
+            "the built-in vehicle keeps no onboard log: what it sends is in its run's raw.tlog",
+            "name a vehicle that keeps one, as tcp:HOST:PORT; `flighttest sim --backend sitl` starts an ArduPilot that does",
+        )
+    progress.stage(f"connecting to {url}")
+    told = -1
+
+    def tell(share: float) -> None:
+        nonlocal told
+        tenth = int(share * 10)
+        if tenth > told:
+            told = tenth
+            progress.stage(f"downloading: {tenth * 10} %")
+
+    log = fetch(url, path, number, tell)
+    if not is_file and not (output / MANIFEST_NAME).exists():
+        progress.stage("reading the log")
+        write_recording(output, open_recording(path))
+    facts = {"log": f"{log.number} {log.date}".strip(), "size": f"{log.size_bytes / 1e6:.1f} MB", "file": str(path)}
+    document = Document("fetch-log", f"Log {log.number} is in {path}.", "good", (), facts)
+    return Result(document, {"file": str(path), "number": log.number, "date": log.date, "size_bytes": log.size_bytes})

@@ -1,0 +1,71 @@
+"""`flighttest sign`: give a vehicle a MAVLink 2 signing key, or take it away, and see that it answers with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from flighttest.errors import LinkError
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import open_transport
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT
+from flighttest.mavlink.signing import KEY_BYTES, make_key, read_key, setup_message
+from flighttest.pipeline.results import SILENT, Progress, Result
+from flighttest.report.document import Document
+
+_TIMES = 3  # a lost frame must not leave the vehicle without its key
+_SETTLE_S = 1.0
+
+
+@contextmanager
+def _talk(url: str, key: bytes | None) -> Iterator[Session]:
+    session = Session(Port(open_transport(url), key=key))
+    try:
+        session.connect()
+        yield session
+    finally:
+        session.port.close()
+
+
+def _send(session: Session, key: bytes) -> None:
+    for _ in range(_TIMES):
+        session.send(setup_message(session.vehicle_system, COMPONENT_AUTOPILOT, key))
+        session.advance(session.now_s() + _SETTLE_S / _TIMES)
+
+
+def _takes(url: str, key: bytes) -> bool:
+    try:
+        with _talk(url, key) as session:
+            return session.offset is not None
+    except LinkError:
+        return False
+
+
+def sign(url: str, path: Path, remove: bool = False, progress: Progress = SILENT) -> Result:
+    """Give the vehicle at `url` the key in `path` (made where there is none), or take it away. LinkError where it does not take it."""
+    made = not path.exists() and not remove
+    key = make_key(path) if made else read_key(path)
+    if made:
+        progress.stage(f"a new key is in {path}: who has this file can fly the vehicle")
+    if remove:
+        with _talk(url, key) as session:
+            _send(session, bytes(KEY_BYTES))
+        with _talk(url, None) as session:
+            if session.offset is None:
+                raise LinkError("the vehicle still wants signed frames", "try again over its USB port")
+        return _result(f"The vehicle at {url} takes unsigned frames again.", url, path, False)
+    if not made and _takes(url, key):
+        return _result(f"The vehicle at {url} has this key already.", url, path, True)
+    progress.stage(f"giving the key to the vehicle at {url}; it crosses this link in the clear, so use a cable")
+    with _talk(url, None) as session:
+        _send(session, key)
+    if not _takes(url, key):
+        raise LinkError("the vehicle did not take the key", "disarm it, and try over its USB port")
+    return _result(f"The vehicle at {url} signs its frames and answers signed ones.", url, path, True)
+
+
+def _result(sentence: str, url: str, path: Path, signs: bool) -> Result:
+    facts = {"key": str(path), "fly with": f"flighttest run ... --signing-key {path}"} if signs else {}
+    return Result(Document("sign", sentence, "good", (), facts), {"connect": url, "key": str(path), "signs": signs})
