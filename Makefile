@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check faults frozen sitl docs notebooks clean
+.PHONY: demo test check faults faults-sitl frozen sitl docs notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -29,6 +29,9 @@ frozen: .venv/installed  ## diagnose the frozen bench of sealed flights and comp
 
 faults: .venv/installed  ## every fault of the link in every state of a flight, into docs/faults.md
 	$(BIN)/python -m tests.faults.table -o docs/faults.md
+
+faults-sitl: .venv/installed  ## the dangerous ones on a real ArduCopter (`arducopter` on PATH, or ARDUCOPTER)
+	$(BIN)/python -m tests.faults.table --sitl -o docs/faults.md
 
 docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -56,6 +57,13 @@ def check(
 @click.option("--weather", default="", metavar="TEXT", help="Kept with the run: wind, temperature, pressure.")
 @click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
 @click.option("--sysid", type=click.IntRange(1, 255), help="Our own MAVLink system id, where 245 is somebody else's.")
+@click.option(
+    "--view",
+    type=click.Choice(["normal", "large"]),
+    default="normal",
+    show_default=True,
+    help="The live picture; large is read from two metres and in the sun.",
+)
 @click.option("--yes", is_flag=True, help="Do not ask before arming.")
 def run(
     context: Context,
@@ -76,6 +84,7 @@ def run(
     weather: str,
     signing_key: Path | None,
     sysid: int | None,
+    view: str,
     yes: bool,
 ) -> int:
     """Fly maneuver scripts, record, cut, fit, diagnose and report.
@@ -112,8 +121,8 @@ def run(
     if not yes and flying.needs_consent(request):
         if not sys.stdin.isatty():
             raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
-        click.confirm("The vehicle will arm and take off. Area clear, pilot ready?", abort=True, err=True)
-    with LiveProgress(context.show) as progress:
+        request = replace(request, confirm=context.show.ask)
+    with LiveProgress(context.show, view=view) as progress:
         result = flying.run(request, progress)
     return context.finish(result)
 

@@ -11,6 +11,7 @@ from typing import Any
 from rich.live import Live
 
 from flighttest.cli.show import Show
+from flighttest.report.flight_large import large
 from flighttest.report.render.flight_view import line, picture
 
 PLAIN_EVERY_S = 10.0
@@ -21,11 +22,13 @@ _NOBODY_READS = (OSError, SystemExit)
 class LiveProgress:
     """Implements `pipeline.results.Progress`. Use as a context manager, so that the terminal is left as it was.
 
-    clock: seconds, injected by tests.
+    clock: seconds, injected by tests. view: normal, or large to be read from afar.
     """
 
-    def __init__(self, show: Show, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, show: Show, clock: Callable[[], float] = time.monotonic, view: str = "normal") -> None:
         self._show = show
+        self._picture_of = large if view == "large" else picture
+        self._alarms = 0
         self._clock = clock
         self._started_s = clock()
         self._live: Live | None = None
@@ -48,6 +51,9 @@ class LiveProgress:
     def flight(self, progress: Any) -> None:
         """The flight went on: redraw the picture, or now and then a line."""
         with suppress(*_NOBODY_READS):
+            if progress.alarms > self._alarms:
+                self._alarms = progress.alarms
+                self._show.alarm(f"{self._clock() - self._started_s:6.1f} s  {progress.alarm}")
             self._picture(progress)
 
     def _picture(self, progress: Any) -> None:
@@ -55,7 +61,7 @@ class LiveProgress:
             if self._live is None:
                 self._live = Live(console=self._show.side, refresh_per_second=8, transient=True)
                 self._live.start()
-            self._live.update(picture(progress))
+            self._live.update(self._picture_of(progress))
         if self._show.live:
             return
         now_s = self._clock()

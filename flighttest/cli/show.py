@@ -68,6 +68,20 @@ class Show:
         """One line of progress or notice; on a terminal folded between words, elsewhere whole."""
         self.side.print(Text(text, style=style), soft_wrap=not self.side.is_terminal)
 
+    def ask(self, text: str) -> bool:
+        """Show a text and ask for a yes; anything else is a no."""
+        self.err.print(Text(text), soft_wrap=not self.err.is_terminal)
+        if self.err.is_terminal:
+            self.err.bell()
+        self.err.print(Text("Arm and take off? [y/N] ", style="lead"), end="")
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+    def alarm(self, text: str) -> None:
+        """One line that must not be missed, with the terminal's bell."""
+        if self.live:
+            self.side.bell()
+        self.say(text, style="bad")
+
     def draw(self, renderable: RenderableType) -> None:
         """Any rich renderable, beside the results."""
         self.side.print(renderable)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flighttest.errors import FlighttestError, LinkError, PreflightError, RecordingError
+from flighttest.flight.checklist import asked, checklist
 from flighttest.flight.execution import supervisor
 from flighttest.flight.execution.control import FlightControl, Stops
 from flighttest.flight.execution.legs import Airframe
@@ -93,6 +94,7 @@ class _Flight:
         self._say = options.on_stage
         self._parameters: dict[str, float] = {}
         self._changes: ParameterChanges | None = None
+        self._checklist = ""
         self._unrestored = values_of(options.left_behind)  # also where the vehicle is never reached
         recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
         self._external_changes = ExternalChanges({})
@@ -105,7 +107,7 @@ class _Flight:
         why = ""
         try:
             control = self._prepare()
-            if confirm is not None and not confirm(f"arm {self.plan.vehicle.name} and fly {len(self.plan.legs)} legs?"):
+            if confirm is not None and not asked(control, confirm, self._checklist):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
             scheduler = Scheduler(
                 control, self.plan, self._airframe(), frozenset(self.options.skip), self.options.replanner
@@ -244,6 +246,7 @@ class _Flight:
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         self._external_changes.known.update(self._parameters)
+        self._checklist = checklist(self.plan, replace(situation, parameters=self._parameters), tuple(sorted(waived)))
         session.clock.hold()
         control.streams = Streams(vehicle, telemetry.granted_hz, rates)
         return control

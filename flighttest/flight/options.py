@@ -26,7 +26,8 @@ class FlightOptions:
     one goes on with, for the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
     thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
     that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
-    confirm: asked once before arming. weather: kept with the run. signing_key: with which frames are signed, and without which none is
+    confirm: shown the checklist before arming, in a thread of its own.
+    weather: kept with the run. signing_key: with which frames are signed, and without which none is
     taken; system: our own system id.
     """
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.errors import InputError, LinkError
-from flighttest.link.transport import URL_FORMS
+from flighttest.link.transport import URL_FORMS, full_url
 
 CONNECT_S = 10.0
 SILENCE_S = 20.0  # without progress for so long a download is given up
@@ -35,8 +35,7 @@ class OnboardLog:
 
 def mavsdk_url(url: str) -> str:
     """MAVSDK's form of one of our URLs. InputError for anything else."""
-    kind, _, rest = url.strip().partition(":")
-    rest = rest.removeprefix("//")
+    kind, _, rest = full_url(url).partition(":")
     where, _, last = rest.rpartition(":")
     known = kind in _SCHEMES and bool(where) and last.isdecimal()
     if not known or (kind != "serial" and not 0 < int(last) < 65536):

@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import math
 import os
+import re
 import select
 import socket
 import time
@@ -13,7 +14,12 @@ from typing import Any, Protocol
 
 from flighttest.errors import InputError, LinkError
 
-URL_FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD or sim"
+URL_FORMS = (
+    "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:/dev/ttyX:BAUD, udp:, udp:PORT, /dev/ttyX, COM3 or sim"
+)
+_USUAL_PORT = 14550
+_USB_BAUD, _RADIO_BAUD = 115200, 57600  # a USB port has no baud rate of its own; SiK radios come with 57600
+_DEVICE = re.compile(r"(/dev/[^:]+|COM\d+)(?::(\d+))?")
 _CHUNK = 65536
 _CONNECT_TIMEOUT_S = 5.0
 PEER_S = 5.0
@@ -35,8 +41,7 @@ class Transport(Protocol):
 
 def open_transport(url: str) -> Transport:
     """The transport of a URL (see `URL_FORMS`, with // or without). InputError for a bad URL, LinkError when it cannot be opened."""
-    kind, _, rest = url.strip().partition(":")
-    rest = rest.removeprefix("//")
+    kind, _, rest = full_url(url).partition(":")
     try:
         if kind in ("udpin", "udp", "udpout", "tcp", "tcpout"):
             host, _, port_text = rest.rpartition(":")
@@ -58,6 +63,20 @@ def open_transport(url: str) -> Transport:
         why = os.strerror(error.errno) if error.errno and kind == "serial" else error.strerror or str(error)
         raise LinkError(f"cannot open {url}: {why}", _hint(kind)) from error
     raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
+
+
+def full_url(url: str) -> str:
+    """A URL with all its parts: of `udp:`, `udp:PORT` and the bare name of a device, as of itself."""
+    url = url.strip()
+    device = _DEVICE.fullmatch(url)
+    if device is not None:
+        usual = _USB_BAUD if "ACM" in device[1] or "usbmodem" in device[1] else _RADIO_BAUD
+        return f"serial:{device[1]}:{device[2] or usual}"
+    kind, _, rest = url.partition(":")
+    rest = rest.removeprefix("//")
+    if kind in ("udp", "udpin") and (rest.isdigit() or (not rest and kind == "udp")):
+        return f"udpin:0.0.0.0:{rest or _USUAL_PORT}"
+    return f"{kind}:{rest}"
 
 
 def _hint(kind: str) -> str:

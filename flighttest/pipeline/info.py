@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from serial.tools import list_ports
+
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, LinkError
 from flighttest.mavlink.signing import read_key
@@ -155,6 +157,8 @@ def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
         note("ArduPilot SITL", str(find_arducopter()), True)
     except FlighttestError as error:
         note("ArduPilot SITL", "", False, f"only for --backend sitl: {error.hint}", needed=False)
+    ports = [f"{p.device} ({p.description})" for p in list_ports.comports()]
+    note("serial ports", ", ".join(ports), bool(ports), "none is seen: plug in the vehicle or the radio", needed=False)
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 0))

@@ -7,13 +7,14 @@ import errno
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 from unittest import mock
 
 from flighttest.errors import FlighttestError
 from flighttest.flight import FlightResult, FlightState, LegOutcome, recorder
 from flighttest.mavlink import CopterMode
 from flighttest.sim import SimOptions
-from tests.faults.proxy import Endless, Fault, Proxy, When
+from tests.faults.proxy import EPOCH_S, Endless, Fault, Proxy, When
 from tests.flight.faulty import fly, make_leg, make_plan
 
 FOR_GOOD_S = 1e6
@@ -90,18 +91,41 @@ def fly_cell(fault: Fault, when: When, folder: Path) -> Cell:
     """Fly two steps with a fault in one state."""
     options = SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0)
     proxy = Proxy(options, fault, when, after_s=0.05 if when is When.FLYING else 0.0)
+    plan = make_plan(make_leg("a"), make_leg("b"))
+    return judge(
+        proxy,
+        lambda stops: fly(plan, "proxy", folder, transport=proxy, clock=proxy.clock(), stop_requested=stops),
+        lambda: proxy.sim.vehicle,
+    )
+
+
+class Vehicle(Protocol):
+    """What is true of the vehicle in the end."""
+
+    @property
+    def armed(self) -> bool: ...
+
+    @property
+    def landed(self) -> bool: ...
+
+    @property
+    def mode(self) -> int: ...
+
+
+def judge(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], truth: Callable[[], Vehicle]) -> Cell:
+    """Fly (given how often Ctrl-C was pressed), and hold what the flight says against the truth."""
+    fault, when = proxy.fault, proxy.when
     try:
         with full_disk(proxy):
-            plan = make_plan(make_leg("a"), make_leg("b"))
-            result = fly(plan, "proxy", folder, transport=proxy, clock=proxy.clock(), stop_requested=_presses(proxy))
+            result = flight(_presses(proxy))
     except FlighttestError as error:
-        wrong = () if not proxy.sim.vehicle.armed else (f"an error left an armed vehicle: {error.message}",)
-        return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - 1000.0, wrong)
+        wrong = () if not truth().armed else (f"an error left an armed vehicle: {error.message}",)
+        return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - EPOCH_S, wrong)
     except Endless as endless:
-        return Cell(fault, when, "ENDLESS", proxy.now_s - 1000.0, (str(endless),))
-    return Cell(
-        fault, when, f"{result.outcome.name}, {result.left.name}", proxy.now_s - 1000.0, tuple(_wrong(proxy, result))
-    )
+        return Cell(fault, when, "ENDLESS", proxy.now_s - EPOCH_S, (str(endless),))
+    seconds = proxy.now_s - EPOCH_S
+    wrong = tuple(_wrong(proxy, result, truth()))
+    return Cell(fault, when, f"{result.outcome.name}, {result.left.name}", seconds, wrong)
 
 
 def _presses(proxy: Proxy) -> Callable[[], int]:
@@ -128,9 +152,9 @@ def full_disk(proxy: Proxy) -> Iterator[None]:
         yield
 
 
-def _wrong(proxy: Proxy, result: FlightResult) -> list[str]:
+def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
     """What the result says that is not so, and what should have been."""
-    vehicle, fault, left = proxy.sim.vehicle, proxy.fault, result.left
+    fault, left = proxy.fault, result.left
     found = []
     truths = {
         FlightState.LANDED: not vehicle.armed and vehicle.landed,

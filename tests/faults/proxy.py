@@ -100,6 +100,9 @@ class Proxy:
     def __post_init__(self) -> None:
         self.sim = InProcess(self.options)
         self._start_s = self.now_s
+        self._prepare()
+
+    def _prepare(self) -> None:
         self._draw = random.Random(self.seed)
         self._up: list[tuple[float, int, bytes]] = []
         self._down: list[tuple[float, int, bytes]] = []
@@ -108,9 +111,7 @@ class Proxy:
         self._station, self._twin = parser(255, 190), parser(1, 1)
         self._twin.seq = 120
         self._twin_next_s = 0.0
-        self._free_s: dict[
-            bool, float
-        ] = {}  # when a serial line has sent what it was given, by whether it is the uplink
+        self._free_s: dict[bool, float] = {}  # when a serial line will have sent all, by whether it is the uplink
         self._done: set[str] = set()
         self._reached: dict[When, float] = {}
 
@@ -176,14 +177,32 @@ class Proxy:
                 book.MAVLINK_MSG_ID_HEARTBEAT,
             ):
                 off = (book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0)
-                self.sim.send(bytes(book.MAVLink_command_long_message(1, 1, *off).pack(self._station)))
+                self._to_vehicle(bytes(book.MAVLink_command_long_message(1, 1, *off).pack(self._station)))
         if self._once("pilot", fault.pilot_after_s is not None, fault.pilot_after_s or 0.0):
             self.switched_s = self.now_s
-            mode = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(CopterMode.LOITER), 9)
-            self.sim.send(bytes(mode.pack(self._station)))
+            self._switch()
         if self._once("reboot", fault.reboot):
-            self.sim = InProcess(self.options)
-            self._start_s = self.now_s
+            self._reboot()
+
+    # -- the vehicle ---------------------------------------------------------------------------------------------------------
+
+    def _to_vehicle(self, data: bytes) -> None:
+        """Frames of others."""
+        self.sim.send(data)
+
+    def _switch(self) -> None:
+        """The pilot chooses LOITER."""
+        mode = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(CopterMode.LOITER), 9)
+        self._to_vehicle(bytes(mode.pack(self._station)))
+
+    def _reboot(self) -> None:
+        """The vehicle starts anew."""
+        self.sim = InProcess(self.options)
+        self._start_s = self.now_s
+
+    def _freeze(self) -> None:
+        """The program stands still, and time does not."""
+        self._pass(self.fault.lasts_s)
 
     # -- as a transport ------------------------------------------------------------------------------------------------------
 
@@ -202,10 +221,9 @@ class Proxy:
         if self.now_s - EPOCH_S > self.limit_s:
             raise Endless(f"still flying after {self.limit_s:.0f} s")
         if self._once("freeze", self.fault.freeze):
-            self._pass(self.fault.lasts_s)
-        end_s = self.now_s + (
-            max(timeout_s, 1e-6) if timeout_s > 0.0 else 0.0
-        )  # a wait below rounding would be none for ever
+            self._freeze()
+        wait_s = max(timeout_s, 1e-6) if timeout_s > 0.0 else 0.0  # one below rounding would never end
+        end_s = self.now_s + wait_s
         while True:
             data = self._arrived(self._down)
             if data or self.now_s >= end_s:

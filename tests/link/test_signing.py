@@ -60,18 +60,18 @@ def test_a_key_is_made_for_its_owner_and_read_again(tmp_path: Path) -> None:
             read_key(path)
 
 
-def test_a_signed_flight_is_flown_and_a_stranger_moves_nothing(run_dir: Path) -> None:
+def test_a_signed_flight_is_flown_and_nobody_without_the_key_moves_anything(run_dir: Path) -> None:
     link = FaultyLink(options(signing_key=KEY.hex()))
-    stranger = parser(245, 191)
+    unsigned = parser(245, 191)
 
-    def meddle(message: object, _now: float) -> None:
+    def send_unsigned(message: object, _now: float) -> None:
         if message.get_type() != "HEARTBEAT":  # type: ignore[attr-defined]
             return
         mode = (book.MAV_CMD_DO_SET_MODE, 0, 1.0, float(CopterMode.LOITER), 0, 0, 0, 0, 0)
-        link.sim.send(bytes(book.MAVLink_command_long_message(1, 1, *mode).pack(stranger)))
+        link.sim.send(bytes(book.MAVLink_command_long_message(1, 1, *mode).pack(unsigned)))
         link._aside = bytes(book.MAVLink_heartbeat_message(2, 3, 81, 5, 4, 3).pack(parser(1, 1)))
 
-    link.hook = meddle
+    link.hook = send_unsigned
     result = fly(make_plan(), "sim", run_dir, transport=link, signing_key=KEY)
     assert result.outcome is FlightOutcome.COMPLETED, result
     assert any("not signed with the key" in note for note in result.notes)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 from rich.console import Console
 
+from flighttest.report.flight_large import figure_rows, large, zone_map
 from flighttest.report.render.flight_view import line, picture
 
 
@@ -14,14 +15,37 @@ def facts(**changed):
         "leg": 3, "legs": 8, "doing": "taking off", "next": "land", "phase": "", "time_left_s": 125.0, "zone_margin_m": 4.26,
         "height_m": -0.01, "voltage_v": math.nan, "link_loss": 0.01, "silence_s": 0.0, "uplink_silence_s": 0.2, "speed_m_s": 0.0,
         "voltage_min_v": 21.0, "rates_hz": {}, "mode": "GUIDED", "stopping": False, "how_to_stop": "Ctrl-C lands", "t_s": 1.0,
+        "alarm": "", "place_m": (1.0, 2.0), "zone_m": ((-15.0, 15.0), (-7.5, 7.5)),
     }  # fmt: skip
     return SimpleNamespace(**{**known, **changed})
 
 
-def drawn(of):
-    console = Console(file=io.StringIO(), width=120, color_system=None)
-    console.print(picture(of))
+def drawn(of, view=picture, width=120):
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    console.print(view(of))
     return console.file.getvalue()
+
+
+def test_the_large_view_fits_a_terminal_of_80_columns_and_24_rows():
+    text = drawn(facts(voltage_v=24.04, alarm="Radio Failsafe"), large, 80)
+    rows = text.splitlines()
+    assert len(rows) <= 24
+    assert max(map(len, rows)) <= 80
+    assert "Radio Failsafe" in rows[0]
+    assert "FLYING GUIDED" in drawn(facts(), large, 80).splitlines()[0]
+    assert "STOPPING" in drawn(facts(stopping=True), large, 80).splitlines()[0]
+    assert "█ █ ███ █ █" not in "".join(figure_rows("-"))
+    assert figure_rows("41")[0] == "█ █   █"
+
+
+def test_the_map_shows_the_vehicle_in_its_zone():
+    zone = ((-15.0, 15.0), (-7.5, 7.5))
+    rows = zone_map((15.0, 7.5), zone).plain.splitlines()
+    assert rows[0][0] == "@", "ahead and to the left"
+    assert zone_map((-15.0, -7.5), zone).plain.splitlines()[8][-1] == "@"
+    assert "X" in zone_map((20.0, 0.0), zone).plain.splitlines()[0]
+    assert "not known" in zone_map(None, zone).plain
+    assert zone_map(None, None).plain == ""
 
 
 def test_a_line_says_what_is_known_and_nothing_else():

@@ -20,10 +20,11 @@ from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
 from flighttest.link.streams import Streams
 from flighttest.mavlink import CopterMode, mode_name
-from flighttest.mavlink.dialect import Message, is_armed
+from flighttest.mavlink.dialect import Message, book, is_armed
 from flighttest.plan import AttitudeTarget
 
 PROGRESS_EVERY_S = 0.25
+ALARM_S = 15.0  # for which the live view shows one
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 DOUBT_S = 2.5  # for which a HEARTBEAT that contradicts those before is waited for to be repeated: it comes once a second at least
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
@@ -83,7 +84,7 @@ class FlightControl:
         self.external_changes = external_changes
         self._on_progress = on_progress
         self._progress = FlightProgress(0, 0, "", "", "", 0.0, 0.0)
-        self._next_progress_s = -math.inf
+        self._next_progress_s = self._alarm_over_s = -math.inf
         self._counts: tuple[float, dict[str, int]] = (0.0, {})
         self.machine = Machine()
         self._mode = -1  # as HEARTBEAT showed it last
@@ -129,6 +130,8 @@ class FlightControl:
             text = self.external_changes.look(message.param_id, float(message.param_value))
             if text:
                 self.recorder.event("note", text, t_s)
+        if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
+            self.alarm(f"the vehicle says: {message.text.strip()}")  # a lost transmitter, a failsafe, a fence
         if message.get_type() != "HEARTBEAT":
             return
         mode, armed = int(message.custom_mode), is_armed(message)
@@ -157,6 +160,7 @@ class FlightControl:
         if doubt.event is Event.FOREIGN_MODE:
             self.session.port.mute()
             self.recorder.event("take_over", mode_name(doubt.mode), t_s, {"mode": doubt.mode})
+            self.alarm(f"the pilot has the vehicle ({mode_name(doubt.mode)}): nothing is sent any more")
         elif not self._landing:
             self.recorder.event("note", "disarmed in flight", t_s)
         self.on(doubt.event)
@@ -280,10 +284,18 @@ class FlightControl:
         """Change what the live view shows: fields of FlightProgress."""
         self._progress = replace(self._progress, **changes)
 
-    def _report(self) -> None:
+    def alarm(self, text: str) -> None:
+        """Tell the operator now, with a sound where there is one."""
+        self.tell(alarm=text, alarms=self._progress.alarms + 1)
+        self._alarm_over_s = self.session.now_s() + ALARM_S * self.pace
+        self._report(at_once=True)
+
+    def _report(self, at_once: bool = False) -> None:
         now = self.session.now_s()
-        if self._on_progress is None or now < self._next_progress_s:
+        if self._on_progress is None or (now < self._next_progress_s and not at_once):
             return
+        if now > self._alarm_over_s:
+            self.tell(alarm="")
         self._next_progress_s = now + PROGRESS_EVERY_S * self.pace
         since, counts = self._counts
         span = now - since
@@ -295,14 +307,18 @@ class FlightControl:
         if span > 2.0:
             self._counts = (now, dict(self.session.counts))
         state = self.state
-        clearance = math.nan
+        clearance, place = math.nan, None
         if state.position_m is not None and state.velocity_m_s is not None:
             clearance = zone_clearance_m(state, self.gate)
+            here = self.gate.zone.from_world([state.position_m[0], state.position_m[1], 0.0])
+            place = float(here[0]), float(here[1])
         self._on_progress(
             replace(
                 self._progress,
                 t_s=now,
                 zone_margin_m=clearance,
+                place_m=place,
+                zone_m=(self.gate.zone.x_m, self.gate.zone.y_m),
                 height_m=state.height_m if state.height_m is not None else math.nan,
                 speed_m_s=state.speed_m_s if state.speed_m_s is not None else math.nan,
                 voltage_v=state.voltage_v if state.voltage_v is not None else math.nan,

@@ -200,6 +200,7 @@ def by_pilot(control: FlightControl, timeout_s: float = 300.0) -> Arrived:
     The pilot is told by the live view. Never re-enters the mode by itself.
     """
     control.on(Event.HAND_OVER)
+    control.alarm("the pilot flies to the start")
     control.tell(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
     deadline = control.session.now_s() + timeout_s
     left = control.state.mode != CopterMode.GUIDED_NOGPS

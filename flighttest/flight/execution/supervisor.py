@@ -62,6 +62,7 @@ def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
         "silence_s": state.silence_s,
     }
     control.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
+    control.alarm("; ".join(why) or "abort")
     return insist(control, modes, control.release)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from flighttest.flight.preparation.preflight import BLIND_RATES_HZ, RATE_SHARE, RATES_HZ
 from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.transport import full_url
 from flighttest.plan import Plan
 
 # Bytes of a message on the wire: MAVLink 2's 12 and the payload as ArduCopter fills it (trailing zeros are not sent).
@@ -31,7 +32,7 @@ def bytes_s(rates_hz: Mapping[str, float]) -> float:
 
 def declared_bytes_s(url: str) -> float | None:
     """What a link's URL says that it carries, bytes per second; None where it does not say."""
-    kind, _, rest = url.partition(":")
+    kind, _, rest = full_url(url).partition(":")
     baud = rest.rpartition(":")[2]
     return int(baud) / _BITS_PER_BYTE if kind == "serial" and baud.isdigit() else None
 

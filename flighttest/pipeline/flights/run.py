@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,6 +43,8 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 BUILTIN_SPEED = 20.0
+STOPPING = b"\r\nCtrl-C: stopping; a vehicle in the air is made safe and lands (again: let go of it at once)\r\n"
+LETTING_GO = b"\r\nCtrl-C again: letting go; it is the pilot's\r\n"
 MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list them all
 
 
@@ -67,6 +70,7 @@ class FlightRequest:
     accept: bool = False
     signing_key: Path | None = None
     sysid: int | None = None
+    confirm: Callable[[str], bool] | None = None
 
 
 def as_before(request: FlightRequest) -> FlightRequest:
@@ -165,6 +169,9 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
     def count(_signal: int, _frame: object) -> None:
         nonlocal presses
         presses += 1
+        # Past Python's own buffers, which the signal may have interrupted.
+        with suppress(OSError):
+            os.write(2, STOPPING if presses == 1 else LETTING_GO)
 
     def end(_signal: int, _frame: object) -> None:
         nonlocal presses
@@ -337,6 +344,7 @@ def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions,
             weather=request.weather,
             signing_key=key_of(request),
             system=request.sysid or asked.system,
+            confirm=request.confirm,
         )
         ended = fly(plan, url, folder, wanted)
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)

@@ -41,6 +41,7 @@ class FlightFacts(Protocol):
     mode: str
     stopping: bool
     how_to_stop: str
+    alarm: str
 
 
 def line(facts: FlightFacts) -> str:
@@ -93,6 +94,8 @@ def picture(facts: FlightFacts) -> RenderableType:
     grid.add_row("room", _room(facts))
     grid.add_row("battery", _battery(facts))
     grid.add_row("link", _link(facts))
+    if facts.alarm:
+        grid.add_row("alarm", Text(facts.alarm, style="bold red"))
     title = "stopping: landing" if facts.stopping else f"flying ({facts.mode})" if facts.mode else "flying"
     style = "yellow" if facts.stopping else "cyan"
     return Panel(
@@ -124,6 +127,18 @@ def _battery(facts: Any) -> Text:
     if math.isfinite(facts.voltage_min_v):
         text.append(f"   lands at {facts.voltage_min_v:.1f} V", style="dim")
     return text
+
+
+def link_is_bad(facts: Any) -> bool:
+    """Whether either direction of the link is not well."""
+    return bool(
+        facts.link_loss > LOSS_HIGH or facts.silence_s > SILENCE_LONG_S or facts.uplink_silence_s > UNANSWERED_LONG_S
+    )
+
+
+def link_words(facts: Any) -> str:
+    """Both directions of the link in words."""
+    return _link(facts).plain
 
 
 def _link(facts: Any) -> Text:

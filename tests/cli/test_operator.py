@@ -1,0 +1,62 @@
+"""What an operator hears and sees at the terminal: the bell, the answer to Ctrl-C, short names of links."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import time
+
+import pytest
+
+from flighttest.cli.live import LiveProgress
+from flighttest.cli.show import Show
+from flighttest.flight import FlightProgress
+from flighttest.link.transport import full_url
+from flighttest.pipeline.flights.run import counted_interrupts
+
+
+@pytest.mark.parametrize("view", ["normal", "large"])
+def test_an_alarm_rings_once_and_stays_on_the_screen(view: str) -> None:
+    out = io.StringIO()
+    with LiveProgress(Show(out=out, colour=True, width=80), view=view) as progress:
+        for k in range(3):
+            progress.flight(FlightProgress(1, 2, "flying", "", "", 1.0, float(k), alarm="Radio Failsafe", alarms=1))
+    assert out.getvalue().count("\a") == 1
+    assert "Radio Failsafe" in out.getvalue()
+
+
+def test_a_log_file_gets_the_alarm_as_a_line_without_a_bell() -> None:
+    out = io.StringIO()
+    with LiveProgress(Show(out=out)) as progress:
+        progress.flight(FlightProgress(1, 2, "flying", "", "", 1.0, 1.0, alarm="abort", alarms=1))
+    assert "abort" in out.getvalue()
+    assert "\a" not in out.getvalue()
+
+
+def test_ctrl_c_is_answered_before_anything_looks_at_it(capfd: pytest.CaptureFixture[str]) -> None:
+    with counted_interrupts() as presses:
+        for words in ("stopping", "letting go"):
+            began = time.monotonic()
+            os.kill(os.getpid(), signal.SIGINT)
+            while words not in (said := capfd.readouterr().err) and time.monotonic() < began + 0.5:
+                pass
+            assert words in said
+    assert presses() == 2
+
+
+@pytest.mark.parametrize(
+    ("short", "full"),
+    [
+        ("udp:", "udpin:0.0.0.0:14550"),
+        ("udp:14551", "udpin:0.0.0.0:14551"),
+        ("/dev/ttyACM0", "serial:/dev/ttyACM0:115200"),
+        ("/dev/ttyUSB0", "serial:/dev/ttyUSB0:57600"),
+        ("/dev/ttyUSB0:921600", "serial:/dev/ttyUSB0:921600"),
+        ("COM7", "serial:COM7:57600"),
+        ("tcp://host:5760", "tcp:host:5760"),
+        ("serial:/dev/x", "serial:/dev/x"),
+    ],
+)
+def test_short_names_of_links(short: str, full: str) -> None:
+    assert full_url(short) == full

@@ -1,0 +1,79 @@
+"""What the operator is shown before a vehicle arms, and what an answer does."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from flighttest.errors import PreflightError
+from flighttest.flight import FlightOutcome
+from tests.flight.faulty import FaultyLink, fly, make_plan, options
+
+
+def test_the_checklist_names_what_the_operator_answers_for(run_dir: Path) -> None:
+    shown: list[str] = []
+
+    def answer(text: str) -> bool:
+        shown.append(text)
+        return False
+
+    link = FaultyLink(options())
+    with pytest.raises(PreflightError, match="did not confirm"):
+        fly(make_plan(), "sim", run_dir, transport=link, confirm=answer, waive=("fence",))
+    assert not link.sim.vehicle.armed
+    assert not [kind for _, kind in link.sent if kind == "SET_ATTITUDE_TARGET"]
+    [text] = shown
+    for words in (
+        "vehicle",
+        "1 steps",
+        "zone",
+        "V, lands at 21.0 V",
+        "fence",
+        "pilot",
+        "waived   fence",
+        "Ctrl-C twice",
+    ):
+        assert words in text, words
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_ctrl_c_at_the_question_arms_nothing(run_dir: Path) -> None:
+    link = FaultyLink(options())
+    pressed: list[bool] = []
+
+    def answer(_text: str) -> bool:
+        pressed.append(True)
+        time.sleep(0.5)
+        return True
+
+    with pytest.raises(PreflightError, match="did not confirm"):
+        fly(make_plan(), "sim", run_dir, transport=link, confirm=answer, stop_requested=lambda: len(pressed))
+    assert not link.sim.vehicle.armed
+
+
+def test_what_the_vehicle_warns_of_and_an_abort_are_told_at_once(run_dir: Path) -> None:
+    """A lost transmitter is a STATUSTEXT: it is not on any stream."""
+    link = FaultyLink(options())
+    told: list[tuple[float, str]] = []
+    warned: list[float] = []
+
+    def warn(message: object, now: float) -> None:
+        if not warned and message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            warned.append(now)
+            link.sim.vehicle.say("Radio Failsafe", 4)
+
+    link.hook = warn
+    result = fly(
+        make_plan(),
+        "sim",
+        run_dir,
+        transport=link,
+        confirm=lambda _text: True,
+        on_progress=lambda p: told.append((p.t_s, p.alarm)) if p.alarm else None,
+    )
+    assert result.outcome is FlightOutcome.COMPLETED
+    t_s, text = told[0]
+    assert "Radio Failsafe" in text
+    assert t_s - warned[0] < 0.2
