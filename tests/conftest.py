@@ -2,12 +2,16 @@
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from flighttest.cli import durations
 from flighttest.errors import FlighttestError
+from flighttest.pipeline.results import Result
 from flighttest.sim.sitl.launcher import find_arducopter
+from tests.widths import troubles
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -34,6 +38,31 @@ def sitl_binary() -> str | None:
         return str(find_arducopter())
     except FlighttestError:
         return None
+
+
+@pytest.fixture(autouse=True, scope="session")
+def every_answer_fits_a_terminal() -> Iterator[None]:
+    """The document of every result that any test makes is drawn at 80 and 120 columns: no heading cut, no line too long."""
+    made = Result.__init__
+
+    def checked(self: Result, *args: object, **options: object) -> None:
+        made(self, *args, **options)
+        found = [words for width in (80, 120) for words in troubles(self.document, width)]
+        assert not found, found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Result, "__init__", checked)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def nothing_is_kept_in_the_users_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """How long stages take is remembered in a folder of the session."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(durations, "default_path", lambda: folder / "durations.json")
+        patch.setattr("flighttest.cli.live.default_path", lambda: folder / "durations.json")
+        yield
 
 
 @pytest.fixture(scope="session")

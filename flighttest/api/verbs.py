@@ -41,6 +41,9 @@ class Stages:
         if self._tell is not None:
             self._tell(text)
 
+    def part(self, done: float, of: float) -> None:
+        """So many pieces are done; a stage's words are all that is handed on."""
+
     def flight(self, progress: Any) -> None:
         """The flight went on; its words are in the stages."""
 

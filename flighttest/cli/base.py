@@ -1,4 +1,4 @@
-"""What every command shares: `--json`, the printer, and how a result becomes words and an exit code."""
+"""What every command shares: `--all`, `--csv`, `--parquet`, `--json`, the printer, and how a result becomes words and an exit code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import click
 
 from flighttest.cli.show import Show
 from flighttest.errors import FlighttestError
-from flighttest.pipeline.results import Result, Status
+from flighttest.pipeline.results import Result, Status, check_writable
+from flighttest.report.tables import KINDS, write_tables
 
 EXIT = {Status.DONE: 0, Status.UNUSABLE: 1, Status.BAD_INPUT: 2, Status.UNEXPLAINED: 3, Status.STALE: 4}
 
@@ -38,10 +39,15 @@ class Context:
     """Passed to every command as `obj`."""
 
     show: Show
+    tables: tuple[tuple[str, Path], ...] = ()  # kind of file, and the folder for the tables of the answer
 
     def finish(self, result: Result) -> int:
-        """Show a result and give its exit code."""
+        """Show a result, write its tables where they were asked for, and give its exit code."""
         self.show.result(result.document, result.data)
+        for kind, folder in self.tables:
+            written = write_tables(result.document, folder, kind)
+            count = f"{len(written)} table{'' if len(written) == 1 else 's'}"
+            self.show.note(f"{count} written to {folder}" if written else "this answer holds no table")
         return EXIT[result.status]
 
 
@@ -68,13 +74,18 @@ def _is_list(option: click.Option) -> bool:
 
 
 def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A click command called `name` whose function gets the `Context` first and which has `--json`; an option that may be given several
-    times and whose metavar ends in dots takes several values at once, too."""
+    """A click command called `name` whose function gets the `Context` first. It has the options of every command: `--all`, `--csv`,
+    `--parquet` and `--json`; one that may be given several times and whose metavar ends in dots takes several values at once, too."""
 
     def wrap(function: Callable[..., int]) -> click.Command:
         def body(context: Context, **options: Any) -> int:
             options.pop("json")
+            context.show.everything = options.pop("everything")
+            asked = {kind: options.pop(kind) for kind in KINDS}
+            context.tables = tuple((kind, folder) for kind, folder in asked.items() if folder is not None)
             try:
+                for _, folder in context.tables:
+                    check_writable(folder)
                 return function(context, **options)
             except FlighttestError as error:
                 error.hint = _as_typed(error.hint, options)
@@ -85,7 +96,12 @@ def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
         body.__name__ = function.__name__
         made = click.command(name, cls=_Lists)(click.pass_obj(body))
         made.help = (function.__doc__ or "").strip()
-        made.params.append(click.Option(["--json"], is_flag=True, help="Print the result as JSON."))
+        made.params += [
+            click.Option(["--all", "everything"], is_flag=True, help="Tables whole: every row and column."),
+            click.Option(["--csv"], type=FOLDER, metavar="DIR", help="Write every table of the answer as CSV."),
+            click.Option(["--parquet"], type=FOLDER, metavar="DIR", help="The same as Parquet."),
+            click.Option(["--json"], is_flag=True, help="Print the result as JSON."),
+        ]
         return made
 
     return wrap

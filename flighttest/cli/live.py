@@ -1,4 +1,8 @@
-"""Progress while something goes on: a live picture on a terminal, plain lines elsewhere."""
+"""Progress while something goes on: a live picture on a terminal, plain lines elsewhere.
+
+A stage that takes longer than a moment shows its share and the time left: by the pieces done where they are counted, else by how long
+the like took last time.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,20 @@ from types import TracebackType
 from typing import Any
 
 from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table as Grid
+from rich.text import Text
 
+from flighttest.cli.durations import Durations, default_path
 from flighttest.cli.show import Show
 from flighttest.report.flight_large import large
+from flighttest.report.numbers import duration
 from flighttest.report.render.flight_view import line, picture
 
 PLAIN_EVERY_S = 10.0
+SHOWN_FROM_S = 0.7  # a stage that is shorter is one line only
+BAR_WIDTH = 24
+MOST_SHARE = 0.97  # of what is only expected: it may take longer than last time
 # A terminal that is gone, or a reader (tee, less) that Ctrl-C ended with us, must not end a flight; rich leaves the program for it.
 _NOBODY_READS = (OSError, SystemExit)
 
@@ -22,17 +34,27 @@ _NOBODY_READS = (OSError, SystemExit)
 class LiveProgress:
     """Implements `pipeline.results.Progress`. Use as a context manager, so that the terminal is left as it was.
 
-    clock: seconds, injected by tests. view: normal, or large to be read from afar.
+    clock: seconds; durations: of earlier stages; both injected by tests. view: normal, or large to be read from afar.
     """
 
-    def __init__(self, show: Show, clock: Callable[[], float] = time.monotonic, view: str = "normal") -> None:
+    def __init__(
+        self,
+        show: Show,
+        clock: Callable[[], float] = time.monotonic,
+        durations: Durations | None = None,
+        view: str = "normal",
+    ) -> None:
         self._show = show
         self._picture_of = large if view == "large" else picture
         self._alarms = 0
         self._clock = clock
         self._started_s = clock()
         self._live: Live | None = None
+        self._flying = False
         self._last_line_s = -float("inf")
+        self._durations = durations or Durations(default_path())
+        self._stage, self._stage_s = "", self._started_s
+        self._part: tuple[float, float] | None = None
 
     def __enter__(self) -> LiveProgress:
         return self
@@ -40,13 +62,69 @@ class LiveProgress:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stop()
+        with suppress(*_NOBODY_READS):
+            self._stop()
+        if kind is None:
+            self._timed()
 
     def stage(self, text: str) -> None:
         """A new step of the pipeline begins: one line with the time since the start."""
         with suppress(*_NOBODY_READS):
             self._stop()
+            self._timed()
             self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
+            self._stage, self._stage_s, self._part = text, self._clock(), None
+            if self._show.live:
+                self._live = Live(
+                    console=self._show.side, refresh_per_second=4, transient=True, get_renderable=self.bar
+                )
+                self._live.start()
+
+    def part(self, done: float, of: float) -> None:
+        """So many pieces of the stage are done."""
+        self._part = (done, of)
+        now_s = self._clock()
+        waited_s = now_s - max(self._last_line_s, self._stage_s)
+        if not self._show.live and waited_s >= PLAIN_EVERY_S and (words := self.words()):
+            self._last_line_s = now_s
+            with suppress(*_NOBODY_READS):
+                self._show.say(f"{now_s - self._started_s:6.1f} s  {self._stage}: {words}", style="quiet")
+
+    def share(self) -> float | None:
+        """How much of the stage is done, None where nothing tells."""
+        if self._part is not None and self._part[1] > 0:
+            return min(self._part[0] / self._part[1], 1.0)
+        expected_s = self._durations.expected_s(self._stage)
+        return min((self._clock() - self._stage_s) / expected_s, MOST_SHARE) if expected_s else None
+
+    def words(self) -> str:
+        """'40 %, about 12 s left', or how long it has taken where nothing tells its share; nothing of a short stage."""
+        took_s = self._clock() - self._stage_s
+        if took_s < SHOWN_FROM_S:
+            return ""
+        share = self.share()
+        if share is None:
+            return f"{took_s:.0f} s so far"
+        if not share:
+            return "0 %"
+        return f"{share:.0%}, about {duration(took_s * (1.0 - share) / share)} left"
+
+    def bar(self) -> Grid:
+        """The stage as a bar with its words; empty while it is short."""
+        grid = Grid.grid(padding=(0, 2, 0, 0))
+        words = self.words()
+        if words:
+            share = self.share()
+            drawn = ProgressBar(1.0, share or 0.0, width=BAR_WIDTH, pulse=share is None)
+            grid.add_row(Text(" " * 7), drawn, Text(words, style="quiet"))
+        return grid
+
+    def _timed(self) -> None:
+        """Keep how long the stage took that ends now."""
+        took_s = self._clock() - self._stage_s
+        if self._stage and took_s >= SHOWN_FROM_S:
+            self._durations.took(self._stage, took_s)
+        self._stage = ""
 
     def flight(self, progress: Any) -> None:
         """The flight went on: redraw the picture, or now and then a line."""
@@ -58,10 +136,14 @@ class LiveProgress:
 
     def _picture(self, progress: Any) -> None:
         if self._show.live and progress.legs:
-            if self._live is None:
+            if not self._flying:
+                self._stop()
+                self._stage = ""  # how long a flight takes is told by its picture
                 self._live = Live(console=self._show.side, refresh_per_second=8, transient=True)
                 self._live.start()
-            self._live.update(self._picture_of(progress))
+                self._flying = True
+            if self._live is not None:
+                self._live.update(self._picture_of(progress))
         if self._show.live:
             return
         now_s = self._clock()
@@ -73,3 +155,4 @@ class LiveProgress:
         if self._live is not None:
             self._live.stop()
             self._live = None
+        self._flying = False

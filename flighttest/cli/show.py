@@ -45,6 +45,7 @@ class Show:
         colour: bool | None = None,
     ) -> None:
         self.as_json = as_json
+        self.everything = False  # tables whole
         self.lines = 0  # sent by `line`
         options: dict[str, Any] = {"theme": THEME, "highlight": False, "soft_wrap": False, "width": width}
         if colour is False:
@@ -82,6 +83,10 @@ class Show:
             self.side.bell()
         self.say(text, style="bad")
 
+    def note(self, text: str) -> None:
+        """A word beside the result, never into it."""
+        self.err.print(Text(text, style="quiet"), soft_wrap=not self.err.is_terminal)
+
     def draw(self, renderable: RenderableType) -> None:
         """Any rich renderable, beside the results."""
         self.side.print(renderable)
@@ -91,7 +96,7 @@ class Show:
         if self.as_json:
             self.json(data)
         else:
-            self.out.print(render(document))
+            self.out.print(render(document, self.everything))
 
     def json(self, data: Mapping[str, Any]) -> None:
         """One JSON document; numbers that are not finite become null."""

@@ -59,7 +59,7 @@ def terms(ids: Sequence[str]) -> Result:
         (Cell(t.id, "good"), t.family, t.title, ", ".join(f"{p.symbol} {p.unit}" for p in t.params), t.reveals)
         for t in chosen
     )
-    table = Table(("id", "family", "what", "parameters", "shown by"), rows)
+    table = Table(("id", "family", "what", "parameters", "shown by"), rows, detail=(1, 3))
     verdict = (
         f"{len(chosen)} pieces of physics that a recording can be searched for; `flighttest terms ID` explains one."
     )

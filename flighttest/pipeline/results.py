@@ -41,7 +41,9 @@ def check_writable(folder: Path | None) -> None:
     try:
         tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})", "give another --output") from error
+        raise InputError(
+            f"{folder}: cannot be written ({error.strerror})", "name a folder that can be written"
+        ) from error
 
 
 class Progress(Protocol):
@@ -50,12 +52,18 @@ class Progress(Protocol):
     def stage(self, text: str) -> None:
         """A new step of the pipeline begins."""
 
+    def part(self, done: float, of: float) -> None:
+        """So many pieces of the stage are done."""
+
     def flight(self, progress: Any) -> None:
         """The flight went on (see `flight` for the type)."""
 
 
 class _Silent:
     def stage(self, text: str) -> None:
+        return None
+
+    def part(self, done: float, of: float) -> None:
         return None
 
     def flight(self, progress: Any) -> None:

@@ -40,7 +40,7 @@ from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, n
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.flown_with import VEHICLE_NAME, flown_with
 from flighttest.report.document import Document
-from flighttest.report.numbers import join
+from flighttest.report.numbers import paths
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.twin import replay_sections, replay_sentence, verify_sections, verify_sentence
@@ -78,8 +78,8 @@ def verify(
     recordings = once(open_recordings(runs, Reading(columns), progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
-    paths = [run for run in runs if isinstance(run, Path)]
-    scripted = [] if offline else [run for run in paths if (run / "script.yaml").is_file()]
+    kept = [run for run in runs if isinstance(run, Path)]
+    scripted = [] if offline else [run for run in kept if (run / "script.yaml").is_file()]
     found = run_diagnosis(segments, recordings, stored, None, progress)
     flown: tuple[Segment, ...] = ()
     folders: list[Path] = []
@@ -100,7 +100,7 @@ def verify(
     }
     facts = {
         "model": NOT_A_FILE if isinstance(model, ModelFile) else str(model),
-        "recordings": join([named(r) for r in runs]),
+        "recordings": paths([named(r) for r in runs]),
     }
     other = differences(stored.fingerprint, recordings)
     if other:
@@ -143,7 +143,7 @@ def replay(
     }
     facts = {
         "model": NOT_A_FILE if isinstance(model, ModelFile) else str(model),
-        "recordings": join([named(r) for r in runs]),
+        "recordings": paths([named(r) for r in runs]),
     }
     other = differences(stored.fingerprint, recordings)
     if other:

@@ -67,8 +67,8 @@ class Table:
     rows: tuple[tuple[Cell | str, ...], ...]
     align: tuple[Align, ...] = ()
     caption: str = ""
-    fold: bool = False  # long: folded away in HTML, shortened on a terminal
-    roomy: tuple[int, ...] = ()  # columns (by position) that a narrow terminal leaves out
+    fold: bool = False  # long: folded away in HTML, shortened on a terminal unless everything is asked for
+    detail: tuple[int, ...] = ()  # columns (by position) that a terminal shows only where everything is asked for
 
 
 @dataclass(frozen=True)

@@ -77,3 +77,15 @@ def join(words: list[str] | tuple[str, ...], last: str = "and") -> str:
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def paths(names: list[str] | tuple[str, ...], most: int = 3) -> str:
+    """Files or folders in few words: 'a and b', or of many in one folder 'FOLDER: a, b, c and 5 more'."""
+    if len(names) <= most:
+        return join(names)
+    folders = {name.rpartition("/")[0] for name in names}
+    folder = folders.pop() if len(folders) == 1 else ""
+    ends = [name.removeprefix(f"{folder}/") if folder else name for name in names]
+    shown = ends if len(ends) <= 12 and folder else ends[:most]
+    more = [f"{len(ends) - len(shown)} more"] if len(ends) > len(shown) else []
+    return (f"{folder}: " if folder else "") + join([*shown, *more])

@@ -1,5 +1,6 @@
 """Words to exit code: mistakes give one clear message and a number, in both languages; a fault of ours gives a traceback."""
 
+import io
 import json
 import os
 import signal
@@ -12,7 +13,9 @@ import pytest
 from pymavlink import mavutil
 
 from flighttest.cli import main as cli_main
+from flighttest.cli.durations import Durations
 from flighttest.cli.live import LiveProgress
+from flighttest.cli.show import Show
 from flighttest.errors import FitError, InputError, LinkError, PreflightError, Problem
 from flighttest.flight import FlightProgress
 from flighttest.pipeline import info as about
@@ -188,3 +191,36 @@ def test_a_model_in_the_place_of_a_recording_is_told_where_it_goes(capsys, tmp_p
     code, out, err = call(capsys, "fit", str(path))
     assert code == 2
     assert "--model" in out + err
+
+
+def test_a_stage_shows_its_share_and_the_time_left(tmp_path):
+    now_s = [0.0]
+    out = io.StringIO()
+    show = Show(out=out, width=80)
+    kept = Durations(tmp_path / "durations.json")
+    with LiveProgress(show, lambda: now_s[0], kept) as progress:
+        progress.stage("reading 4 recordings")
+        assert progress.words() == ""
+        now_s[0] = 12.0
+        assert progress.words() == "12 s so far", "nothing tells how much is left"
+        progress.part(1, 4)
+        assert progress.words() == "25%, about 36 s left"
+        progress.stage("fitting 10 responses")
+        now_s[0] = 32.0
+    assert "reading 4 recordings: 25%, about 36 s left" in out.getvalue()
+    with LiveProgress(show, lambda: now_s[0], Durations(tmp_path / "durations.json")) as progress:
+        progress.stage("fitting 5 responses")
+        now_s[0] = 37.0
+        assert progress.words() == "50%, about 5 s left", "ten took 20 s last time"
+        now_s[0] = 60.0
+        assert progress.words().startswith("97%")
+
+
+def test_a_damaged_list_of_durations_is_no_error(tmp_path):
+    path = tmp_path / "durations.json"
+    for text in ("{", "[1]", '{"a": "b"}'):
+        path.write_text(text)
+        kept = Durations(path)
+        assert kept.expected_s("a") is None
+    kept.took("reading /a/b 3", 3.0)
+    assert Durations(path).expected_s("reading /c 6") == 6.0

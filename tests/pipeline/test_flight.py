@@ -108,6 +108,9 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
         def stage(self, text):
             seen.append(text)
 
+        def part(self, done, of):
+            pass
+
         def flight(self, progress):
             if progress.leg >= 2 and not any(s == "stop" for s in seen):
                 seen.append("stop")
@@ -162,6 +165,9 @@ def test_a_flight_that_was_stopped_before_its_first_step_exits_1(script, tmp_pat
         stopped = False
 
         def stage(self, text):
+            pass
+
+        def part(self, done, of):
             pass
 
         def flight(self, progress):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
+import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
@@ -29,6 +30,8 @@ from flighttest.report.render import figures, html, terminal
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
 from flighttest.report.sections.diagnosis_figures import before_after
+from flighttest.report.tables import write_tables
+from tests.widths import drawn, troubles
 
 T = np.linspace(0.0, 1.0, 30)
 
@@ -128,7 +131,41 @@ def test_the_terminal_keeps_its_width(width):
     assert max(len(line.rstrip()) for line in lines) <= width
     text = out.getvalue()
     assert "the verdict" in text
-    assert "... and 28 more" in text
+    assert "... 28 more rows: --all shows them, --csv DIR writes them" in " ".join(text.split())
+    assert "39" in drawn(document(), width, everything=True).split()
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+@pytest.mark.parametrize("columns", [2, 7, 19])
+def test_no_table_loses_a_column_or_cuts_a_heading(width, columns):
+    heads = tuple(f"heading{i} of{i}" for i in range(columns))
+    rows = tuple(tuple(f"{'word ' * (i % 4)}cell{i}x{r}" for i in range(columns)) for r in range(3))
+    align = tuple("right" if i % 3 == 1 else "left" for i in range(columns))
+    wide = Document("t", "v", sections=(Section("s", "S", (Table(heads, rows, align, detail=(1,)),)),))
+    assert troubles(wide, width) == []
+    shown = drawn(wide, width, everything=True).split()
+    assert all(f"cell{i}x{r}" in shown for i in range(columns) for r in range(3))
+    assert "heading1" not in drawn(wide, width).replace("columns heading1 of1", "").split()
+
+
+def test_a_heading_that_is_cut_is_seen(monkeypatch):
+    wide = Document("t", "v", sections=(Section("s", "S", (Table(("name", "a long heading"), (("x", "1"),)),)),))
+    monkeypatch.setattr(terminal, "_shared", lambda spans, room: dict.fromkeys(spans, 4))
+    assert any("cut" in words for words in troubles(wide, 80))
+
+
+def test_every_table_is_written_whole_as_csv_and_parquet(tmp_path):
+    table = Table(
+        ("name", "value", ""), (("K", Cell("54.6", "good", "m/s^2"), "yes"), ("a,b", "-", "")), detail=(2,), fold=True
+    )
+    numbers = Table(("n", "n"), (("1", "2"), ("3", "-")))
+    shown = Document("t", "v", sections=(Section("found", "S", (table, numbers)),))
+    assert [p.name for p in write_tables(shown, tmp_path / "new", "csv")] == ["found.csv", "found-2.csv"]
+    lines = (tmp_path / "new" / "found.csv").read_text().splitlines()
+    assert lines == ["name,value,note", "K,54.6 m/s^2,yes", '"a,b",-,']
+    write_tables(shown, tmp_path, "parquet")
+    read = pq.read_table(tmp_path / "found-2.parquet").to_pydict()
+    assert read == {"n": [1.0, 3.0], "n 2": [2.0, None]}
 
 
 def test_plain_json_has_no_nan_and_keeps_enum_names():

@@ -20,7 +20,7 @@ from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, n
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
-from flighttest.report.numbers import join
+from flighttest.report.numbers import paths
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.against import against_sections, sentence
@@ -64,8 +64,8 @@ def against(
         "losses": losses_of((*sides[0], *sides[1])),
     }
     facts = {
-        "real": join([named(r) for r in runs]),
-        "simulated": join([named(r) for r in simulated]),
+        "real": paths([named(r) for r in runs]),
+        "simulated": paths([named(r) for r in simulated]),
         "model": ", ".join(found.real.model.terms),
     }
     document = Document("simulator against reality", sentence(data), tone(found), against_sections(data), facts)

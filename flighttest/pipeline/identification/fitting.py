@@ -30,7 +30,7 @@ from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_
 from flighttest.pipeline.store.identities import identity_of
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
-from flighttest.report.numbers import join
+from flighttest.report.numbers import join, paths
 from flighttest.report.render.plain import plain
 from flighttest.report.sections import fit as fit_sections
 from flighttest.segments import Segment, cut
@@ -57,7 +57,11 @@ class FitOptions:
 def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tuple[Segment, ...]:
     """Segments of all recordings, in order."""
     progress.stage("cutting the responses")
-    return tuple(s for recording in recordings for s in cut(recording))
+    found: list[Segment] = []
+    for done, recording in enumerate(recordings):
+        progress.part(done, len(recordings))
+        found += cut(recording)
+    return tuple(found)
 
 
 def segment(runs: Sequence[Source], columns: Path | None = None, progress: Progress = SILENT) -> Result:
@@ -258,7 +262,7 @@ def finish_fit(
     """Write the model and say what was found."""
     view = fit_view(found, segments)
     data = model_data(found, recordings, vehicle)
-    facts = {"runs": join(list(runs)), "terms": ", ".join(found.model.terms)}
+    facts = {"runs": paths(list(runs)), "terms": ", ".join(found.model.terms)}
     if output is not None:
         model_file.write(output, data)
         facts["model"] = str(output)

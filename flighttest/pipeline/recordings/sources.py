@@ -99,8 +99,10 @@ def open_recordings(
             found = list(pool.map(read, paths))
     else:
         found = []
-        for path in paths:
-            progress.stage(f"reading {path}")
+        if paths:
+            progress.stage(f"reading {paths[0]}" if len(paths) == 1 else f"reading {len(paths)} recordings")
+        for done, path in enumerate(paths):
+            progress.part(done, len(paths))
             found.append(read(path))
     for path, recording in zip(paths, found, strict=True):
         for loss in untold(path, recording):

@@ -45,7 +45,7 @@ from flighttest.pipeline.validity.evidence import (
 from flighttest.pipeline.validity.reflights import reflights
 from flighttest.pipeline.vehicles.live import Present
 from flighttest.recording import Recording
-from flighttest.report.numbers import join
+from flighttest.report.numbers import join, paths
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.currency import status_document
@@ -316,7 +316,7 @@ def finish(
     if present is not None:
         facts["read"] = present.sentence
     if runs:
-        facts["new flight"] = ", ".join(runs)
+        facts["new flight"] = paths(list(runs))
     document = status_document(found, facts, rows, brief=True)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

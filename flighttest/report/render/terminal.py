@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.padding import Padding
 from rich.panel import Panel as Box
@@ -13,11 +16,11 @@ from flighttest.report.document import Block, Bullets, Cell, Code, Document, Fac
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
 FOLDED_ROWS = 12
 LABEL_WIDTH = 28  # first columns up to this wide are never folded
-ROOMY_WIDTH = 110  # columns of a terminal that has room for everything
+WORD_WIDTH = 24  # longer words (paths) are folded within
 
 
-def render(document: Document) -> RenderableType:
-    """The whole document: verdict in a box, facts, then the sections."""
+def render(document: Document, everything: bool = False) -> RenderableType:
+    """The whole document: verdict in a box, facts, then the sections. everything: also what tables leave out for one screen."""
     verdict = Text(document.verdict, style=f"bold {STYLE[document.tone]}".strip())
     parts: list[RenderableType] = [
         Box(
@@ -30,14 +33,14 @@ def render(document: Document) -> RenderableType:
     ]
     if document.facts:
         parts.append(_facts(Facts(tuple(document.facts.items()))))
-    parts.extend(drawn for section in document.sections if (drawn := _section(section)) is not None)
+    parts.extend(drawn for section in document.sections if (drawn := _section(section, everything)) is not None)
     if document.footer:
         parts.append(Padding(Text(document.footer, style="dim"), (1, 0, 0, 0)))
     return Group(*parts)
 
 
-def _section(section: Section) -> RenderableType | None:
-    blocks = [drawn for block in section.blocks if (drawn := _block(block)) is not None]
+def _section(section: Section, everything: bool) -> RenderableType | None:
+    blocks = [drawn for block in section.blocks if (drawn := _block(block, everything)) is not None]
     head: list[RenderableType] = []
     if section.title:
         head.append(Text(section.title, style="bold cyan"))
@@ -48,7 +51,7 @@ def _section(section: Section) -> RenderableType | None:
     return Padding(Group(*head, *blocks), (1, 0, 0, 0))
 
 
-def _block(block: Block) -> RenderableType | None:
+def _block(block: Block, everything: bool) -> RenderableType | None:
     if isinstance(block, Paragraph):
         return Text(block.text, style=STYLE[block.tone])
     if isinstance(block, Bullets):
@@ -61,7 +64,7 @@ def _block(block: Block) -> RenderableType | None:
     if isinstance(block, Facts):
         return _facts(block)
     if isinstance(block, Table):
-        return _Sized(block)
+        return _Sized(block, everything)
     if isinstance(block, Code):
         return _code(block)
     if isinstance(block, Figure):
@@ -81,45 +84,86 @@ def _code(block: Code) -> RenderableType:
 def _facts(facts: Facts) -> RenderableType:
     grid = Grid.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
-    grid.add_column()
+    grid.add_column(overflow="fold")
     for name, value in facts.pairs:
         grid.add_row(name, value)
     return grid
 
 
 class _Sized:
-    """A table that leaves out its roomy columns where the terminal is narrow."""
+    """A table in the width there is: text columns fold between words, and what still does not fit follows below as further blocks of
+    columns, each after the first column again. No heading is cut and no column of the table is lost."""
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: Table, everything: bool) -> None:
         self._table = table
+        self._everything = everything
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        yield _table(self._table, options.max_width >= ROOMY_WIDTH)
+        table = self._table
+        chosen = [i for i in range(len(table.columns)) if self._everything or i not in table.detail]
+        rows = table.rows[:FOLDED_ROWS] if table.fold and not self._everything else table.rows
+        for index, block in enumerate(_blocks(table, chosen, options.max_width)):
+            if index:
+                yield Text("")
+            grid = Grid(box=None, header_style="dim", padding=(0, 1, 0, 0), show_edge=False, title_justify="left")
+            for i, width in block.items():
+                align = table.align[i] if i < len(table.align) else "left"
+                grid.add_column(table.columns[i], justify=align, overflow="fold", width=width)
+            for row in rows:
+                grid.add_row(*(_cell(row[i]) for i in block))
+            yield grid
+        left_out = _left_out(len(table.rows) - len(rows), [table.columns[i] for i in table.detail if i not in chosen])
+        if left_out:
+            yield Text(left_out, style="dim")
+        if table.caption:
+            yield Text(table.caption, style="dim italic")
 
 
-def _table(table: Table, roomy: bool) -> RenderableType:
-    grid = Grid(box=None, header_style="dim", padding=(0, 1, 0, 0), show_edge=False, title_justify="left")
-    shown = [i for i in range(len(table.columns)) if roomy or i not in table.roomy]
-    for index in shown:
-        name = table.columns[index]
-        align = table.align[index] if index < len(table.align) else "left"
-        short = index == 0 and all(len(_cell(row[0]).plain) <= LABEL_WIDTH for row in table.rows)
-        grid.add_column(name, justify=align, overflow="fold", no_wrap=align == "right" or short)
-    rows = table.rows[:FOLDED_ROWS] if table.fold else table.rows
-    for row in rows:
-        grid.add_row(*(_cell(row[i]) for i in shown))
-    parts: list[RenderableType] = [grid]
-    hidden = len(table.rows) - len(rows)
-    if hidden > 0:
-        parts.append(
-            Text(
-                f"... and {hidden} more (all of them with --json, and in the HTML report where one is written)",
-                style="dim",
-            )
-        )
-    if table.caption:
-        parts.append(Text(table.caption, style="dim italic"))
-    return Group(*parts)
+def _left_out(rows: int, columns: Sequence[str]) -> str:
+    """What `--all` would show beside this, '' where nothing."""
+    what = ([f"{rows} more row{'s' if rows > 1 else ''}"] if rows > 0 else []) + (
+        [f"columns {', '.join(columns)}"] if columns else []
+    )
+    return f"... {'; '.join(what)}: --all shows them, --csv DIR writes them" if what else ""
+
+
+def _blocks(table: Table, chosen: Sequence[int], room: int) -> list[dict[int, int]]:
+    """Columns (by position) with their widths, in as many blocks as the room asks for."""
+    wanted = {i: max(_lengths(table, i)) for i in chosen}
+    least = {i: min(wanted[i], max(1, room - 1), _least(table, i)) for i in chosen}
+    blocks: list[list[int]] = [[]]
+    for i in chosen:
+        if len(blocks[-1]) > 1 and sum(least[k] + 1 for k in (*blocks[-1], i)) > room:
+            blocks.append([chosen[0]] if least[chosen[0]] + least[i] + 2 <= room else [])
+        blocks[-1].append(i)
+    return [_shared({i: (least[i], wanted[i]) for i in block}, room) for block in blocks if block]
+
+
+def _shared(spans: Mapping[int, tuple[int, int]], room: int) -> dict[int, int]:
+    """A width per column between its least and its wanted one; what is over goes to the narrowest that wants more, sign by sign."""
+    widths = {i: least for i, (least, _) in spans.items()}
+    for _ in range(room - sum(w + 1 for w in widths.values())):
+        wanting = [i for i in widths if widths[i] < spans[i][1]]
+        if not wanting:
+            break
+        widths[min(wanting, key=widths.__getitem__)] += 1
+    return widths
+
+
+def _lengths(table: Table, index: int) -> list[int]:
+    return [cell_len(t) for t in (table.columns[index], *(_cell(row[index]).plain for row in table.rows))]
+
+
+def _least(table: Table, index: int) -> int:
+    """The width below which a heading or a number of the column would be cut: numbers and short labels stay whole, text folds between
+    words of usual length."""
+    lengths = _lengths(table, index)[1:]
+    heading = max((cell_len(word) for word in table.columns[index].split()), default=0)
+    right = index < len(table.align) and table.align[index] == "right"
+    if right or (index == 0 and max(lengths, default=0) <= LABEL_WIDTH):
+        return max(heading, *lengths, 1)
+    words = (cell_len(word) for row in table.rows for word in _cell(row[index]).plain.split())
+    return max(heading, min(max(words, default=1), WORD_WIDTH))
 
 
 def _cell(cell: Cell | str) -> Text:

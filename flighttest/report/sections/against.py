@@ -79,7 +79,7 @@ def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Tabl
         "chance at 1 % over all parameters together; 'same to': the difference that four of five such pairs would show."
     )
     return Table(
-        ("parameter", first, second, "unit", "difference", "change", ""), tuple(rows), align, caption, roomy=(5,)
+        ("parameter", first, second, "unit", "difference", "change", ""), tuple(rows), align, caption, detail=(5,)
     )
 
 

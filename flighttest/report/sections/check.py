@@ -75,7 +75,7 @@ def _envelope(rows: Sequence[EnvelopeRow]) -> Table:
         "useful: what is left of the record after the delay; height: lowest and highest in the zone; out: furthest from "
         "the start along the ground; lost: with the link lost at the worst moment."
     )
-    return Table(columns, tuple(_row(row) for row in rows), ("left", *numbers, "left"), caption, roomy=(5, 10))
+    return Table(columns, tuple(_row(row) for row in rows), ("left", *numbers, "left"), caption, detail=(5, 10))
 
 
 def _row(row: EnvelopeRow) -> tuple[Cell | str, ...]:

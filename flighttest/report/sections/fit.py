@@ -31,6 +31,7 @@ KIND_WORDS = {
     "tilt_throttle": "throttle step while tilted",
     "free": "window of free flight",
 }
+SHORT_WORDS = {"free": "free flight", "tilt_throttle": "tilted throttle"}  # of a table's column
 
 
 def cell_words(cell: Mapping[str, float]) -> str:
@@ -49,7 +50,7 @@ def parameters(view: FitView) -> Section:
     columns = ("parameter", "value", "unit", "95 % interval", "", "what it is")
     align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
     rows = tuple(_parameter_row(p) for p in view.parameters)
-    blocks: list[Block] = [Table(columns, rows, align, roomy=(len(columns) - 1,))]
+    blocks: list[Block] = [Table(columns, rows, align, detail=(len(columns) - 1,))]
     strong = [(a, b, c) for a, b, c in view.correlations if abs(c) >= view.correlation_above]
     if strong:
         words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong[:MAX_CORRELATIONS])
@@ -164,7 +165,7 @@ def _over_voltage(points: Sequence[ThrustPoint]) -> Panel:
 
 
 def segments(views: Sequence[SegmentView]) -> Section:
-    """Every segment: accepted, or rejected with its reason; the rejected ones first in words."""
+    """Every segment: accepted, or rejected with its reason. Steps come before windows of free flight, rejected ones first."""
     rejected = [s for s in views if s.flaws]
     used = len(views) - len(rejected)
     counts: dict[str, int] = {}
@@ -185,19 +186,18 @@ def segments(views: Sequence[SegmentView]) -> Section:
         "settling_s": "settling s",
         "steady_error": "steady error",
     }
-    columns = ("response", "kind", "step", "repeat", *(titles[m] for m in metric_names), "")
-    align = ("left", "left", "left", "right", *("right" for _ in metric_names), "left")
-    ordered = [*rejected, *(s for s in views if not s.flaws)]
+    columns = ("response", "kind", "step", "repeat", *(titles[m] for m in metric_names), "", "why")
+    align = ("left", "left", "left", "right", *("right" for _ in metric_names), "left", "left")
     rows = tuple(
         (
             s.name,
-            KIND_WORDS.get(s.kind, s.kind),
+            SHORT_WORDS.get(s.kind, KIND_WORDS.get(s.kind, s.kind)),
             cell_words(s.cell),
             str(s.repeat),
             *(_metric(s.metrics.get(m)) for m in metric_names),
-            _state(s),
+            *_state(s),
         )
-        for s in ordered
+        for s in sorted(views, key=lambda s: (s.kind == "free", not s.flaws))
     )
     blocks: list[Block] = []
     reasons: dict[str, int] = {}
@@ -215,8 +215,9 @@ def segments(views: Sequence[SegmentView]) -> Section:
     if outliers:
         blocks.append(Bullets(tuple(outliers)))
     if rows:
-        roomy = tuple(range(5, len(columns) - 1))  # of the metrics, the delay is what every step is looked at for
-        blocks.append(Table(columns, rows, align, fold=len(rows) > 12, roomy=roomy))  # type: ignore[arg-type]
+        steady = [4 + i for i, m in enumerate(metric_names) if m in ("settling_s", "steady_error")]
+        detail = (*steady, len(columns) - 1)
+        blocks.append(Table(columns, rows, align, fold=len(rows) > 12, detail=detail))  # type: ignore[arg-type]
     return Section("segments", "Responses", tuple(blocks), lead)
 
 
@@ -231,12 +232,13 @@ def _metric(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else number(value, 3)
 
 
-def _state(s: SegmentView) -> Cell:
+def _state(s: SegmentView) -> tuple[Cell, str]:
+    """In a word, and why."""
     if s.flaws:
-        return Cell("rejected", "bad", "; ".join(s.flaws))
+        return Cell("rejected", "bad"), "; ".join(s.flaws)
     if s.outlier:
-        return Cell("used, outlying", "warn", s.outlier)
-    return Cell("used", "good", "; ".join(s.notes))
+        return Cell("outlying", "warn"), s.outlier
+    return Cell("used", "good"), "; ".join(s.notes)
 
 
 def fit_sections(view: FitView) -> tuple[Section, ...]:

@@ -1,0 +1,37 @@
+"""What a terminal would spoil of a document: headings cut, columns lost, lines longer than it is wide."""
+
+from __future__ import annotations
+
+import io
+
+from rich.cells import cell_len
+from rich.console import Console
+
+from flighttest.report.document import Document, Section, Table
+from flighttest.report.render import terminal
+
+
+def drawn(document: Document, width: int, everything: bool = False) -> str:
+    """The text that a terminal of so many columns shows."""
+    out = io.StringIO()
+    Console(file=out, width=width, color_system=None).print(terminal.render(document, everything))
+    return out.getvalue()
+
+
+def troubles(document: Document, width: int) -> list[str]:
+    """A sentence for each thing that is wrong, of what is shown first and of everything."""
+    found = []
+    tables = [block for section in document.sections for block in section.blocks if isinstance(block, Table)]
+    for everything in (False, True):
+        text = drawn(document, width, everything) if tables or not everything else ""
+        found += [f"{width}: too long: {line!r}" for line in text.splitlines() if cell_len(line.rstrip()) > width]
+        if "\u2026" in text and "\u2026" not in str(document):
+            found.append(f"{width}: something is cut short in {document.title!r}")
+    for table in tables:
+        chosen = [c for i, c in enumerate(table.columns) if i not in table.detail]
+        for columns, everything in ((chosen, False), (table.columns, True)):
+            bare = Table(table.columns, table.rows, table.align, "", table.fold, table.detail)
+            words = drawn(Document("", "", sections=(Section("s", "", (bare,)),)), width, everything).split()
+            lost = [word for heading in columns for word in heading.split() if word not in words]
+            found += [f"{width}: the heading {word!r} of {table.columns} is cut" for word in lost]
+    return found
