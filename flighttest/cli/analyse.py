@@ -1,4 +1,4 @@
-"""Commands that work on recordings: import, segment, fit, diagnose, report."""
+"""Commands that work on recordings: import, show, segment, fit, diagnose, report."""
 
 from __future__ import annotations
 
@@ -25,6 +25,25 @@ def import_(context: Context, log: Path, columns: Path | None, output: Path, veh
 
     with LiveProgress(context.show) as progress:
         result = sources.import_log(log, output, columns, vehicle, progress)
+    return context.finish(result)
+
+
+@command("show")
+@click.argument("log", type=ANY)
+@COLUMNS
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    metavar="HTML",
+    help="Page to write; otherwise show.html in the run, or LOG-show.html here.",
+)
+def show(context: Context, log: Path, columns: Path | None, output: Path | None) -> int:
+    """One page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
+    from flighttest.pipeline import looking
+
+    with LiveProgress(context.show) as progress:
+        result = looking.show(log, output, columns, progress)
     return context.finish(result)
 
 
@@ -130,4 +149,4 @@ def report(context: Context, folder: Path, output: Path | None) -> int:
     return context.finish(result)
 
 
-COMMANDS: tuple[click.Command, ...] = (import_, segment, fit, diagnose, report)
+COMMANDS: tuple[click.Command, ...] = (import_, show, segment, fit, diagnose, report)

@@ -96,7 +96,9 @@ class Show:
         if self.as_json:
             self.json(data)
         else:
-            self.out.print(render(document, self.everything))
+            with self.out.capture() as drawn:  # a command that is copied must not end in spaces
+                self.out.print(render(document, self.everything))
+            self.out.file.write("".join(line.rstrip() + "\n" for line in drawn.get().splitlines()))
 
     def json(self, data: Mapping[str, Any]) -> None:
         """One JSON document; numbers that are not finite become null."""

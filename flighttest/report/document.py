@@ -87,7 +87,7 @@ class Trace:
     y: NDArray[np.float64] | Sequence[Any]
     name: str
     role: Role = "other"
-    mode: Literal["lines", "markers", "steps", "heat", "lines3d", "markers3d", "errorbars"] = "lines"
+    mode: Literal["lines", "markers", "steps", "heat", "lines3d", "markers3d", "errorbars", "track", "bars"] = "lines"
     z: Any = None
     spread: NDArray[np.float64] | None = None  # error bar half width, unit of y
     group: str = ""  # traces of one group are switched together and listed once
@@ -103,6 +103,8 @@ class Panel:
     y_label: str
     traces: tuple[Trace, ...]
     z_label: str = ""
+    log: str = ""  # axes with a logarithmic scale: "x", "y" or "xy"
+    equal: bool = False  # one metre is as long across as upwards
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,39 @@ class Figure:
     height_px: int = 320
 
 
-Block = Paragraph | Bullets | Facts | Table | Code | Figure
+@dataclass(frozen=True)
+class Mark:
+    """A time, or a stretch of time, on a viewer's axis. kind: mode, leg, or anything else that happened."""
+
+    start_s: float
+    end_s: float
+    label: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """Any channels over one time axis, chosen and zoomed in the page. groups: name to (t_s (n,), channel to (n,)); words: channel to
+    (name for people, unit, held until the next sample, name of the strip it shares with others); shown: the channels drawn at first."""
+
+    id: str
+    groups: Mapping[str, tuple[NDArray[np.float64], Mapping[str, NDArray[np.float64]]]]
+    words: Mapping[str, tuple[str, str, bool, str]]
+    marks: tuple[Mark, ...]
+    shown: tuple[str, ...]
+    caption: str
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Figures of which one is shown: the reader picks it by its name."""
+
+    id: str
+    what: str
+    figures: tuple[tuple[str, Figure], ...]
+
+
+Block = Paragraph | Bullets | Facts | Table | Code | Figure | Viewer | Choice
 
 
 @dataclass(frozen=True)
@@ -127,6 +161,7 @@ class Section:
     title: str
     blocks: tuple[Block, ...]
     lead: str = ""
+    detail: bool = False  # a terminal shows it only where everything is asked for
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
+from flighttest.report.packing import unpacked
 from flighttest.report.render import figures, html, terminal
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
@@ -80,10 +81,11 @@ def document():
 
 def test_the_page_is_self_contained():
     page = html.page_of(document())
-    outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    outside = re.sub(r"<script[^>]*>.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", outside)
     assert "@import" not in outside
-    assert page.count("plotly.js v") == 1
+    assert page.count('id="packed-plotly"') == 1
+    assert b"plotly.js v" in unpacked(page, "packed-plotly")[:200]
 
 
 def test_a_page_without_figures_carries_no_script():
@@ -96,9 +98,9 @@ def test_text_is_escaped_and_specs_survive_the_script_element():
     page = html.page_of(document())
     assert "&lt;b&gt;" in page
     assert "title &amp; more" in page
-    specs = re.findall(r'<script type="application/json" id="[^"]+">(.*?)</script>', page, flags=re.DOTALL)
+    specs = json.loads(unpacked(page, html.SPECS))
     assert len(specs) == 1
-    assert json.loads(specs[0])["panels"][0]["layout"]["title"]["text"] == "roll </script>"
+    assert specs[0]["panels"][0]["layout"]["title"]["text"] == "roll </script>"
 
 
 def test_commands_in_prose_are_set_as_code():

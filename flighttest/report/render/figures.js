@@ -28,10 +28,35 @@
     }
     return value;
   }
+  window.pageColours = () => palette(false);
+  window.paint = paint;
+  window.repaint = [];  // what else is drawn anew when the palette changes
   const drawn = [];
+  const buttons = (item) => {
+    const box = document.createElement("span");
+    box.className = "save";
+    box.append("save ");
+    const file = (index) => `${item.spec.id}${item.plots.length > 1 ? "-" + (index + 1) : ""}`;
+    for (const kind of ["png", "svg", "csv"]) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = kind.toUpperCase();
+      button.title = kind === "csv" ? "the numbers of this picture" : "this picture as it is shown";
+      button.addEventListener("click", async () => {
+        if (kind === "csv") return saveText(`${item.spec.id}.csv`, csvOf(item.spec.panels));
+        for (let i = 0; i < item.plots.length; i++) {
+          const box = item.plots[i].getBoundingClientRect();
+          await Plotly.downloadImage(item.plots[i], { format: kind, filename: file(i), width: box.width, height: box.height, scale: kind === "png" ? 2 : 1 });
+        }
+      });
+      box.append(button);
+    }
+    return box;
+  };
   function draw(printing) {
     const colours = palette(printing);
     for (const item of drawn) {
+      if (!item.plots[0].offsetParent && !printing) continue;
       for (const chip of item.chips) chip.querySelector("i").style.borderColor = colours[chip.dataset.role] || colours.other;
       item.spec.panels.forEach((panel, index) => {
         const data = panel.data.map((t) => {
@@ -45,8 +70,7 @@
       });
     }
   }
-  document.querySelectorAll("figure[data-spec]").forEach((figure) => {
-    const spec = JSON.parse(document.getElementById(figure.dataset.spec).textContent);
+  function prepare(figure, spec) {
     const hidden = new Set(spec.legend.filter((e) => !e.shown).map((e) => e.name));
     const bar = figure.querySelector(".legend");
     const chips = spec.legend.map((entry) => {
@@ -65,16 +89,34 @@
       bar.append(chip);
       return chip;
     });
-    drawn.push({ spec, hidden, chips, plots: Array.from(figure.querySelectorAll(".plot")) });
+    const item = { spec, hidden, chips, plots: Array.from(figure.querySelectorAll(".plot")) };
+    bar.append(buttons(item));
+    drawn.push(item);
+  }
+  const everything = (printing) => {
+    draw(printing);
+    for (const again of window.repaint) again(printing ? light : palette(false));
+  };
+  Promise.all([window.unpack("packed-figures"), window.plotlyReady]).then(([bytes]) => {
+    const specs = JSON.parse(new TextDecoder().decode(bytes));
+    document.querySelectorAll("figure[data-figure]").forEach((figure, index) => prepare(figure, specs[index]));
+    everything(false);
+    document.body.dataset.drawn = "yes";
+    wantsDark.addEventListener("change", () => everything(false));
+    window.addEventListener("beforeprint", () => everything(true));
+    window.addEventListener("afterprint", () => everything(false));
+    for (const choice of document.querySelectorAll(".choice")) {
+      const list = choice.querySelector("select"), shown = Array.from(choice.querySelectorAll(":scope > div"));
+      list.addEventListener("change", () => {
+        shown.forEach((one, index) => (one.hidden = index !== list.selectedIndex));
+        draw(false);
+      });
+    }
   });
-  draw(false);
-  wantsDark.addEventListener("change", () => draw(false));
-  window.addEventListener("beforeprint", () => draw(true));
-  window.addEventListener("afterprint", () => draw(false));
   const toggle = document.getElementById("theme");
   if (toggle) toggle.addEventListener("click", () => {
     const now = store.dataset.theme ? store.dataset.theme === "dark" : wantsDark.matches;
     store.dataset.theme = now ? "light" : "dark";
-    draw(false);
+    everything(false);
   });
 })();

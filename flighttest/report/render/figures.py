@@ -88,7 +88,25 @@ def _panel(panel: Panel, heat_top: float | None = None) -> dict[str, Any]:
         if counted and max(counted) <= 12:
             layout["xaxis"]["dtick"] = 1  # runs are counted: there is none between two
         layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
-    return {"data": [_trace(trace, heat_top) for trace in panel.traces], "layout": layout}
+        for name in panel.log:
+            layout[f"{name}axis"]["type"] = "log"
+        if panel.equal:
+            layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
+    hover = _hover(panel)
+    data = [{**_trace(trace, heat_top), "hovertemplate": hover} for trace in panel.traces]
+    return {"data": data, "layout": layout, "title": panel.title}
+
+
+def _hover(panel: Panel) -> str:
+    """What a pointer shows: the trace's name, then each variable with its number and unit."""
+    axes = [("x", panel.x_label), ("y", panel.y_label)]
+    if panel.z_label:
+        axes.append(("z", panel.z_label))
+    lines = []
+    for axis, label in axes:
+        name, comma, unit = label.rpartition(", ")
+        lines.append(f"{name if comma else label} %{{{axis}}}{' ' + unit if comma else ''}".strip())
+    return "<b>%{fullData.name}</b><br>" + "<br>".join(lines) + "<extra></extra>"
 
 
 def _trace(trace: Trace, heat_top: float | None = None) -> dict[str, Any]:
@@ -129,6 +147,18 @@ def _trace(trace: Trace, heat_top: float | None = None) -> dict[str, Any]:
             "line": {"color": colour, "width": 4},
             "marker": {"color": colour, "size": 2},
         }
+    if trace.mode == "track":
+        colours = {"color": _numbers(trace.z), "colorscale": "Viridis", "size": 4, "showscale": True}
+        colours["colorbar"] = {"thickness": 10, "title": {"text": trace.name, "side": "right"}, "outlinewidth": 0}
+        return {
+            **spec,
+            "type": "scatter",
+            "mode": "lines+markers",
+            "line": {"color": "@grid", "width": 1},
+            "marker": colours,
+        }
+    if trace.mode == "bars":
+        return {**spec, "type": "bar", "marker": {"color": colour}}
     if trace.mode == "markers":
         return {**spec, "type": "scatter", "mode": "markers", "marker": {"color": colour, "size": 4, "opacity": 0.75}}
     if trace.mode == "steps":

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import re
+from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
 
-from plotly.offline import get_plotlyjs
-
-from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Figure, Paragraph, Section, Table
+from flighttest.report.document import (
+    Block,
+    Bullets,
+    Cell,
+    Choice,
+    Code,
+    Document,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    Viewer,
+)
+from flighttest.report.packing import pack_series, packed, packed_json, plotly_script
 from flighttest.report.render.figures import specification
 
+SPECS = "packed-figures"
+VIEWER_SAMPLES, LEAST_CHANNEL = 300_000, 2000  # samples of all channels together, and of one at the least
 THEME_BUTTON = '<button id="theme" type="button">light / dark</button>'
 
 
@@ -21,8 +35,14 @@ def page_of(document: Document) -> str:
     sections = "\n".join(_section(section) for section in document.sections)
     links = "".join(f'<a href="#{escape(s.id)}">{escape(s.title)}</a>' for s in document.sections if s.title)
     facts = f"<section>{_facts(Facts(tuple(document.facts.items())))}</section>" if document.facts else ""
-    figures = any(isinstance(block, Figure) for section in document.sections for block in section.blocks)
-    scripts = f"<script>{get_plotlyjs()}</script>\n<script>{_asset('figures.js')}</script>" if figures else ""
+    blocks = [block for section in document.sections for block in section.blocks]
+    viewers = any(isinstance(block, Viewer) for block in blocks)
+    figures = viewers or any(isinstance(block, Figure | Choice) for block in blocks)
+    scripts = ""
+    if figures:
+        names = ("unpack.js", "figures.js", *(("viewer.js",) if viewers else ()))
+        specs = packed_json([specification(figure) for figure in _figures(blocks)], SPECS)
+        scripts = "\n".join([plotly_script(), specs, *(f"<script>{_asset(name)}</script>" for name in names)])
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -77,7 +97,11 @@ def _block(block: Block, key: str) -> str:
     if isinstance(block, Code):
         caption = f'<p class="caption">{escape(block.caption)}</p>' if block.caption else ""
         return f"{caption}<pre>{escape(block.text)}</pre>"
-    return _figure(block, f"spec-{key}")
+    if isinstance(block, Viewer):
+        return _viewer(block)
+    if isinstance(block, Choice):
+        return _choice(block)
+    return _figure(block)
 
 
 def _prose(text: str) -> str:
@@ -109,13 +133,47 @@ def _cell(cell: Cell | str, side: str) -> str:
     return f'<td class="{side}"><span class="{cell.tone}">{escape(cell.text)}</span>{note}</td>'
 
 
-def _figure(figure: Figure, key: str) -> str:
-    # "</" would end the script element early; JSON allows the escaped slash.
-    spec = json.dumps(specification(figure), separators=(",", ":")).replace("</", "<\\/")
+def _figures(blocks: Sequence[Block]) -> list[Figure]:
+    """All figures in the order in which their elements stand in the page."""
+    found: list[Figure] = []
+    for block in blocks:
+        if isinstance(block, Figure):
+            found.append(block)
+        elif isinstance(block, Choice):
+            found += [figure for _, figure in block.figures]
+    return found
+
+
+def _figure(figure: Figure) -> str:
     plots = "".join(f'<div class="plot" style="min-height:{figure.height_px}px"></div>' for _ in figure.panels)
     columns = min(figure.columns, len(figure.panels))
     return (
-        f'<figure data-spec="{key}" style="--columns:{columns}"><div class="legend"></div><div class="plots">{plots}</div>'
+        f'<figure data-figure style="--columns:{columns}"><div class="legend"></div><div class="plots">{plots}</div>'
         f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
-        f'<script type="application/json" id="{key}">{spec}</script>'
+    )
+
+
+def _choice(choice: Choice) -> str:
+    options = "".join(f"<option>{escape(name)}</option>" for name, _ in choice.figures)
+    drawn = "".join(
+        f"<div{' hidden' if i else ''}>{_figure(figure)}</div>" for i, (_, figure) in enumerate(choice.figures)
+    )
+    return f'<div class="choice"><label>{escape(choice.what)} <select>{options}</select></label>{drawn}</div>'
+
+
+def _viewer(viewer: Viewer) -> str:
+    """Channels with their level of detail, as many samples of each as let the page stay small."""
+    count = sum(len(columns) for _, columns in viewer.groups.values())
+    series, data = pack_series(viewer.groups, max(VIEWER_SAMPLES // max(count, 1), LEAST_CHANNEL))
+    described = {
+        "series": series,
+        "words": {name: list(words) for name, words in viewer.words.items()},
+        "marks": [[m.start_s, m.end_s, m.label, m.kind] for m in viewer.marks],
+        "shown": list(viewer.shown),
+    }
+    key = escape(viewer.id)
+    return (
+        f'<div class="viewer" data-viewer="{key}"><div class="channels"></div><div class="strips"></div>'
+        f'<p class="caption">{escape(viewer.caption)}</p></div>'
+        f"{packed_json(described, f'{key}-about')}{packed(data, f'{key}-data')}"
     )

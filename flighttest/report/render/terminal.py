@@ -11,7 +11,7 @@ from rich.panel import Panel as Box
 from rich.table import Table as Grid
 from rich.text import Text
 
-from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Figure, Paragraph, Section, Table
+from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Paragraph, Section, Table
 
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
 FOLDED_ROWS = 12
@@ -33,7 +33,11 @@ def render(document: Document, everything: bool = False) -> RenderableType:
     ]
     if document.facts:
         parts.append(_facts(Facts(tuple(document.facts.items()))))
-    parts.extend(drawn for section in document.sections if (drawn := _section(section, everything)) is not None)
+    shown = [section for section in document.sections if everything or not section.detail]
+    parts.extend(drawn for section in shown if (drawn := _section(section, everything)) is not None)
+    if len(shown) < len(document.sections):
+        names = ", ".join(section.title.lower() for section in document.sections if section.detail)
+        parts.append(Padding(Text(f"--all shows more: {names}", style="dim"), (1, 0, 0, 0)))
     if document.footer:
         parts.append(Padding(Text(document.footer, style="dim"), (1, 0, 0, 0)))
     return Group(*parts)
@@ -67,18 +71,39 @@ def _block(block: Block, everything: bool) -> RenderableType | None:
         return _Sized(block, everything)
     if isinstance(block, Code):
         return _code(block)
-    if isinstance(block, Figure):
-        return None  # pictures are in the HTML report
-    return None
+    return None  # pictures are in the HTML report
 
 
 def _code(block: Code) -> RenderableType:
-    drawn: RenderableType = Text(f"  {block.text}", style="cyan")
+    drawn: RenderableType = _Command(block.text)
     if "\n" in block.text and not block.text.startswith("flighttest "):
         from rich.syntax import Syntax
 
         drawn = Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
     return Group(Text(block.caption, style="dim"), drawn) if block.caption else drawn
+
+
+class _Command:
+    """Text to be copied: a command that is longer than the terminal is wide goes on behind backslashes."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        lines = [f"  {line}" for line in self._text.split("\n")]
+        if self._text.startswith("flighttest "):
+            lines = [part for line in lines for part in _continued(line, options.max_width)]
+        yield Text("\n".join(lines), style="cyan", overflow="fold")
+
+
+def _continued(line: str, room: int) -> list[str]:
+    found = [""]
+    for word in line.strip().split(" "):
+        if found[-1] and cell_len(f"  {found[-1]} {word} \\") > room:
+            found.append(f"  {word}")
+        else:
+            found[-1] = f"{found[-1]} {word}" if found[-1] else word
+    return [f"  {part} \\" for part in found[:-1]] + [f"  {found[-1]}"]
 
 
 def _facts(facts: Facts) -> RenderableType:

@@ -1,0 +1,222 @@
+"""`flighttest show`: a recording as it is, on one page, before anything is fitted."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flighttest.errors import FlighttestError
+from flighttest.identify.dead_time import onset_delay, start_values
+from flighttest.identify.diagnostics.identifiability import allowance, maneuver_for, throttle_varies, voltage_varies
+from flighttest.identify.expected_information import Expected, expected_of
+from flighttest.identify.fit import has_attitude_references
+from flighttest.physics.body import DELAY
+from flighttest.pipeline.identification.fitting import base_model
+from flighttest.pipeline.identification.reporting import provenance
+from flighttest.pipeline.recordings.batteries import battery_of
+from flighttest.pipeline.recordings.sources import open_recording, untold
+from flighttest.pipeline.recordings.time_budget import time_section
+from flighttest.pipeline.results import SILENT, Progress, Result, check_writable
+from flighttest.recording import Recording
+from flighttest.report.document import Document, Tone
+from flighttest.report.numbers import duration, join, number
+from flighttest.report.render import html
+from flighttest.report.render.plain import plain
+from flighttest.report.sections import fit as fit_sections
+from flighttest.report.show_sections import Look, ParameterOutlook, sections
+from flighttest.segments import Segment, cut
+from flighttest.segments.airborne import flights
+from flighttest.segments.health import at_limits, battery, in_flight, modes, sampling, spectra
+from flighttest.version import __version__
+
+STEPS_OF_A_MANEUVER = 6  # fewer steps happen in a flight by hand, too
+SLOW_M_S, LEVEL_RAD = 0.3, 0.1  # of hovering
+MOST_WINDOWS = 24  # of free flight, that the outlook rests on: more would take longer and tell the same
+PAGE = "show.html"
+SUFFIXES = re.compile(r"\.\w+(\.(gz|xz))?$")  # of a log's name
+
+
+def show(log: Path, output: Path | None = None, columns: Path | None = None, progress: Progress = SILENT) -> Result:
+    """Write the page of a log or run folder; the terminal gets its main lines."""
+    page = output or (log / PAGE if log.is_dir() else Path(f"{SUFFIXES.sub('', log.name)}-{PAGE}"))
+    check_writable(page.parent)
+    progress.stage(f"reading {log}")
+    recording = open_recording(log, columns)
+    progress.stage("cutting the responses")
+    segments = cut(recording)
+    progress.stage(f"judging {len(segments)} responses")
+    look = looked(recording, segments, shlex.quote(str(log)), columns)
+    verdict, tone = _verdict(look, segments)
+    shown = list(sections(look))
+    at = next(i for i, s in enumerate(shown) if s.id == "identify") + 1
+    shown[at:at] = [time_section([recording], segments)]
+    if segments:
+        shown.insert(at + 1, fit_sections.segments(_views(segments)))
+    facts = {**provenance([recording]), **dict(look.figures)}
+    document = Document(
+        f"flighttest: {recording.name}", verdict, tone, tuple(shown), facts, f"flighttest {__version__}."
+    )
+    progress.stage("writing the page")
+    html.write(document, page)
+    brief = [replace(s, detail=s.id not in ("identify", "next")) for s in shown if s.id != "channels"]
+    short = Document("show", verdict, tone, tuple(brief), {"page": str(page), **dict(look.figures)})
+    return Result(short, _data(look, page, verdict, untold(log, recording)), value=document)
+
+
+def looked(recording: Recording, segments: Sequence[Segment], named: str, columns: Path | None = None) -> Look:
+    """What the page shows of a recording and its segments."""
+    outlook, why = _outlook(recording, segments)
+    resistance = battery_of([recording])
+    said = resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
+    return Look(
+        recording, sampling(recording), at_limits(recording), spectra(recording), battery(recording), said, modes(recording),
+        flights(recording), _figures(recording), outlook, why, _commands(segments, outlook, named, columns),
+    )  # fmt: skip
+
+
+def _views(segments: Sequence[Segment]) -> Any:
+    from flighttest.pipeline.presenters.fit_view import segment_views
+
+    return segment_views(segments)
+
+
+def _outlook(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[ParameterOutlook, ...], str]:
+    """Expected errors at nominal parameters, and where there are none why."""
+    steps = [s for s in segments if s.usable and s.kind != "free"]
+    free = [s for s in segments if s.usable and s.kind == "free"]
+    usable = [*steps, *free[:: max(1, len(free) // MOST_WINDOWS)]]
+    if not usable:
+        return (), "No response of this recording can be used; the table of responses says why."
+    model = base_model([recording], None)
+    model = replace(model, attitude_loops=has_attitude_references(usable))
+    try:
+        values = model.start(start_values(usable, model, onset_delay(usable)))
+        expected = expected_of(usable, model, values)
+    except FlighttestError as error:
+        return (), f"What it could tell was not computed: {error.message}."
+    blind = () if voltage_varies(usable, model.nominal_voltage_v) else ("alpha",)
+    if not throttle_varies(usable):
+        blind = (*blind, "sigma_t", "T_d_thrust")
+    expected = tuple(replace(one, std=None) if one.name in blind else one for one in expected)
+    return tuple(_judged(model, one) for one in expected), ""
+
+
+def _judged(model: Any, one: Expected) -> ParameterOutlook:
+    param = DELAY if one.name == DELAY.name else model.param[one.name]
+    reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
+    fly = maneuver_for(param, reveals.get(one.name, ""))
+    enough = one.std is not None and one.std <= allowance(param, one.value)
+    return ParameterOutlook(one, enough, "" if enough else fly, "" if one.std is not None else "nothing tells it")
+
+
+def _figures(recording: Recording) -> tuple[tuple[str, str], ...]:
+    """Times, hover throttle, highest speed, tilt and height of the flights."""
+    spans = flights(recording)
+    found = [
+        ("in the air", duration(sum(b - a for a, b in spans)) + (f" in {len(spans)} flights" if len(spans) > 1 else ""))
+    ]
+
+    def flown(name: str) -> tuple[Any, Any]:
+        t, values = recording.channel(name)
+        keep = in_flight(recording, t) & np.isfinite(values)
+        return t[keep], values[keep]
+
+    if recording.has("throttle"):
+        t, throttle = flown("throttle")
+        level = np.ones(t.size, dtype=bool)
+        for name, most in (("v_z_m_s", SLOW_M_S), ("roll_rad", LEVEL_RAD), ("pitch_rad", LEVEL_RAD)):
+            if recording.has(name):
+                at, values = flown(name)
+                if at.size:
+                    level &= np.abs(np.interp(t, at, values)) < most
+        level &= throttle > 0.0
+        if level.sum() > 10:
+            found.append(("hover throttle", number(float(np.median(throttle[level])), 3)))
+    speeds = [flown(n)[1] for n in ("v_x_m_s", "v_y_m_s", "v_z_m_s") if recording.has(n)]
+    if len(speeds) == 3 and speeds[0].size and speeds[0].size == speeds[1].size == speeds[2].size:
+        found.append(("highest speed", f"{number(float(np.sqrt(sum(v**2 for v in speeds)).max()), 3)} m/s"))
+    tilts = [flown(n)[1] for n in ("roll_rad", "pitch_rad") if recording.has(n)]
+    if tilts and all(v.size for v in tilts):
+        found.append(("largest tilt", f"{number(float(np.degrees(max(np.abs(v).max() for v in tilts))), 2)}°"))
+    for name in ("height_m", "p_z_m"):
+        if recording.has(name) and (values := flown(name)[1]).size:
+            found.append(("height", f"{number(float(values.min()), 2)} to {number(float(values.max()), 3)} m"))
+            break
+    return tuple(found)
+
+
+def _commands(
+    segments: Sequence[Segment], outlook: Sequence[ParameterOutlook], named: str, columns: Path | None
+) -> tuple[tuple[str, str], ...]:
+    more = "" if columns is None else f" --columns {shlex.quote(str(columns))}"
+    found = []
+    if any(one.expected.std is not None for one in outlook):
+        found.append(("The model's parameters from this recording:", f"flighttest fit {named}{more} -o model.yaml"))
+        found.append(("What physics such a model leaves out:", f"flighttest diagnose {named}{more} -o diagnosis"))
+    scripts = list(dict.fromkeys(one.fly for one in outlook if one.fly))
+    if scripts:
+        words = " ".join(scripts)
+        found.append(
+            (
+                "Steps for what it cannot tell (with --vehicle and --connect, on this vehicle):",
+                f"flighttest run {words}",
+            )
+        )
+    if not found:
+        found.append(("Why nothing of it can be used:", f"flighttest segment {named}{more} --all"))
+    return tuple(found)
+
+
+def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
+    """What kind of flight, and what it is good for."""
+    air_s = sum(b - a for a, b in look.flights)
+    used = [s for s in segments if s.usable]
+    steps = [s for s in used if s.kind != "free"]
+    recording = look.recording
+    if len(steps) >= STEPS_OF_A_MANEUVER:
+        kind = f"A maneuver flight of {duration(air_s)} with {len(steps)} usable steps"
+    elif any(recording.has(n) for n in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")):
+        kind = f"A free flight of {duration(air_s)} with recorded commands"
+        kind += f" and {len(steps)} step{'' if len(steps) == 1 else 's'}" if steps else ""
+    else:
+        kind = f"{duration(air_s)} of motion without recorded commands"
+    worst = max(look.sampling, key=lambda s: s.lost, default=None)
+    doubts = []
+    if worst is not None and worst.lost > 0.02:
+        doubts.append(f"{worst.group.replace('_', ' ')} is missing for {worst.lost:.0%} of the time")
+    if recording.provenance.losses:
+        count = len(recording.provenance.losses)
+        doubts.append(f"{count} thing{'s' if count > 1 else ''} lost or odd in reading it")
+    good = [one.expected.name for one in look.outlook if one.enough]
+    if not any(one.expected.std is not None for one in look.outlook):
+        tells, tone = "Nothing of it can be used for a fit.", "bad"
+    elif len(good) == len(look.outlook):
+        tells, tone = f"All {len(good)} parameters may become known by a fit.", "good"
+    else:
+        tells = f"At best {len(good)} of {len(look.outlook)} parameters become known by a fit."
+        tone = "warn"
+    return f"{kind}{'; ' + join(doubts) if doubts else ''}. {tells}", tone  # type: ignore[return-value]
+
+
+def _data(look: Look, page: Path, verdict: str, losses: Sequence[str]) -> dict[str, Any]:
+    return {
+        "page": str(page),
+        "verdict": verdict,
+        "sampling": plain([asdict(s) for s in look.sampling]),
+        "limits": plain([asdict(s) for s in look.limits]),
+        "vibration": [{"channel": s.channel, "rms": plain(s.rms), "peak_hz": s.peak_hz} for s in look.spectra],
+        "battery": plain(look.battery),
+        "modes": [{"start_s": a, "end_s": b, "mode": name} for a, b, name in look.modes],
+        "flights": [list(span) for span in look.flights],
+        "outlook": [
+            {"parameter": o.expected.name, "expected_std": o.expected.std, "enough": o.enough} for o in look.outlook
+        ],
+        "losses": [*look.recording.provenance.losses] or list(losses),
+        "commands": [command for _, command in look.commands],
+    }

@@ -1,0 +1,91 @@
+"""`flighttest show`: one page about a recording, before anything is fitted."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from flighttest.report.packing import MISSING, coarse, pack_series, unpacked
+from flighttest.report.render import html
+
+
+@pytest.fixture(scope="module")
+def shown(flight_csv, tmp_path_factory):
+    from flighttest.pipeline.looking import show
+
+    page = tmp_path_factory.mktemp("page") / "page.html"
+    return show(flight_csv, page), page
+
+
+def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
+    result, page = shown
+    assert "maneuver flight" in result.document.verdict
+    told = {o["parameter"]: o["enough"] for o in result.data["outlook"]}
+    assert told["K"]
+    assert told["omega_phi"]
+    assert result.data["battery"]["first_v"] > result.data["battery"]["last_v"]
+    assert any(c.startswith("flighttest fit ") for c in result.data["commands"])
+    assert {s.id for s in result.value.sections} >= {
+        "channels",
+        "identify",
+        "health",
+        "time",
+        "segments",
+        "vibration",
+        "next",
+    }
+    assert page.stat().st_size < 2_500_000
+
+
+def test_the_page_is_offline_and_holds_every_channel(shown):
+    text = shown[1].read_text()
+    outside = re.sub(r"<script[^>]*>.*?</script>", "", text, flags=re.DOTALL)
+    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", outside)
+    about = json.loads(unpacked(text, "channels-about"))
+    held = {c["name"] for one in about["series"] for c in one["channels"]}
+    recording = shown[0].value.sections[0].blocks[0]
+    assert held == {n for _, columns in recording.groups.values() for n in columns}
+    assert set(about["shown"]) <= held
+    data = unpacked(text, "channels-data")
+    for one in about["series"]:
+        t_s, columns = recording.groups[one["group"]]
+        times = one["t0"] + np.cumsum(np.frombuffer(data, "<u4", one["n"], one["t"])) * 1e-5
+        assert np.abs(times - t_s).max() < 1e-4, "few enough to be kept as they are"
+        for c in one["channels"]:
+            coded = np.frombuffer(data, "<i2", one["n"], c["at"])
+            values = np.where(coded == MISSING, np.nan, c["low"] + (coded + 32500.0) * c["step"])
+            assert np.nanmax(np.abs(values - columns[c["name"]])) <= c["step"]
+
+
+def test_a_log_without_anything_to_fit_is_shown_too(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(0, 20, 0.02)
+    rows = "\n".join(f"{a:.3f},{0.1 * np.sin(a):.5f}" for a in t)
+    (tmp_path / "only.v2.csv").write_text(f"t_s,roll_rad\n{rows}\n")
+    code, out, _ = call("show", "only.v2.csv")
+    assert code == 0
+    assert (tmp_path / "only.v2-show.html").is_file()
+    assert "without recorded commands" in out
+    assert "flighttest segment only.v2.csv --all" in out
+
+
+def test_a_long_channel_keeps_its_peaks():
+    t = np.linspace(0.0, 100.0, 100_000)
+    y = np.sin(t)
+    y[50_003] = 9.0
+    y[70_001] = np.nan
+    times, values = coarse(t, y, 1000)
+    assert times.size <= 1000
+    assert np.all(np.diff(times) > 0)
+    assert np.nanmax(values) == 9.0
+    assert abs(times[np.nanargmax(values)] - t[50_003]) < 0.2
+    described, data = pack_series({"g": (t, {"a": y, "b": np.full(t.size, np.nan)})}, 1000)
+    assert described[0]["of"] == t.size
+    assert len(data) < 10_000
+
+
+def test_figures_and_plotly_are_packed_once(shown):
+    text = shown[1].read_text()
+    assert text.count('id="packed-plotly"') == text.count(f'id="{html.SPECS}"') == 1
+    assert unpacked(text, "packed-plotly").startswith(b"/**\n* plotly.js v")
