@@ -180,7 +180,8 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     steps = [s for s in used if s.kind != "free"]
     recording = look.recording
     if len(steps) >= STEPS_OF_A_MANEUVER:
-        kind = f"A maneuver flight of {duration(air_s)} with {len(steps)} usable steps"
+        marked = any(m.kind == "leg" for m in recording.markers)
+        kind = f"A {'maneuver ' if marked else ''}flight of {duration(air_s)} with {len(steps)} usable steps"
     elif any(recording.has(n) for n in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle")):
         kind = f"A free flight of {duration(air_s)} with recorded commands"
         kind += f" and {len(steps)} step{'' if len(steps) == 1 else 's'}" if steps else ""

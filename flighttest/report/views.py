@@ -80,6 +80,53 @@ class QualityView:
 
 
 @dataclass(frozen=True)
+class ChannelOfResponse:
+    """One output of one response: (n,) measured and simulated at t_s since the step; floor: its noise, unit of the channel."""
+
+    channel: str
+    t_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    floor: float
+
+
+@dataclass(frozen=True)
+class ResponseView:
+    """One response with its commands (n,) at t_s since the step, and every output."""
+
+    name: str
+    t_s: FloatArray
+    commands: Mapping[str, FloatArray]
+    channels: tuple[ChannelOfResponse, ...]
+
+
+@dataclass(frozen=True)
+class CorrelationView:
+    """Correlation (n,) of a channel's residual with itself and with the command, by lag_s (n,); band: 1.96 standard errors of white
+    noise."""
+
+    channel: str
+    lag_s: FloatArray
+    auto: FloatArray
+    cross: FloatArray
+    band: float
+
+
+@dataclass(frozen=True)
+class LoopView:
+    """Complex frequency response (n,) of one loop, measured and by the model, with the coherence of the measured one."""
+
+    title: str
+    command_unit: str
+    answer_unit: str
+    responses: int
+    frequency_hz: FloatArray
+    measured: NDArray[np.complex128]
+    model: NDArray[np.complex128]
+    coherence: FloatArray
+
+
+@dataclass(frozen=True)
 class FitView:
     """A fit as it is shown."""
 
@@ -94,3 +141,6 @@ class FitView:
     quality: tuple[QualityView, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    responses: tuple[ResponseView, ...] = ()
+    residual_correlations: tuple[CorrelationView, ...] = ()
+    loops: tuple[LoopView, ...] = ()

@@ -83,7 +83,7 @@ def sampling(recording: Recording) -> tuple[Sampling, ...]:
     """Of every group with at least two samples."""
     found = []
     for group, series in recording.series.items():
-        if len(series) < 2:
+        if len(series) < 2 or group == "state":  # written when it changes
             continue
         steps = np.diff(series.t_s)
         usual = float(np.median(steps))

@@ -20,7 +20,7 @@ def shown(flight_csv, tmp_path_factory):
 
 def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
     result, page = shown
-    assert "maneuver flight" in result.document.verdict
+    assert "A flight of" in result.document.verdict
     told = {o["parameter"]: o["enough"] for o in result.data["outlook"]}
     assert told["K"]
     assert told["omega_phi"]

@@ -57,8 +57,8 @@ def page_of(document: Document) -> str:
 <main>
 <div class="verdict {document.tone}" role="status">{escape(document.verdict)}</div>
 <nav>{links}</nav>
-{facts}
 {sections}
+{facts}
 </main>
 <footer>{escape(document.footer)}</footer>
 {scripts}

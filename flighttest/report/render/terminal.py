@@ -11,7 +11,20 @@ from rich.panel import Panel as Box
 from rich.table import Table as Grid
 from rich.text import Text
 
-from flighttest.report.document import Block, Bullets, Cell, Code, Document, Facts, Paragraph, Section, Table
+from flighttest.report.document import (
+    Block,
+    Bullets,
+    Cell,
+    Choice,
+    Code,
+    Document,
+    Facts,
+    Figure,
+    Paragraph,
+    Section,
+    Table,
+    Viewer,
+)
 
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
 FOLDED_ROWS = 12
@@ -34,13 +47,18 @@ def render(document: Document, everything: bool = False) -> RenderableType:
     if document.facts:
         parts.append(_facts(Facts(tuple(document.facts.items()))))
     shown = [section for section in document.sections if everything or not section.detail]
+    hidden = [s.title.lower() for s in document.sections if s not in shown and not _pictures(s)]
     parts.extend(drawn for section in shown if (drawn := _section(section, everything)) is not None)
-    if len(shown) < len(document.sections):
-        names = ", ".join(section.title.lower() for section in document.sections if section.detail)
-        parts.append(Padding(Text(f"--all shows more: {names}", style="dim"), (1, 0, 0, 0)))
+    if hidden:
+        parts.append(Padding(Text(f"--all shows more: {', '.join(hidden)}", style="dim"), (1, 0, 0, 0)))
     if document.footer:
         parts.append(Padding(Text(document.footer, style="dim"), (1, 0, 0, 0)))
     return Group(*parts)
+
+
+def _pictures(section: Section) -> bool:
+    """Whether it holds nothing that a terminal can show."""
+    return all(isinstance(block, Figure | Choice | Viewer) for block in section.blocks)
 
 
 def _section(section: Section, everything: bool) -> RenderableType | None:
@@ -50,7 +68,7 @@ def _section(section: Section, everything: bool) -> RenderableType | None:
         head.append(Text(section.title, style="bold cyan"))
     if section.lead:
         head.append(Text(section.lead))
-    if not section.lead and not blocks:
+    if not blocks and (not section.lead or _pictures(section)):
         return None  # nothing but pictures: they are in the HTML report
     return Padding(Group(*head, *blocks), (1, 0, 0, 0))
 

@@ -18,6 +18,7 @@ from flighttest.report.document import (
     Trace,
 )
 from flighttest.report.numbers import interval, join, number, to_error, unit
+from flighttest.report.response_sections import response_sections
 from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
 
 MAX_CORRELATIONS = 6
@@ -243,12 +244,12 @@ def _state(s: SegmentView) -> tuple[Cell, str]:
 
 def fit_sections(view: FitView) -> tuple[Section, ...]:
     """All of them."""
-    found = [parameters(view)]
+    figure = figure4(view)
+    found = [figure] if figure is not None else []
+    found.append(parameters(view))
     if view.quality:
         found.append(quality(view))
-    figure = figure4(view)
-    if figure is not None:
-        found.append(figure)
+    found += response_sections(view)
     if view.segments:
         found.append(segments(view.segments))
     return tuple(found)

@@ -1,0 +1,129 @@
+"""Sections about single responses and about what is left of all: one response by itself, correlations, frequency responses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flighttest.channels import CHANNELS, WORDS
+from flighttest.report.document import Choice, Figure, Panel, Section, Trace
+from flighttest.report.numbers import unit
+from flighttest.report.packing import coarse
+from flighttest.report.show_sections import word
+from flighttest.report.views import CorrelationView, FitView, LoopView, ResponseView
+
+POINTS = 160  # of a trace
+MOST_CORRELATED = 9
+
+
+def one_by_one(view: FitView) -> Section | None:
+    """A response picked by its name: command, measured, model, and what is left, together."""
+    figures = tuple((r.name, _one(r)) for r in view.responses)
+    if not figures:
+        return None
+    choice = Choice("response", "response", figures)
+    lead = (
+        "Pick a response: its command, what was measured, what the model does, and what is left in units of the noise."
+    )
+    return Section("one", "One response", (choice,), lead, detail=True)
+
+
+def _one(r: ResponseView) -> Figure:
+    panels = []
+    by_unit: dict[str, list[str]] = {}
+    for name in r.commands:
+        by_unit.setdefault(CHANNELS[name].unit, []).append(name)
+    for names in by_unit.values():
+        traces = tuple(Trace(r.t_s, r.commands[n], word(n), "reference", "steps") for n in names)
+        title = " and ".join(word(n) for n in names)
+        panels.append(
+            Panel("Command", "time since the step, s", f"{title}, {unit(CHANNELS[names[0]].unit) or '1'}", traces)
+        )
+    left: list[Trace] = []
+    for c in r.channels:
+        name = WORDS.get(c.channel, c.channel)
+        simulated = Trace(*coarse(c.t_s, c.simulated, POINTS), "model", "simulated")
+        measured = Trace(*coarse(c.t_s, c.measured, POINTS), "measured", "measured")
+        label = f"{name}, {unit(CHANNELS[c.channel].unit)}"
+        panels.append(Panel(name.capitalize(), "time since the step, s", label, (simulated, measured)))
+        if np.isfinite(c.floor) and c.floor > 0.0:
+            role = ("other", "model", "no_battery", "linearised", "only_delay", "after", "before", "limit", "no_drag")[
+                len(left) % 9
+            ]
+            left.append(Trace(*coarse(c.t_s, (c.measured - c.simulated) / c.floor, POINTS), f"left of {name}", role))  # type: ignore[arg-type]
+    if left:
+        panels.append(Panel("What is left", "time since the step, s", "residual, noise floors", tuple(left)))
+    return Figure("response", tuple(panels), r.name, 2, 240)
+
+
+def correlation(view: FitView) -> Section | None:
+    """Correlations of residuals by lag, within which white noise would stay nineteen times of twenty."""
+    chosen = view.residual_correlations[:MOST_CORRELATED]
+    if not chosen:
+        return None
+    panels = [panel for c in chosen for panel in _correlation(c)]
+    caption = (
+        "Left: autocorrelation of the residual. Right: its cross-correlation with the command. White noise that no command drives stays "
+        "between the dashed lines in 95 % of the lags; a constant or slow disturbance of a response, which the fit leaves to it, does not."
+    )
+    return Section(
+        "correlations",
+        "Correlation of what is left",
+        (Figure("correlations", tuple(panels), caption, 2, 230),),
+        detail=True,
+    )
+
+
+def _correlation(c: CorrelationView) -> tuple[Panel, ...]:
+    ends = [float(c.lag_s[0]), float(c.lag_s[-1])]
+    limits = tuple(
+        Trace(ends, [s * c.band, s * c.band], "95 % of white noise", "limit", group="white noise") for s in (1.0, -1.0)
+    )
+    auto = Trace(c.lag_s, c.auto, c.channel, "other", group="correlation")
+    panels = [Panel(f"{c.channel} with itself", "lag, s", "correlation", (auto, *limits))]
+    if np.isfinite(c.cross).all():
+        cross = Trace(c.lag_s, c.cross, c.channel, "other", group="correlation")
+        panels.append(Panel(f"{c.channel} with the command", "lag, s", "correlation", (cross, *limits)))
+    return tuple(panels)
+
+
+def bode(view: FitView) -> Section | None:
+    """Amplitude, phase and coherence of each loop, measured against model."""
+    if not view.loops:
+        return None
+    panels = [panel for loop in view.loops for panel in _bode(loop)]
+    caption = (
+        "From the command to its answer over all steps of a kind, measured and by the model from the same commands. Coherence is the "
+        "share of the measured answer that the command explains: where it is low, the measured curve is noise."
+    )
+    return Section("bode", "Frequency responses", (Figure("bode", tuple(panels), caption, 3, 250),), detail=True)
+
+
+def _bode(loop: LoopView) -> tuple[Panel, ...]:
+    f = loop.frequency_hz
+    ratio = (
+        f"{unit(loop.answer_unit)}/{unit(loop.command_unit)}".replace("rad/s/rad/s", "")
+        .replace("rad/rad", "")
+        .rstrip("/")
+    )
+    level = f"amplitude, dB{f' re {ratio}' if ratio else ''}"
+    both = (("model", "simulated", loop.model), ("measured", "measured", loop.measured))
+    gain = tuple(Trace(f, 20.0 * np.log10(np.abs(h)), name, role) for name, role, h in both)  # type: ignore[arg-type]
+    phase = tuple(Trace(f, np.degrees(np.unwrap(np.angle(h))), name, role) for name, role, h in both)  # type: ignore[arg-type]
+    seen = (Trace(f, loop.coherence, "coherence", "other"),)
+    return (
+        Panel(
+            f"{loop.title.capitalize()} ({loop.responses} steps)",
+            "frequency, Hz",
+            level,
+            gain,
+            "",
+            "x",
+        ),
+        Panel("Phase", "frequency, Hz", "phase, deg", phase, "", "x"),
+        Panel("Coherence", "frequency, Hz", "coherence", seen, "", "x"),
+    )
+
+
+def response_sections(view: FitView) -> tuple[Section, ...]:
+    """All of them that there is something to show of."""
+    return tuple(s for s in (one_by_one(view), bode(view), correlation(view)) if s is not None)
