@@ -9,6 +9,7 @@ import click
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.words import held, ties
+from flighttest.pipeline.results import check_writable
 
 RUNS = click.argument("runs", nargs=-1, required=True, type=ANY, metavar="RUN...")
 COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
@@ -140,12 +141,18 @@ def diagnose(
 @command("report")
 @click.argument("folder", type=ANY, metavar="RUN|DIR")
 @click.option("-o", "--output", type=FILE, metavar="HTML", help="File to write; otherwise report.html in the folder.")
-def report(context: Context, folder: Path, output: Path | None) -> int:
+@click.option("--figures", type=FOLDER, metavar="DIR", help="Also write every picture as SVG with its numbers as CSV.")
+def report(context: Context, folder: Path, output: Path | None, figures: Path | None) -> int:
     """Write one self-contained HTML page about a run, or about what `diagnose -o` wrote."""
     from flighttest.pipeline.identification import reporting
+    from flighttest.report.figure_files import write_figures
 
     with LiveProgress(context.show) as progress:
+        check_writable(figures)
         result = reporting.report(folder, output, progress)
+        if figures is not None:
+            written = write_figures(result.value, figures)
+            progress.stage(f"{len(written) // 2} pictures written to {figures}")
     return context.finish(result)
 
 

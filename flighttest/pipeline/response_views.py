@@ -16,10 +16,11 @@ from flighttest.segments import Segment
 
 FloatArray = NDArray[np.float64]
 
-MOST_RESPONSES = 90  # shown one by one, spread over all
+MOST_RESPONSES = 24  # shown one by one, spread over all
 MOST_LAG_S = 1.0
 LEAST_PAIRS = 50  # samples that a correlation rests on
 LEAST_RESPONSES = 3  # of which a coherence says something
+LEAST_POWER = 1e-3  # of the command's largest: between its harmonics it excites nothing
 FREQUENCIES_HZ = np.geomspace(0.3, 12.0, 48)
 # What is stepped, what answers it, in which kinds of response.
 LOOPS = (
@@ -145,8 +146,10 @@ def loops(found: Fit) -> tuple[LoopView, ...]:
             continue
         u, y, m = (np.array(each) for each in zip(*rows, strict=True))
         power = (np.abs(u) ** 2).sum(axis=0)
-        if not (power > 0.0).all():
+        moved = power > LEAST_POWER * power.max()
+        if moved.sum() < FREQUENCIES_HZ.size / 2:
             continue
+        f, u, y, m, power = FREQUENCIES_HZ[moved], u[:, moved], y[:, moved], m[:, moved], power[moved]
         cross, model = (np.conj(u) * y).sum(axis=0), (np.conj(u) * m).sum(axis=0)
         coherence = np.abs(cross) ** 2 / (power * (np.abs(y) ** 2).sum(axis=0))
         views.append(
@@ -155,7 +158,7 @@ def loops(found: Fit) -> tuple[LoopView, ...]:
                 CHANNELS[command].unit,
                 CHANNELS[channel].unit,
                 len(rows),
-                FREQUENCIES_HZ,
+                f,
                 cross / power,
                 model / power,
                 coherence,

@@ -6,7 +6,7 @@ import base64
 import gzip
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +19,8 @@ from plotly.offline import get_plotlyjs
 
 FloatArray = NDArray[np.float64]
 MISSING = -32768
-STEPS = 65000  # of a value between a channel's smallest and largest: 16 bits
+STEPS, MIDDLE = 65000, 32500  # of a value between a channel's smallest and largest: 16 bits
+LEAST_COLUMN = 12  # shorter columns of numbers stay in the text
 
 
 def packed(data: bytes, key: str) -> str:
@@ -35,6 +36,79 @@ def _element(small: bytes, key: str) -> str:
 def packed_json(data: Any, key: str) -> str:
     """The same of plain JSON types."""
     return packed(json.dumps(data, separators=(",", ":")).encode(), key)
+
+
+def packed_figures(specs: Sequence[Mapping[str, Any]], key: str) -> str:
+    """Specifications of figures, their long columns of numbers apart as binary, each once: a time axis is shared by many traces.
+
+    A column becomes {"at", "n"} and, of 16 bits, {"low", "step"}; on logarithmic axes it keeps 32-bit floats.
+    """
+    parts: list[bytes] = []
+    known: dict[Any, dict[str, Any]] = {}
+    size = 0
+
+    def put(values: list[Any], whole: bool) -> Any:
+        nonlocal size
+        if len(values) < LEAST_COLUMN or not all(v is None or isinstance(v, int | float) for v in values):
+            return values
+        name = (whole, tuple(values))
+        if name not in known:
+            array = np.array([np.nan if v is None else v for v in values])
+            entry: dict[str, Any] = {"at": size, "n": array.size}
+            if whole:
+                coded: NDArray[Any] = array.astype("<f4")
+            else:
+                coded, entry["low"], entry["step"] = _coded(array)
+            parts.append(coded.tobytes() + b"\0" * (-coded.nbytes % 4))
+            size += len(parts[-1])
+            known[name] = entry
+        return known[name]
+
+    thin = []
+    for spec in specs:
+        panels = []
+        for panel in spec["panels"]:
+            axes = panel["layout"]
+            log = {a: axes.get(f"{a}axis", {}).get("type") == "log" for a in "xyz"}
+            data = [
+                {
+                    k: put(v, log[k]) if k in log and isinstance(v, list) and trace["type"] != "heatmap" else v
+                    for k, v in trace.items()
+                }
+                for trace in panel["data"]
+            ]
+            panels.append({**panel, "data": data})
+        thin.append({**spec, "panels": panels})
+    return packed_json(thin, key) + packed(b"".join(parts), f"{key}-data")
+
+
+def figures_in(page: str, key: str) -> list[dict[str, Any]]:
+    """The specifications that a page holds, whole again."""
+    data = unpacked(page, f"{key}-data")
+
+    def whole(value: Any) -> Any:
+        if not (isinstance(value, dict) and set(value) >= {"at", "n"}):
+            return value
+        if "low" not in value:
+            return [None if np.isnan(v) else float(v) for v in np.frombuffer(data, "<f4", value["n"], value["at"])]
+        coded = np.frombuffer(data, "<i2", value["n"], value["at"])
+        return [None if c == MISSING else value["low"] + (int(c) + MIDDLE) * value["step"] for c in coded]
+
+    specs: list[dict[str, Any]] = json.loads(unpacked(page, key))
+    for spec in specs:
+        for panel in spec["panels"]:
+            panel["data"] = [{k: whole(v) for k, v in trace.items()} for trace in panel["data"]]
+    return specs
+
+
+def _coded(values: FloatArray) -> tuple[NDArray[np.int16], float, float]:
+    """16-bit numbers, the smallest value and the step: value = low + (number + MIDDLE) * step; what is not finite is MISSING."""
+    known = np.isfinite(values)
+    low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    step = (high - low) / STEPS or 1.0
+    coded = np.full(values.size, MISSING, dtype="<i2")
+    coded[known] = np.round((values[known] - low) / step) - MIDDLE
+    return coded, low, step
 
 
 def unpacked(page: str, key: str) -> bytes:
@@ -110,11 +184,7 @@ def pack_series(
         }
         entry["channels"] = []
         for name, values in thin.items():
-            known = np.isfinite(values)
-            low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
-            step = (high - low) / STEPS or 1.0
-            coded = np.full(values.size, MISSING, dtype="<i2")
-            coded[known] = np.round((values[known] - low) / step) - 32500
+            coded, low, step = _coded(values)
             entry["channels"].append({"name": name, "at": add(coded), "low": low, "step": step})
         described.append(entry)
     return described, b"".join(parts)

@@ -11,7 +11,7 @@ from flighttest.report.packing import coarse
 from flighttest.report.show_sections import word
 from flighttest.report.views import CorrelationView, FitView, LoopView, ResponseView
 
-POINTS = 160  # of a trace
+POINTS = 80  # of a trace
 MOST_CORRELATED = 9
 
 
@@ -34,10 +34,8 @@ def _one(r: ResponseView) -> Figure:
         by_unit.setdefault(CHANNELS[name].unit, []).append(name)
     for names in by_unit.values():
         traces = tuple(Trace(r.t_s, r.commands[n], word(n), "reference", "steps") for n in names)
-        title = " and ".join(word(n) for n in names)
-        panels.append(
-            Panel("Command", "time since the step, s", f"{title}, {unit(CHANNELS[names[0]].unit) or '1'}", traces)
-        )
+        what = {"rad": "angle, rad", "rad/s": "rate, rad/s"}.get(CHANNELS[names[0]].unit, word(names[0]))
+        panels.append(Panel("Command", "time since the step, s", what, traces))
     left: list[Trace] = []
     for c in r.channels:
         name = WORDS.get(c.channel, c.channel)

@@ -20,7 +20,7 @@ window.plotlyReady = window.unpack("packed-plotly").then((bytes) => {
   document.head.append(script);
 });
 window.plotlyReady.catch(() => {
-  for (const plot of document.querySelectorAll(".plot")) plot.textContent = "Pictures need a browser of 2023 or newer (DecompressionStream).";
+  for (const plot of document.querySelectorAll(".plots, .strips")) plot.textContent = "Pictures need a browser of 2023 or newer (DecompressionStream).";
 });
 window.saveText = function (name, text) {
   const link = document.createElement("a");

@@ -86,7 +86,7 @@ def values_of(parameter: click.Parameter, files: dict[str, Path]) -> Iterator[tu
     elif kind is click.INT:
         yield "x", "no number"
     elif isinstance(kind, click.Path):
-        if parameter.name in ("output", "out", "csv", "parquet"):
+        if parameter.name in ("output", "out", "csv", "parquet", "figures"):
             yield "/proc/nope/x", "cannot be written"
             yield f"{files['junk']}/x", "below a file"
             return

@@ -1,11 +1,13 @@
 """One document, three renderings: a page that needs nothing else, a terminal of any width, plain JSON."""
 
+import csv
 import io
 import json
 import re
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,6 +18,7 @@ from rich.console import Console
 from flighttest.report.document import (
     Bullets,
     Cell,
+    Choice,
     Code,
     Document,
     Facts,
@@ -26,9 +29,11 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
-from flighttest.report.packing import unpacked
+from flighttest.report.figure_files import write_figures
+from flighttest.report.packing import figures_in, unpacked
 from flighttest.report.render import figures, html, terminal
 from flighttest.report.render.plain import plain
+from flighttest.report.render.svg import WIDTH
 from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
 from flighttest.report.sections.diagnosis_figures import before_after
 from flighttest.report.tables import write_tables
@@ -98,9 +103,42 @@ def test_text_is_escaped_and_specs_survive_the_script_element():
     page = html.page_of(document())
     assert "&lt;b&gt;" in page
     assert "title &amp; more" in page
-    specs = json.loads(unpacked(page, html.SPECS))
+    specs = figures_in(page, html.SPECS)
     assert len(specs) == 1
     assert specs[0]["panels"][0]["layout"]["title"]["text"] == "roll </script>"
+
+
+def test_figures_hold_their_numbers_to_a_screens_accuracy():
+    t = np.linspace(0.0, 2.0, 50)
+    y = np.where(t > 1.0, np.sin(9.0 * t), np.nan)
+    tiny = 10.0 ** (-6.0 * t)
+    plain_panel = Panel("a", "s", "m", (Trace(t, y, "y"), Trace(t, 1e6 * t, "big")))
+    log_panel = Panel("b", "s", "m", (Trace(t, tiny, "tiny"),), log="y")
+    page = html.render(Document("t", "v", sections=(Section("s", "S", (Figure("f", (plain_panel, log_panel), "c"),)),)))
+    (spec,) = figures_in(page, html.SPECS)
+    (first, big), (last,) = (panel["data"] for panel in spec["panels"])
+    assert [v is None for v in first["y"]] == list(np.isnan(y))
+    assert np.allclose([v for v in first["y"] if v is not None], y[np.isfinite(y)], atol=3e-5)
+    assert np.allclose(big["y"], 1e6 * t, atol=70.0)
+    assert np.allclose(last["y"], tiny, rtol=1e-4, atol=0.0), "twelve decades"
+
+
+def test_every_picture_is_written_as_svg_with_its_numbers(tmp_path):
+    shown = document()
+    (picture, numbers) = write_figures(shown, tmp_path / "new")
+    svg = ElementTree.parse(picture).getroot()
+    assert float(svg.get("width")) == 2 * WIDTH, "three panels, two in a row"
+    rows = list(csv.reader(numbers.open()))
+    assert rows[0] == ["panel", "x_label", "y_label", "trace", "x", "y", "z"]
+    assert [r for r in rows if r[0] == "map"][1][4:] == ["2.0", "a_x", "nan"]
+    assert len([r for r in rows if r[3] == "measured"]) == T.size
+    two = Choice(
+        "response", "response", (("a/b r1", shown.sections[0].blocks[-1]), ("c", shown.sections[0].blocks[-1]))
+    )
+    both = Document("t", "v", sections=(Section("s", "S", (two,)),))
+    assert [p.name for p in write_figures(both, tmp_path)][::2] == ["response-a_b_r1.svg", "response-c.svg"]
+    page = html.render(both)
+    assert page.count("<option>") == page.count("<figure data-figure") == 2
 
 
 def test_commands_in_prose_are_set_as_code():

@@ -72,7 +72,13 @@
   }
   function prepare(figure, spec) {
     const hidden = new Set(spec.legend.filter((e) => !e.shown).map((e) => e.name));
-    const bar = figure.querySelector(".legend");
+    const bar = figure.querySelector(".legend"), place = figure.querySelector(".plots");
+    for (const _ of spec.panels) {
+      const plot = document.createElement("div");
+      plot.className = "plot";
+      plot.style.minHeight = `${spec.height}px`;
+      place.append(plot);
+    }
     const chips = spec.legend.map((entry) => {
       const chip = document.createElement("button");
       chip.type = "button";
@@ -97,8 +103,17 @@
     draw(printing);
     for (const again of window.repaint) again(printing ? light : palette(false));
   };
-  Promise.all([window.unpack("packed-figures"), window.plotlyReady]).then(([bytes]) => {
-    const specs = JSON.parse(new TextDecoder().decode(bytes));
+  function revive(specs, data) {
+    const column = (v) => {
+      if (!v || typeof v !== "object" || Array.isArray(v) || !("at" in v)) return v;
+      if (!("low" in v)) return Array.from(new Float32Array(data.buffer, data.byteOffset + v.at, v.n), (x) => (Number.isNaN(x) ? null : x));
+      return Array.from(new Int16Array(data.buffer, data.byteOffset + v.at, v.n), (c) => (c === -32768 ? null : v.low + (c + 32500) * v.step));
+    };
+    for (const spec of specs) for (const panel of spec.panels) for (const trace of panel.data) for (const axis of ["x", "y", "z"]) trace[axis] = column(trace[axis]);
+    return specs;
+  }
+  Promise.all([window.unpack("packed-figures"), window.unpack("packed-figures-data"), window.plotlyReady]).then(([bytes, data]) => {
+    const specs = revive(JSON.parse(new TextDecoder().decode(bytes)), data);
     document.querySelectorAll("figure[data-figure]").forEach((figure, index) => prepare(figure, specs[index]));
     everything(false);
     document.body.dataset.drawn = "yes";

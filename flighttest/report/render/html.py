@@ -22,7 +22,7 @@ from flighttest.report.document import (
     Table,
     Viewer,
 )
-from flighttest.report.packing import pack_series, packed, packed_json, plotly_script
+from flighttest.report.packing import pack_series, packed, packed_figures, packed_json, plotly_script
 from flighttest.report.render.figures import specification
 
 SPECS = "packed-figures"
@@ -41,7 +41,7 @@ def page_of(document: Document) -> str:
     scripts = ""
     if figures:
         names = ("unpack.js", "figures.js", *(("viewer.js",) if viewers else ()))
-        specs = packed_json([specification(figure) for figure in _figures(blocks)], SPECS)
+        specs = packed_figures([specification(figure) for figure in _figures(blocks)], SPECS)
         scripts = "\n".join([plotly_script(), specs, *(f"<script>{_asset(name)}</script>" for name in names)])
     return f"""<!doctype html>
 <html lang="en">
@@ -145,10 +145,9 @@ def _figures(blocks: Sequence[Block]) -> list[Figure]:
 
 
 def _figure(figure: Figure) -> str:
-    plots = "".join(f'<div class="plot" style="min-height:{figure.height_px}px"></div>' for _ in figure.panels)
     columns = min(figure.columns, len(figure.panels))
     return (
-        f'<figure data-figure style="--columns:{columns}"><div class="legend"></div><div class="plots">{plots}</div>'
+        f'<figure data-figure style="--columns:{columns}"><div class="legend"></div><div class="plots"></div>'
         f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
     )
 

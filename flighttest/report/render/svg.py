@@ -1,29 +1,48 @@
-"""`Figure` to one SVG picture, for documents that run no script: lines alone, in the light palette of the pages."""
+"""`Figure` to one SVG picture, for documents that run no script: in the light palette of the pages; a path in space is drawn from above."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from html import escape
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from flighttest.report.document import Figure, Panel, Trace
 from flighttest.report.render.plotly_figure import LIGHT
 
-WIDTH, PANEL_HEIGHT, TOP = 400, 260, 34  # px: of a panel, and of the row of names above all of them
+WIDTH, PANEL_HEIGHT, TOP = 400, 260, 34  # px: of a panel, and of a row of names above all of them
+NAME_WIDTH = 150  # px, of a name in that row
 _LEFT, _RIGHT, _ABOVE, _BELOW = 56, 14, 26, 42  # px: margins of the axes in a panel
 _MARGIN = 0.05  # above and below what is drawn, of its height
 _DASHED = {"before": "6 3", "limit": "2 3", "reference": "2 3"}
-_WIDTHS = {"measured": 2.4, "before": 1.6, "after": 1.6}
+_WIDTHS = {"measured": 2.4, "before": 1.6, "after": 1.6, "simulated": 3.2}
+_OVER_SIMULATED = 0.9  # width of what is measured where the model's line is the wide one
 
 
 def as_svg(figure: Figure) -> str:
-    """The panels of a figure side by side, under the names of their traces."""
-    width, height = WIDTH * len(figure.panels), TOP + PANEL_HEIGHT
-    names = {t.name: t for panel in figure.panels for t in panel.traces}
-    parts = [_name(trace, _LEFT + 150 * i) for i, trace in enumerate(names.values())]
-    parts += [f'<g transform="translate({WIDTH * i},{TOP})">{_panel(p)}</g>' for i, p in enumerate(figure.panels)]
+    """The panels of a figure, `columns` of them in a row, under the names of their traces."""
+    columns = min(figure.columns, len(figure.panels)) if figure.columns > 0 else len(figure.panels)
+    rows = -(-len(figure.panels) // columns)
+    names = {
+        t.group or t.name: t
+        for panel in figure.panels
+        for t in panel.traces
+        if t.mode != "heat" and (t.group or t.name)
+    }
+    across = max(1, (WIDTH * columns - _LEFT) // NAME_WIDTH)
+    top = TOP * max(1, -(-len(names) // across))
+    width, height = WIDTH * columns, top + PANEL_HEIGHT * rows
+    parts = [
+        f'<g transform="translate(0,{TOP * (i // across)})">{_name(name, trace, _LEFT + NAME_WIDTH * (i % across))}</g>'
+        for i, (name, trace) in enumerate(names.items())
+    ]
+    for i, panel in enumerate(figure.panels):
+        parts.append(
+            f'<g transform="translate({WIDTH * (i % columns)},{top + PANEL_HEIGHT * (i // columns)})">{_panel(panel)}</g>'
+        )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
         f'font-family="sans-serif" font-size="11" fill="{LIGHT["ink"]}"><title>{escape(figure.caption)}</title>'
@@ -31,19 +50,25 @@ def as_svg(figure: Figure) -> str:
     )
 
 
-def _name(trace: Trace, x: float) -> str:
-    text = f'<text x="{x + 32}" y="20">{escape(trace.name)}</text>'
+def _name(name: str, trace: Trace, x: float) -> str:
+    text = f'<text x="{x + 32}" y="20">{escape(name)}</text>'
     return f'<path d="M{x} 16h26" {_pen(trace)}/>{text}'
 
 
-def _pen(trace: Trace) -> str:
+def _pen(trace: Trace, over_simulated: bool = False) -> str:
+    width = _OVER_SIMULATED if over_simulated and trace.role == "measured" else _WIDTHS.get(trace.role, 1.2)
     dash = f' stroke-dasharray="{_DASHED[trace.role]}"' if trace.role in _DASHED else ""
-    return f'fill="none" stroke="{LIGHT[trace.role]}" stroke-width="{_WIDTHS.get(trace.role, 1.2)}"{dash}'
+    return f'fill="none" stroke="{LIGHT[trace.role]}" stroke-width="{width}"{dash}'
 
 
 def _panel(panel: Panel) -> str:
     across, up = WIDTH - _LEFT - _RIGHT, PANEL_HEIGHT - _ABOVE - _BELOW
-    x, y = (_span([np.asarray(getattr(t, axis), dtype=float) for t in panel.traces]) for axis in "xy")
+    heat = next((t for t in panel.traces if t.mode == "heat"), None)
+    if heat is not None:
+        return _heat(panel, heat, across, up)
+    log = {axis: axis in panel.log for axis in "xy"}
+    values = {axis: [_scaled(getattr(t, axis), log[axis]) for t in panel.traces] for axis in "xy"}
+    x, y = _span(values["x"]), _span(values["y"])
     y = (y[0] - _MARGIN * (y[1] - y[0]), y[1] + _MARGIN * (y[1] - y[0]))
 
     def at(a: float, b: float) -> str:
@@ -53,23 +78,69 @@ def _panel(panel: Panel) -> str:
     for value in _ticks(*x):
         (px, py), (_, top) = at(value, y[0]).split(","), at(value, y[1]).split(",")
         parts.append(f'<path d="M{px} {top}V{py}" stroke="{LIGHT["grid"]}"/>')
-        parts.append(f'<text x="{px}" y="{float(py) + 15:.1f}" text-anchor="middle">{value:g}</text>')
+        parts.append(f'<text x="{px}" y="{float(py) + 15:.1f}" text-anchor="middle">{_tick(value, log["x"])}</text>')
     for value in _ticks(*y):
         (px, py), (end, _) = at(x[0], value).split(","), at(x[1], value).split(",")
         parts.append(f'<path d="M{px} {py}H{end}" stroke="{LIGHT["grid"]}"/>')
-        parts.append(f'<text x="{float(px) - 6:.1f}" y="{float(py) + 4:.1f}" text-anchor="end">{value:g}</text>')
-    for trace in panel.traces:
-        pairs = zip(np.asarray(trace.x, dtype=float), np.asarray(trace.y, dtype=float), strict=True)
-        points = " ".join(at(a, b) for a, b in pairs if math.isfinite(b))
-        parts.append(f'<polyline points="{points}" {_pen(trace)}/>')
-    middle = _ABOVE + up / 2
-    parts.append(
-        f'<text x="{_LEFT + across / 2}" y="{PANEL_HEIGHT - 8}" text-anchor="middle">{escape(panel.x_label)}</text>'
-    )
-    parts.append(
-        f'<text transform="translate(14,{middle}) rotate(-90)" text-anchor="middle">{escape(panel.y_label)}</text>'
-    )
+        parts.append(
+            f'<text x="{float(px) - 6:.1f}" y="{float(py) + 4:.1f}" text-anchor="end">{_tick(value, log["y"])}</text>'
+        )
+    wide = any(t.role == "simulated" for t in panel.traces)
+    for trace, xs, ys in zip(panel.traces, values["x"], values["y"], strict=True):
+        pairs = [(float(a), float(b)) for a, b in zip(xs, ys, strict=True) if math.isfinite(a) and math.isfinite(b)]
+        if trace.mode == "steps":
+            pairs = [p for (a, b), (c, _) in pairwise([*pairs, *pairs[-1:]]) for p in ((a, b), (c, b))]
+        if trace.mode in ("markers", "markers3d", "errorbars"):
+            places = [at(a, b).split(",") for a, b in pairs]
+            parts += [f'<circle cx="{cx}" cy="{cy}" r="2.2" fill="{LIGHT[trace.role]}"/>' for cx, cy in places]
+            continue
+        parts.append(f'<polyline points="{" ".join(at(a, b) for a, b in pairs)}" {_pen(trace, wide)}/>')
+    return "".join([*parts, _labels(panel, across, up)])
+
+
+def _scaled(values: Any, log: bool) -> np.ndarray:
+    array = np.asarray(values, dtype=float)
+    if not log:
+        return array
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(array > 0.0, np.log10(array), np.nan)
+
+
+def _tick(value: float, log: bool) -> str:
+    return f"{10.0**value:.3g}" if log else f"{value:g}"
+
+
+def _heat(panel: Panel, heat: Trace, across: float, up: float) -> str:
+    """Cells of a table, darker for larger numbers, with the numbers in them."""
+    table = np.asarray(heat.z, dtype=float)
+    top = float(np.nanmax(table)) if np.isfinite(table).any() else 1.0
+    w, h = across / max(table.shape[1], 1), up / max(table.shape[0], 1)
+    parts = [f'<text x="{_LEFT}" y="14" font-size="12">{escape(panel.title)}</text>']
+    for (row, column), value in np.ndenumerate(table):
+        if math.isfinite(value):
+            left, above = _LEFT + column * w, _ABOVE + row * h
+            parts.append(
+                f'<rect x="{left:.1f}" y="{above:.1f}" width="{w:.1f}" height="{h:.1f}" fill="#f08a4b" fill-opacity="{value / top:.2f}"/>'
+            )
+            parts.append(
+                f'<text x="{left + w / 2:.1f}" y="{above + h / 2 + 4:.1f}" text-anchor="middle">{value:.2g}</text>'
+            )
+    for i, name in enumerate(heat.y):
+        parts.append(
+            f'<text x="{_LEFT - 6}" y="{_ABOVE + (i + 0.5) * h + 4:.1f}" text-anchor="end">{escape(str(name))}</text>'
+        )
+    for i, name in enumerate(heat.x):
+        parts.append(
+            f'<text x="{_LEFT + (i + 0.5) * w:.1f}" y="{_ABOVE + up + 15:.1f}" text-anchor="middle">{escape(str(name))}</text>'
+        )
     return "".join(parts)
+
+
+def _labels(panel: Panel, across: float, up: float) -> str:
+    return (
+        f'<text x="{_LEFT + across / 2}" y="{PANEL_HEIGHT - 8}" text-anchor="middle">{escape(panel.x_label)}</text>'
+        f'<text transform="translate(14,{_ABOVE + up / 2}) rotate(-90)" text-anchor="middle">{escape(panel.y_label)}</text>'
+    )
 
 
 def _span(values: Sequence[np.ndarray]) -> tuple[float, float]:

@@ -18,11 +18,13 @@ from flighttest.report.document import (
     Trace,
 )
 from flighttest.report.numbers import interval, join, number, to_error, unit
+from flighttest.report.packing import coarse
 from flighttest.report.response_sections import response_sections
 from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
 
 MAX_CORRELATIONS = 6
 MANY_OUTLIERS = 6
+POINTS = 100  # of a trace in a picture of many
 TONE = {"known": "good", "weak": "warn", "not identifiable": "bad", "held": "quiet"}
 KIND_WORDS = {
     "roll_step": "roll step",
@@ -144,10 +146,13 @@ def _responses(overlays: Sequence[Overlay], kind: str, channel: str, title: str,
     if not chosen:
         return None
     # Measured on top and thin: where the two agree, both stay visible.
-    traces = [Trace(o.t_s, o.simulated, f"model, {cell_words(o.cell)}", "simulated", group="simulated") for o in chosen]
+    traces = [
+        Trace(*coarse(o.t_s, o.simulated, POINTS), f"model, {cell_words(o.cell)}", "simulated", group="simulated")
+        for o in chosen
+    ]
     for o in chosen:
         name = f"{KIND_WORDS.get(o.kind, o.kind)} {cell_words(o.cell)} ({o.segment})"
-        traces.append(Trace(o.t_s, o.measured, name, "measured", group="measured"))
+        traces.append(Trace(*coarse(o.t_s, o.measured, POINTS), name, "measured", group="measured"))
     return Panel(f"{title} ({len(chosen)} responses)", "time since the step, s", label, tuple(traces))
 
 
