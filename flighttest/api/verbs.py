@@ -62,7 +62,7 @@ def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
 
 
 def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
-    """Read a run folder or a log (.BIN, .tlog, .ulg, .csv, .parquet, packed or not).
+    """Read a run folder or a log (.BIN, .tlog, .ulg, .csv, .parquet, .mat, .mcap, packed or not).
 
     columns: column map (columns/1) of a foreign table. The recording has channels by name in SI, world North-West-Up, body
     Forward-Left-Up, each group on its own times (n,); `to_frame` and `plot` show them. RecordingError says what is wrong with the file.

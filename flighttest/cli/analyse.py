@@ -21,7 +21,7 @@ COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for 
 @click.option("-o", "--output", type=FOLDER, required=True, metavar="RUN", help="Run folder to write.")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml whose components and zone join the recording.")
 def import_(context: Context, log: Path, columns: Path | None, output: Path, vehicle: Path | None) -> int:
-    """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv or .parquet."""
+    """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap."""
     from flighttest.pipeline.recordings import sources
 
     with LiveProgress(context.show) as progress:

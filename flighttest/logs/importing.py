@@ -10,20 +10,21 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
+from flighttest.logs.ros_bag import MAGIC, SQLITE
 from flighttest.recording import Recording, Series
 
 # Far beyond any multirotor, far below what a flipped bit in a float makes; by unit.
 _IMPOSSIBLE = {
     "rad": 1e4, "rad/s": 300.0, "m/s^2": 3e3, "m/s": 1e3, "m": 1e7, "V": 2e3, "A": 1e4, "1": 1e6,
 }  # fmt: skip
-_TABLES = {".csv", ".parquet", ".txt", ".tsv"}
+_TABLES = {".csv", ".parquet", ".txt", ".tsv", ".mat", ".mcap"}
 
 
 def import_log(path: Path | str, columns: Path | str | None = None) -> Recording:
     """Read a log of any known kind, plain or compressed (.gz, .xz).
 
-    path: .BIN, .tlog, .ulg, .csv or .parquet; what it is, is told from its first bytes, then from its name. columns: a column map
-    (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
+    path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is told from its first bytes, then from its name. columns: a
+    column map (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
     recording = possible(_read(Path(path), columns))
     if not any(len(series) > 1 for series in recording.series.values()):
@@ -79,13 +80,20 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
         from flighttest.logs.ulog import import_ulog
 
         return import_ulog(path)
-    if suffix in _TABLES or head[:4] == b"PAR1" or head[:1] == b"\xbc" or columns is not None:
+    if suffix in _TABLES or head[:4] == b"PAR1" or head[:1] == b"\xbc" or head.startswith(MAGIC) or columns is not None:
         from flighttest.logs.tables.table import import_table
 
         return import_table(path, columns)
+    if head.startswith(SQLITE):
+        raise RecordingError(
+            f"{path}: a database; of ROS 2 bags those in MCAP are read",
+            "convert it: ros2 bag convert -i BAG -o out.yaml, with storage_id: mcap in out.yaml",
+        )
     if suffix in {".yaml", ".yml"}:
         raise RecordingError(
             f"{path}: this is no recording",
             "a model is given with --model, a vehicle with --vehicle, a column map with --columns",
         )
-    raise RecordingError(f"{path}: this is no kind of log I know", "give a .BIN, .tlog, .ulg, .csv or .parquet file")
+    raise RecordingError(
+        f"{path}: this is no kind of log I know", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+    )

@@ -33,7 +33,9 @@ class LogFile:
         if not path.exists():
             raise RecordingError(f"{path}: no such file", "check the path")
         if path.is_dir():
-            raise RecordingError(f"{path} is a folder, not a log", "name a .BIN, .tlog, .ulg, .csv or .parquet file")
+            raise RecordingError(
+                f"{path} is a folder, not a log", "name a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+            )
 
     @property
     def suffix(self) -> str:

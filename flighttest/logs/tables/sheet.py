@@ -137,6 +137,10 @@ def read_sheet(file: LogFile) -> Sheet:
     data = b"".join(file.pieces())
     if data[:4] == b"PAR1":
         return _parquet(file, data)
+    if file.suffix == ".mat" or data[:6] == b"MATLAB":
+        from flighttest.logs.matlab import read_matlab
+
+        return read_matlab(file, data)
     if data[:1] == bytes([CRAZYFLIE_MAGIC]):
         return _crazyflie(file, data)
     return _text(file, data)
@@ -201,7 +205,9 @@ def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:
     lines = text.splitlines()
     good = [line for line in lines if "\0" not in line]
     if len(good) < 0.5 * len(lines) or "\0" in lines[0]:
-        raise RecordingError(f"{file.path}: this is no text table", "give a .BIN, .tlog, .ulg, .csv or .parquet file")
+        raise RecordingError(
+            f"{file.path}: this is no text table", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+        )
     return "\n".join(good), len(lines) - len(good)
 
 

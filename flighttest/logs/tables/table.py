@@ -18,6 +18,7 @@ from flighttest.channels import CHANNELS, GROUPS, HELD_GROUPS, names
 from flighttest.documents import nearest
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
+from flighttest.logs.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.agreement import disagreements
 from flighttest.logs.tables.columns import STEP, TIME, ColumnMap, load_columns, plain_map
 from flighttest.logs.tables.crazyflie import crazyflie_map
@@ -49,8 +50,14 @@ _BODY_GROUPS = ("rates", "specific_force")
 def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> Recording:
     """Read a table whose columns are channels, or foreign ones through a column map. RecordingError where that cannot be."""
     file = LogFile(path)
-    sheet = read_sheet(file)
+    known = None
+    if file.head(len(MAGIC)) == MAGIC:
+        sheet, known = read_bag(file)
+    else:
+        sheet = read_sheet(file)
     given = load_columns(columns) if isinstance(columns, (str, Path)) else columns
+    if given is None and known is not None and (known.columns or known.quaternions):
+        given = known
     if given is None and sheet.crazyflie:
         given = crazyflie_map(sheet.names)
     plan = given or plain_map(sheet.names)
@@ -114,8 +121,9 @@ def _unread(columns: Sequence[str], plan: ColumnMap) -> list[str]:
 
 
 def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
-    if TIME in plan.columns:
-        t_s = _read(sheet, plan, TIME)
+    own = sheet.raw.get(TIME) if plan.rate_hz is None else None  # a bag's or MATLAB file's, where the map names none
+    if TIME in plan.columns or own is not None:
+        t_s = _read(sheet, plan, TIME) if TIME in plan.columns else sheet.column(TIME)
         # Epoch times lose their microseconds in arithmetic; and nobody reads them.
         if np.isfinite(t_s).any() and float(np.nanmin(t_s)) > 1e8:
             t_s = t_s - float(np.nanmin(t_s))

@@ -1,0 +1,149 @@
+"""MATLAB files (.mat up to version 7, by scipy.io): vectors, structures of vectors, timeseries and Simulink's logged structures."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import scipy.io
+from numpy.typing import NDArray
+
+from flighttest.channels import CHANNELS
+from flighttest.datafiles import MOST_VALUES
+from flighttest.errors import RecordingError
+from flighttest.logs.opening import LogFile
+from flighttest.logs.tables.columns import TIME
+from flighttest.logs.tables.sheet import Sheet
+from flighttest.logs.time_bases import joined
+
+FloatArray = NDArray[np.float64]
+HEAD, HDF5 = b"MATLAB 5.0", b"MATLAB 7.3"
+TIMES = (
+    TIME,
+    "t",
+    "time",
+    "Time",
+    "tout",
+    "timestamp",
+)  # names of a time vector; in seconds, unless a column map says otherwise
+_SAVE = "save it in MATLAB by save(name, '-v7')"
+Table = tuple[str, FloatArray | None, dict[str, FloatArray]]
+
+
+def read_matlab(file: LogFile, data: bytes) -> Sheet:
+    """The file's vectors as columns, named by their path (`log.roll`); RecordingError where it holds none that belong to a time."""
+    if data[:10] == HDF5 or data[:8] == b"\x89HDF\r\n\x1a\n":
+        raise RecordingError(f"{file.path}: this is a MATLAB file of version 7.3", _SAVE)
+    try:
+        content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    except (
+        ValueError,
+        TypeError,
+        OSError,
+        EOFError,
+        KeyError,
+        IndexError,
+        MemoryError,
+        struct.error,
+        zlib.error,
+        NotImplementedError,
+    ) as error:
+        raise RecordingError(f"{file.path}: this MATLAB file is damaged: {error}", "copy the file anew") from error
+    losses = list(file.losses)
+    tables = list(_tables("", {k: v for k, v in content.items() if not k.startswith("__")}))
+    if sum(v.size for _, _, columns in tables for v in columns.values()) > MOST_VALUES:
+        raise RecordingError(
+            f"{file.path}: it holds more than {MOST_VALUES} numbers", "keep the signals and times of a flight"
+        )
+    tables = [(path, t, _bare(columns)) for path, t, columns in tables]
+    timed = [(t, columns) for _, t, columns in tables if t is not None and columns]
+    if len(timed) == 1:
+        t, columns = timed[0]
+        return Sheet(str(file.path), {TIME: t, **columns}, losses)
+    if timed:
+        return Sheet(str(file.path), joined(timed), losses)
+    loose = [columns for _, _, columns in tables if columns]
+    if not loose:
+        raise RecordingError(f"{file.path}: it holds no vectors of numbers", "name a file with logged signals")
+    widest = max(loose, key=len)
+    raw: dict[str, Any] = dict(widest)
+    return Sheet(str(file.path), raw, losses)
+
+
+def _bare(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Columns whose last word is a channel under that word alone."""
+    ends = [name.rpartition(".")[2] for name in columns]
+    return {
+        end if end in CHANNELS and ends.count(end) == 1 else name: values
+        for (name, values), end in zip(columns.items(), ends, strict=True)
+    }
+
+
+def _tables(path: str, content: dict[str, Any]) -> Iterator[Table]:
+    """Every structure that holds vectors as (path, its time, its columns of the time's length); inner structures after it."""
+    if path and isinstance(signal := _timeseries(path, content), tuple):
+        yield signal
+        return
+    vectors = {name: vector for name, value in content.items() if (vector := _numbers(value)) is not None}
+    time = next((np.ravel(vectors[n]) for n in TIMES if n in vectors and np.ravel(vectors[n]).size > 1), None)
+    lengths = [v.shape[0] for v in vectors.values()]
+    length = time.size if time is not None else max(set(lengths), key=lengths.count, default=0)
+    columns: dict[str, FloatArray] = {}
+    for name, vector in vectors.items():
+        if vector.shape[0] != length or length < 2 or (time is not None and name == TIME):
+            continue
+        named = f"{path}.{name}" if path else name
+        columns |= {named: vector} if vector.ndim == 1 else _cells(named, vector)
+    if columns or time is not None:
+        yield path, time, columns
+    for name, value in content.items():
+        for inner, one in _structures(value):
+            yield from _tables(f"{path}.{name}{inner}" if path else f"{name}{inner}", one)
+
+
+def _timeseries(path: str, content: dict[str, Any]) -> Table | None:
+    """A timeseries saved as a structure (Time, Data), or Simulink's structure with time (time, signals.values)."""
+    lower = {name.lower(): value for name, value in content.items()}
+    time = _numbers(lower.get("time"))
+    if time is None or time.ndim != 1:
+        return None
+    if (data := _numbers(lower.get("data"))) is not None and data.shape[0] == time.size:
+        return path, time, {path: data} if data.ndim == 1 else _cells(path, data)
+    columns: dict[str, FloatArray] = {}
+    for _, signal in _structures(lower.get("signals")):
+        values = _numbers(signal.get("values"))
+        if values is not None and values.shape[0] == time.size:
+            label = str(signal.get("label") or signal.get("blockName") or "")
+            named = f"{path}.{label}" if label and label != "[]" else path
+            columns |= {named: values} if values.ndim == 1 else _cells(named, values)
+    return (path, time, columns) if columns else None
+
+
+def _structures(value: Any) -> list[tuple[str, dict[str, Any]]]:
+    if isinstance(value, dict):
+        return [("", value)]
+    if isinstance(value, list | np.ndarray) and len(value) and all(isinstance(one, dict) for one in value):
+        return [(f"[{i}]", one) for i, one in enumerate(value)]
+    return []
+
+
+def _numbers(value: Any) -> FloatArray | None:
+    """A vector (n,), or a matrix (n, k) of few columns, as floats; None for anything else."""
+    if (
+        not isinstance(value, np.ndarray)
+        or value.dtype.kind not in "fiub"
+        or value.ndim not in (1, 2)
+        or value.size < 2
+    ):
+        return None
+    if value.ndim == 2 and value.shape[0] < value.shape[1]:
+        value = value.T
+    return np.asarray(value, dtype=float)
+
+
+def _cells(name: str, matrix: FloatArray) -> dict[str, FloatArray]:
+    return {f"{name}[{i}]": matrix[:, i] for i in range(matrix.shape[1])}
