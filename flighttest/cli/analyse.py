@@ -41,10 +41,10 @@ def import_(context: Context, log: Path, columns: Path | None, output: Path, veh
 )
 def show(context: Context, log: Path, columns: Path | None, output: Path | None) -> int:
     """One page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
-    from flighttest.pipeline import looking
+    from flighttest.pipeline.identification import showing
 
     with LiveProgress(context.show) as progress:
-        result = looking.show(log, output, columns, progress)
+        result = showing.show(log, output, columns, progress)
     return context.finish(result)
 
 
@@ -145,7 +145,7 @@ def diagnose(
 def report(context: Context, folder: Path, output: Path | None, figures: Path | None) -> int:
     """Write one self-contained HTML page about a run, or about what `diagnose -o` wrote."""
     from flighttest.pipeline.identification import reporting
-    from flighttest.report.figure_files import write_figures
+    from flighttest.report.render.figure_files import write_figures
 
     with LiveProgress(context.show) as progress:
         check_writable(figures)

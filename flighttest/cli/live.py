@@ -19,8 +19,8 @@ from rich.text import Text
 
 from flighttest.cli.durations import Durations, default_path
 from flighttest.cli.show import Show
-from flighttest.report.flight_large import large
 from flighttest.report.numbers import duration
+from flighttest.report.render.flight_large import large
 from flighttest.report.render.flight_view import line, picture
 
 PLAIN_EVERY_S = 10.0

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from rich.console import Console
 
-from flighttest.report.flight_large import figure_rows, large, zone_map
+from flighttest.report.render.flight_large import figure_rows, large, zone_map
 from flighttest.report.render.flight_view import line, picture
 
 

@@ -29,9 +29,9 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
-from flighttest.report.figure_files import write_figures
 from flighttest.report.packing import figures_in, unpacked
 from flighttest.report.render import figures, html, terminal
+from flighttest.report.render.figure_files import write_figures
 from flighttest.report.render.plain import plain
 from flighttest.report.render.svg import WIDTH
 from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone

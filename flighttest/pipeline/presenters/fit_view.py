@@ -13,7 +13,7 @@ from flighttest.estimation.problem import Part, PartEvaluation
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.physics.model import Model
-from flighttest.pipeline.response_views import correlations, loops, response_views
+from flighttest.pipeline.presenters.response_views import correlations, loops, response_views
 from flighttest.report.numbers import join, number, percent
 from flighttest.report.views import FitView, Overlay, ParameterView, QualityView, SegmentView, ThrustPoint
 from flighttest.segments import Metrics, Segment, metrics_of

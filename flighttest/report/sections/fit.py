@@ -19,7 +19,7 @@ from flighttest.report.document import (
 )
 from flighttest.report.numbers import interval, join, number, to_error, unit
 from flighttest.report.packing import coarse
-from flighttest.report.response_sections import response_sections
+from flighttest.report.sections.responses import response_sections
 from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
 
 MAX_CORRELATIONS = 6

@@ -8,7 +8,7 @@ from flighttest.channels import CHANNELS, WORDS
 from flighttest.report.document import Choice, Figure, Panel, Section, Trace
 from flighttest.report.numbers import unit
 from flighttest.report.packing import coarse
-from flighttest.report.show_sections import word
+from flighttest.report.sections.show import word
 from flighttest.report.views import CorrelationView, FitView, LoopView, ResponseView
 
 POINTS = 80  # of a trace

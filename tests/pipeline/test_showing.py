@@ -12,7 +12,7 @@ from flighttest.report.render import html
 
 @pytest.fixture(scope="module")
 def shown(flight_csv, tmp_path_factory):
-    from flighttest.pipeline.looking import show
+    from flighttest.pipeline.identification.showing import show
 
     page = tmp_path_factory.mktemp("page") / "page.html"
     return show(flight_csv, page), page

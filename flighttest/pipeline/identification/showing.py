@@ -29,7 +29,7 @@ from flighttest.report.numbers import duration, join, number
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections import fit as fit_sections
-from flighttest.report.show_sections import Look, ParameterOutlook, sections
+from flighttest.report.sections.show import Look, ParameterOutlook, sections
 from flighttest.segments import Segment, cut
 from flighttest.segments.airborne import flights
 from flighttest.segments.health import at_limits, battery, in_flight, modes, sampling, spectra
