@@ -10,7 +10,7 @@ from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedCloc
 from flighttest.link.lockstep import Grants
 from flighttest.link.port import Port
 from flighttest.link.requests import ModeRequests
-from flighttest.link.sequence import ENOUGH, Sequence
+from flighttest.link.transport import ENOUGH, Sequence
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_vehicle
 
 CONNECT_S = 10.0  # host seconds

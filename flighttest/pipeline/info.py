@@ -121,6 +121,7 @@ def _term_section(term: Term) -> Section:
 
 def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
     """What is installed and reachable. `connect`: also try this vehicle, with this key."""
+    key = read_key(signing_key) if signing_key is not None else None
     rows: list[tuple[Cell | str, ...]] = []
     data: list[dict[str, Any]] = []
 
@@ -167,7 +168,7 @@ def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
             note("local sockets", str(error), False, "the built-in vehicle needs a TCP port on 127.0.0.1")
     status = Status.DONE
     if connect is not None:
-        status = _reach(connect, read_key(signing_key) if signing_key is not None else None, note)
+        status = _reach(connect, key, note)
     missing = [d["what"] for d in data if d["needed"] and not d["ok"]]
     verdict = "Everything this tool needs is here." if not missing else f"Missing: {', '.join(missing)}."
     if missing and status is Status.DONE:

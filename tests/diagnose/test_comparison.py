@@ -182,7 +182,7 @@ def test_a_coefficient_at_its_bound_is_refused_where_data_tell_it_from_its_usual
     model, values = Model(("vortex_ring",)), {"vortex_depth": 0.7, "vortex_centre": 5.0}
     columns = rng.normal(size=(SEGMENTS * EACH, 2))
     assert "bound" in judged("vortex_ring", model, values, columns, rng)  # 0.7 +- 0.022, usually 0.15
-    # Along a ridge, centre and depth stand in for each other.
+    # Along a ridge, centre and depth take each other's place.
     alike = columns[:, :1] + 0.05 * columns
     assert judged("vortex_ring", model, values, alike, rng) == ""
 

@@ -142,13 +142,13 @@ def _presses(proxy: Proxy) -> Callable[[], int]:
 def full_disk(proxy: Proxy) -> Iterator[None]:
     """While the fault is there, nothing that is recorded can be written."""
 
-    def flush(lines: recorder._Lines) -> None:
+    def flush(lines: recorder.LineFile) -> None:
         if proxy.fault.disk and proxy.active and lines.waiting:
             raise OSError(errno.ENOSPC, "No space left on device")
         written(lines)
 
-    written = recorder._Lines.flush
-    with mock.patch.object(recorder._Lines, "flush", flush):
+    written = recorder.LineFile.flush
+    with mock.patch.object(recorder.LineFile, "flush", flush):
         yield
 
 

@@ -463,7 +463,7 @@ def test_two_vehicles_of_one_system_id_are_told_apart(hz: float) -> None:
 
 @pytest.mark.parametrize("fault", ["loss", "burst", "double", "late double", "swap"])
 def test_one_vehicle_on_a_bad_link_is_one(fault: str) -> None:
-    from flighttest.link.sequence import Sequence
+    from flighttest.link.transport import Sequence
 
     draw = random.Random(4)
     frames = [(n % 256, n) for n in range(6000)]

@@ -114,7 +114,9 @@ def test_figures_hold_their_numbers_to_a_screens_accuracy():
     tiny = 10.0 ** (-6.0 * t)
     plain_panel = Panel("a", "s", "m", (Trace(t, y, "y"), Trace(t, 1e6 * t, "big")))
     log_panel = Panel("b", "s", "m", (Trace(t, tiny, "tiny"),), log="y")
-    page = html.render(Document("t", "v", sections=(Section("s", "S", (Figure("f", (plain_panel, log_panel), "c"),)),)))
+    page = html.page_of(
+        Document("t", "v", sections=(Section("s", "S", (Figure("f", (plain_panel, log_panel), "c"),)),))
+    )
     (spec,) = figures_in(page, html.SPECS)
     (first, big), (last,) = (panel["data"] for panel in spec["panels"])
     assert [v is None for v in first["y"]] == list(np.isnan(y))
@@ -137,7 +139,7 @@ def test_every_picture_is_written_as_svg_with_its_numbers(tmp_path):
     )
     both = Document("t", "v", sections=(Section("s", "S", (two,)),))
     assert [p.name for p in write_figures(both, tmp_path)][::2] == ["response-a_b_r1.svg", "response-c.svg"]
-    page = html.render(both)
+    page = html.page_of(both)
     assert page.count("<option>") == page.count("<figure data-figure") == 2
 
 
@@ -190,7 +192,7 @@ def test_no_table_loses_a_column_or_cuts_a_heading(width, columns):
 
 def test_a_heading_that_is_cut_is_seen(monkeypatch):
     wide = Document("t", "v", sections=(Section("s", "S", (Table(("name", "a long heading"), (("x", "1"),)),)),))
-    monkeypatch.setattr(terminal, "_shared", lambda spans, room: dict.fromkeys(spans, 4))
+    monkeypatch.setattr(terminal, "room_shared", lambda spans, room: dict.fromkeys(spans, 4))
     assert any("cut" in words for words in troubles(wide, 80))
 
 

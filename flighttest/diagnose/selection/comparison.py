@@ -205,7 +205,7 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
         value = values[p.name]
         # Where the usual value is the bound, as of a pure pole, to be there is usual.
         at_bound = (value <= p.lower or value >= p.upper) and value != p.nominal
-        # A coefficient that shapes may stand in for runs to its bound though data hardly prefer it there.
+        # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
             return f"{p.name} is at its bound, {value:.3g} {p.unit}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0

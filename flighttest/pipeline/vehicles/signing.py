@@ -45,21 +45,21 @@ def _takes(url: str, key: bytes) -> bool:
 
 def sign(url: str, path: Path, remove: bool = False, progress: Progress = SILENT) -> Result:
     """Give the vehicle at `url` the key in `path` (made where there is none), or take it away. LinkError where it does not take it."""
-    made = not path.exists() and not remove
-    key = make_key(path) if made else read_key(path)
-    if made:
-        progress.stage(f"a new key is in {path}: who has this file can fly the vehicle")
-    if remove:
-        with _talk(url, key) as session:
+    known = read_key(path) if remove or path.exists() else None
+    if remove and known is not None:
+        with _talk(url, known) as session:
             _send(session, bytes(KEY_BYTES))
         with _talk(url, None) as session:
             if session.offset is None:
                 raise LinkError("the vehicle still wants signed frames", "try again over its USB port")
         return _result(f"The vehicle at {url} takes unsigned frames again.", url, path, False)
-    if not made and _takes(url, key):
+    if known is not None and _takes(url, known):
         return _result(f"The vehicle at {url} has this key already.", url, path, True)
-    progress.stage(f"giving the key to the vehicle at {url}; it crosses this link in the clear, so use a cable")
     with _talk(url, None) as session:
+        key = known or make_key(path)
+        if known is None:
+            progress.stage(f"a new key is in {path}: who has this file can fly the vehicle")
+        progress.stage(f"giving the key to the vehicle at {url}; it crosses this link in the clear, so use a cable")
         _send(session, key)
     if not _takes(url, key):
         raise LinkError("the vehicle did not take the key", "disarm it, and try over its USB port")

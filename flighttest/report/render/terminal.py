@@ -179,10 +179,10 @@ def _blocks(table: Table, chosen: Sequence[int], room: int) -> list[dict[int, in
         if len(blocks[-1]) > 1 and sum(least[k] + 1 for k in (*blocks[-1], i)) > room:
             blocks.append([chosen[0]] if least[chosen[0]] + least[i] + 2 <= room else [])
         blocks[-1].append(i)
-    return [_shared({i: (least[i], wanted[i]) for i in block}, room) for block in blocks if block]
+    return [room_shared({i: (least[i], wanted[i]) for i in block}, room) for block in blocks if block]
 
 
-def _shared(spans: Mapping[int, tuple[int, int]], room: int) -> dict[int, int]:
+def room_shared(spans: Mapping[int, tuple[int, int]], room: int) -> dict[int, int]:
     """A width per column between its least and its wanted one; what is over goes to the narrowest that wants more, sign by sign."""
     widths = {i: least for i, (least, _) in spans.items()}
     for _ in range(room - sum(w + 1 for w in widths.values())):
