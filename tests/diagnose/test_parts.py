@@ -12,7 +12,7 @@ from flighttest.diagnose.residuals import locate
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
 from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
-from flighttest.diagnose.selection.held_out import held_out, held_out_groups
+from flighttest.diagnose.selection.held_out import compare, held_out, held_out_groups
 from flighttest.estimation.linearisation import orthonormal
 from flighttest.segments.model import Segment
 
@@ -187,3 +187,15 @@ def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, 
     assert run.compensated_voltage({}) == []
     if told:
         assert "MOT_BAT_VOLT_MAX" in notes[0]
+
+
+def test_a_channel_that_is_masked_everywhere_is_not_compared():
+    """As horizontal channels are where no attitude was recorded."""
+    rows = SimpleNamespace(
+        channels=("f_z_m_s2", "v_x_m_s"), segment=np.repeat(np.arange(4), 5), channel=np.zeros(20, int)
+    )
+    floor = NoiseFloor({"f_z_m_s2": 0.1, "v_x_m_s": 0.1}, frozenset(), {})
+    residual = np.linspace(-1.0, 1.0, 20)
+    found = compare(rows, residual, rows, 0.5 * residual, np.arange(4), floor)
+    assert list(found) == ["f_z_m_s2"]
+    assert found["f_z_m_s2"].rmse_after == pytest.approx(0.5 * found["f_z_m_s2"].rmse_before)

@@ -138,6 +138,8 @@ def gains_held_out(
         if name not in second:
             continue
         (ss_b, n_b), (ss_a, n_a) = first[name], second[name]
+        if not n_b.any():  # masked in every response, as horizontal channels are where no attitude was recorded
+            continue
 
         def rmse(ss: FloatArray, count: FloatArray) -> float:
             return float(np.sqrt(ss.sum() / max(count.sum(), 1.0)))
