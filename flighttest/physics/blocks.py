@@ -19,9 +19,10 @@ EXOGENOUS = (
 )  # fmt: skip
 AXES = (("roll", ("roll_rad", "roll_rate_rad_s")), ("pitch", ("pitch_rad", "pitch_rate_rad_s")), ("yaw", ("r_rad_s",)))
 _REFERENCES = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
-TRANSLATION_OUTPUTS = (
-    "f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s", "a_x_m_s2", "a_y_m_s2", "a_z_m_s2",
-)  # fmt: skip
+FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+ACCELERATION = ("a_x_m_s2", "a_y_m_s2", "a_z_m_s2")
+TRANSLATION_OUTPUTS = (*FORCE, *VELOCITY, *ACCELERATION)
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,28 @@ def translation_block(terms: Sequence[Term], params: Sequence[Param], constants:
     y = dict(zip(TRANSLATION_OUTPUTS, [*ca.vertsplit(f), *ca.vertsplit(v), *ca.vertsplit(a)], strict=True))
     delay = delays(terms, p)["thrust"]
     return _Draft("translation", "thrust", delay, x, x_dot, p, u, e, d, y, initial, spread).block()
+
+
+def measured_velocity_block(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> Block:
+    """Specific force and world acceleration at the measured velocity and attitude: the equations of motion, not integrated.
+
+    Its states are a_t and those of terms; the velocity is an exogenous signal, so that nothing but the lags has a memory.
+    """
+    p, e = _symbols([q.name for q in params]), _symbols([*EXOGENOUS, *VELOCITY])
+    own, initial, spread = _term_states(terms, "translation")
+    x = _symbols(["a_t_m_s2"]) | own
+    u = _symbols(["throttle"])
+    s = measured_signals(e, p, constants)
+    s.v_world = ca.vertcat(*(e[name] for name in VELOCITY))
+    s.a_t, s.throttle = x["a_t_m_s2"], u["throttle"]
+    s.sigma_t = p["sigma_t"]
+    rates = translation(terms, s, p, own, ca.SX.zeros(3))
+    x_dot = dict(zip(x, [s.a_t_dot, *(rates[n] for n in own)], strict=True))
+    values = [*ca.vertsplit(s.measured["f"]), *ca.vertsplit(s.v_dot_world)]
+    y = dict(zip((*FORCE, *ACCELERATION), values, strict=True))
+    return _Draft(
+        "translation", "thrust", delays(terms, p)["thrust"], x, x_dot, p, u, e, {}, y, initial, spread
+    ).block()
 
 
 def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> tuple[Block, ...]:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
 from flighttest.physics import body
-from flighttest.physics.blocks import Block, attitude_blocks, translation_block
+from flighttest.physics.blocks import Block, attitude_blocks, measured_velocity_block, translation_block
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
@@ -189,6 +189,11 @@ class Model:
         constants = tuple(self.constants.items())
         loops = _attitude_blocks(*self._only("attitude"), constants) if self.attitude_loops else ()
         return (*loops, _translation_block(*self._only("translation"), constants))
+
+    @cached_property
+    def measured_velocity(self) -> Block:
+        """The translation at the measured velocity: specific force and world acceleration, nothing integrated but the lags."""
+        return measured_velocity_block(*self._only("translation"), self.constants)
 
     def _only(self, block: str) -> tuple[tuple[Term, ...], tuple[Param, ...]]:
         """Terms that act in a block, and the parameters without those of other terms."""

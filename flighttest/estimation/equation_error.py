@@ -1,0 +1,224 @@
+"""Equation error with autoregressive noise: least squares on whitened equations of motion, in time linear in the samples.
+
+An equation of motion, evaluated at what was measured, leaves a residual r_k = e_k of coloured noise: gusts, vibration, noise of the
+sensors. With A(q) e_k = white (A autoregressive, of the residual itself), least squares on A(q) r_k is the prediction error method
+(Ljung, System Identification, 2nd ed., sections 7.2 and 13.4): where what flies the vehicle answers disturbances, it stays
+consistent as long as A describes the noise and commands act after a delay, since A(q) r_k is then what could not be predicted from the past
+that the commands answer. Ordinary least squares, A = 1, is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+MOST_LAGS = 40  # 0.8 s at 50 Hz: beyond it, gusts of multirotor flights are predicted by their last value
+FEWEST_GROUPS = 3  # of which a variance between them can be told
+LEAST_POWER = 0.01  # of the most informative group: one with less says nothing of a parameter
+LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left out
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One equation over one stretch without gaps. residual: (n,) measured minus modelled; columns: (n, q) derivatives of the modelled
+    by the parameters; group: what is left out together and judged as one sample (its flight); channel: what shares one noise."""
+
+    channel: str
+    group: int
+    residual: FloatArray
+    columns: FloatArray
+
+
+@dataclass(frozen=True)
+class Autoregression:
+    """A(q) = 1 + a_1 q^-1 + ...: `coefficients` (order + 1,), the first 1; std: of what is left, in the channel's unit."""
+
+    coefficients: FloatArray
+    std: float
+
+    @property
+    def order(self) -> int:
+        """Number of lags."""
+        return self.coefficients.size - 1
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """(n - order, ...) of (n, ...): filtered along time and divided by `std`; the first `order` samples only start it."""
+        n = len(values) - self.order
+        out = np.zeros((max(n, 0), *values.shape[1:]))
+        if n > 0:
+            for lag, a in enumerate(self.coefficients):
+                out += a * values[self.order - lag : self.order - lag + n]
+        return out / self.std
+
+    def spectrum(self, frequency_hz: FloatArray, period_s: float) -> FloatArray:
+        """One-sided power spectral density at these frequencies, unit^2 per Hz."""
+        z = np.exp(-2j * np.pi * np.outer(frequency_hz, np.arange(self.order + 1)) * period_s)
+        return np.asarray(2.0 * period_s * self.std**2 / np.abs(z @ self.coefficients) ** 2)
+
+
+def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Autoregression:
+    """Of a residual, by Levinson's recursion on its autocovariance; order by Akaike's criterion (Luetkepohl 2005, section 4.3)."""
+    usable = [s for s in stretches if s.size > LEAST_STRETCH]
+    total = sum(s.size for s in usable)
+    if not total:
+        return Autoregression(np.ones(1), 1.0)
+    most = max(min(most, max(s.size for s in usable) // LEAST_STRETCH, total // 10), 0)
+    covariance = np.array(
+        [sum(float(s[lag:] @ s[: s.size - lag]) for s in usable if s.size > lag) for lag in range(most + 1)]
+    )
+    covariance /= total
+    if not covariance[0] > 0.0:
+        return Autoregression(np.ones(1), 1e-9)
+    a, power = np.ones(1), float(covariance[0])
+    best, least = (a, power), total * np.log(power)
+    for order in range(1, most + 1):
+        reflection = -float(a @ covariance[order - np.arange(order)]) / power
+        a = np.append(a, 0.0)
+        a = a + reflection * a[::-1]
+        power *= 1.0 - reflection**2
+        if power <= 1e-12 * covariance[0]:
+            break
+        criterion = total * np.log(power) + 2.0 * order
+        if criterion < least:
+            best, least = (a, power), criterion
+    return Autoregression(best[0], float(np.sqrt(best[1])))
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Streams whitened and stacked: residual (N,), columns (N, q), group (N,) and block (N,), about 5 s each, of every row."""
+
+    residual: FloatArray
+    columns: FloatArray
+    group: NDArray[np.intp]
+    block: NDArray[np.intp]
+
+    def information(self) -> tuple[FloatArray, FloatArray]:
+        """Normal equations: (q, q) and (q,)."""
+        return self.columns.T @ self.columns, self.columns.T @ self.residual
+
+
+def noises(streams: Sequence[Stream]) -> dict[str, Autoregression]:
+    """The noise of each channel, of the residuals as they stand."""
+    channels = dict.fromkeys(s.channel for s in streams)
+    return {c: autoregression([s.residual - s.residual.mean() for s in streams if s.channel == c]) for c in channels}
+
+
+def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per_block: int) -> Whitened:
+    """Every stream by its channel's noise. Blocks are stretches of rows of one group, for errors that must not trust the whiteness."""
+    residual, columns, group, block = [], [], [], []
+    first = 0
+    known: dict[tuple[int, int], int] = {}
+    starts: dict[tuple[str, int], int] = {}
+    for s in streams:
+        ar = noise[s.channel]
+        r = ar.whitened(s.residual)
+        if not r.size:
+            continue
+        residual.append(r)
+        columns.append(ar.whitened(s.columns))
+        group.append(np.full(r.size, s.group))
+        # The channels of one moment are of one block: a gust moves them all.
+        begin = starts.get((s.channel, s.group), 0)
+        starts[s.channel, s.group] = begin + s.residual.size
+        at = (begin + ar.order + np.arange(r.size)) // rows_per_block
+        block.append(np.array([known.setdefault((s.group, int(b)), len(known)) for b in at], dtype=np.intp))
+        first += r.size
+    if not residual:
+        q = streams[0].columns.shape[1] if streams else 0
+        return Whitened(np.zeros(0), np.zeros((0, q)), np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
+    return Whitened(*(np.concatenate(x) for x in (residual, columns, group, block)))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A Gauss-Newton step: delta (q,); covariance (q, q) by the information alone, robust (q, q) by blocks; chi2: the weighted sum of
+    squares before it."""
+
+    delta: FloatArray
+    covariance: FloatArray
+    robust: FloatArray
+    chi2: float
+
+
+def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray) -> Step:
+    """Least squares with a Gaussian prior of the step, prior_std (q,) infinite where there is none.
+
+    robust: the sandwich over blocks (Liang and Zeger 1986), with the few-cluster factor n / (n - 1); not below the information's. A
+    direction that neither data nor prior know has an infinite variance.
+    """
+    hessian, score = rows.information()
+    precision = np.where(np.isfinite(prior_std), 1.0 / np.where(np.isfinite(prior_std), prior_std, 1.0) ** 2, 0.0)
+    full = hessian + np.diag(precision)
+    scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
+    scaled = full / np.outer(scale, scale)
+    value, vector = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    known = value > 1e-10 * max(float(value.max(initial=0.0)), 1e-300)
+    inverse = (vector[:, known] / value[known]) @ vector[:, known].T
+    covariance = inverse / np.outer(scale, scale)
+    delta = covariance @ (score + precision * prior_mean)
+    left = rows.residual - rows.columns @ delta
+    n = int(rows.block.max(initial=-1)) + 1
+    scores = np.zeros((n, hessian.shape[0]))
+    np.add.at(scores, rows.block, rows.columns * left[:, None])
+    meat = scores.T @ scores * (n / max(n - 1, 1))
+    # What priors contribute is no estimate of these blocks.
+    robust = covariance @ (meat + np.diag(precision)) @ covariance
+    unknown = vector[:, ~known] / scale[:, None]
+    lost = np.einsum("ij,ij->i", unknown, unknown) > 0.0
+    at = np.arange(len(delta))
+    below = np.diag(robust) < np.diag(covariance)
+    grow = np.where(below, np.sqrt(np.diag(covariance) / np.maximum(np.diag(robust), 1e-300)), 1.0)
+    robust = robust * np.outer(grow, grow)
+    if lost.any():
+        strong = np.abs(unknown * scale[:, None]).max(axis=1, initial=0.0) > 0.1
+        covariance[at[strong], at[strong]] = np.inf
+        robust[at[strong], at[strong]] = np.inf
+    return Step(delta, covariance, robust, float(rows.residual @ rows.residual))
+
+
+def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What groups differ by in shared parameters: (q,) standard deviation of each, 0 where errors account for it, and (q, q) what it adds
+    to the covariance.
+
+    own (q,): columns that belong to one group. Every group's one-step estimate of a shared parameter, its own profiled and the other
+    shared ones held, is one value with an error; their variance between groups is DerSimonian and Laird's (1986). It moves a group's own
+    parameters by what they make up for it, and the shared value by its mean over the groups.
+    """
+    q = own.size
+    spread, extra = np.zeros(q), np.zeros((q, q))
+    groups = np.unique(rows.group)
+    if groups.size < FEWEST_GROUPS:
+        return spread, extra
+    parts = []
+    for g in groups:
+        some = rows.columns[rows.group == g]
+        hessian, score = some.T @ some, some.T @ rows.residual[rows.group == g]
+        mine = own & (np.diag(hessian) > 0.0)
+        precision = 1.0 / prior_std[mine] ** 2 if mine.any() else np.zeros(0)
+        back = np.linalg.pinv(hessian[np.ix_(mine, mine)] + np.diag(precision)) if mine.any() else np.zeros((0, 0))
+        follow = -back @ hessian[mine]  # how own parameters answer to the shared ones
+        parts.append((hessian + hessian[:, mine] @ follow, score - hessian[:, mine] @ back @ score[mine], mine, follow))
+    for k in np.flatnonzero(~own):
+        power = np.array([max(float(h[k, k]), 0.0) for h, *_ in parts])
+        told = power > power.max() * LEAST_POWER if power.max() > 0.0 else np.zeros(power.size, dtype=bool)
+        if told.sum() < FEWEST_GROUPS:
+            continue
+        value = np.array([s[k] for _, s, *_ in parts])[told] / power[told]
+        w = power[told]
+        mean = float(np.sum(w * value) / w.sum())
+        chance = float(np.sum(w * (value - mean) ** 2)) - (w.size - 1)
+        variance = max(chance, 0.0) / float(w.sum() - np.sum(w**2) / w.sum())
+        if variance == 0.0:
+            continue
+        spread[k] = np.sqrt(variance)
+        extra[k, k] += variance / w.size
+        for _, _, mine, follow in parts:
+            answer = follow[:, k]
+            extra[np.ix_(mine, mine)] += variance * np.outer(answer, answer)
+    return spread, extra

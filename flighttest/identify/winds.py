@@ -1,0 +1,108 @@
+"""The wind of each flight, drag shared by all: one vehicle, flown in several weathers, or in none.
+
+In one flight at one heading a wind is a tilt that holds against drag, and so is an attitude offset. Several flights of one
+vehicle share drag and offset and differ in the wind; flights that are known to be in still air tie the offset down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flighttest.estimation.uncertainty.distributions import chi2_beyond
+from flighttest.identify.free_flight import FreeFlight, estimate, stretches
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+STILL_STD_M_S = 0.2  # draught of a closed hall (ISO 7730, 2005: below 0.25 m/s)
+CHANCE = 0.01  # that still air is called wind
+TURNED_RAD = 0.5  # headings that differ by less do not part a wind from an offset
+_WIND = ("w_north", "w_west")
+_TERMS = ("steady_wind", "attitude_offset")
+
+
+@dataclass(frozen=True)
+class FlightWind:
+    """Velocity of the air in one flight, m/s, world; std of each; chi2: of both against none; verdict: 'wind', 'none seen' or 'still'
+    (declared)."""
+
+    flight: str
+    north: float
+    west: float
+    north_std: float
+    west_std: float
+    chi2: float
+    verdict: str
+
+    @property
+    def speed(self) -> float:
+        """m/s."""
+        return float(np.hypot(self.north, self.west))
+
+    @property
+    def speed_std(self) -> float:
+        """Standard error of the speed, m/s."""
+        share = np.array([self.north, self.west]) / max(self.speed, 1e-9)
+        return float(np.hypot(share[0] * self.north_std, share[1] * self.west_std))
+
+    @property
+    def from_deg(self) -> float:
+        """Compass direction it comes from, degrees."""
+        return float(np.degrees(np.arctan2(self.west, -self.north)) % 360.0)
+
+
+@dataclass(frozen=True)
+class Winds:
+    """Every flight's wind, and the fit that they are of; turned: whether headings varied enough to part wind from attitude offset."""
+
+    flights: tuple[FlightWind, ...]
+    fit: FreeFlight
+    turned: bool
+    declared: frozenset[str]
+
+
+def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] | None = None) -> Winds | None:
+    """Wind per flight by equation error; None where no free flight has attitude, velocity and throttle, or drag is not seen.
+
+    weather: flight to 'still', a prior of no wind with a standard deviation of 0.2 m/s; other flights have none but that of usual winds.
+    """
+    flown = stretches(segments)
+    if not flown:
+        return None
+    tried = Model(
+        ("body", "linear_drag", *_TERMS), nominal_voltage_v=model.nominal_voltage_v, attitude_loops=False,
+        rotor_height_m=model.rotor_height_m,
+    )  # fmt: skip
+    declared = frozenset(f for f, what in (weather or {}).items() if what == "still")
+    priors = {f"{n}@{f}": (0.0, STILL_STD_M_S) for f in declared for n in _WIND}
+    free = [n for n in tried.names if n != "w_up" and (n != "alpha" or _voltage_varies(flown))]
+    found = estimate(flown, tried, free=free, per_flight=_WIND, priors=priors)
+    drag = [found.values[n] / found.std[n] for n in ("d_x", "d_y") if n in found.std and found.std[n] > 0]
+    if not drag or max(drag) < 2.0:
+        return None
+    made = []
+    for flight in found.flights:
+        at = [found.names.index(f"{n}@{flight}") for n in _WIND]
+        w = np.array([found.values[found.names[i]] for i in at])
+        covariance = found.covariance[np.ix_(at, at)]
+        std = np.sqrt(np.diag(covariance))
+        chi2 = float(w @ np.linalg.pinv(covariance) @ w) if np.isfinite(std).all() else 0.0
+        verdict = "wind" if chi2_beyond(chi2, 2) < CHANCE else "still" if flight in declared else "none seen"
+        made.append(FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict))
+    return Winds(tuple(made), found, _turned(flown), declared)
+
+
+def _voltage_varies(flown: Sequence[Segment]) -> bool:
+    every = [s.y["voltage_v"][np.isfinite(s.y["voltage_v"])] for s in flown if "voltage_v" in s.y]
+    joined = np.concatenate(every) if every else np.zeros(0)
+    return bool(joined.size) and float(np.ptp(joined)) > 0.0
+
+
+def _turned(flown: Sequence[Segment]) -> bool:
+    """Whether headings lie further apart than `TURNED_RAD`, over all flights."""
+    yaw = np.concatenate([s.y["yaw_rad"][np.isfinite(s.y["yaw_rad"])] for s in flown])
+    mean = np.angle(np.mean(np.exp(1j * yaw)))
+    off = np.abs(np.angle(np.exp(1j * (yaw - mean))))
+    return bool(np.quantile(off, 0.9) > TURNED_RAD / 2)

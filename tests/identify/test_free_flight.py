@@ -1,0 +1,136 @@
+"""Free flight by equation error: vehicles made without our equations, flown by a position loop in gusts."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from flighttest.errors import FitError
+from flighttest.frames import rotation_from_euler
+from flighttest.identify.free_flight import estimate, stretches
+from flighttest.identify.motion_equations import predicted
+from flighttest.identify.winds import winds
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+GAIN, SIGMA, DELAY_S, DRAG = 50.0, 18.0, 0.06, np.array([0.4, 0.3, 0.5])
+DT, RATE_HZ = 0.01, 50
+
+
+def flight(seconds, seed, wind=(0.0, 0.0), gust=0.4, run="run", offset=0.0, accelerometer=True):
+    """Windows of free flight under a position loop that answers gusts; m, s. Euler attitude with a lag of 60 ms, gusts of 1 s."""
+    rng = np.random.default_rng(seed)
+    n = int(seconds / DT)
+    p, v, angles, w = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(3)
+    a_t, late = 9.81, [9.81 / GAIN] * round(DELAY_S / DT)
+    asked, goal, throttle = np.zeros(2), np.zeros(3), 9.81 / GAIN
+    out = np.empty((n, 14))
+    push = gust * np.sqrt(2 * DT) * rng.standard_normal((n, 3))
+    air = np.array([*wind, 0.0])
+    for k in range(n):
+        if k % 300 == 0:
+            goal = rng.uniform(-4.0, 4.0, 3) * [1.0, 1.0, 0.5]
+        if k % 2 == 0:
+            pull = np.clip(0.8 * (goal - p), -2.5, 2.5) - v
+            wanted = np.clip(1.6 * pull, -4.0, 4.0)
+            asked = np.array([-wanted[1], wanted[0]]) / 9.81
+            throttle = (9.81 + wanted[2]) / GAIN / float(np.cos(angles[0]) * np.cos(angles[1]))
+        late.append(throttle)
+        cr, sr, cp, sp = np.cos(angles[0]), np.sin(angles[0]), np.cos(angles[1]), np.sin(angles[1])
+        rotation = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+        force = np.array([offset * a_t, 0.0, a_t]) - DRAG * (rotation.T @ (v - air)) + rotation.T @ w
+        out[k] = [k * DT, *angles, *force, *v, *p, throttle, a_t]
+        a_t += (GAIN * late.pop(0) - a_t) * (1.0 - np.exp(-SIGMA * DT))
+        angles = angles + (asked - angles) * DT / 0.06
+        w = w - w * DT + push[k]
+        p = p + DT * v
+        v = v + DT * (rotation @ force - [0.0, 0.0, 9.81])
+    some = out[:: round(1 / DT / RATE_HZ)]
+    t = some[:, 0]
+
+    def noisy(column, std):
+        return some[:, column] + std * rng.standard_normal(t.size)
+
+    found = []
+    length = 125
+    for k in range(1, t.size // length):
+        at = slice(length * k, length * (k + 1))
+        reach = slice(length * k - 50, length * (k + 1))
+        y = {"roll_rad": noisy(1, 0.001)[at], "pitch_rad": noisy(2, 0.001)[at], "yaw_rad": np.zeros(length)}
+        y |= {name: noisy(6 + i, 0.03)[at] for i, name in enumerate(("v_x_m_s", "v_y_m_s", "v_z_m_s"))}
+        if accelerometer:
+            y |= {name: noisy(3 + i, 0.1)[at] for i, name in enumerate(("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"))}
+        u = {"throttle": (t[reach], some[reach, 12])}
+        found.append(Segment(f"free #{k}", run, "free", {}, k, float(t[at][0]), t[at], y, u))
+    return found
+
+
+@cache
+def flown(seed=1):
+    return tuple(flight(80.0, seed))
+
+
+NAMES = ("K", "sigma_t", "T_d_thrust", "d_x", "d_y", "d_z")
+TRUTH = dict(zip(NAMES, (GAIN, SIGMA, DELAY_S, *DRAG), strict=True))
+
+
+def test_adjoining_windows_are_one_stretch():
+    windows = flown()
+    whole = stretches(windows)
+    assert len(whole) == 1
+    assert whole[0].t_s.size == sum(w.t_s.size for w in windows)
+    assert len(stretches([w for k, w in enumerate(windows) if k != 20])) == 2
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+def test_a_position_loop_in_gusts_does_not_bias_the_estimates(accelerometer):
+    segments = flown() if accelerometer else flight(120.0, 2, accelerometer=False)
+    found = estimate(stretches(segments), Model(attitude_loops=False), free=NAMES)
+    assert found.converged
+    for name, truth in TRUTH.items():
+        assert abs(found.values[name] - truth) < 3.0 * found.std[name], name
+    assert found.std["K"] < 0.02 * GAIN
+    assert found.std["d_x"] < 0.15
+
+
+def test_the_noise_of_the_recording_is_told():
+    found = estimate(stretches(flown()), Model(attitude_loops=False), free=NAMES)
+    quick, slow = found.noise["f_x_m_s2"].spectrum(np.array([20.0, 0.1]), 1.0 / RATE_HZ)
+    assert quick == pytest.approx(2 * 0.1**2 / RATE_HZ, rel=0.5)  # the accelerometer's white noise
+    assert slow > 20.0 * quick  # gusts
+
+
+def test_a_velocity_is_predicted_from_the_past_alone():
+    t = np.arange(200) / 50.0
+    v = np.sin(t)
+    changed = v.copy()
+    changed[100:] += 5.0
+    for slope in (None, np.cos(t)):
+        before, after = predicted(t, v, slope), predicted(t, changed, slope)
+        assert np.array_equal(before[:101], after[:101])
+        assert np.abs(before - v)[20:].max() < 0.01
+
+
+def test_each_flight_has_its_own_wind_and_drag_is_shared():
+    segments = flight(60.0, 3, (0.0, 0.0), run="calm", offset=0.03) + flight(
+        60.0, 4, (-4.0, 2.0), run="windy", offset=0.03
+    )
+    found = winds(segments, Model(), {"calm": "still"})
+    calm, windy = found.flights
+    assert (calm.verdict, windy.verdict) == ("still", "wind")
+    assert abs(windy.north + 4.0) < 3.0 * windy.north_std < 4.0
+    assert abs(windy.west - 2.0) < 3.0 * windy.west_std < 4.0
+    assert windy.from_deg == pytest.approx(27.0, abs=25.0)
+    assert not found.turned
+
+
+def test_nothing_to_fly_from_is_said():
+    with pytest.raises(FitError, match="no free flight"):
+        estimate(stretches([]), Model())
+    assert winds([], Model()) is None
+
+
+def test_rotation_of_this_test_is_that_of_the_package():
+    cr, sr, cp, sp = np.cos(0.1), np.sin(0.1), np.cos(0.2), np.sin(0.2)
+    own = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+    assert rotation_from_euler(np.array([0.1, 0.2, 0.0])) == pytest.approx(own)
