@@ -71,6 +71,12 @@ def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> i
 )
 @click.option("--tie", multiple=True, metavar="A=B", help="Tie a parameter to another (omega_theta=omega_phi).")
 @click.option(
+    "--weather",
+    multiple=True,
+    metavar="[FLIGHT=]still",
+    help="Flights in still air: a prior for the wind of each flight.",
+)
+@click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for reading recordings."
 )
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
@@ -83,13 +89,16 @@ def fit(
     terms: tuple[str, ...],
     freeze: tuple[str, ...],
     tie: tuple[str, ...],
+    weather: tuple[str, ...],
     workers: int,
     scheduler: str | None,
 ) -> int:
     """Estimate the model's parameters from one or several recordings, jointly."""
     from flighttest.pipeline.identification import fitting as analysis
 
-    options = analysis.FitOptions(terms=terms, freeze=held(freeze), tie=ties(tie), workers=workers, scheduler=scheduler)
+    options = analysis.FitOptions(
+        terms=terms, freeze=held(freeze), tie=ties(tie), weather=weather, workers=workers, scheduler=scheduler
+    )
     with LiveProgress(context.show) as progress:
         result = analysis.fit(runs, output, columns, vehicle, options, progress)
     return context.finish(result)

@@ -26,6 +26,7 @@ KEYS = (
     "rotor_height_m",
     "components",
     "signing_key",
+    "weather",
 )
 REQUIRED = (
     "format",
@@ -35,6 +36,7 @@ REQUIRED = (
     "hover_throttle",
     "zone",
 )  # to fly; a recording needs only the name
+WEATHERS = ("still", "unknown")
 ZONE_KEYS = ("origin", "heading_deg", "x_m", "y_m", "z_m", "margin_m")
 FIRMWARES = ("ardupilot", "px4")
 
@@ -78,6 +80,7 @@ def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehic
         return (document.text(fields[key], 300) or default) if key in fields else default
 
     default = DEFAULT_VEHICLE
+    weather = document.choice(fields["weather"], WEATHERS) if "weather" in fields else None
     firmware = document.choice(fields["firmware"], FIRMWARES) if "firmware" in fields else None
     connect = text("connect", "") if "connect" in fields and fields["connect"].value is not None else ""
     voltage = number("nominal_voltage_v", 2.0, 120.0, "V", default.nominal_voltage_v)
@@ -98,6 +101,7 @@ def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehic
         components=_components(document, fields["components"], Path(file).parent) if "components" in fields else {},
         path=file,
         signing_key=str(Path(file).parent / key) if (key := text("signing_key", "")) else None,
+        weather=weather or "unknown",
         flies=set(REQUIRED) <= set(fields),
     )
 

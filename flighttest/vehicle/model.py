@@ -43,7 +43,8 @@ class Vehicle:
     """A vehicle as declared in vehicle.yaml. `components` maps battery, propellers, motors, payload, ... to their fields.
 
     signing_key: path of the file with the key that MAVLink frames are signed with.
-    flies: whether all is declared that a flight needs; otherwise zone, firmware and hover throttle are placeholders."""
+    flies: whether all is declared that a flight needs; otherwise zone, firmware and hover throttle are placeholders. weather: 'still' where
+    it is only flown in still air, indoors, else 'unknown'."""
 
     name: str
     connect: str | None
@@ -57,3 +58,4 @@ class Vehicle:
     path: str = ""
     signing_key: str | None = None
     flies: bool = True
+    weather: str = "unknown"

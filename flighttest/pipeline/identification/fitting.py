@@ -28,6 +28,7 @@ from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, n
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.identities import identity_of
+from flighttest.pipeline.winds import declared_weather, wind_section
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import join, paths
@@ -43,7 +44,7 @@ class FitOptions:
     """What a fit may be told: terms beside the model's, parameters to hold at a value, parameters to tie to another, how many processes.
 
     model: where it is not the paper's; its nominal voltage and the height of its rotors count where neither vehicle nor recordings state
-    them.
+    them. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT.
     """
 
     terms: tuple[str, ...] = ()
@@ -52,6 +53,7 @@ class FitOptions:
     workers: int = 1
     scheduler: str | None = None
     model: Model | None = None
+    weather: tuple[str, ...] = ()
 
 
 def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tuple[Segment, ...]:
@@ -246,9 +248,19 @@ def fit(
     doubtful = doubts(recordings)
     recordings = once(recordings)
     segments = cut_all(recordings, progress)
+    weather = declared_weather(options.weather, recordings, "unknown" if declared is None else declared.weather)
     found = fit_segments(segments, recordings, declared, options, progress)
     found = replace(found, notes=(*found.notes, *doubtful))
-    return finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])
+    result = finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])
+    progress.stage("telling the wind of each flight")
+    section, data = wind_section(segments, found.model, weather)
+    if section is None:
+        return result
+    return replace(
+        result,
+        document=replace(result.document, sections=(*result.document.sections, section)),
+        data={**result.data, **data},
+    )
 
 
 def finish_fit(

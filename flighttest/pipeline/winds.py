@@ -1,0 +1,112 @@
+"""The wind of each flight, as a section of a fit: drag shared by all flights, declared still air as a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from flighttest.errors import FlighttestError, InputError
+from flighttest.identify.winds import STILL_STD_M_S, Winds, winds
+from flighttest.physics.model import Model
+from flighttest.recording import Recording
+from flighttest.report.document import Cell, Paragraph, Section, Table
+from flighttest.report.numbers import join
+from flighttest.report.render.plain import plain
+from flighttest.segments import Segment
+
+WEATHERS = ("still", "unknown")
+
+
+def declared_weather(said: Sequence[str], recordings: Sequence[Recording], vehicle: str = "unknown") -> dict[str, str]:
+    """Flight to 'still' or 'unknown'. said: `still`, of all flights, or `PART=still`, of those whose name holds PART; the last that fits a
+    flight counts, else vehicle.yaml's."""
+    found = dict.fromkeys((r.name for r in recordings), vehicle)
+    for one in said:
+        part, _, weather = one.rpartition("=")
+        if weather not in WEATHERS:
+            raise InputError(
+                f"--weather {one}: {weather!r} is no weather", f"write {' or '.join(WEATHERS)}, or FLIGHT=still"
+            )
+        named = [name for name in found if part in name]
+        if not named:
+            raise InputError(
+                f"--weather {one}: no flight's name holds {part!r}", f"the flights are {join(list(found))}"
+            )
+        found |= dict.fromkeys(named, weather)
+    return found
+
+
+def wind_section(
+    segments: Sequence[Segment], model: Model, weather: Mapping[str, str]
+) -> tuple[Section | None, dict[str, Any]]:
+    """Table of the wind in every flight and the same as data; neither where no free flight tells of it."""
+    if not any(s.usable and s.kind == "free" for s in segments):
+        return None, {}
+    try:
+        found = winds(segments, model, weather)
+    except FlighttestError:
+        return None, {}  # the fit says what was not recorded
+    return (None, {}) if found is None else (_section(found), _data(found))
+
+
+def _section(found: Winds) -> Section:
+    fit = found.fit
+    rows = []
+    for w in found.flights:
+        rows.append(
+            (
+                w.flight,
+                f"{w.north:.2f} ± {1.96 * w.north_std:.2f}",
+                f"{w.west:.2f} ± {1.96 * w.west_std:.2f}",
+                f"{w.speed:.1f} ± {1.96 * w.speed_std:.1f}",
+                f"{w.from_deg:.0f}°" if w.verdict == "wind" else "",
+                Cell(w.verdict, "good" if w.verdict == "wind" else "quiet"),
+            )
+        )
+    columns = ("flight", "to north, m/s", "to west, m/s", "speed, m/s", "from", "")
+    table = Table(columns, tuple(rows), ("left", "right", "right", "right", "right", "left"), roomy=(1, 2))
+    drag = [
+        f"{n} {fit.values[n]:.2f} ± {1.96 * fit.std[n]:.2f} 1/s"
+        + (f" (flights differ by {fit.spread[n]:.2f})" if n in fit.spread else "")
+        for n in ("d_x", "d_y", "d_z")
+        if n in fit.std
+    ]
+    notes = [f"Drag is the same in all flights: {join(drag)}. Intervals of 95 % hold what flights differ by."]
+    if not found.turned:
+        known = (
+            f"flights declared still (within {STILL_STD_M_S:g} m/s) tell them apart"
+            if found.declared
+            else "declare flights in still air with --weather FLIGHT=still, or fly two headings"
+        )
+        notes.append(f"At a single heading a wind and an attitude offset tilt the vehicle alike: {known}.")
+    windy = sum(w.verdict == "wind" for w in found.flights)
+    lead = f"Wind is seen in {windy} of {len(found.flights)} flight{'s' if len(found.flights) > 1 else ''}."
+    return Section("winds", "Wind of each flight", (table, *(Paragraph(n, "quiet") for n in notes)), lead)
+
+
+def _data(found: Winds) -> dict[str, Any]:
+    fit = found.fit
+    return {
+        "winds": [
+            {
+                "flight": w.flight,
+                "w_north": w.north,
+                "w_west": w.west,
+                "w_north_std": w.north_std,
+                "w_west_std": w.west_std,
+                "speed_m_s": w.speed,
+                "speed_std": w.speed_std,
+                "from_deg": w.from_deg,
+                "verdict": w.verdict,
+                "declared": "still" if w.flight in found.declared else "unknown",
+            }
+            for w in found.flights
+        ],
+        "winds_drag": plain(
+            {
+                n: {"value": fit.values[n], "std": fit.std[n], "between_flights": fit.spread.get(n, 0.0)}
+                for n in ("d_x", "d_y", "d_z")
+                if n in fit.std
+            }
+        ),
+    }
