@@ -370,3 +370,46 @@ def test_tables_that_were_joined_with_their_lines_of_names_and_units(tmp_path):
     attitude = import_log(tmp_path / "a.csv").series["attitude"]
     np.testing.assert_allclose(attitude.t_s, np.concatenate([t, t + t[-1] + 10.0]))
     np.testing.assert_allclose(attitude.columns["roll_rad"], np.sin(np.concatenate([t, t])))
+
+
+def motors(tmp_path, t, entry):
+    """Throttle of two motors through a map entry."""
+    path = tmp_path / "m.csv"
+    v = np.sin(t)
+    columns = {"t_s": t, "m1": 100.0 + 0 * t, "m2": 300.0 + 0 * t, "v_x_m_s": v, "v_y_m_s": v, "v_z_m_s": v}
+    np.savetxt(path, np.stack(list(columns.values()), axis=1), delimiter=",", header=",".join(columns), comments="")
+    text = f"format: columns/1\ncolumns:\n  t_s: t_s\n  v_x_m_s: v_x_m_s\n  v_y_m_s: v_y_m_s\n  v_z_m_s: v_z_m_s\n  throttle: {entry}\n"
+    (tmp_path / "map.yaml").write_text(text)
+    return float(import_log(path, tmp_path / "map.yaml").channel("throttle")[1][0])
+
+
+def test_rotor_speeds_are_squared_motor_by_motor(tmp_path, t):
+    assert motors(tmp_path, t, "{mean: [m1, m2], power: 2, scale: 1.0e-5}") == pytest.approx(0.5)
+
+
+def test_motor_commands_go_through_a_table_one_by_one(tmp_path, t):
+    pairs = "[[0, 0], [200, 0.1], [400, 0.9]]"
+    assert motors(tmp_path, t, f"{{mean: [m1, m2], table: {pairs}}}") == pytest.approx((0.05 + 0.5) / 2)
+
+
+def test_a_thrust_stand_is_a_table(tmp_path, t):
+    command = np.linspace(0.0, 400.0, 4000)
+    stand = np.stack([command, 2e-5 * command**2 + 0.01 * np.cos(7.0 * np.arange(4000))], axis=1)
+    np.savetxt(tmp_path / "stand.csv", stand, delimiter=",", header="signal,thrust", comments="")
+    entry = "{mean: [m1, m2], table: {file: stand.csv, input: signal, output: thrust}, scale: 0.5}"
+    assert motors(tmp_path, t, entry) == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("{from: m1, table: [[1, 0], [0, 1]]}", "increasing"),
+        ("{from: m1, table: {file: no.csv, input: a, output: b}}", "no.csv"),
+        ("{from: m1, table: {file: m.csv, input: m1}}", "output is missing"),
+        ("{from: m1, table: {file: m.csv, input: m1, output: m2}}", "fewer than two values"),
+        ("{from: m1, power: 0}", "power"),
+    ],
+)
+def test_tables_of_inputs_that_cannot_be_are_refused(tmp_path, t, entry, words):
+    with pytest.raises(RecordingError, match=words):
+        motors(tmp_path, t, entry)

@@ -12,6 +12,7 @@ from flighttest.channels import CHANNELS, GROUPS
 from flighttest.datafiles import read_text
 from flighttest.documents import Document, Node, nearest
 from flighttest.errors import RecordingError
+from flighttest.logs.input_table import InputTable, parse_table
 
 World = Literal["NWU", "NED", "ENU"]
 Body = Literal["FLU", "FRD"]
@@ -31,19 +32,21 @@ UNITS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 TIME, STEP = "t_s", "step"
 _QUATERNIONS = ("attitude", "reference")
-_ENTRY = ("from", "unit", "mean", "scale", "offset", "quaternion")
+_ENTRY = ("from", "unit", "mean", "power", "table", "scale", "offset", "quaternion")
 _KEYS = ("format", "doc", "frame", "rate_hz", "columns", "constants", "filters_hz")
 _CELL = re.compile(r"^(?P<name>.*?)(?P<indices>(\[\d+\])*)$")
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where one channel comes from: the mean of `columns`, times scale, plus offset. A column may be a cell of a vector
-    column, as `v[0]`."""
+    """Where one channel comes from: the mean of `columns`, each to the `power` and through the `table` first, times scale, plus offset.
+    A column may be a cell of a vector column, as `v[0]`."""
 
     columns: tuple[str, ...]
     scale: float = 1.0
     offset: float = 0.0
+    power: float = 1.0
+    table: InputTable | None = None
 
 
 @dataclass(frozen=True)
@@ -180,7 +183,9 @@ def _source(document: Document, name: str, entry: Node, keys: Mapping[str, Node]
             document.wrong(keys["unit"], f"{written!r} is no unit of {name} ({unit})", hint)
     if not columns or scale is None or offset is None or factor is None:
         return None
-    return Source(tuple(columns), scale * factor, offset)
+    power = document.number(keys["power"], 0.1, 4.0) if "power" in keys else 1.0
+    table = parse_table(document, keys["table"], document.file) if "table" in keys else None
+    return Source(tuple(columns), scale * factor, offset, 1.0 if power is None else power, table)
 
 
 def _numbers(document: Document, node: Node | None, known: tuple[str, ...], low: float = -1e9) -> dict[str, float]:

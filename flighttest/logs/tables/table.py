@@ -20,7 +20,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
 from flighttest.logs.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.agreement import disagreements
-from flighttest.logs.tables.columns import STEP, TIME, ColumnMap, load_columns, plain_map
+from flighttest.logs.tables.columns import STEP, TIME, ColumnMap, Source, load_columns, plain_map
 from flighttest.logs.tables.crazyflie import crazyflie_map
 from flighttest.logs.tables.gravity import gravity_doubts
 from flighttest.logs.tables.sheet import Sheet, read_sheet
@@ -187,9 +187,16 @@ def _one_after_another(t_s: FloatArray, losses: list[str]) -> tuple[FloatArray, 
 
 def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:
     source = plan.columns[name]
-    parts = [sheet.column(column) for column in source.columns]
+    parts = [_mapped(sheet.column(column), source) for column in source.columns]
     values = parts[0] if len(parts) == 1 else np.mean(parts, axis=0)
     return np.asarray(values * source.scale + source.offset)
+
+
+def _mapped(values: FloatArray, source: Source) -> FloatArray:
+    """A column through its static map: thrust of a rotor goes with the square of its speed, or as a stand has measured."""
+    if source.power != 1.0:
+        values = np.sign(values) * np.abs(values) ** source.power
+    return values if source.table is None else source.table.of(values)
 
 
 def _channels(sheet: Sheet, plan: ColumnMap, derived: dict[str, str], path: Path) -> Columns:
