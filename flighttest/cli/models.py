@@ -8,6 +8,7 @@ import click
 
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
+from flighttest.cli.words import seconds
 
 
 @command("validate")
@@ -15,6 +16,11 @@ from flighttest.cli.live import LiveProgress
 @click.option("--previous", type=ANY, metavar="MODEL", help="An earlier model to stand beside.")
 @click.option("-o", "--output", type=FILE, metavar="HTML", help="Also write the comparison as an HTML page.")
 @click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
+@click.option(
+    "--horizons",
+    metavar="S,S,...",
+    help="Seconds after each start at which errors are taken (0.01,0.1,0.5,1); --json has them all.",
+)
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where the vehicle's model is.")
 def validate(
     context: Context,
@@ -22,6 +28,7 @@ def validate(
     previous: Path | None,
     output: Path | None,
     columns: Path | None,
+    horizons: str | None,
     out: Path,
 ) -> int:
     """Compare the model and its simplifications with a free flight (paper, section 4).
@@ -32,7 +39,16 @@ def validate(
     from flighttest.pipeline.identification import validation
 
     with LiveProgress(context.show) as progress:
-        result = validation.validate(None, paths, previous, output, columns, progress, out=out)
+        result = validation.validate(
+            None,
+            paths,
+            previous,
+            output,
+            columns,
+            progress,
+            out=out,
+            horizons_s=seconds(horizons),
+        )
     return context.finish(result)
 
 

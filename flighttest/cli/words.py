@@ -1,10 +1,12 @@
-"""Words of the command line to typed values: NAME=VALUE and A=B."""
+"""Words of the command line to typed values: NAME=VALUE, A=B and lists of seconds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from flighttest.errors import InputError
+
+LONGEST_S = 60.0  # an open-loop prediction of a minute is of no use
 
 
 def held(words: Sequence[str]) -> dict[str, float]:
@@ -37,3 +39,18 @@ def ties(words: Sequence[str]) -> dict[str, str]:
             "tie each to one that is free",
         )
     return found
+
+
+def seconds(word: str | None) -> tuple[float, ...]:
+    """--horizons S,S,...: increasing, each once; none where nothing was said. InputError where a part is no time above 0."""
+    if word is None:
+        return ()
+    try:
+        found = sorted({float(part) for part in word.split(",")})
+    except ValueError:
+        found = [-1.0]
+    if not all(0.0 < value <= LONGEST_S for value in found):
+        raise InputError(
+            f"--horizons {word!r} is no list of times up to {LONGEST_S:g} s", "as in --horizons 0.01,0.1,0.5,1"
+        )
+    return tuple(found)

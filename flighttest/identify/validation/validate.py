@@ -56,8 +56,8 @@ _SHORTEST_S = 0.6
 
 @dataclass(frozen=True)
 class HorizonError:
-    """RMS error of one group of channels (vector norm) after a horizon, over `count` starts, in `UNITS[group]`. stretches: how many of
-    those do not overlap, and so say something of their own."""
+    """Error of one group of channels (vector norm) after a horizon, over `count` starts, in `UNITS[group]`: root mean square, and mean as
+    papers on learned dynamics print it. stretches: how many of those do not overlap, and so say something of their own."""
 
     variation: Variation
     group: str
@@ -65,6 +65,7 @@ class HorizonError:
     rmse: float
     count: int
     stretches: int
+    mean: float = float("nan")
 
     @property
     def few(self) -> str:
@@ -111,9 +112,14 @@ def comparable(segment: Segment) -> bool:
     return segment.usable and "throttle" in segment.u and bool(segment.t_s[-1] - segment.t_s[0] > _SHORTEST_S)
 
 
-def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile | None = None) -> Validation:
+def validate(
+    stored: ModelFile,
+    segments: Sequence[Segment],
+    previous: ModelFile | None = None,
+    horizons_s: Sequence[float] = HORIZONS_S,
+) -> Validation:
     """Compare on usable segments: free flight where there is any, else whatever is given. Steps beside free flight are a comparison
-    of their own, for the caller to ask for.
+    of their own, for the caller to ask for. horizons_s: increasing; one that lies between samples is left out.
 
     FitError where none lasts half a second with throttle recorded.
     """
@@ -123,7 +129,7 @@ def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile
         raise FitError(
             "nothing here can be simulated", "give a flight with the throttle recorded and at least 0.6 s long"
         )
-    starts = _starts(chosen)
+    starts = _starts(chosen, horizons_s[-1])
     measured = [measured_channels(s) for s in chosen]
     shown = _most_lively(starts, measured, chosen)
     errors: list[HorizonError] = []
@@ -134,7 +140,7 @@ def validate(stored: ModelFile, segments: Sequence[Segment], previous: ModelFile
         if run is None:
             continue
         predicted = run(chosen, starts, measured)
-        errors += _errors(variation, predicted, starts, measured, chosen)
+        errors += _errors(variation, predicted, starts, measured, chosen, horizons_s)
         figures[variation] = {
             c: v[: _samples(chosen[starts[shown].segment], starts[shown])] for c, v in predicted[shown].items()
         }
@@ -199,13 +205,13 @@ def _samples(segment: Segment, start: Start) -> int:
     return int(np.searchsorted(t, t[start.first] + FIGURE_S + 1e-9)) - start.first
 
 
-def _starts(segments: Sequence[Segment]) -> list[Start]:
+def _starts(segments: Sequence[Segment], longest_s: float) -> list[Start]:
     found = []
     for i, s in enumerate(segments):
         t = s.t_s
         for at in np.arange(t[0], t[-1] - 0.5, START_EVERY_S):
             first = int(np.searchsorted(t, at))
-            last = int(np.searchsorted(t, t[first] + HORIZONS_S[-1] + 1e-6, side="right")) - 1
+            last = int(np.searchsorted(t, t[first] + max(longest_s, FIGURE_S) + 1e-6, side="right")) - 1
             found.append(Start(i, first, last))
     stride = -(-len(found) // MAX_STARTS)
     return found[::stride]
@@ -217,10 +223,11 @@ def _errors(
     starts: Sequence[Start],
     measured: Sequence[Mapping[str, FloatArray]],
     segments: Sequence[Segment],
+    horizons_s: Sequence[float],
 ) -> list[HorizonError]:
     found = []
     for group, channels in GROUPS.items():
-        for horizon in HORIZONS_S:
+        for horizon in horizons_s:
             squares = []
             stretches, ended = 0, (-1, 0.0)
             for s, made in zip(starts, predicted, strict=True):
@@ -229,7 +236,7 @@ def _errors(
                     continue
                 t = segments[s.segment].t_s[s.first : s.last + 1]
                 k = int(np.argmin(np.abs(t - t[0] - horizon)))
-                if abs(t[k] - t[0] - horizon) > 0.06:
+                if abs(t[k] - t[0] - horizon) > min(0.06, 0.25 * horizon):
                     continue
                 # Position is compared from where each run starts, since the start is taken from the measurement anyway.
                 off = np.array([made[c][k] - y[c][s.first + k] for c in channels])
@@ -239,7 +246,8 @@ def _errors(
                         stretches, ended = stretches + 1, (s.segment, float(t[k]))
             if squares:
                 rmse = float(np.sqrt(np.mean(squares)))
-                found.append(HorizonError(variation, group, horizon, rmse, len(squares), stretches))
+                mean = float(np.mean(np.sqrt(squares)))
+                found.append(HorizonError(variation, group, horizon, rmse, len(squares), stretches, mean))
     return found
 
 

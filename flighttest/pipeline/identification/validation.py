@@ -9,7 +9,7 @@ from typing import Any
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.identify.validation.validate import Validation, Variation, comparable
+from flighttest.identify.validation.validate import HORIZONS_S, Validation, Variation, comparable
 from flighttest.identify.validation.validate import validate as compare_models
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.fingerprints import differences
@@ -35,9 +35,13 @@ def validate(
     progress: Progress = SILENT,
     *,
     out: Path = DEFAULT_RUNS,
+    horizons_s: Sequence[float] = (),
 ) -> Result:
-    """Paper section 4; `output`: also write the page. Free flight and steps, where both are given, are compared apart: they ask
-    different things of a model, and an error over both together would say little of either."""
+    """Paper section 4; `output`: also write the page; horizons_s: of the table, the usual ones where it is empty.
+
+    Free flight and steps, where both are given, are compared apart: they ask different things of a model, and an error over both together
+    would say little of either.
+    """
     check_writable(None if output is None else output.parent)
     check_runs(out)
     if model is None:
@@ -58,8 +62,10 @@ def validate(
     progress.stage("running the models open loop")
     usable = [s for s in segments if comparable(s)]
     steps = [s for s in usable if s.kind != "free"]
-    found = compare_models(stored, segments, earlier)
-    beside = compare_models(stored, steps, earlier) if steps and len(steps) < len(usable) else None
+    found = compare_models(stored, segments, earlier, horizons_s or HORIZONS_S)
+    beside = (
+        compare_models(stored, steps, earlier, horizons_s or HORIZONS_S) if steps and len(steps) < len(usable) else None
+    )
     facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
     seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
     if seen:
@@ -110,14 +116,15 @@ def _left_out(segments: Sequence[Segment]) -> str:
 
 
 def _verdict(found: Validation) -> tuple[str, Tone]:
-    full = {e.group: e for e in found.errors if e.variation is Variation.FULL and e.horizon_s == 1.0}
+    at = min((e.horizon_s for e in found.errors), key=lambda h: abs(h - 1.0), default=1.0)
+    full = {e.group: e for e in found.errors if e.variation is Variation.FULL and e.horizon_s == at}
     group = next((g for g in ("velocity", "position", "roll") if g in full), None)
     if group is None:
         return (found.sentences[0] if found.sentences else "Nothing could be compared."), "warn"
     others = {
         v: r
         for v in (Variation.LINEARISED, Variation.NO_DRAG, Variation.NO_BATTERY, Variation.ONLY_DELAY)
-        if (r := found.rmse(v, group, 1.0)) is not None
+        if (r := found.rmse(v, group, at)) is not None
     }
     mine = full[group].rmse
     better = [v.value for v, r in others.items() if r > mine * 1.02]
@@ -125,7 +132,7 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     units = {"velocity": "m/s", "position": "m", "roll": "rad"}[group]
     few = full[group].few
     tone: Tone = "warn" if few else "good"
-    head = f"After 1 s the model's {group} is off by {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
+    head = f"After {at:g} s the model's {group} is off by {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
     if worse:
         return f"{head}; {join(worse)} would have been better on this flight.", "warn"
     if not better:
@@ -146,6 +153,7 @@ def _data(found: Validation) -> dict[str, Any]:
                 "group": e.group,
                 "horizon_s": e.horizon_s,
                 "rmse": e.rmse,
+                "mean": e.mean,
                 "count": e.count,
                 "stretches": e.stretches,
             }
