@@ -1,0 +1,43 @@
+"""Score tests on free flight: a term that is there is found, and none where none is."""
+
+from functools import cache
+
+import numpy as np
+
+from flighttest.diagnose.equation_screen import screen, seen_by_equations
+from flighttest.identify.free_flight import estimate, stretches
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
+from tests.identify.test_free_flight import NAMES, flight
+
+POOL = tuple(catalogue().values())
+
+
+@cache
+def screened(offset: float) -> dict:
+    flown = stretches(flight(150.0, 5, offset=offset))
+    base = estimate(flown, Model(attitude_loops=False), free=NAMES, start={"sigma_t": 18.0, "T_d_thrust": 0.06})
+    return {s.term: s for s in screen(flown, base, POOL)}
+
+
+def test_a_tilted_thrust_axis_is_found_with_its_size():
+    found = screened(0.03)
+    first = next(iter(found.values()))
+    assert first.term in ("attitude_offset", "accelerometer_bias", "steady_wind")  # one heading does not part them
+    offset = found["attitude_offset"]
+    assert offset.p_value < 0.01
+    assert abs(offset.coefficients["offset_pitch"] - 0.03) < 0.005
+    assert 0.1 < offset.size < 0.5  # 0.03 of 9.81 m/s^2
+
+
+def test_where_nothing_is_missing_no_term_stands_out():
+    found = screened(0.0)
+    assert len(found) >= 10
+    assert min(s.p_value for s in found.values()) > 0.05 / len(found) / 10
+    assert np.median([s.p_value for s in found.values()]) > 0.1
+
+
+def test_terms_with_states_of_unknown_start_are_left_to_output_error():
+    seen = {t.id for t in POOL if seen_by_equations(t)}
+    assert "quadratic_drag" in seen
+    assert not seen & {"slung_payload", "velocity_latency", "rate_limit"}
