@@ -24,6 +24,8 @@ from flighttest.documents import write_text
 from flighttest.errors import FlighttestError
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum, orthonormal
+from flighttest.estimation.problem import Noise, Problem
+from flighttest.estimation.weighing import start_noise
 from flighttest.identify.selection import able
 from flighttest.physics.blocks import Block
 from flighttest.physics.core import Term
@@ -41,6 +43,7 @@ MOST_REPEATS = 4
 MOST_TRIED = 3  # maneuvers rehearsed per question: those that the terms name, then the general ones
 SURE = 1000.0  # odds above it are said as such: what a rehearsal does not know weighs more
 STOP_S = 0.4
+UNRECORDED = 1e9  # standard deviation of a channel, SI, that tells nothing
 CORRELATED = 10.0  # real residuals are correlated over several samples; rehearsed ones are not
 TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop", "thrust_hover", "roll_pitch")
 
@@ -190,6 +193,13 @@ def _planned(
     return segment, start, signals
 
 
+def _with_unrecorded(noise: Noise, problem: Problem) -> Noise:
+    """The noise, and of channels that no sensor there was recorded one so large that they say nothing."""
+    usual = start_noise(problem)
+    unrecorded = {c: UNRECORDED for c in usual.channel if c not in noise.channel}
+    return Noise({**unrecorded, **noise.channel}, {**usual.disturbance, **noise.disturbance})
+
+
 def log_odds(
     segments: tuple[Segment, ...],
     now: Fitted,
@@ -206,7 +216,9 @@ def log_odds(
     model = now.model.with_terms(*([question.term] if question.term.id not in now.model.terms else []), *rivals)
     if not estimator.problem(model).parts:
         return 0.0
-    at = Optimum({**model.start(), **now.at.values}, {}, now.at.noise, np.inf)
+    at = Optimum(
+        {**model.start(), **now.at.values}, {}, _with_unrecorded(now.at.noise, estimator.problem(model)), np.inf
+    )
     null = {p.name: null_value(p) for t in (question.term, *rivals) for p in t.amplitudes}
     size = {**null, **dict(question.size)}
     known = estimator.problem(model).names
