@@ -145,10 +145,11 @@ def validate(
     """
     from flighttest.api.answers import Validated
     from flighttest.api.fitted_model import fitted_model
+    from flighttest.pipeline.identification.validation import Beside
     from flighttest.pipeline.identification.validation import validate as compare
 
     earlier = None if previous is None else fitted_model(previous).stored
-    result = compare(fitted_model(model).stored, as_sources(sources), earlier, columns=as_path(columns))
+    result = compare(fitted_model(model).stored, as_sources(sources), Beside(earlier), columns=as_path(columns))
     return Validated(document=result.document, data=result.data, status=result.status, validation=result.value)
 
 

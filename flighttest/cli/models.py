@@ -42,12 +42,11 @@ def validate(
         result = validation.validate(
             None,
             paths,
-            previous,
+            validation.Beside(previous, seconds(horizons)),
             output,
             columns,
             progress,
             out=out,
-            horizons_s=seconds(horizons),
         )
     return context.finish(result)
 
@@ -79,6 +78,7 @@ def models(context: Context, folder: Path) -> int:
 @click.option(
     "--connect", metavar="URL", help="Read the vehicle's firmware and parameters as they are now; nothing is set."
 )
+@click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders and models are.")
 @click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for status.html and the scripts to fly.")
 def status(
@@ -87,16 +87,19 @@ def status(
     vehicle: Path | None,
     model: Path | None,
     connect: str | None,
+    columns: Path | None,
     out: Path,
     output: Path | None,
 ) -> int:
     """Current, stale or unknown: does the model still hold for this vehicle, and what must be flown again."""
+    from flighttest.pipeline.recordings.sources import Reading, open_recordings
     from flighttest.pipeline.validity import status as validity
     from flighttest.pipeline.vehicles import live
 
     with LiveProgress(context.show) as progress:
         present = live.read(connect, progress) if connect is not None else None
-        result = validity.status(runs, vehicle, model, out, output, progress, present)
+        recordings = open_recordings(runs, Reading(columns), progress)
+        result = validity.status(recordings, vehicle, model, out, output, progress, present)
     return context.finish(result)
 
 

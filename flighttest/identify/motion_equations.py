@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.integration.kernel import Kernel
-from flighttest.estimation.level import knows_attitude
-from flighttest.estimation.responses import Stacked, max_step_s, prepare
+from flighttest.estimation.responses import Stacked, knows_attitude, max_step_s, prepare
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY, Block
 from flighttest.physics.model import Model

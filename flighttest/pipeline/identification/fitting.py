@@ -19,6 +19,7 @@ from flighttest.identify.validation.block_coordinate_descent import cross_checke
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import PAPER_TERMS, Model
+from flighttest.pipeline.identification.winds import declared_weather, wind_section
 from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views
 from flighttest.pipeline.presenters.not_identifiable import why_nothing
 from flighttest.pipeline.recordings.batteries import battery_data
@@ -28,7 +29,6 @@ from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, n
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
 from flighttest.pipeline.store.identities import identity_of
-from flighttest.pipeline.winds import declared_weather, wind_section
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import join, paths

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,18 +27,25 @@ from flighttest.report.sections.validation import validation_sections
 from flighttest.segments import Segment
 
 
+@dataclass(frozen=True)
+class Beside:
+    """What a model is compared with. previous: an earlier model; horizons_s: at which errors are taken, empty: the usual ones."""
+
+    previous: Path | ModelFile | None = None
+    horizons_s: Sequence[float] = ()
+
+
 def validate(
     model: Path | ModelFile | None,
     runs: Sequence[Source],
-    previous: Path | ModelFile | None = None,
+    beside: Beside | None = None,
     output: Path | None = None,
     columns: Path | None = None,
     progress: Progress = SILENT,
     *,
     out: Path = DEFAULT_RUNS,
-    horizons_s: Sequence[float] = (),
 ) -> Result:
-    """Paper section 4; `output`: also write the page; horizons_s: of the table, the usual ones where it is empty.
+    """Paper section 4; `output`: also write the page.
 
     Free flight and steps, where both are given, are compared apart: they ask different things of a model, and an error over both together
     would say little of either.
@@ -56,16 +64,16 @@ def validate(
             )
         model = Path(in_use(out, name).path)
     stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
-    earlier = model_file.read(previous) if isinstance(previous, Path) else previous
+    beside = beside or Beside()
+    earlier = model_file.read(beside.previous) if isinstance(beside.previous, Path) else beside.previous
+    horizons_s = beside.horizons_s or HORIZONS_S
     recordings = recordings or open_recordings(runs, Reading(columns), progress)
     segments = [s for s in cut_all(recordings, progress) if not s.between_steps]
     progress.stage("running the models open loop")
     usable = [s for s in segments if comparable(s)]
     steps = [s for s in usable if s.kind != "free"]
-    found = compare_models(stored, segments, earlier, horizons_s or HORIZONS_S)
-    beside = (
-        compare_models(stored, steps, earlier, horizons_s or HORIZONS_S) if steps and len(steps) < len(usable) else None
-    )
+    found = compare_models(stored, segments, earlier, horizons_s)
+    steps_alone = compare_models(stored, steps, earlier, horizons_s) if steps and len(steps) < len(usable) else None
     facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
     seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
     if seen:
@@ -79,14 +87,14 @@ def validate(
     verdict, tone = _verdict(found)
     sections, data = validation_sections(found), _data(found) | {"left_out": left_out, "losses": losses_of(recordings)}
     data |= {name.replace(" ", "_"): facts.get(name, "") for name in ("careful", "another vehicle")}
-    if beside is not None:
-        on_steps, steps_tone = _verdict(beside)
+    if steps_alone is not None:
+        on_steps, steps_tone = _verdict(steps_alone)
         verdict = " ".join(
             f"In {kind}: {v[0].lower()}{v[1:]}" for kind, v in (("free flight", verdict), ("steps", on_steps))
         )
         tone = "warn" if "warn" in (tone, steps_tone) else tone
-        sections = (*validation_sections(found, "free flight"), *validation_sections(beside, "steps"))
-        data["steps"] = _data(beside)
+        sections = (*validation_sections(found, "free flight"), *validation_sections(steps_alone, "steps"))
+        data["steps"] = _data(steps_alone)
     document = Document("validation", verdict, tone, sections, facts)
     if output is not None:
         html.write(document, output)

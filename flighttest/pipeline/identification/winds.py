@@ -64,7 +64,7 @@ def _section(found: Winds) -> Section:
             )
         )
     columns = ("flight", "to north, m/s", "to west, m/s", "speed, m/s", "from", "")
-    table = Table(columns, tuple(rows), ("left", "right", "right", "right", "right", "left"), roomy=(1, 2))
+    table = Table(columns, tuple(rows), ("left", "right", "right", "right", "right", "left"))
     drag = [
         f"{n} {fit.values[n]:.2f} ± {1.96 * fit.std[n]:.2f} 1/s"
         + (f" (flights differ by {fit.spread[n]:.2f})" if n in fit.spread else "")
