@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flighttest.cli.main import call
-from flighttest.errors import InputError, ModelError
+from flighttest.errors import InputError, LinkError, ModelError
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline import twin
@@ -44,8 +44,17 @@ def test_a_model_without_attitude_loops_has_no_twin(monkeypatch, work):
         work()
 
 
-def test_a_model_does_not_fly_under_another_autopilot():
-    with pytest.raises(InputError, match="have its autopilot in them"):
+def test_under_the_real_firmware_a_model_hides_nothing():
+    with pytest.raises(InputError, match="under the real firmware a model flies as it is"):
+        next(simulator.serve(simulator.Served(backend="sitl", hide=("swirl",), model="model.yaml")))
+
+
+def test_without_the_firmware_that_is_said_first(monkeypatch):
+    def none():
+        raise LinkError("no ArduPilot SITL here", "build one")
+
+    monkeypatch.setattr(simulator, "find_arducopter", none)
+    with pytest.raises(LinkError, match="no ArduPilot SITL here"):
         next(simulator.serve(simulator.Served(backend="sitl", model="model.yaml")))
 
 

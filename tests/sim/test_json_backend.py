@@ -164,3 +164,26 @@ class TestServer:
         backend, _ = served
         with pytest.raises(LinkError, match=str(backend.port)):
             bind_physics("127.0.0.1", backend.port)
+
+
+def test_after_a_landing_there_is_a_full_battery():
+    plant = MotorPlant(RotorVehicle())
+    backend = JsonBackend(plant, sock=bind_physics("127.0.0.1", 0))
+    frame = 0
+
+    def run(pulse, seconds):
+        nonlocal frame
+        for _ in range(round(seconds * 800)):
+            frame += 1
+            backend.take(outputs(frame, [pulse] * 4))
+
+    run(1300, 0.4)
+    run(1100, 2.5)
+    used = plant.battery.used_ah
+    assert used > 0.0
+    assert plant.motion.on_ground
+    run(1000, 1.5)
+    assert plant.battery.used_ah > used
+    run(1000, 1.0)
+    assert plant.battery.used_ah < 0.1 * used
+    backend._socket.close()

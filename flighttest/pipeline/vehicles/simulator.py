@@ -11,8 +11,9 @@ from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.report.numbers import join
 from flighttest.sim import SimOptions, parse_hide, start_simulator
-from flighttest.sim.sitl.launcher import Sitl, SitlOptions, launch
+from flighttest.sim.sitl.launcher import Sitl, SitlOptions, find_arducopter, launch
 from flighttest.sim.sitl.physics import PhysicsSitl, launch_on_physics
+from flighttest.twin import firmware
 from flighttest.twin.vehicle import assumed, options_of
 
 _BOOT_S = 45  # until the firmware's position estimate stands
@@ -40,7 +41,8 @@ class Serving:
     def sentences(self) -> tuple[str, str]:
         """What it is, and how to fly it."""
         if self.backend == "sitl":
-            what = f"ArduPilot SITL, airframe {self.airframe}, at {self.url}"
+            flown = f"the vehicle of {self.model}" if self.model else f"airframe {self.airframe}"
+            what = f"ArduPilot SITL, {flown}, at {self.url}"
         elif self.model:
             what = f"the vehicle of {self.model} (seed {self.seed}) at {self.url}"
         else:
@@ -78,15 +80,10 @@ def serve(asked: Served) -> Iterator[str | Serving]:
     """Serve until interrupted; yields what is going on, and once it can be connected to, where."""
     airframe, backend, hide, seed = asked.airframe, asked.backend, asked.hide, asked.seed
     port, speed, lockstep, model = asked.port, asked.speed, asked.lockstep, asked.model
-    if model is not None and backend == "sitl":
-        raise InputError(
-            "the attitude loops of a model have its autopilot in them: they do not fly under another one",
-            "leave out --backend sitl: the model flies behind the built-in autopilot",
-        )
     if backend == "sitl":
         if lockstep:
             raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
-        yield from _serve_sitl(airframe, hide, seed, port, speed)
+        yield from _serve_sitl(airframe, hide, seed, port, speed, model)
         return
     made = options(airframe, hide, seed, speed, lockstep)
     if model is not None:
@@ -101,16 +98,29 @@ def serve(asked: Served) -> Iterator[str | Serving]:
         simulation.wait()
 
 
-def _serve_sitl(airframe: str, hide: Sequence[str], seed: int, port: int, speed: float) -> Iterator[str | Serving]:
-    if hide and airframe != "rotor":
+def _serve_sitl(
+    airframe: str, hide: Sequence[str], seed: int, port: int, speed: float, model: Path | None
+) -> Iterator[str | Serving]:
+    if hide and (airframe != "rotor" or model is not None):
         raise InputError(
-            "ArduPilot's own physics hides nothing", "use --airframe rotor, which flies the firmware on our physics"
+            "ArduPilot's own physics hides nothing"
+            if model is None
+            else "under the real firmware a model flies as it is",
+            "use --airframe rotor, which flies the firmware on our physics",
         )
-    yield f"starting ArduPilot SITL, airframe {airframe}; it can arm after {_BOOT_S} s or so of its own time"
-    if airframe == "rotor":
-        started: Sitl | PhysicsSitl = launch_on_physics(options(airframe, hide, seed, speed), port=port)
+    physics = None
+    if model is not None:
+        find_arducopter()
+        physics, frame = firmware.firmware_options(model_file.read(model, whole=True), seed=seed, speed=speed)
+        yield from frame.sentences
+    elif airframe == "rotor":
+        physics = options(airframe, hide, seed, speed)
+    what = f"airframe {airframe}" if model is None else f"the vehicle of {model}"
+    yield f"starting ArduPilot SITL, {what}; it can arm after {_BOOT_S} s or so of its own time"
+    if physics is not None:
+        started: Sitl | PhysicsSitl = launch_on_physics(physics, port=port)
     else:
         started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port))
     with started as vehicle:
-        yield Serving(vehicle.url, airframe, "sitl", seed, speed, False, tuple(hide))
+        yield Serving(vehicle.url, airframe, "sitl", seed, speed, False, tuple(hide), str(model) if model else "")
         vehicle.wait()

@@ -71,7 +71,7 @@ class TermsPlant:
         p = [values[name] for name in model.names]
         system = model.system
         delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
-        self.delays = Delays(*(max(delays[c], 0.0) for c in ("attitude", "yaw_rate", "thrust")))
+        self.delays = Delays(*(max(delays.get(c, 0.0), 0.0) for c in ("attitude", "yaw_rate", "thrust")))
         self.hover_throttle = float(model.hover_throttle(values, self.battery.voltage))
         self._index = {name: i for i, name in enumerate(system.states)}
         self._inputs = tuple(system.inputs)
@@ -80,6 +80,7 @@ class TermsPlant:
         self._u = np.zeros(len(self._inputs) + 1)
         self._next, self._y = np.zeros_like(self._x), np.zeros(len(system.outputs))
         self._run = self._compile(system.function, np.array(p))
+        self._alpha, self._nominal_v = values["alpha"], model.nominal_voltage_v
         self._vz, self._pz = self._index["v_z_m_s"], self._index["p_z_m"]
         self._flown_s = 0.0
         self._frozen = False
@@ -116,18 +117,23 @@ class TermsPlant:
             self._step(h, command)
 
     def _step(self, h: float, command: Command) -> None:
-        m, battery = self.motion, self.battery
+        m = self.motion
         flying = 0.0 if m.on_ground else 1.0  # on the ground nothing turns
         given = {
             "roll_ref_rad": command.roll * flying,
             "pitch_ref_rad": command.pitch * flying,
             "yaw_rate_ref_rad_s": command.yaw_rate * flying,
             "throttle": command.throttle if command.spinning else 0.0,
-            "voltage_v": battery.voltage_ahead(0.5 * h),
-            "time_s": self._flown_s,
         }
+        self._translate(h, given, command.spinning)
+        m.shaped_roll, m.shaped_pitch, m.shaped_yaw_rate = command.roll, command.pitch, command.yaw_rate
+
+    def _translate(self, h: float, given: Mapping[str, float], spinning: bool) -> None:
+        """One step of the model under constant inputs, and of the battery that feeds it."""
+        m, battery = self.motion, self.battery
+        own = {"voltage_v": battery.voltage_ahead(0.5 * h), "time_s": self._flown_s}
         for i, name in enumerate(self._inputs):
-            self._u[i] = given[name]
+            self._u[i] = given[name] if name in given else own[name]
         self._u[-1] = h
         self._integrate(h)
         if m.on_ground:
@@ -136,9 +142,13 @@ class TermsPlant:
             self._flown_s += h
             self._fly()
         thrust = max(float(self._x[self._index["a_t_m_s2"]]), 0.0) / G_M_S2
-        battery.draw((0.4 if command.spinning else 0.2) + HOVER_CURRENT_A * thrust * sqrt(thrust), h)
+        battery.draw((0.4 if spinning else 0.2) + HOVER_CURRENT_A * thrust * sqrt(thrust), h)
         m.voltage, m.current = battery.voltage, battery.current
-        m.shaped_roll, m.shaped_pitch, m.shaped_yaw_rate = command.roll, command.pitch, command.yaw_rate
+
+    def _voltage_gain(self) -> float:
+        """Static thrust at the battery's voltage, as a multiple of that at nominal voltage."""
+        gain: float = (self.battery.voltage / self._nominal_v) ** self._alpha
+        return gain
 
     def _integrate(self, h: float) -> None:
         """One step in air that moves: velocities relative to the gust, position with it."""
@@ -181,16 +191,19 @@ class TermsPlant:
     def _touch_down(self) -> None:
         m, i, new = self.motion, self._index, self._next
         m.impact_m_s = -float(new[self._vz])
-        roll, pitch = float(new[i["roll_rad"]]), float(new[i["pitch_rad"]])
+        loops = "roll_rad" in i  # else the attitude is somebody else's
+        roll, pitch = (float(new[i["roll_rad"]]), float(new[i["pitch_rad"]])) if loops else (m.roll, m.pitch)
         self._frozen = m.impact_m_s > HARD_LANDING_M_S or cos(roll) * cos(pitch) < 0.7
         if not self._frozen:
             roll = pitch = 0.0
         x = self._start.copy()
-        for name in ("p_x_m", "p_y_m", "yaw_rad", "a_t_m_s2"):
+        for name in {"p_x_m", "p_y_m", "yaw_rad", "a_t_m_s2"} & i.keys():
             x[i[name]] = new[i[name]]
-        x[i["roll_rad"]], x[i["pitch_rad"]] = roll, pitch
+        if loops:
+            x[i["roll_rad"]], x[i["pitch_rad"]] = roll, pitch
+            m.yaw = float(x[i["yaw_rad"]])
         self._x[:] = x
-        m.px, m.py, m.pz, m.yaw = float(x[i["p_x_m"]]), float(x[i["p_y_m"]]), 0.0, float(x[i["yaw_rad"]])
+        m.px, m.py, m.pz = float(x[i["p_x_m"]]), float(x[i["p_y_m"]]), 0.0
         m.roll, m.pitch = roll, pitch
         m.vx = m.vy = m.vz = m.p = m.q = m.r = 0.0
         m.fx, m.fy, m.fz = -sin(pitch) * G_M_S2, cos(pitch) * sin(roll) * G_M_S2, cos(roll) * cos(pitch) * G_M_S2

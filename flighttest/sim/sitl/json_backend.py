@@ -26,6 +26,7 @@ _SHORT, _LONG = struct.Struct("<HHI16H"), struct.Struct("<HHI32H")
 _MAGIC = {18458: _SHORT, 29569: _LONG}
 _PULSE_MIN_US, _PULSE_SPAN_US = 1000, 1000.0
 _IDLE_S = 0.2
+_STOPPED_S = 2.0  # on the ground without a turning motor, of the plant's time, until a flight counts as over
 # The firmware refuses to arm with a gyro below 1.8 times its 400 Hz loop; motor outputs change at 400 Hz.
 RATE_HZ = 800
 
@@ -41,6 +42,9 @@ class MotorDriven(Protocol):
 
     def step(self, motor_commands: Sequence[float], dt_s: float) -> None:
         """Move on by dt_s, s, under constant motor commands 0..1."""
+
+    def replace_battery(self, voltage_v: float | None = None) -> None:
+        """A full battery, or one that rests at a voltage, V."""
 
 
 def motor_commands(packet: bytes, motors: int) -> tuple[int, int, list[float]] | None:
@@ -71,7 +75,10 @@ def state_text(
 
 
 class JsonBackend:
-    """Serves one plant to one firmware. time_s: plant time, s; steps: how many; frames_lost: packets that never came."""
+    """Serves one plant to one firmware. time_s: plant time, s; steps: how many; frames_lost: packets that never came.
+
+    After each landing the plant gets a battery as it began with: full, or one that rests at rested_v, V.
+    """
 
     def __init__(
         self,
@@ -81,8 +88,11 @@ class JsonBackend:
         sock: socket.socket | None = None,
         noise: SensorNoise | None = None,
         seed: int = 0,
+        rested_v: float | None = None,
     ) -> None:
         self.plant = plant
+        self._rested_v = rested_v
+        self._flown, self._stopped_s = False, 0.0
         self._noise = noise
         self._draw = Noise(seed, "imu").draw
         self._socket = sock or bind_physics(host, port)
@@ -135,8 +145,18 @@ class JsonBackend:
         self.plant.step(commands, dt)
         self.time_s += dt
         self.steps += 1
+        self._look_after(any(commands), dt)
         self._answer = self._state(dt)
         return True
+
+    def _look_after(self, turning: bool, dt_s: float) -> None:
+        """Another battery once a flight is over."""
+        on_ground = self.plant.motion.on_ground
+        self._flown = self._flown or not on_ground
+        self._stopped_s = self._stopped_s + dt_s if on_ground and not turning else 0.0
+        if self._flown and self._stopped_s >= _STOPPED_S:
+            self._flown = False
+            self.plant.replace_battery(self._rested_v)
 
     def _state(self, dt_s: float) -> bytes:
         noise, motion = self._noise, self.plant.motion

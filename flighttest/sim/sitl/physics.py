@@ -1,4 +1,4 @@
-"""A real ArduPilot firmware on the rotor vehicle's physics: both processes, started and stopped together.
+"""A real ArduPilot firmware on the rotor vehicle's physics, or an identified one's: both processes, started and stopped together.
 
 The physics runs in a process of its own (one core), the firmware in another; the ground program has its url and nothing else, so no
 truth can reach a recording.
@@ -23,7 +23,7 @@ from flighttest.sim.plants.plant_motors import MotorPlant
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
 from flighttest.sim.sensors import SensorNoise
-from flighttest.sim.sitl.json_backend import RATE_HZ, JsonBackend, bind_physics
+from flighttest.sim.sitl.json_backend import RATE_HZ, JsonBackend, MotorDriven, bind_physics
 from flighttest.sim.sitl.launcher import Sitl, SitlOptions, launch, sitl_dir
 
 _STOP_PATIENCE_S = 3.0
@@ -43,12 +43,19 @@ def rotor_vehicle(options: SimOptions) -> RotorVehicle:
     return drawn.changed(options.vehicle)
 
 
-def build_motor_plant(options: SimOptions) -> MotorPlant:
+def build_motor_plant(options: SimOptions) -> MotorDriven:
     """The plant of these options, motor by motor."""
-    vehicle = rotor_vehicle(options)
     air = None
     if options.gust_rms_m_s > 0.0:
         air = Air(Gusts(options.gust_rms_m_s), Noise(options.seed, "gusts"))
+    if options.model is not None:
+        from flighttest.sim.plant_frame import FramePlant  # only here: CasADi takes its time to load
+
+        pack = Battery(capacity_ah=options.capacity_ah or 5.0, **options.model.get("battery", {}))
+        if options.voltage_v is not None:
+            pack.replace(options.voltage_v)
+        return FramePlant(options.model, pack, air)
+    vehicle = rotor_vehicle(options)
     battery = Battery(vehicle.cells, options.capacity_ah or vehicle.capacity_ah, vehicle.resistance_ohm)
     if options.voltage_v is not None:
         battery.replace(options.voltage_v)
@@ -56,7 +63,10 @@ def build_motor_plant(options: SimOptions) -> MotorPlant:
 
 
 def firmware_parameters(options: SimOptions) -> dict[str, float]:
-    """What a builder of this vehicle would set: frame, hover throttle, battery, rate gains scaled by its moment over inertia."""
+    """What a builder of this vehicle would set: frame, hover throttle, battery, rate gains scaled by its moment over inertia. Of an
+    identified model, what its options say."""
+    if options.model is not None:
+        return {"BATT_CAPACITY": 1000.0 * (options.capacity_ah or 5.0), **options.parameters}
     v = rotor_vehicle(options)
     share = 0.5 / sqrt(2.0) if v.rotors == 4 else 0.25  # moment of full roll as a share of thrust times arm
 
@@ -170,8 +180,9 @@ def stop_physics(process: subprocess.Popen[bytes]) -> None:
 def serve_physics(descriptor: int, options: SimOptions) -> None:
     """The child's part: serve until the parent's end of our standard input closes."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, fileno=descriptor)
-    noise = SensorNoise().scaled(options.noise)
-    backend = JsonBackend(build_motor_plant(options), sock=sock, noise=noise, seed=options.seed)
+    noise = SensorNoise(**(options.model or {}).get("noise", {})).scaled(options.noise)
+    plant = build_motor_plant(options)
+    backend = JsonBackend(plant, sock=sock, noise=noise, seed=options.seed, rested_v=options.voltage_v)
 
     def watch() -> None:
         while os.read(0, 4096):

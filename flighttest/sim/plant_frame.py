@@ -1,0 +1,94 @@
+"""An identified vehicle without its attitude loops, for an autopilot that brings its own: motor commands in, motion out.
+
+Rotation is a frame's: each moment is an angular acceleration with a first-order lag. Translation is the identified model's, driven by the
+attitude that comes of it; the mean motor command is its throttle.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from math import cos, exp, sin
+from typing import Any
+
+from flighttest.sim.plants.battery import Battery
+from flighttest.sim.plants.plant_terms import TermsPlant, of_description
+from flighttest.sim.plants.weather import Air
+
+# Signs of roll, pitch (FLU) and yaw of a quadrotor X in ArduCopter's motor order: front right, rear left, front left, rear right.
+_ROLL, _PITCH, _YAW = (-1.0, 1.0, 1.0, -1.0), (-1.0, 1.0, -1.0, 1.0), (-1.0, -1.0, 1.0, 1.0)
+AXES = ("roll", "pitch", "yaw")
+
+
+class FramePlant(TermsPlant):
+    """Driven motor by motor, a command 0..1 being static thrust at constant voltage (a `json_backend.MotorDriven`).
+
+    described: `SimOptions.model` without attitude loops, and its `frame`: gain_* (angular acceleration of a full output of the autopilot,
+    rad/s^2), lag_* (s) of roll, pitch and yaw, thrust_delay (s).
+    """
+
+    motors = 4
+
+    def __init__(self, described: Mapping[str, Any], battery: Battery | None = None, air: Air | None = None) -> None:
+        super().__init__(*of_description(described), battery, air)
+        frame = described["frame"]
+        self._gains = [float(frame[f"gain_{n}"]) for n in AXES]
+        self._lags = [float(frame[f"lag_{n}"]) for n in AXES]
+        self._late_s = float(frame["thrust_delay"])
+        self._given: deque[tuple[float, float]] = deque()
+        self._throttle = 0.0
+        self._turning = [0.0, 0.0, 0.0]  # angular acceleration by the motors, rad/s^2
+        self._rates = [0.0, 0.0, 0.0]
+        self._angles = [0.0, 0.0, 0.0]  # roll, pitch, yaw
+        self.time_s = 0.0
+
+    def step(self, motor_commands: Sequence[float], dt_s: float) -> None:
+        """Move on by dt_s, s, under constant motor commands 0..1."""
+        m = self.motion
+        self.time_s += dt_s
+        if m.on_ground:
+            self._rates, self._turning = [0.0] * 3, [0.0] * 3
+        else:
+            self._turn(motor_commands, dt_s)
+        roll, pitch, yaw = self._angles
+        p, q, r = self._rates
+        p_dot, q_dot, r_dot = self._turning if not m.on_ground else (0.0, 0.0, 0.0)
+        given = {
+            "roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw, "p_rad_s": p, "q_rad_s": q, "r_rad_s": r,
+            "p_dot_rad_s2": p_dot, "q_dot_rad_s2": q_dot, "r_dot_rad_s2": r_dot,
+            "throttle": self._delayed(sum(motor_commands) / self.motors),
+        }  # fmt: skip
+        self._translate(dt_s, given, spinning=sum(motor_commands) > 0.0)
+
+    def _turn(self, commands: Sequence[float], h: float) -> None:
+        """Moments to angular accelerations, rates and angles."""
+        gain = self._voltage_gain()
+        wanted = [
+            0.5 * g * gain * sum(s * c for s, c in zip(signs, commands, strict=False))
+            for g, signs in zip(self._gains, (_ROLL, _PITCH, _YAW), strict=True)
+        ]
+        turning = [w + (a - w) * exp(-h / lag) for w, a, lag in zip(wanted, self._turning, self._lags, strict=True)]
+        p, q, r = (v + 0.5 * h * a for v, a in zip(self._rates, turning, strict=True))
+        self._turning, self._rates = turning, [v + h * a for v, a in zip(self._rates, turning, strict=True)]
+        roll, pitch, yaw = self._angles
+        around = sin(roll) * q + cos(roll) * r
+        self._angles = [
+            roll + h * (p + sin(pitch) / cos(pitch) * around),
+            pitch + h * (cos(roll) * q - sin(roll) * r),
+            yaw + h * around / cos(pitch),
+        ]
+
+    def _delayed(self, throttle: float) -> float:
+        given = self._given
+        if not given or given[-1][1] != throttle:
+            given.append((self.time_s, throttle))
+        while given and given[0][0] <= self.time_s - self._late_s:
+            self._throttle = given.popleft()[1]
+        return self._throttle
+
+    def _touch_down(self) -> None:
+        """The ground stops the rotation, too; a vehicle that fell lies as it fell."""
+        yaw = self._angles[2]
+        super()._touch_down()
+        self._angles = [self.motion.roll, self.motion.pitch, yaw]
+        self.motion.yaw = yaw

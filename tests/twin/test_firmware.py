@@ -1,0 +1,116 @@
+"""The vehicle of a model under the real firmware: frame and gains that give the identified loops."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from flighttest.errors import ModelError
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.model import Model
+from flighttest.sim.options import SimOptions
+from flighttest.sim.plant_frame import FramePlant
+from flighttest.sim.sitl.physics import build_motor_plant, firmware_parameters
+from flighttest.twin import firmware
+from flighttest.twin.firmware import firmware_options, frame_of
+from flighttest.twin.firmware_loops import DEFAULTS, LOOP_S, fly, loop_of
+
+COUNT = round(firmware.SECONDS / LOOP_S)
+
+
+def stored(parameters=None, terms=("linear_drag",), **values):
+    model = Model(terms)
+    full = model.start(
+        {"omega_phi": 14.0, "zeta_phi": 0.6, "omega_theta": 13.0, "zeta_theta": 0.6, "sigma_r": 6.0, **values}
+    )
+    print_ = {"shaping_parameters": parameters or {}}
+    return ModelFile(model, {}, full, (), np.zeros((0, 0)), {"voltage_v": [21.0, 24.0]}, print_, path="model.yaml")
+
+
+def test_with_recorded_gains_gain_and_lag_of_the_frame_are_found(monkeypatch):
+    parameters = {n: v for n, v in DEFAULTS.items() if n.startswith(("ATC_RAT_RLL", "ATC_RAT_PIT"))}
+    loop = loop_of("roll", parameters)
+
+    def flown(_stored, axis):
+        t = LOOP_S * np.arange(COUNT)
+        made = [fly(loop, 300.0, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0] for step in firmware.STEPS[axis]]
+        return [np.interp(t - 0.06, t, y) for y in made]
+
+    monkeypatch.setattr(firmware, "_wanted", flown)
+    found = firmware._fitted(stored(parameters), "roll", loop)
+    assert found.gain == pytest.approx(300.0, rel=0.02)
+    assert found.lag_s == pytest.approx(0.02, rel=0.05)
+    assert found.delay_s == pytest.approx(0.06, abs=1e-3)
+    assert found.error < 1e-3
+
+
+def test_without_recorded_gains_gains_are_chosen_and_said():
+    found = frame_of(stored())
+    assert max(a.error for a in found.axes.values()) < 0.02
+    assert found.parameters["ATC_RATE_FF_ENAB"] == 0.0
+    assert found.parameters["ATC_ANG_RLL_P"] == pytest.approx(14.0 / 1.2, rel=0.2)
+    assert [n for n in found.notes if n.startswith("no gains of roll known: gains are chosen that leave")]
+    assert "rad/s^2 at full output" in found.sentences[0]
+
+
+def test_the_loop_of_4_7_reads_its_own_names():
+    assert loop_of("roll", {"ATC_ACC_R_MAX": 900.0}) == loop_of("roll", {"ATC_ACCEL_R_MAX": 90000.0})
+
+
+@pytest.fixture
+def frame(monkeypatch):
+    """Without the fit: axes of given gains."""
+    axes = {n: firmware.Axis(g, 0.01, 0.03, 0.0, {}) for n, g in (("roll", 400.0), ("pitch", 300.0), ("yaw", 50.0))}
+    made = firmware.Frame(axes, {"ATC_RAT_RLL_P": 0.1}, (), ())
+    monkeypatch.setattr(firmware, "frame_of", lambda _stored: made)
+    return made
+
+
+def test_its_plant_turns_as_the_motors_push_and_hovers_at_the_hover_throttle(frame):
+    options, _ = firmware_options(stored(T_d_thrust=0.05))
+    options = SimOptions.from_json(options.to_json())
+    plant = build_motor_plant(options)
+    assert isinstance(plant, FramePlant)
+    hover = plant.hover_throttle
+    while plant.motion.on_ground or plant.motion.pz < 3.0:
+        plant.step([1.3 * hover] * 4, 0.00125)
+    gain = plant._voltage_gain()
+    for axis, signs in ((0, (-1, 1, 1, -1)), (1, (-1, 1, -1, 1)), (2, (-1, -1, 1, 1))):
+        before = plant._rates[axis]
+        for _ in range(160):
+            plant.step([hover + 0.01 * s for s in signs], 0.00125)
+        push = 0.02 * gain * (400.0, 300.0, 50.0)[axis]
+        assert plant._rates[axis] - before == pytest.approx(push * (0.2 - 0.01), rel=0.02)
+    assert firmware_parameters(options)["ATC_RAT_RLL_P"] == 0.1
+
+
+def test_throttle_arrives_late_by_what_is_not_the_links(frame):
+    options, _ = firmware_options(stored(T_d_thrust=0.05))
+    plant = build_motor_plant(options)
+    began = None
+    for k in range(200):
+        plant.step([0.5] * 4, 0.00125)
+        if began is None and float(plant._x[plant._index["a_t_m_s2"]]) > 0.0:
+            began = k * 0.00125
+    assert began == pytest.approx(0.02, abs=0.003)
+
+
+def test_what_the_firmware_does_itself_is_not_in_the_physics(frame):
+    options, _ = firmware_options(stored(terms=("linear_drag", "angle_boost", "reference_shaping", "ground_effect")))
+    assert options.model["terms"] == ["body", "linear_drag", "ground_effect"]
+    json.loads(options.to_json())
+
+
+def test_a_model_without_attitude_loops_does_not_fly_under_the_firmware():
+    blind = ModelFile(Model(attitude_loops=False), {}, stored().values, (), np.zeros((0, 0)), {}, path="m")
+    with pytest.raises(ModelError, match="has no attitude loops"):
+        firmware_options(blind)
+
+
+def test_a_saturated_mixer_turns_no_faster():
+    loop = loop_of("roll", {})
+    free, held = (fly(loop, 400.0, 0.01, np.full(80, 0.5), np.zeros(80), most)[1] for most in (1.0, 0.02))
+    assert np.abs(held).max() <= 0.02 * 400.0 * 80 * LOOP_S + 1e-9
+    assert np.abs(free).max() > np.abs(held).max()
+    assert math.isfinite(free[-1])
