@@ -139,7 +139,10 @@ def run(
     "--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Times real time."
 )
 @click.option("--lockstep", is_flag=True, help="Wait for the client's clock (deterministic for a seed).")
-@click.option("--model", type=FILE, help="Fly this identified model, its twin, instead of an airframe.")
+@click.option("--model", type=ANY, help="Fly this identified model, its twin, instead of an airframe.")
+@click.option(
+    "--frame", type=FOLDER, metavar="DIR", help="With --backend sitl: fly what `export --to ardupilot` wrote."
+)
 def sim(
     context: Context,
     airframe: str,
@@ -150,11 +153,12 @@ def sim(
     speed: float,
     lockstep: bool,
     model: Path | None,
+    frame: Path | None,
 ) -> int:
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
     from flighttest.pipeline.vehicles import simulator
 
-    asked = simulator.Served(airframe, backend, hide, seed, port, speed, lockstep, model)
+    asked = simulator.Served(airframe, backend, hide, seed, port, speed, lockstep, model, frame)
     for said in simulator.serve(asked):
         if isinstance(said, str):
             context.show.say(said)

@@ -117,12 +117,13 @@ def compare(context: Context, first: Path, second: Path) -> int:
 
 @command("export")
 @click.argument("model", type=ANY, required=False)
-@click.option("--to", "kind", type=click.Choice(["casadi", "c", "json", "fmu", "rotorpy"]), required=True)
+@click.option("--to", "kind", type=click.Choice(["casadi", "c", "json", "fmu", "rotorpy", "ardupilot"]), required=True)
 @click.option("-o", "--output", type=FOLDER, default=Path("export"), show_default=True, metavar="DIR")
 @click.option("--vehicle", type=FILE, help="vehicle.yaml of the vehicle whose model in use is meant.")
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where the vehicle's model is.")
 def export(context: Context, model: Path | None, kind: str, output: Path, vehicle: Path | None, out: Path) -> int:
-    """Write the model for other programs: CasADi functions, C99, a description in JSON, an FMU (FMI 2.0), or RotorPy.
+    """Write the model for other programs: CasADi functions, C99, a description in JSON, an FMU (FMI 2.0), RotorPy, or
+    ArduPilot's SITL (frame and parameters).
 
     MODEL is a model file or a folder that holds one; without it the vehicle's model in use is taken.
     """

@@ -35,6 +35,8 @@ NEAR = 0.05  # RMS error of a step, as a share of it, up to which the recorded g
 GAIN_RAD_S2 = 400.0  # of a frame whose gains are chosen: ArduCopter's stock simulated quadrotor makes 404
 STARTS_RAD_S2 = (30.0, 100.0, 300.0, 1000.0)
 LAG_S = (0.002, 0.2)
+NO_LAG_S = (5e-4, 1e-3)  # of motors without one
+CHOSEN_LAG_S = 0.01  # where gains are chosen
 DELAY_S = (-0.1, 0.4)  # below zero where the ground's clock is badly known
 _COMMAND_S = 0.02  # between targets
 _OUTPUT = {"roll": "roll_rad", "pitch": "pitch_rad", "yaw": "r_rad_s"}
@@ -111,13 +113,17 @@ def firmware_options(
     return replace(made, model=described, parameters={**made.parameters, **frame.parameters}), frame
 
 
-def frame_of(stored: ModelFile) -> Frame:
-    """Fit the frame; the firmware's parameters are the recorded ones as far as they can give the identified loops."""
+def frame_of(stored: ModelFile, motor_lag: bool = True) -> Frame:
+    """Fit the frame; the firmware's parameters are the recorded ones as far as they can give the identified loops. motor_lag: whether the
+    motors of the target have one."""
+    lags = LAG_S if motor_lag else NO_LAG_S
     known = {n: float(v) for n, v in (stored.fingerprint.get("shaping_parameters") or {}).items()}
     attitude = {n: v for n, v in firmware_loops.current_names(known).items() if n.startswith(("ATC_", "INS_GYRO"))}
     recorded = {n: v for n, v in attitude.items() if n in firmware_loops.DEFAULTS}
     axes = {
-        n: _fitted(stored, n, loop_of(n, recorded)) for n, (_, name) in AXES.items() if f"ATC_RAT_{name}_P" in recorded
+        n: _fitted(stored, n, loop_of(n, recorded), lags)
+        for n, (_, name) in AXES.items()
+        if f"ATC_RAT_{name}_P" in recorded
     }
     far = [n for n in AXES if n not in axes or axes[n].error > NEAR]
     if far != ["yaw"] and far:
@@ -129,7 +135,7 @@ def frame_of(stored: ModelFile) -> Frame:
             f"the recorded gains leave {axes[n].error:.1%} of a {n} step" if n in axes else f"no gains of {n} known"
         )
         attitude |= _around(stored, n)
-        axes[n] = _with_gains(stored, n, loop_of(n, attitude))
+        axes[n] = _with_gains(stored, n, loop_of(n, attitude), CHOSEN_LAG_S if motor_lag else NO_LAG_S[0])
         attitude |= axes[n].gains
         notes.append(f"{before}: gains are chosen that leave {axes[n].error:.1%}")
     boost = "angle_boost" in stored.model.terms and stored.values.get("boost", 0.0) > 0.5
@@ -159,22 +165,23 @@ def _around(stored: ModelFile, axis: str) -> dict[str, float]:
     return found
 
 
-def _fitted(stored: ModelFile, axis: str, loop: Loop) -> Axis:
+def _fitted(stored: ModelFile, axis: str, loop: Loop, lags: tuple[float, float] = LAG_S) -> Axis:
     """Gain and lag of the frame under this loop."""
     wanted, most = _wanted(stored, axis), min(2.0 * _hover(stored), 1.0)
 
     def made(x: FloatArray) -> list[FloatArray]:
         return _answers(axis, loop, math.exp(x[0]), math.exp(x[1]), len(wanted[0]), most)
 
-    x, error, delay = _least(axis, wanted, made, [[math.log(g), math.log(0.02)] for g in STARTS_RAD_S2], (1.0, LAG_S))
+    x, error, delay = _least(
+        axis, wanted, made, [[math.log(g), math.log(math.sqrt(lags[0] * lags[1]))] for g in STARTS_RAD_S2], (1.0, lags)
+    )
     return Axis(math.exp(x[0]), math.exp(x[1]), delay, error, {})
 
 
-def _with_gains(stored: ModelFile, axis: str, loop: Loop) -> Axis:
+def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:
     """Gains for a frame that turns with `GAIN_RAD_S2` at once."""
     wanted, most = _wanted(stored, axis), min(2.0 * _hover(stored), 1.0)
     v, name = stored.values, AXES[axis][1]
-    lag = 0.01
     if axis == "yaw":
         start = [math.log(1.0), math.log(v["sigma_r"] / GAIN_RAD_S2)]
     else:

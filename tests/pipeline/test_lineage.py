@@ -67,6 +67,16 @@ def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_p
     assert lineage.in_use(out).model.terms == (*PAPER, "quadratic_drag")
 
 
+def test_an_accepted_model_comes_with_the_command_for_its_twin(call, tmp_path):
+    out = tmp_path / "runs"
+    (out / "flown").mkdir(parents=True)
+    (out / "flown" / "script.yaml").write_text("")
+    code, text, _ = call("accept", write_model(out / "flown", runs=("flown", "a log")), "--out", out)
+    assert code == 0
+    said = "".join(text.split())  # a line is broken where it ends
+    assert f"flighttesttwin{out}/models/heron/001.yaml--verify{out}/flown" in said
+
+
 def test_a_component_change_ends_a_model_by_name(tmp_path):
     lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
     whole, _ = lineage.take_into_use(write_model(tmp_path / "two", components="P2"), tmp_path)

@@ -2,6 +2,7 @@
 
 import ctypes
 import importlib.util
+import json
 import shutil
 import zipfile
 from dataclasses import replace
@@ -16,7 +17,9 @@ from flighttest.identify.models.export import functions
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline.identification import exporting
-from flighttest.twin import fmu, rotorpy
+from flighttest.sim.sitl.launcher import SitlOptions, command
+from flighttest.twin import ardupilot, fmu, rotorpy
+from flighttest.twin.firmware import Axis, Frame
 
 
 def stored(*terms, **values):
@@ -131,3 +134,61 @@ def test_a_target_that_is_not_known_is_a_usage_error(tmp_path, capsys):
     (tmp_path / "m.yaml").write_text("")
     assert call(["export", str(tmp_path / "m.yaml"), "--to", "gazebo"]) == 2
     assert "gazebo" in capsys.readouterr().err
+
+
+def test_ardupilots_frame_has_the_models_hover_drag_and_moments(tmp_path):
+    file = stored("quadratic_drag", "ground_effect", alpha=1.6, d_x=0.4, d_y=0.4, k_x=0.05, k_y=0.05, w_north=3.0)
+    file = replace(file, valid={"voltage_v": [21.0, 24.0]})
+    (frame, parameters), made = ardupilot.write_frame(file, tmp_path)
+    f = json.loads(frame.read_text())
+    weight = 2.0 * 9.81
+    # SIM_Frame.cpp and SIM_Motor.cpp: thrust, drag at the reference speed, and what a full output turns
+    at_middle = 9.81 / (file.values["K"] * (22.5 / 22.2) ** 1.6)
+    assert at_middle * weight / f["hoverThrOut"] / weight * (22.5 / f["maxVoltage"]) ** 2 == pytest.approx(
+        1.0, rel=1e-6
+    )
+    lean, speed = np.radians(f["refAngle"]), f["refSpd"]
+    momentum = (
+        np.cos(lean) * f["mdrag_coef"] * speed * np.cos(lean) * np.sqrt(weight / np.cos(lean) * 1.225 * f["disc_area"])
+    )
+    area = (weight * np.tan(lean) - momentum) / (0.5 * 1.225 * speed**2)
+    assert 0.5 * 1.225 * area / 2.0 == pytest.approx(0.05, rel=1e-6)
+    assert f["mdrag_coef"] * np.sqrt(1.225 * f["disc_area"] * weight) / 2.0 == pytest.approx(0.4, rel=1e-6)
+    full = weight / f["hoverThrOut"] * (22.2 / f["maxVoltage"]) ** 2 * 0.5 * np.sqrt(0.5) * f["diagonal_size"]
+    assert full / f["moment_inertia"][0] == pytest.approx(made.loops.axes["roll"].gain, rel=1e-6)
+    lines = dict(line.split() for line in parameters.read_text().splitlines())
+    assert float(lines["PILOT_THR_FILT"]) == pytest.approx(file.values["sigma_t"] / (2 * np.pi), rel=1e-5)
+    assert made.lacking == ("ground_effect",)
+    assert made.thrust_share == pytest.approx((22.5 / 21.0) ** -0.4 - 1.0, abs=0.06)
+    assert 0.01 < made.velocity_m_s < 0.5
+
+
+def test_ardupilots_wind_comes_from_where_the_models_air_does_not_go():
+    assert ardupilot._wind(stored("steady_wind", w_north=3.0))["SIM_WIND_DIR"] == pytest.approx(180.0)
+    west = ardupilot._wind(stored("steady_wind", w_west=2.0))
+    assert (west["SIM_WIND_DIR"], west["SIM_WIND_SPD"]) == pytest.approx((90.0, 2.0))
+    assert ardupilot._wind(stored()) == {}
+
+
+def test_an_export_to_ardupilot_says_what_it_lacks_and_how_it_flies(tmp_path, capsys, monkeypatch):
+    file = stored("ground_effect")
+    axes = {n: Axis(400.0, 0.001, 0.05, 0.01, {}) for n in ("roll", "pitch", "yaw")}
+    monkeypatch.setattr(ardupilot, "frame_of", lambda *_args, **_more: Frame(axes, {}, (), ()))
+    said = exporting.export(file, "ardupilot", tmp_path).data["left_out_sentences"]
+    assert said[0] == "ArduPilot's frame has no ground_effect"
+    assert said[-1] == f"fly it: flighttest sim --backend sitl --frame {tmp_path}"
+    with pytest.raises(ModelError, match="no attitude loops"):
+        ardupilot.write_frame(replace(file, model=replace(file.model, attitude_loops=False)), tmp_path)
+    assert call(["sim", "--frame", str(tmp_path)]) == 2
+    assert "give --frame DIR with --backend sitl" in capsys.readouterr().err
+
+
+def test_an_exported_frame_flies_instead_of_an_airframe(tmp_path):
+    made = tmp_path / "made"
+    made.mkdir()
+    for name in ("vehicle.json", "vehicle.parm"):
+        (made / name).write_text("")
+    words = command(SitlOptions(frame=made), tmp_path / "arducopter", 17000, tmp_path)
+    assert words[words.index("--model") + 1] == "x:vehicle.json"
+    assert words[words.index("--defaults") + 1].endswith(f"copter.parm,{made}/vehicle.parm")
+    assert (tmp_path / "vehicle.json").is_file()

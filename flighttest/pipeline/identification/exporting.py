@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +14,22 @@ from flighttest.pipeline.results import Result, check_writable
 from flighttest.report.document import Bullets, Document, Section, Table
 from flighttest.report.numbers import join, number
 
-KINDS = ("casadi", "c", "json", "fmu", "rotorpy")
+KINDS = ("casadi", "c", "json", "fmu", "rotorpy", "ardupilot")
 
 
 def export(model: Path | ModelFile, kind: str, output: Path) -> Result:
-    """Write a model for other programs. casadi, c, json: the model itself; fmu, rotorpy: as a vehicle of another simulator."""
+    """Write a model for other programs. casadi, c, json: the model itself; fmu, rotorpy, ardupilot: as a vehicle of another
+    simulator."""
     stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
-    if kind not in ("fmu", "rotorpy"):
+    if kind not in _VEHICLES:
         return _itself(stored, kind, output)
     check_writable(output)
-    path, what, data = (_fmu if kind == "fmu" else _rotorpy)(stored, output)
-    table = Table(("file", "what it is"), ((str(path), what),))
+    rows, data = _VEHICLES[kind](stored, output)
+    table = Table(("file", "what it is"), tuple((str(path), what) for path, what in rows))
     blocks = (table, Bullets(tuple(data["left_out_sentences"])))
-    document = Document("export", f"{path} written.", "good", (Section("files", "", blocks),))
-    return Result(document, {"files": [str(path)], "to": kind} | data)
+    verdict = f"{join([str(path) for path, _ in rows])} written."
+    document = Document("export", verdict, "good", (Section("files", "", blocks),))
+    return Result(document, {"files": [str(path) for path, _ in rows], "to": kind} | data)
 
 
 def _itself(stored: ModelFile, kind: str, output: Path) -> Result:
@@ -48,15 +52,18 @@ def _what(path: Path) -> str:
     }.get(path.name, "")
 
 
-def _fmu(stored: ModelFile, output: Path) -> tuple[Path, str, dict[str, Any]]:
+Rows = list[tuple[Path, str]]
+
+
+def _fmu(stored: ModelFile, output: Path) -> tuple[Rows, dict[str, Any]]:
     from flighttest.twin import fmu
 
     said = ["every term of the model and its delays are in it; the battery's voltage is an input"]
     what = "FMI 2.0 co-simulation, compiled for this system, with its C source"
-    return fmu.write_fmu(stored, output), what, {"left_out": [], "left_out_sentences": said}
+    return [(fmu.write_fmu(stored, output), what)], {"left_out": [], "left_out_sentences": said}
 
 
-def _rotorpy(stored: ModelFile, output: Path) -> tuple[Path, str, dict[str, Any]]:
+def _rotorpy(stored: ModelFile, output: Path) -> tuple[Rows, dict[str, Any]]:
     from flighttest.twin import rotorpy
 
     path = rotorpy.write_vehicle(stored, output)
@@ -69,4 +76,43 @@ def _rotorpy(stored: ModelFile, output: Path) -> tuple[Path, str, dict[str, Any]
         "mass, arm and inertia are not identified: the forces per mass and the attitude loops are what holds",
     ]
     data = {"left_out": list(lacking), "left_error": error, "left_out_sentences": said}
-    return path, "quad_params, and Commands: references and throttle to RotorPy's cmd_ctbm", data
+    return [(path, "quad_params, and Commands: references and throttle to RotorPy's cmd_ctbm")], data
+
+
+def _ardupilot(stored: ModelFile, output: Path) -> tuple[Rows, dict[str, Any]]:
+    from flighttest.twin import ardupilot
+
+    (frame, parameters), made = ardupilot.write_frame(stored, output)
+    said = [
+        f"ArduPilot's frame has no {join(list(made.lacking), 'or')}"
+        if made.lacking
+        else "no term of the model is left out",
+        f"its thrust goes with the square of the voltage: at most {made.thrust_share:.1%} off over the voltages of the model",
+        "its drag is one number for all axes and follows the root of the thrust, and it loses thrust in a climb",
+        f"on tilt steps of 0.3 rad and throttle steps of a fifth, 3 s long, this leaves {number(made.velocity_m_s, 2)} m/s at most "
+        f"against the model's own simulation at nominal voltage",
+        f"its motors have no lag: that of the thrust is the firmware's throttle filter (PILOT_THR_FILT), and the attitude loops are left "
+        f"with {made.attitude_share:.1%} of a tilt step",
+        *made.loops.notes,
+        f"fly it: flighttest sim --backend sitl --frame {shlex.quote(str(output))}",
+    ]
+    data = {
+        "left_out": list(made.lacking),
+        "left_error": {
+            "velocity_m_s": made.velocity_m_s,
+            "thrust_share": made.thrust_share,
+            "tilt_share": made.attitude_share,
+        },
+        "left_out_sentences": said,
+    }
+    return [
+        (frame, "frame for --model x:vehicle.json"),
+        (parameters, "parameters for --defaults, after your own"),
+    ], data
+
+
+_VEHICLES: dict[str, Callable[[ModelFile, Path], tuple[Rows, dict[str, Any]]]] = {
+    "fmu": _fmu,
+    "rotorpy": _rotorpy,
+    "ardupilot": _ardupilot,
+}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -30,6 +31,9 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
         before = whole.generations[-2]
         facts["before it"] = f"model {before.number}: {'; '.join(before.ended)}"
     facts["now"] = "flighttest status RUN, run, check, validate RUN and export use it for this vehicle"
+    flown = [shlex.quote(str(out / name)) for name in made.runs if (out / name / "script.yaml").is_file()]
+    if flown:
+        facts["its twin"] = f"flighttest twin {shlex.quote(str(whole.current))} --verify {' '.join(flown)}"
     document = Document("accept", _sentence(whole, made), "good", (), facts)
     return Result(document, {"vehicle": whole.vehicle, "file": str(whole.current), **asdict(made)}, value=whole)
 

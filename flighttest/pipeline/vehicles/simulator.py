@@ -64,7 +64,8 @@ def of_model(
 
 @dataclass(frozen=True)
 class Served:
-    """A vehicle to serve, in the words of the command line. model: flies instead of an airframe; port: 0 takes a free one."""
+    """A vehicle to serve, in the words of the command line. model: flies instead of an airframe; frame: folder of an exported ArduPilot
+    vehicle; port: 0 takes a free one."""
 
     airframe: str = "paper"
     backend: str = "builtin"
@@ -74,16 +75,21 @@ class Served:
     speed: float = 1.0
     lockstep: bool = False
     model: Path | None = None
+    frame: Path | None = None
 
 
 def serve(asked: Served) -> Iterator[str | Serving]:
     """Serve until interrupted; yields what is going on, and once it can be connected to, where."""
     airframe, backend, hide, seed = asked.airframe, asked.backend, asked.hide, asked.seed
-    port, speed, lockstep, model = asked.port, asked.speed, asked.lockstep, asked.model
+    port, speed, lockstep, model, frame = asked.port, asked.speed, asked.lockstep, asked.model, asked.frame
+    if frame is not None and (backend != "sitl" or model is not None):
+        raise InputError(
+            "a frame is flown by ArduPilot's own physics", "give --frame DIR with --backend sitl, without --model"
+        )
     if backend == "sitl":
         if lockstep:
             raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
-        yield from _serve_sitl(airframe, hide, seed, port, speed, model)
+        yield from _serve_sitl(airframe, hide, seed, port, speed, model, frame)
         return
     made = options(airframe, hide, seed, speed, lockstep)
     if model is not None:
@@ -99,9 +105,9 @@ def serve(asked: Served) -> Iterator[str | Serving]:
 
 
 def _serve_sitl(
-    airframe: str, hide: Sequence[str], seed: int, port: int, speed: float, model: Path | None
+    airframe: str, hide: Sequence[str], seed: int, port: int, speed: float, model: Path | None, frame: Path | None
 ) -> Iterator[str | Serving]:
-    if hide and (airframe != "rotor" or model is not None):
+    if hide and (airframe != "rotor" or model is not None or frame is not None):
         raise InputError(
             "ArduPilot's own physics hides nothing"
             if model is None
@@ -111,16 +117,17 @@ def _serve_sitl(
     physics = None
     if model is not None:
         find_arducopter()
-        physics, frame = firmware.firmware_options(model_file.read(model, whole=True), seed=seed, speed=speed)
-        yield from frame.sentences
-    elif airframe == "rotor":
+        physics, fitted = firmware.firmware_options(model_file.read(model, whole=True), seed=seed, speed=speed)
+        yield from fitted.sentences
+    elif airframe == "rotor" and frame is None:
         physics = options(airframe, hide, seed, speed)
-    what = f"airframe {airframe}" if model is None else f"the vehicle of {model}"
+    flown = model or frame
+    what = f"airframe {airframe}" if flown is None else f"the vehicle of {flown}"
     yield f"starting ArduPilot SITL, {what}; it can arm after {_BOOT_S} s or so of its own time"
     if physics is not None:
         started: Sitl | PhysicsSitl = launch_on_physics(physics, port=port)
     else:
-        started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port))
+        started = launch(SitlOptions(airframe=airframe, speedup=speed, ground_crew=True, port=port, frame=frame))
     with started as vehicle:
-        yield Serving(vehicle.url, airframe, "sitl", seed, speed, False, tuple(hide), str(model) if model else "")
+        yield Serving(vehicle.url, airframe, "sitl", seed, speed, False, tuple(hide), str(flown) if flown else "")
         vehicle.wait()

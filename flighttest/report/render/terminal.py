@@ -127,7 +127,7 @@ def _continued(line: str, room: int) -> list[str]:
 def _facts(facts: Facts) -> RenderableType:
     grid = Grid.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
-    grid.add_column(overflow="fold")
+    grid.add_column(overflow="fold")  # a path longer than the line is in a command that is to be copied
     for name, value in facts.pairs:
         grid.add_row(name, value)
     return grid

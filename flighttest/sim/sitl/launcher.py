@@ -86,8 +86,9 @@ class SitlOptions:
     airframe: a name in AIRFRAMES. speedup: vehicle seconds per second at most. parameters: values on top of the airframe's files.
     physics_port: UDP port of an outside physics (`json_backend`) that replaces ArduPilot's own, with rate_hz steps per vehicle second
     (0: ArduPilot's default); scripts: Lua files to run. home: latitude deg, longitude deg, height above sea level m, heading deg.
-    folder: where it runs and leaves its onboard logs; None: a temporary one, removed at the end. ground_crew: gives it a full pack after
-    each landing (the third port is then taken). port: TCP port of `Sitl.url`, the first of ten in a row; 0: wherever ten are free.
+    frame: a folder with vehicle.json and vehicle.parm, flown instead of the airframe's. folder: where it runs and leaves its onboard
+    logs; None: a temporary one, removed at the end. ground_crew: gives it a full pack after each landing (the third port is then
+    taken). port: TCP port of `Sitl.url`, the first of ten in a row; 0: wherever ten are free.
     """
 
     airframe: str = "paper"
@@ -101,6 +102,7 @@ class SitlOptions:
     folder: Path | None = None
     ground_crew: bool = False
     port: int = 0
+    frame: Path | None = None
 
     def __post_init__(self) -> None:
         if self.airframe not in AIRFRAMES:
@@ -245,6 +247,8 @@ def command(options: SitlOptions, program: Path, base: int, folder: Path, speedu
     """The command line, after writing into `folder` the files it refers to."""
     airframe, shipped = AIRFRAMES[options.airframe], sitl_dir()
     sources = options.parameter_files or tuple(shipped / name for name in airframe.parameters)
+    if options.frame is not None:
+        sources = (shipped / "copter.parm", options.frame / "vehicle.parm")
     files = [str(_existing(path)) for path in sources]
     if options.parameters:
         extra = folder / "extra.parm"
@@ -252,10 +256,11 @@ def command(options: SitlOptions, program: Path, base: int, folder: Path, speedu
         files.append(str(extra))
     if options.physics_port is not None:
         model = f"JSON:{_HOST}"
-    elif airframe.frame:
+    elif airframe.frame or options.frame is not None:
         # The firmware looks for a frame file in its working directory.
-        shutil.copyfile(_existing(shipped / airframe.frame), folder / airframe.frame)
-        model = f"x:{airframe.frame}"
+        file = shipped / str(airframe.frame) if options.frame is None else options.frame / "vehicle.json"
+        shutil.copyfile(_existing(file), folder / file.name)
+        model = f"x:{file.name}"
     else:
         model = "x"
     if options.scripts:
