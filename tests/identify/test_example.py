@@ -24,6 +24,8 @@ def test_the_planner_reaches_its_target_with_the_exported_model(found, tmp_path,
     away = float(run.stdout.split("flown with it: ")[1].split(" m")[0])
     assert away < 0.5
     assert "warm-started iteration" in run.stdout
+    assert "tube of the plan: 95 % within" in run.stdout
+    assert "50 Hz: " in run.stdout
 
 
 @pytest.fixture
@@ -59,3 +61,24 @@ def test_a_plan_that_does_not_converge_is_said_to_be_none(found, tmp_path, mpc, 
     monkeypatch.setattr(mpc, "MOST_ITERATIONS", 1)
     with pytest.raises(mpc.NoPlanError, match="after 1 iterations it still changes by"):
         planner.plan(planner.x_hover.copy(), np.array([8.0, -4.0, 2.0]))
+
+
+def test_the_tube_is_what_errors_of_the_parameters_do_to_the_plan(found, tmp_path, mpc):
+    base = from_fit(found)
+    i = base.order.index("K")
+    only = np.zeros_like(base.covariance)
+    only[i, i] = (0.01 * base.values["K"]) ** 2
+    export(replace(base, covariance=only), "casadi", tmp_path)
+    planner = mpc.Planner(tmp_path)
+    half = planner.tube(tmp_path)
+    up = planner.states.index("p_z_m")
+    # 1 % of thrust lifts it until the feedback holds it; nothing moves sideways
+    after = 0.5 * 0.01 * 9.81 * mpc.INTERVAL_S**2
+    assert 0.0 < half[up, 1] < 1.96 * after
+    assert half[up, -1] > half[up, 1]
+    assert half[planner.states.index("p_x_m")].max() < 1e-6
+    export(replace(base, covariance=4.0 * only), "casadi", tmp_path)
+    assert mpc.Planner(tmp_path).tube(tmp_path) == pytest.approx(2.0 * half)
+    assert mpc.drawn(planner, half).count("<polygon") == 3
+    export(replace(base, order=(), covariance=np.zeros((0, 0))), "json", tmp_path)
+    assert mpc.Planner(tmp_path).tube(tmp_path) is None

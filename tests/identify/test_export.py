@@ -3,12 +3,13 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from flighttest.identify.models.export import export
+from flighttest.identify.models.export import export, functions
 from flighttest.identify.models.model_file import from_fit
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -48,6 +49,25 @@ def test_casadi_functions_load_and_are_the_model(found, tmp_path):
         [np.asarray(step(x + n, u, 0.02) - step(x - n, u, 0.02)).ravel() / 2e-6 for n in nudge], axis=1
     )
     assert np.allclose(a, difference, atol=1e-7)
+
+
+def test_the_sensitivity_is_the_slope_by_the_parameters_of_the_covariance(found, tmp_path):
+    stored = from_fit(found)
+    export(stored, "casadi", tmp_path)
+    described = json.loads((tmp_path / "model.json").read_text())
+    order = described["sensitivity_order"]
+    assert {"K", "sigma_t", "omega_phi"} <= set(order) <= set(described["covariance"]["order"])
+    x, u = state_and_input(described)
+    made = np.asarray(ca.Function.load(str(tmp_path / "step_sensitivity.casadi"))(x, u, 0.02))
+    for name, slope in zip(order, made.T, strict=True):
+        h = 1e-5 * max(abs(stored.values[name]), 1e-3)
+        ends = [
+            np.asarray(
+                functions(replace(stored, values={**stored.values, name: stored.values[name] + d}))["step"](x, u, 0.02)
+            )
+            for d in (h, -h)
+        ]
+        assert np.allclose(slope, (ends[0] - ends[1]).ravel() / (2.0 * h), atol=1e-6), name
 
 
 def test_hover_is_an_equilibrium(found, tmp_path):

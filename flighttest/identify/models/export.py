@@ -34,6 +34,25 @@ def functions(stored: ModelFile) -> dict[str, ca.Function]:
     return {"dynamics": dynamics, "step": step, "step_jacobian": slopes}
 
 
+def sensitivity(stored: ModelFile) -> ca.Function:
+    """step_sensitivity(x, u, dt) -> slopes of x_next by the parameters of `known_order`, (n_x, n): with the covariance, how far a step
+    of the model is to be trusted."""
+    system = stored.model.system
+    x, u, dt = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs)), ca.SX.sym("dt")
+    known = known_order(stored)
+    free = ca.SX.sym("p", len(known))
+    p = ca.vertcat(*(free[known.index(n)] if n in known else ca.SX(stored.values[n]) for n in system.params))
+    x_next = rk4(lambda at: system.function(at, u, p)[0], x, dt)
+    by_p = ca.Function("by_p", [x, u, dt, free], [ca.densify(ca.jacobian(x_next, free))])
+    fitted = ca.DM([stored.values[n] for n in known])
+    return ca.Function("step_sensitivity", [x, u, dt], [ca.cse(by_p(x, u, dt, fitted))], ["x", "u", "dt"], ["step_P"])
+
+
+def known_order(stored: ModelFile) -> list[str]:
+    """Parameters of the covariance that a step depends on: delays are not in it."""
+    return [n for n in stored.order if n in stored.model.system.params and not n.startswith("T_d")]
+
+
 def description(stored: ModelFile) -> dict[str, Any]:
     """model.json: what the functions' vectors mean."""
     system = stored.model.system
@@ -54,6 +73,7 @@ def description(stored: ModelFile) -> dict[str, Any]:
         "inputs": [{"name": n, "unit": unit} for n, unit in system.inputs.items()],
         "parameters": parameters,
         "covariance": {"order": list(stored.order), "matrix": stored.covariance.tolist()},
+        "sensitivity_order": known_order(stored),
         "delays_s": {n: delays.get(c, 0.0) for n, c in system.input_delay.items()},
         "valid": dict(stored.valid),
         "constants": dict(stored.model.constants),
@@ -82,7 +102,8 @@ def export(stored: ModelFile, kind: Kind, folder: Path) -> tuple[Path, ...]:
     described.write_text(json.dumps(_finite(description(stored)), indent=1) + "\n", encoding="utf-8")
     written = [described]
     if kind == "casadi":
-        for name, function in functions(stored).items():
+        made = functions(stored) | ({"step_sensitivity": sensitivity(stored)} if known_order(stored) else {})
+        for name, function in made.items():
             path = folder / f"{name}.casadi"
             function.save(str(path))
             written.append(path)

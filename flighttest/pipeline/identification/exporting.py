@@ -46,6 +46,7 @@ def _what(path: Path) -> str:
         "dynamics.casadi": "x_dot = dynamics(x, u)",
         "step.casadi": "x_next = step(x, u, dt), one RK4 step",
         "step_jacobian.casadi": "A, B = step_jacobian(x, u, dt)",
+        "step_sensitivity.casadi": "slopes of x_next by the parameters of the covariance",
         "flighttest_model.c": "the same functions in C99",
         "flighttest_model.h": "its header",
         "example.c": "a small program that calls them",
