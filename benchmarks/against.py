@@ -2,8 +2,11 @@
 
 Of each pair one side plays reality. A third differ in nothing but noise and gusts, a third in one parameter by 10 % (a delay by 20 ms), a
 third in an effect of the catalogue at its usual size. Drawn by seed from the built-in rotor vehicle, whose equations are not those of the
-catalogue; the comparison is made before the truth is read. Printed: what was changed, what was found, and the counts; 'small': the change
-is below the smallest that the comparison said would show.
+catalogue; the comparison is made before the truth is read. Printed: what was changed, what was found, and the counts.
+
+right: the parameter, or a parameter of the effect, differs; in a pair without a change nothing does. noted: something else differs, and the
+notes name the effect as one that it may stand for. small: nothing differs, and the change is below the smallest that the comparison said
+would show. noticed: something else differs. missed: nothing does. FALSE: something differs where nothing was changed.
 """
 
 from __future__ import annotations
@@ -62,9 +65,12 @@ def pair(seed: int, index: int) -> str:
     }
     right = bool(names & set(expected)) if expected else not names
     small = [d for d in found.differences if d.name in expected and d.detectable and abs(change) < d.detectable]
-    word = "right" if right else "small" if small else "noticed" if expected and names else "WRONG"
+    noted = names and any(f"{n} " in note for n in expected for note in found.notes)
+    other = ("noticed" if names else "missed") if expected else "FALSE"
+    word = "right" if right else "noted" if noted else "small" if small and not names else other
     said = ", ".join(f"{d.name} {d.kind}" for d in found.differing) or "no difference"
-    return f"{index:3d} {kind:9s} {word:8s} {truth}: {said}"
+    nearest = min((d.p_value for d in found.differences if d.p_value is not None), default=1.0)
+    return f"{index:3d} {kind:9s} {word:8s} {truth}: {said}; smallest p {nearest:.1e}"
 
 
 def main() -> None:
@@ -72,9 +78,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="number of the first pair, to go on with a run")
     options = parser.parse_args()
     lines = []
-    for index in range(options.pairs):
+    for index in range(options.first, options.first + options.pairs):
         began = time.monotonic()
         try:
             lines.append(pair(options.seed, index))
@@ -82,8 +89,9 @@ def main() -> None:
             lines.append(f"{index:3d} not flown: {error}")
         print(f"{lines[-1]} ({time.monotonic() - began:.0f} s)", flush=True)
     for kind in ("clean", "parameter", "effect"):
-        mine = [line for line in lines if f" {kind} " in line]
-        print(f"{kind}: {sum(' right ' in line for line in mine)} of {len(mine)} right")
+        words = [line.split()[2] for line in lines if line.split()[1] == kind]
+        counted = ", ".join(f"{words.count(w)} {w}" for w in dict.fromkeys(words))
+        print(f"{kind}: {len(words)} pairs, {counted or 'none'}")
 
 
 if __name__ == "__main__":

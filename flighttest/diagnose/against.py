@@ -154,16 +154,22 @@ def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float
 
 
 def errors_of(found: Fit) -> dict[str, tuple[float, float]]:
-    """Standard error and degrees of freedom of every estimated parameter, those on a bound included."""
+    """Standard error and degrees of freedom of every estimated parameter, those on a bound included.
+
+    What the equations get wrong of a cell is alike on both sides of a comparison; what differs is a matter of single responses, of which
+    there are more than cells. So clusters are responses here; of both standard errors the larger one counts.
+    """
     bound = [n for n in found.solution.at_bound if n in found.solution.normal.names]
     known = found.covariance
-    made = {n: (math.sqrt(float(known.matrix[i, i])), float(known.dof[i])) for i, n in enumerate(known.names)}
-    if bound:
-        wide = cluster_covariance(found.solution.normal.by(found.problem.cells), (*known.names, *bound))
-        made |= {
-            n: (math.sqrt(float(wide.matrix[i, i])), float(wide.dof[i])) for i, n in enumerate(wide.names) if n in bound
-        }
-    return made
+    names = (*known.names, *bound)
+    single = cluster_covariance(found.solution.normal, names)
+    cells = known if not bound else cluster_covariance(found.solution.normal.by(found.problem.cells), names)
+    by_cell = {n: float(cells.matrix[i, i]) for i, n in enumerate(cells.names)}
+    by_cell |= {n: float(known.matrix[i, i]) for i, n in enumerate(known.names)}
+    return {
+        n: (math.sqrt(max(float(single.matrix[i, i]), by_cell[n])), float(single.dof[i]))
+        for i, n in enumerate(single.names)
+    }
 
 
 def side_of(found: Fit, diagnosis: Diagnosis) -> Side:

@@ -1,11 +1,14 @@
 """A simulator against reality: what differs beyond the error of both sides, and what that means."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from flighttest.diagnose.against import Kind, Side, differences_of, hidden_notes, mass_notes, step_by_step
+from flighttest.diagnose.against import Kind, Side, differences_of, errors_of, hidden_notes, mass_notes, step_by_step
+from flighttest.estimation.uncertainty.covariance import cluster_covariance
+from flighttest.estimation.weighing import Normal
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -50,6 +53,20 @@ def test_a_difference_of_the_size_that_would_show_does_so_in_four_of_five_pairs(
         for e in rng.standard_normal(60)
     ]
     assert 0.65 < np.mean(shown) < 0.93
+
+
+def test_the_error_of_a_side_is_by_its_responses_where_few_cells_tell_a_parameter():
+    # six responses of two cells, whose errors cancel within each cell: what the cells say is luck
+    score = np.array([3.0, -3.1, 0.2, 2.9, -3.0, 0.1])[:, None]
+    normal = Normal(("d_y",), np.ones((6, 1, 1)), score)
+    cells = np.array([0, 0, 0, 1, 1, 1])
+    known = cluster_covariance(normal.by(cells), ("d_y",))
+    solution = SimpleNamespace(at_bound=(), normal=normal)
+    found = SimpleNamespace(solution=solution, covariance=known, problem=SimpleNamespace(cells=cells))
+    std, dof = errors_of(found)["d_y"]
+    assert (known.dof[0], np.sqrt(known.matrix[0, 0])) == pytest.approx((10.0, 1.0 / np.sqrt(6.0)))
+    assert std == pytest.approx(np.sqrt(np.sum(score**2) / (6.0 * 5.0)))
+    assert dof == pytest.approx(5.0)
 
 
 def test_a_limit_is_in_the_model_of_one_side_alone():
