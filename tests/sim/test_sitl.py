@@ -6,11 +6,14 @@ import stat
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pymavlink import mavutil
 from pymavlink.quaternion import Quaternion
 
 from flighttest.errors import InputError, LinkError
+from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.model import Model
 from flighttest.sim.options import SimOptions
 from flighttest.sim.sitl.launcher import (
     AIRFRAMES,
@@ -23,6 +26,7 @@ from flighttest.sim.sitl.launcher import (
     sitl_dir,
 )
 from flighttest.sim.sitl.physics import firmware_parameters, launch_on_physics
+from flighttest.twin.firmware import firmware_options
 from flighttest.vehicle.load import load_vehicle
 
 
@@ -209,3 +213,19 @@ def test_the_real_firmware_flies_on_our_physics(arducopter):
     assert seen["height_m"] > 5.0
     assert seen["roll_rad"] == pytest.approx(0.2, abs=0.04)
     assert seen["voltage_v"] == pytest.approx(25.0, abs=0.4)  # through two range finders and the script
+
+
+@pytest.mark.sitl
+@pytest.mark.skipif(sys.platform == "win32", reason="the physics inherits a socket")
+def test_the_real_firmware_flies_an_identified_model(arducopter):
+    model = Model(("linear_drag",))
+    values = model.start({"omega_phi": 12.0, "omega_theta": 12.0, "zeta_phi": 0.7, "zeta_theta": 0.7, "sigma_r": 5.0})
+    file = ModelFile(model, {}, values, (), np.zeros((0, 0)), {"voltage_v": [21.0, 24.5]}, path="model.yaml")
+    options, frame = firmware_options(file, speed=2.0, seed=3)
+    with launch_on_physics(options, binary=Path(arducopter)) as vehicle:
+        seen = fly_a_minute(vehicle.url)
+        assert vehicle.alive
+    assert frame.notes  # no gains were recorded: they are chosen
+    assert seen["height_m"] > 5.0
+    assert seen["roll_rad"] == pytest.approx(0.2, abs=0.03)
+    assert seen["hover_throttle"] == pytest.approx(float(model.hover_throttle(values, 24.3)), abs=0.015)
