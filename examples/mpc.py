@@ -8,7 +8,7 @@ of it between measurement and command. Where a C compiler is found an interval o
 not converge is said to be none, with exit code 1.
 
 The tube is what the plan is worth with this model: 95 % half widths of position along the plan, from the covariance of the parameters,
-with the linear feedback about hover that stands in for planning again. `--figure FILE.svg` draws it.
+with the linear feedback about hover in place of planning again. `--figure FILE.svg` draws it.
 
 The exported functions take delayed inputs. `over_the_delay` rolls the measured state forward over `delays_s` with the inputs already sent;
 the plan starts from there.
