@@ -11,7 +11,7 @@ from flighttest.cli.live import LiveProgress
 
 
 @command("twin")
-@click.argument("model", type=FILE)
+@click.argument("model", type=ANY)
 @click.option(
     "--verify",
     "verified",

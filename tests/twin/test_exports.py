@@ -181,6 +181,10 @@ def test_an_export_to_ardupilot_says_what_it_lacks_and_how_it_flies(tmp_path, ca
         ardupilot.write_frame(replace(file, model=replace(file.model, attitude_loops=False)), tmp_path)
     assert call(["sim", "--frame", str(tmp_path)]) == 2
     assert "give --frame DIR with --backend sitl" in capsys.readouterr().err
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert call(["sim", "--backend", "sitl", "--frame", str(empty)]) == 2
+    assert "holds no vehicle.json" in capsys.readouterr().err
 
 
 def test_an_exported_frame_flies_instead_of_an_airframe(tmp_path):

@@ -86,6 +86,10 @@ def serve(asked: Served) -> Iterator[str | Serving]:
         raise InputError(
             "a frame is flown by ArduPilot's own physics", "give --frame DIR with --backend sitl, without --model"
         )
+    if frame is not None and not (frame / "vehicle.json").is_file():
+        raise InputError(
+            f"{frame} holds no vehicle.json", f"write one: flighttest export MODEL --to ardupilot -o {frame}"
+        )
     if backend == "sitl":
         if lockstep:
             raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
