@@ -52,6 +52,10 @@ _TABLE = (
     Channel("height_m", "m", "none", "height", "height above the ground below"),
     Channel("voltage_v", "V", "none", "battery", "battery voltage under load"),
     Channel("current_a", "A", "none", "battery", "battery current"),
+    *(
+        Channel(f"motor_{k}", "1", "none", "motors", f"command of motor {k} 0..1, numbered as the autopilot does")
+        for k in range(1, 5)
+    ),
     Channel("mode", "1", "none", "state", "autopilot mode number (custom_mode)"),
     Channel("armed", "1", "none", "state", "1 when armed"),
 )

@@ -33,6 +33,7 @@ _KNOWN: dict[str, Source] = {
     "p_y_m": Source(("stateEstimate.y",)),
     "p_z_m": Source(("stateEstimate.z",)),
     "voltage_v": Source(("pm.vbatMV",), 1e-3),
+    **{f"motor_{k}": Source((f"motor.m{k}",), _THRUST) for k in range(1, 5)},
 }  # fmt: skip
 # The first that was logged: the command, else what the motors were told.
 _THROTTLE = (

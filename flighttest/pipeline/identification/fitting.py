@@ -19,6 +19,7 @@ from flighttest.identify.validation.block_coordinate_descent import cross_checke
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import PAPER_TERMS, Model
+from flighttest.pipeline.identification.motors import motor_section
 from flighttest.pipeline.identification.winds import declared_weather, wind_section
 from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views
 from flighttest.pipeline.presenters.not_identifiable import why_nothing
@@ -253,13 +254,12 @@ def fit(
     found = replace(found, notes=(*found.notes, *doubtful))
     result = finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])
     progress.stage("telling the wind of each flight")
-    section, data = wind_section(segments, found.model, weather)
-    if section is None:
-        return result
+    made = [motor_section(segments), wind_section(segments, found.model, weather)]
+    sections = tuple(section for section, _ in made if section is not None)
     return replace(
         result,
-        document=replace(result.document, sections=(*result.document.sections, section)),
-        data={**result.data, **data},
+        document=replace(result.document, sections=(*result.document.sections, *sections)),
+        data={**result.data, **made[0][1], **made[1][1]},
     )
 
 
