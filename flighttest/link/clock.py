@@ -18,6 +18,7 @@ _PERIOD_S = 1.0  # the least delayed stamp is looked for over one to two of thes
 _REAL_TIME_TOLERANCE = 0.05  # a vehicle nearer to real time than this is a real one, and its pace exactly 1
 _LEAP_S = 5.0  # farther than this no delay of a link moves a stamp against those before
 _LEAP_STAMPS = 5  # that agree: one stamp alone is a damaged frame, or another vehicle's
+_UNANSWERED_MAX = 1000  # questions that are remembered: four minutes of a silent link
 _DRIFT = 2e-4  # two crystals part by less than this
 
 
@@ -230,12 +231,15 @@ class TimeSync:
 
     def __init__(self) -> None:
         self._asked: dict[int, float] = {}
-        self._trips: list[tuple[float, float, float]] = []
+        self._best: tuple[float, float, float] | None = None  # sent, vehicle, received of the quickest answer
+        self._answers = 0
 
     def ask(self, ground_s: float) -> int:
         """The ts1 (ns) of a new question at ground_s."""
         ts1 = int(ground_s * 1e9)
         self._asked[ts1] = ground_s
+        if len(self._asked) > _UNANSWERED_MAX:
+            del self._asked[next(iter(self._asked))]
         return ts1
 
     def answer(self, tc1: int, ts1: int, ground_s: float) -> float | None:
@@ -243,12 +247,14 @@ class TimeSync:
         asked = self._asked.pop(ts1, None)  # a vehicle whose time has not begun to run answers with a tc1 of 0
         if asked is None:
             return None
-        self._trips.append((asked, tc1 * 1e-9, ground_s))
+        self._answers += 1
+        if self._best is None or ground_s - asked < self._best[2] - self._best[0]:
+            self._best = asked, tc1 * 1e-9, ground_s
         return ground_s - asked
 
     def offset(self) -> ClockOffset | None:
         """The offset by the sample with the smallest round trip, not the mean; None before the first answer."""
-        if not self._trips:
+        if self._best is None:
             return None
-        sent, vehicle, received = min(self._trips, key=lambda t: t[2] - t[0])
-        return ClockOffset(0.5 * (sent + received) - vehicle, 0.5 * (received - sent), len(self._trips))
+        sent, vehicle, received = self._best
+        return ClockOffset(0.5 * (sent + received) - vehicle, 0.5 * (received - sent), self._answers)

@@ -16,6 +16,13 @@ def test_a_fault_in_a_state(name: str, when: When, tmp_path: Path) -> None:
     assert cell.ok, f"{cell.ended}: {cell.wrong}"
 
 
+def test_the_page_has_every_fault_and_none_is_wrong(repository: Path) -> None:
+    text = (repository / "docs" / "faults.md").read_text(encoding="utf-8")
+    rows = {line.split("|")[1].strip() for line in text.splitlines() if line.startswith("|")}
+    assert not {fault.name for fault in FAULTS} - rows, "run `make faults`"
+    assert "**wrong:**" not in text
+
+
 def test_two_vehicles_of_one_system_id_are_refused_before_one_arms(tmp_path: Path) -> None:
     cell = fly_cell(Fault("twin", 1e6, twin=True), When.CONNECTING, tmp_path / "run")
     assert cell.ok

@@ -497,3 +497,16 @@ def test_a_program_that_did_not_look_for_long_finds_the_link_as_it_is() -> None:
         vehicle.say(book.MAVLink_heartbeat_message(2, 3, 1, 0, 4, 3))
     parameters.write(session, "ANGLE_MAX", 4000.0, known)
     assert vehicle.values["ANGLE_MAX"] == 4000.0
+
+
+def test_what_is_kept_of_the_clock_does_not_grow() -> None:
+    sync = TimeSync()
+    for k in range(5000):
+        sync.answer(0, sync.ask(float(k)), k + 0.01 + 0.001 * (k % 7))
+    for k in range(5000, 10_000):
+        sync.ask(float(k))
+    offset = sync.offset()
+    assert offset is not None
+    assert offset.error_s == pytest.approx(0.005)
+    assert offset.samples == 5000
+    assert len(sync._asked) <= 1000

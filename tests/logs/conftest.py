@@ -112,6 +112,10 @@ def flight():
 
 @pytest.fixture
 def ulog_bytes():
+    return small_ulog
+
+
+def small_ulog() -> bytes:
     """A PX4 log of 3 s: attitude at 100 Hz rolled 0.1 rad (NED), setpoints, accelerometer, battery."""
 
     def message(kind: str, body: bytes) -> bytes:
@@ -153,4 +157,4 @@ def ulog_bytes():
                 out += data(3, t, 15.5, 12.0)
         return out
 
-    return build
+    return build()

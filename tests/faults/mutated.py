@@ -1,0 +1,220 @@
+"""Frames and logs with something wrong in them: nothing but a clear error may come of it, in bounded time and memory.
+
+python -m tests.faults.mutated [--packets 1000000] [--logs 1000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import lzma
+import random
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pymavlink.generator.mavcrc import x25crc
+
+from flighttest.errors import FlighttestError
+from flighttest.flight.execution.control import FlightControl, Stops
+from flighttest.flight.execution.machine import Event
+from flighttest.flight.outcome import FlightEnded
+from flighttest.flight.preparation.changes import ExternalChanges
+from flighttest.flight.recorder import Recorder
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.clock import FollowedClock
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.streams import Streams
+from flighttest.logs import import_log
+from flighttest.mavlink.dialect import book
+from flighttest.sim import InProcess, SimOptions
+from tests.flight.faulty import GATE, make_plan
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+_A_LINK = 2_000  # frames after which the conversation begins anew
+_BATCH = 20
+
+
+def frames_of_a_flight(seconds: float = 3.0) -> list[bytes]:
+    """Frames as the built-in vehicle sends them, all message types that it has."""
+    sim = InProcess(SimOptions(ready_s=0.1, gps_s=0.1))
+    station = book.MAVLink(None, srcSystem=255, srcComponent=190)
+    for number in (30, 32, 33, 74, 83, 105, 147, 148, 1, 65, 36, 193, 27, 29, 245):
+        rate = (book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, float(number), 2e4, 0, 0, 0, 0, 0)
+        sim.send(bytes(book.MAVLink_command_long_message(1, 1, *rate).pack(station)))
+    sim.send(bytes(book.MAVLink_param_request_list_message(1, 1).pack(station)))
+    sim.advance(seconds)
+    data, found = sim.receive(), []
+    while data:
+        size = data[1] + 12
+        found.append(data[:size])
+        data = data[size:]
+    return found
+
+
+def mutated(frame: bytes, draw: random.Random) -> bytes:
+    """A frame with something wrong: mostly wrong values under a right checksum, which get farthest."""
+    kind = draw.random()
+    if kind < 0.1:
+        return frame
+    changed = bytearray(frame)
+    for _ in range(draw.choice((1, 1, 2, 8))):
+        changed[draw.randrange(3, len(changed) - 2)] = draw.choice((0, 255, 127, 128, draw.randrange(256)))
+    if kind < 0.75:
+        known = book.mavlink_map.get(int.from_bytes(changed[7:10], "little"))
+        checksum = x25crc(bytes(changed[1:-2]) + bytes([known.crc_extra if known is not None else 0]))
+        changed[-2:] = checksum.crc.to_bytes(2, "little")
+        return bytes(changed)
+    if kind < 0.85:
+        return bytes(changed)
+    if kind < 0.95:
+        return bytes(frame[: draw.randrange(len(frame))])
+    return draw.randbytes(draw.randrange(1, 300))
+
+
+class Mutations:
+    """A transport that gives mutated frames; time passes with them."""
+
+    def __init__(self, frames: list[bytes], draw: random.Random) -> None:
+        self._frames, self._draw = frames, draw
+        self.given, self.now_s = 0, 1000.0
+
+    def send(self, data: bytes) -> None:
+        """Nobody hears it."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        """A handful of frames, once for each wait."""
+        self.now_s += max(timeout_s, 1e-4)
+        if timeout_s <= 0.0:
+            return b""
+        self.given += _BATCH
+        return b"".join(mutated(self._draw.choice(self._frames), self._draw) for _ in range(_BATCH))
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def listen_to_packets(count: int, folder: Path, seed: int = 1) -> int:
+    """Let a flight's session, state and record take in so many mutated frames; how often they ended a flight."""
+    draw, frames, given, ended = random.Random(seed), frames_of_a_flight(), 0, 0
+    while given < count:
+        link = Mutations(frames, draw)
+        session = Session(Port(link), FollowedClock(lambda now=link: now.now_s, lambda now=link: now.now_s))  # type: ignore[misc]
+        recorder = Recorder(folder, session.clock.ground_s, {}, make_plan())
+        session.port.tap(recorder.tap)
+        vehicle = ArduPilot(session)
+        control = FlightControl(
+            vehicle,
+            GATE,
+            recorder,
+            rate_hz=50.0,
+            stops=Stops(lambda: 0),
+            external_changes=ExternalChanges({"GUID_OPTIONS": 8.0}),
+        )
+        control.streams = Streams(vehicle, {"ATTITUDE": 50.0}, {})
+        try:
+            control.on(Event.ARM)
+            control.on(Event.ARMED)
+            while link.given < min(_A_LINK, count - given):
+                control.cycle()
+                control.release()
+        except FlightEnded:
+            ended += 1
+        given += max(link.given, 1)
+        recorder.flush(force=True)
+    return ended
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log of one kind. suffix: of its file."""
+
+    suffix: str
+    data: bytes
+
+
+def logs() -> Iterator[Log]:
+    """A short sound log of each kind."""
+    from tests.logs.conftest import guided_flight, small_ulog
+
+    yield Log(".BIN", bytes(guided_flight().data))
+    yield Log(".tlog", lzma.decompress((DATA / "sitl_yaw_rate.tlog.xz").read_bytes())[:60_000])
+    yield Log(".ulg", small_ulog())
+    rows = "\n".join(f"{k / 100},{0.1 * (k > 50)},{0.1 * (k > 53)},0,0.2,{-9.8}" for k in range(300))
+    yield Log(".csv", f"t_s,roll_ref_rad,roll_rad,pitch_rad,throttle,f_z_m_s2\n{rows}\n".encode())
+
+
+def damaged(data: bytes, draw: random.Random) -> bytes:
+    """A log with bytes changed, cut out, doubled or cut off."""
+    changed = bytearray(data)
+    for _ in range(draw.choice((1, 3, 30, 300))):
+        place = draw.randrange(len(changed))
+        changed[place] = draw.choice((0, 255, draw.randrange(256)))
+    kind, place = draw.random(), draw.randrange(len(changed))
+    if kind < 0.2:
+        del changed[place : place + draw.randrange(1, 400)]
+    elif kind < 0.4:
+        changed[place:place] = changed[place : place + draw.randrange(1, 400)]
+    elif kind < 0.5:
+        del changed[place:]
+    return bytes(changed)
+
+
+def read_logs(
+    log: Log, count: int, folder: Path, seed: int = 1, tell: Callable[[str], None] = lambda _text: None
+) -> int:
+    """Import so many damaged copies of a log; how many were refused. Anything but a FlighttestError is raised."""
+    draw, refused = random.Random(seed), 0
+    path = folder / f"damaged{log.suffix}"
+    for k in range(count):
+        path.write_bytes(damaged(log.data, draw))
+        began = time.monotonic()
+        try:
+            import_log(path)
+        except FlighttestError:
+            refused += 1
+        except BaseException:
+            kept = folder.parent / f"found-{k}{log.suffix}"
+            kept.write_bytes(path.read_bytes())
+            tell(f"{kept} was not read as it should be")
+            raise
+        took_s = time.monotonic() - began
+        assert took_s < 60.0, f"{log.suffix} number {k} took {took_s:.0f} s"
+    return refused
+
+
+def main() -> None:
+    """Run both and say how it went."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--packets", type=int, default=1_000_000)
+    options.add_argument("--logs", type=int, default=1_000)
+    options.add_argument("--seed", type=int, default=1)
+    asked = options.parse_args()
+
+    def say(text: str) -> None:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "run"
+        listen_to_packets(min(asked.packets, 20_000), folder, asked.seed)
+        before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+        ended = listen_to_packets(asked.packets, folder, asked.seed + 1)
+        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+        say(
+            f"{asked.packets} frames in {time.monotonic() - began:.0f} s: {ended} flights ended, {grown:.1f} MB more at most"
+        )
+        for log in logs():
+            began = time.monotonic()
+            refused = read_logs(log, asked.logs, Path(name), asked.seed, say)
+            say(
+                f"{asked.logs} logs {log.suffix} in {time.monotonic() - began:.0f} s: {refused} refused, the others read"
+            )
+
+
+if __name__ == "__main__":
+    main()
