@@ -175,12 +175,13 @@ def sim(
     "-o", "--output", "output", type=ANY, required=True, metavar="RUN", help="Run folder (or .bin file) to write."
 )
 @click.option("--log", "log_id", type=int, help="Number of the log; otherwise the newest.")
-def fetch_log(context: Context, connect: str, output: Path, log_id: int | None) -> int:
-    """Download the onboard log over MAVLink into a run folder."""
+@click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
+def fetch_log(context: Context, connect: str, output: Path, log_id: int | None, signing_key: Path | None) -> int:
+    """Download the onboard log over MAVLink into a run folder. Given again after a cut, it goes on where it stopped."""
     from flighttest.pipeline.flights import fetching
 
     with LiveProgress(context.show) as progress:
-        result = fetching.fetch_log(connect, output, log_id, progress)
+        result = fetching.fetch_log(connect, output, log_id, progress, signing_key)
     return context.finish(result)
 
 

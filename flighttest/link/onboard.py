@@ -1,19 +1,24 @@
-"""Onboard logs over MAVLink, by MAVSDK's log_files (which repeats what the link loses)."""
+"""Onboard logs over MAVLink: what a link loses is asked for again, and a download that was cut off goes on where it stopped."""
 
 from __future__ import annotations
 
-import contextlib
-import queue
+import datetime as dt
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 from flighttest.errors import InputError, LinkError
-from flighttest.link.transport import URL_FORMS, full_url
+from flighttest.link.port import Port
+from flighttest.link.session import Session
+from flighttest.link.transport import URL_FORMS, full_url, open_transport
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
 
-CONNECT_S = 10.0
 SILENCE_S = 20.0  # without progress for so long a download is given up
+_WINDOW_BYTES = 90 * 512  # asked for at once; a LOG_DATA message has 90
+_TRIES = 4
+_LIST_QUIET_S, _DATA_QUIET_S = 2.0, 0.5  # without one of its messages a request is repeated
+_LOOK_EVERY_S = 0.02
 _SCHEMES = {
     "udpin": "udpin",
     "udp": "udpin",
@@ -44,81 +49,119 @@ def mavsdk_url(url: str) -> str:
 
 
 def fetch(
-    url: str, target: Path, number: int | None = None, on_progress: Callable[[float], None] | None = None
+    url: str,
+    target: Path,
+    number: int | None = None,
+    on_progress: Callable[[float], None] | None = None,
+    key: bytes | None = None,
 ) -> OnboardLog:
     """Download one onboard log (the newest, or the one numbered so) into the file `target`.
 
-    on_progress: called with the share done, 0..1. LinkError when nothing answers, the vehicle has no logs, or the download stops;
-    what arrived until then is removed.
+    on_progress: called with the share done, 0..1. key: of MAVLink 2 signing. LinkError when nothing answers, the vehicle has no logs, or
+    the download stops; what arrived until then stays beside the target, and the next call goes on from there.
     """
-    from mavsdk import ComponentType, Configuration, Mavsdk  # only here: the library takes its time to load
-    from mavsdk.logging import log_subscribe
-    from mavsdk.plugins.log_files import LogFiles, LogFilesError
-
-    # The library writes its own log to standard output, where results belong; what matters comes back as an error here.
-    log_subscribe(lambda _level, _message, _file, _line: True)
-    address = mavsdk_url(url)
-    sdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+    session = Session(Port(open_transport(full_url(url)), key=key))
     try:
-        sdk.add_any_connection(address)
-        system = sdk.first_autopilot(CONNECT_S)
-        if system is None:
-            raise LinkError(f"nothing answers at {url}", "is the vehicle on, and the address right?")
-        files = LogFiles(system)
-        try:
-            entries = files.get_entries()
-        except LogFilesError as error:
-            hint = "has it been armed since its card was erased? (LOG_BACKEND_TYPE, LOG_DISARMED)"
-            raise LinkError(
-                f"the vehicle at {url} lists no logs ({error.result.name.lower().replace('_', ' ')})", hint
-            ) from error
-        chosen = _choose(entries, number)
-        _download(files, chosen, target, on_progress)
-        return OnboardLog(int(chosen.id), str(chosen.date or ""), int(chosen.size_bytes))
-    except LinkError:
-        target.unlink(missing_ok=True)
-        raise
+        session.connect()
+        return LogDownload(session).fetch(target, number, on_progress or (lambda _share: None))
     finally:
-        # MAVSDK complains when a connection is already gone; the process must end cleanly all the same.
-        with contextlib.suppress(AttributeError):
-            sdk.destroy()
+        session.port.close()
 
 
-def _choose(entries: list[Any], number: int | None) -> Any:
-    listed = sorted((e for e in entries if e.size_bytes), key=lambda e: int(e.id))
-    if not listed:
-        raise LinkError("the vehicle has no log with anything in it", "fly first; the log begins at arming")
-    if number is None:
-        return listed[-1]
-    for entry in listed:
-        if int(entry.id) == number:
-            return entry
-    known = ", ".join(str(e.id) for e in listed[-8:])
-    raise LinkError(f"the vehicle has no log {number}", f"it has {known}")
+class LogDownload:
+    """Logs of a vehicle by LOG_REQUEST_LIST and LOG_REQUEST_DATA, a window at a time; what a link loses is asked for again."""
 
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._system = session.vehicle_system
 
-def _download(files: Any, entry: Any, target: Path, on_progress: Callable[[float], None] | None) -> None:
-    from mavsdk.plugins.log_files import LogFilesResult
+    def entries(self) -> dict[int, Message]:
+        """LOG_ENTRY by number, of logs with anything in them. LinkError where the vehicle lists none."""
+        found: dict[int, Message] = {}
+        listed = 0
 
-    events: queue.Queue[tuple[Any, float]] = queue.Queue()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.unlink(missing_ok=True)  # MAVSDK does not write over a file
+        def take(message: Message) -> bool:
+            nonlocal listed
+            if message.get_type() == "LOG_ENTRY":
+                listed = max(listed, int(message.num_logs), 1)
+                if message.num_logs:
+                    found[int(message.id)] = message
+            return bool(listed and len(found) >= listed)
 
-    def heard(result: Any, data: Any, _user: Any) -> None:
-        events.put((result, float(getattr(data, "progress", 0.0) or 0.0)))
+        for _ in range(_TRIES):
+            self._session.send(book.MAVLink_log_request_list_message(self._system, COMPONENT_AUTOPILOT, 0, 0xFFFF))
+            self._until(take, _LIST_QUIET_S)
+            if found and len(found) >= listed:
+                break
+        if not listed:
+            raise LinkError("the vehicle lists no logs", "it may keep none: see LOG_BACKEND_TYPE")
+        found = {n: entry for n, entry in found.items() if entry.size}
+        if not found:
+            raise LinkError("the vehicle has no log with anything in it", "fly first; the log begins at arming")
+        return found
 
-    files.download_log_file_async(entry, str(target), heard)
-    while True:
+    def fetch(self, target: Path, number: int | None, on_progress: Callable[[float], None]) -> OnboardLog:
+        """One log into a file."""
+        found = self.entries()
+        chosen = max(found) if number is None else number
+        if chosen not in found:
+            known = ", ".join(str(n) for n in sorted(found)[-8:])
+            raise LinkError(f"the vehicle has no log {chosen}", f"it has {known}")
+        entry = found[chosen]
+        # Named by what it is a part of: another log, or one that has grown, is begun anew.
+        part = target.with_name(f"{target.name}.{chosen}-{entry.time_utc}-{entry.size}.part")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("ab") as file:
+            self._download(chosen, int(entry.size), file, on_progress)
+        part.replace(target)
+        date = dt.datetime.fromtimestamp(entry.time_utc, dt.UTC).isoformat() if entry.time_utc else ""
+        return OnboardLog(chosen, date, int(entry.size))
+
+    def _download(self, number: int, size: int, file: IO[bytes], on_progress: Callable[[float], None]) -> None:
+        have, progress_s = file.tell(), self._session.now_s()
+        ahead: dict[int, bytes] = {}  # what has come, by its place
+
+        def take(message: Message) -> int:
+            """Where what it has ends."""
+            if message.get_type() != "LOG_DATA" or message.id != number or not message.count:
+                return 0
+            if have <= message.ofs < size:
+                ahead[int(message.ofs)] = bytes(message.data[: message.count])
+            return int(message.ofs + message.count)
+
+        while have < size:
+            end = min((at for at in ahead if at > have), default=min(have + _WINDOW_BYTES, size))
+            request = (self._system, COMPONENT_AUTOPILOT, number, have, end - have)
+            self._session.send(book.MAVLink_log_request_data_message(*request))
+            self._until(lambda message, end=end: take(message) >= end, _DATA_QUIET_S)  # type: ignore[misc]
+            before = have
+            while have in ahead:
+                data = ahead.pop(have)
+                file.write(data)
+                have += len(data)
+            file.flush()
+            if have > before:
+                progress_s = self._session.now_s()
+                on_progress(min(have / size, 1.0))
+            elif self._session.now_s() - progress_s > SILENCE_S:
+                raise LinkError(
+                    f"the download of log {number} stopped at {100.0 * have / size:.0f} %",
+                    "move closer, and give the same command again: it goes on from there",
+                )
+        self._session.send(book.MAVLink_log_request_end_message(self._system, COMPONENT_AUTOPILOT))
+
+    def _until(self, enough: Callable[[Message], bool], quiet_s: float) -> None:
+        """Take messages in until one is enough, or for so long none of a log has come."""
+        session, heard_s, done = self._session, self._session.now_s(), False
+
+        def listen(message: Message, t_s: float) -> None:
+            nonlocal heard_s, done
+            if message.get_type() in ("LOG_ENTRY", "LOG_DATA"):
+                heard_s, done = t_s, enough(message) or done
+
+        session.listen(listen)
         try:
-            result, share = events.get(timeout=SILENCE_S)
-        except queue.Empty:
-            raise LinkError(f"the download of log {entry.id} stopped", "move closer, or read the card") from None
-        if result == LogFilesResult.NEXT:
-            if on_progress is not None:
-                on_progress(share)
-            continue
-        if result == LogFilesResult.SUCCESS:
-            return
-        raise LinkError(
-            f"log {entry.id} was not downloaded: {result.name.lower().replace('_', ' ')}", "try again, or read the card"
-        )
+            while not done and 0.0 <= session.now_s() - heard_s < quiet_s:
+                session.advance(session.now_s() + _LOOK_EVERY_S)
+        finally:
+            session.forget(listen)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.link.onboard import fetch
+from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.recordings.sources import open_recording
 from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.pipeline.vehicles.live import BUILTIN
@@ -13,7 +14,9 @@ from flighttest.recording.store import MANIFEST_NAME, write_recording
 from flighttest.report.document import Document
 
 
-def fetch_log(url: str, output: Path, number: int | None = None, progress: Progress = SILENT) -> Result:
+def fetch_log(
+    url: str, output: Path, number: int | None = None, progress: Progress = SILENT, key: Path | None = None
+) -> Result:
     """Download an onboard log: into a file named so, or as onboard.bin into a run folder (made where there is none)."""
     is_file = output.suffix.lower() in (".bin", ".ulg", ".log")
     path = output if is_file else output / "onboard.bin"
@@ -32,7 +35,7 @@ def fetch_log(url: str, output: Path, number: int | None = None, progress: Progr
             told = tenth
             progress.stage(f"downloading: {tenth * 10} %")
 
-    log = fetch(url, path, number, tell)
+    log = fetch(url, path, number, tell, read_key(key) if key is not None else None)
     if not is_file and not (output / MANIFEST_NAME).exists():
         progress.stage("reading the log")
         write_recording(output, open_recording(path))
