@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
+import io
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,7 @@ _WINDOW_BYTES = 90 * 512  # asked for at once; a LOG_DATA message has 90
 _TRIES = 4
 _LIST_QUIET_S, _DATA_QUIET_S = 2.0, 0.5  # without one of its messages a request is repeated
 _LOOK_EVERY_S = 0.02
+_OVERLAP_BYTES = 90 * 50
 _SCHEMES = {
     "udpin": "udpin",
     "udp": "udpin",
@@ -108,17 +111,33 @@ class LogDownload:
             known = ", ".join(str(n) for n in sorted(found)[-8:])
             raise LinkError(f"the vehicle has no log {chosen}", f"it has {known}")
         entry = found[chosen]
-        # Named by what it is a part of: another log, or one that has grown, is begun anew.
-        part = target.with_name(f"{target.name}.{chosen}-{entry.time_utc}-{entry.size}.part")
+        part = target.with_name(f"{target.name}.{chosen}.part")
         target.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("ab") as file:
+        with part.open("a+b") as file:
+            if not self._is_part(chosen, int(entry.size), file):
+                file.truncate(0)
             self._download(chosen, int(entry.size), file, on_progress)
         part.replace(target)
         date = dt.datetime.fromtimestamp(entry.time_utc, dt.UTC).isoformat() if entry.time_utc else ""
         return OnboardLog(chosen, date, int(entry.size))
 
-    def _download(self, number: int, size: int, file: IO[bytes], on_progress: Callable[[float], None]) -> None:
-        have, progress_s = file.tell(), self._session.now_s()
+    def _is_part(self, number: int, size: int, file: IO[bytes]) -> bool:
+        """Whether what a file holds is the beginning of this log, which may have grown: by its end, asked for again."""
+        have = file.seek(0, os.SEEK_END)
+        begin = max(have - _OVERLAP_BYTES, 0)
+        file.seek(begin)
+        known = file.read()
+        if not known or have > size:
+            return False
+        again = io.BytesIO()
+        self._download(number, have, again, lambda _share: None, begin)
+        return again.getvalue() == known
+
+    def _download(
+        self, number: int, size: int, file: IO[bytes], on_progress: Callable[[float], None], begin: int | None = None
+    ) -> None:
+        """Add to a file what it lacks up to `size`, from `begin` on where it is not the file's own length."""
+        have, progress_s = file.seek(0, os.SEEK_END) if begin is None else begin, self._session.now_s()
         ahead: dict[int, bytes] = {}  # what has come, by its place
 
         def take(message: Message) -> int:

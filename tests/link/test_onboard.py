@@ -97,6 +97,14 @@ def test_a_download_that_was_cut_goes_on_where_it_stopped(tmp_path: Path) -> Non
     assert (tmp_path / "a.BIN").read_bytes() == LOG
 
 
+def test_a_part_of_another_log_is_begun_anew(tmp_path: Path) -> None:
+    (tmp_path / "a.BIN.2.part").write_bytes(bytes(50_000))
+    keeper = Keeper()
+    download(keeper, tmp_path / "a.BIN")
+    assert 0 in keeper.asked_from
+    assert (tmp_path / "a.BIN").read_bytes() == LOG
+
+
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="has no log 7"):
         download(Keeper(), tmp_path / "a.BIN", 7)
