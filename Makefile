@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check faults faults-sitl frozen sitl docs notebooks clean
+.PHONY: demo test check faults faults-sitl frozen sitl docs docs-site docs-figures notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -35,6 +35,14 @@ faults-sitl: .venv/installed  ## the dangerous ones on a real ArduCopter (`arduc
 
 docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py
+
+docs-site:  ## the documentation as a web site that needs no network, in build/site
+	test -x build/docs-venv/bin/mkdocs || { $(PYTHON) -m venv build/docs-venv && \
+	build/docs-venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock; }
+	build/docs-venv/bin/mkdocs build --strict --quiet
+
+docs-figures: .venv/installed  ## measure the figures of docs/currency.md on recordings beside the checkout again
+	$(BIN)/python -m benchmarks.currency_recorded --write docs/currency.md
 
 notebooks: .venv/installed  ## execute the notebooks in examples/ and write what they show
 	$(BIN)/python docs/notebooks.py

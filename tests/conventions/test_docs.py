@@ -1,8 +1,11 @@
 """Prose that can be computed is computed: the generated parts of the docs are current."""
 
 import importlib.util
+import re
+import tomllib
 
 import pytest
+import yaml
 
 
 @pytest.fixture(scope="module")
@@ -27,3 +30,51 @@ def test_every_command_has_help_and_json(generate):
     for name, command in generate.cli.commands.items():
         assert command.help, name
         assert any("--json" in option.opts for option in command.params), name
+
+
+def commands_of(text):
+    """Words of every `flighttest ...` in code, up to what a shell would take for another command."""
+    code = [*re.findall(r"```\w*\n(.*?)```", text, re.DOTALL), *re.findall(r"`(flighttest [^`\n]+)`", text)]
+    lines = [line.strip().removeprefix("$ ") for block in code for line in block.replace("\\\n", " ").splitlines()]
+    return [re.split(r" [|#>] ", line)[0].split()[1:] for line in lines if line.startswith("flighttest ")]
+
+
+def wrong_in(words, commands):
+    """What is wrong with a command line of the docs, '' where nothing is."""
+    if not words or words[0].startswith("-") or words[0].isupper():
+        return ""
+    if words[0] not in commands:
+        return f"there is no command {words[0]}"
+    known = {o for p in commands[words[0]].params for o in p.opts} | {"--help", "-h"}
+    unknown = [w for w in words if w.startswith("-") and re.match(r"--?[a-z]", w) and w.rstrip(".,;:)") not in known]
+    return f"{words[0]} has no {' '.join(unknown)}" if unknown else ""
+
+
+def test_commands_in_the_docs_exist_with_their_options(generate, repository):
+    pages = [p for p in (repository / "docs").glob("*.md") if p.name != "cli.md"]
+    tried = [
+        (page.name, words) for page in [*pages, repository / "README.md"] for words in commands_of(page.read_text())
+    ]
+    assert len(tried) > 60
+    found = [
+        f"{page}: {' '.join(words)}: {why}" for page, words in tried if (why := wrong_in(words, generate.cli.commands))
+    ]
+    assert not found
+
+
+def test_the_check_sees_commands_that_do_not_exist(generate):
+    assert wrong_in(["fitt", "x"], generate.cli.commands)
+    assert wrong_in(["fit", "x", "--nope"], generate.cli.commands)
+    assert commands_of("a `flighttest fit x` b\n```\n$ flighttest show y | tail\n```") == [["show", "y"], ["fit", "x"]]
+
+
+def test_every_page_is_in_the_site_and_says_the_version_that_is(repository):
+    site = yaml.safe_load((repository / "mkdocs.yml").read_text())
+    pages = [v for entry in site["nav"] for v in entry.values()]
+    named = {p for v in pages for p in ([v] if isinstance(v, str) else [q for one in v for q in one.values()])}
+    assert named == {p.name for p in (repository / "docs").glob("*.md")}
+    project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
+    assert yaml.safe_load((repository / "CITATION.cff").read_text())["version"] == project["version"]
+    install = (repository / "docs" / "install.md").read_text()
+    for dependency in project["dependencies"]:
+        assert re.split(r"[<>=]", dependency)[0] in install, "docs/install.md says what each dependency is for"

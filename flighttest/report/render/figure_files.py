@@ -14,7 +14,7 @@ from flighttest.report.document import Choice, Document, Figure
 from flighttest.report.render.svg import as_svg
 
 
-def pictures_of(document: Document) -> Iterator[tuple[str, Figure]]:
+def named_figures(document: Document) -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of every figure; of a choice each with the name it is picked by."""
     for section in document.sections:
         for block in section.blocks:
@@ -29,7 +29,7 @@ def write_figures(document: Document, folder: Path) -> list[Path]:
     """NAME.svg and NAME.csv of every figure (panel, trace, x, y, z per row); the paths written."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, figure in pictures_of(document):
+    for name, figure in named_figures(document):
         picture, numbers = folder / f"{name}.svg", folder / f"{name}.csv"
         picture.write_text(as_svg(figure), encoding="utf-8")
         with numbers.open("w", newline="", encoding="utf-8") as file:

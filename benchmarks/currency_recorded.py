@@ -1,0 +1,81 @@
+"""Validity of a model on recorded flights of a Crazyflie with damaged propellers or a weight (CrazyPAD, `controller_data`).
+
+    python -m benchmarks.currency_recorded --write docs/currency.md
+
+Fits the undamaged flights together and asks of every folder whether that model still holds. The recordings lie in
+`propeller_damage/controller_data` of $FLIGHTTEST_DATA, or of ../shared/data beside the checkout. It takes a minute.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from flighttest.pipeline.identification import comparison as keeping
+from flighttest.pipeline.identification import fitting as analysis
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+UNDAMAGED = "normal_flight"
+BLOCK = re.compile(r"(<!-- measured: benchmarks/currency_recorded.py -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def folder_of_recordings() -> Path:
+    """Where the recordings are; SystemExit with a sentence where they are not."""
+    data = Path(os.environ.get("FLIGHTTEST_DATA") or REPOSITORY.parent / "shared" / "data")
+    folder = data / "propeller_damage" / "controller_data"
+    if not (folder / UNDAMAGED).is_dir():
+        raise SystemExit(f"{folder} is not here: set FLIGHTTEST_DATA to the folder of recordings")
+    return folder
+
+
+def row(name: str, flights: int, data: dict[str, Any]) -> str:
+    """One line of the table: how the throttle that holds height moved, its chance, and what `status` says."""
+    test = next((t for t in data["tests"] if "hover_throttle" in t["shifts"]), None)
+    if test is None:
+        return f"| {name} | {flights} | - | - | - | {data['verdict'].lower()} |"
+    moved, detectable = test["shifts"]["hover_throttle"][0], test["detectable"]["hover_throttle"]
+    return (
+        f"| {name} | {flights} | {moved:+.1%} | {test['p_value']:.2g} | {detectable:.1%} | {data['verdict'].lower()} |"
+    )
+
+
+def measured() -> str:
+    """The table."""
+    folder = folder_of_recordings()
+    lines = [
+        "| flights | number | throttle that holds height | chance without a change | shows from | answer |",
+        "|---|---|---|---|---|---|",
+    ]
+    with tempfile.TemporaryDirectory() as scratch:
+        model = Path(scratch) / "model.yaml"
+        analysis.fit(sorted((folder / UNDAMAGED).iterdir()), model)
+        for one in sorted(p for p in folder.iterdir() if p.is_dir()):
+            runs = tuple(sorted(one.iterdir()))
+            found = keeping.status(runs, None, model, Path(scratch) / "runs", None)
+            lines.append(row(one.name, len(runs), dict(found.data)))
+            print(lines[-1], file=sys.stderr)
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure, and print or write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", type=Path, help="page whose measured block is replaced")
+    asked = parser.parse_args()
+    table = measured()
+    if asked.write is None:
+        print(table, end="")
+        return
+    text = asked.write.read_text(encoding="utf-8")
+    if not BLOCK.search(text):
+        raise SystemExit(f"{asked.write} has no block for this benchmark")
+    asked.write.write_text(BLOCK.sub(lambda m: m.group(1) + table + m.group(2), text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
