@@ -98,7 +98,7 @@ def status(
 
     with LiveProgress(context.show) as progress:
         present = live.read(connect, progress) if connect is not None else None
-        recordings = open_recordings(runs, Reading(columns), progress)
+        recordings = open_recordings(runs, Reading(columns), progress) if columns is not None else runs
         result = validity.status(recordings, vehicle, model, out, output, progress, present)
     return context.finish(result)
 

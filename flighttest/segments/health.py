@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from flighttest.channels import HELD_GROUPS
 from flighttest.recording import Recording
@@ -139,6 +138,8 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def spectra(recording: Recording, names: Sequence[str] = SENSORS) -> tuple[Spectrum, ...]:
     """Of sensors, over the longest stretch of flight without a gap; none where that is too short."""
+    from scipy.signal import welch  # brings scipy.stats, which a fit need not wait for
+
     found = []
     for name in names:
         if not recording.has(name):
