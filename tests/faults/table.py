@@ -72,10 +72,14 @@ def some_on_sitl(part: list[tuple[str, When]]) -> list[Cell]:
     from tests.faults.live import fly_live
 
     cells: list[Cell] = []
-    with launch(SitlOptions(airframe="paper", speedup=1.0)) as vehicle:
-        for name, when in part:
-            cells.append(fly_live(vehicle, name, when))
-            tell(cells[-1])
+    todo = list(part)
+    while todo:  # on another vehicle, where one could not be brought down for the next cell
+        with launch(SitlOptions(airframe="paper", speedup=1.0)) as vehicle:
+            down = True
+            while todo and down:
+                cell, down = fly_live(vehicle, *todo.pop(0))
+                tell(cell)
+                cells.append(cell)
     return cells
 
 
