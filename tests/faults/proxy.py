@@ -249,7 +249,7 @@ class Proxy:
 
     def _altered(self, message: object) -> bytes:
         kind, fault = message.get_type(), self.fault  # type: ignore[attr-defined]
-        again = parser(1, 1)
+        again = parser(message.get_srcSystem(), message.get_srcComponent())  # type: ignore[attr-defined]
         again.seq = message.get_seq()  # type: ignore[attr-defined]
         if kind == "PARAM_VALUE" and message.param_id == "SIM_LOCKSTEP":  # type: ignore[attr-defined]
             value = (message.param_value, message.param_type, message.param_count, message.param_index)  # type: ignore[attr-defined]
