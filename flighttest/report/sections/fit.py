@@ -197,7 +197,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
     rows = tuple(
         (
             s.name,
-            SHORT_WORDS.get(s.kind, KIND_WORDS.get(s.kind, s.kind)),
+            SHORT_WORDS.get(s.kind, KIND_WORDS.get(s.kind, s.kind).removesuffix(" step")),
             cell_words(s.cell),
             str(s.repeat),
             *(_metric(s.metrics.get(m)) for m in metric_names),
@@ -222,7 +222,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
         blocks.append(Bullets(tuple(outliers)))
     if rows:
         steady = [4 + i for i, m in enumerate(metric_names) if m in ("settling_s", "steady_error")]
-        detail = (*steady, len(columns) - 1)
+        detail = (3, *steady, len(columns) - 1)
         blocks.append(Table(columns, rows, align, fold=len(rows) > 12, detail=detail))  # type: ignore[arg-type]
     return Section("segments", "Responses", tuple(blocks), lead)
 
