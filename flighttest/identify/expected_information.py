@@ -34,7 +34,7 @@ AFTER_S = 0.4
 ASSUMED = Noise(
     {
         "roll_rad": 0.004, "pitch_rad": 0.004, "r_rad_s": 0.02, "f_x_m_s2": 0.3, "f_y_m_s2": 0.3, "f_z_m_s2": 0.3,
-        "v_x_m_s": 0.08, "v_y_m_s": 0.08, "v_z_m_s": 0.08,
+        "v_x_m_s": 0.08, "v_y_m_s": 0.08, "v_z_m_s": 0.08, "a_x_m_s2": 0.3, "a_y_m_s2": 0.3, "a_z_m_s2": 0.3,
     },
     {
         "roll_d_rad": 0.003, "pitch_d_rad": 0.003, "yaw_rate_d_rad_s": 0.01,

@@ -70,6 +70,16 @@ def test_a_log_without_anything_to_fit_is_shown_too(call, tmp_path, monkeypatch)
     assert "flighttest segment only.v2.csv --all" in out
 
 
+def test_a_table_with_velocity_but_no_accelerometer_is_judged_too(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(0, 20, 0.02)
+    rows = "\n".join(f"{a:.3f},0,0,{0.3 * np.sin(a):.5f},0,0,{0.4 + 0.05 * np.cos(a):.4f}" for a in t)
+    (tmp_path / "slow.csv").write_text(f"t_s,v_x_m_s,v_y_m_s,v_z_m_s,roll_rad,pitch_rad,throttle\n{rows}\n")
+    code, out, _ = call("show", "slow.csv", "--json")
+    assert code == 0
+    assert json.loads(out)["outlook"]
+
+
 def test_a_long_channel_keeps_its_peaks():
     t = np.linspace(0.0, 100.0, 100_000)
     y = np.sin(t)
