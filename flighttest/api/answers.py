@@ -173,13 +173,13 @@ class Diagnosed(Answer):
         """One row per finding and parameter: term, title, verdict, sentence, parameter, value, std, unit."""
         import pandas as pd
 
-        rows = []
+        rows: list[dict[str, object]] = []
         for f in self.diagnosis.findings:
             head = {"term": f.term, "title": f.title, "verdict": f.verdict.name, "sentence": f.sentence}
-            for name, p in f.parameters.items() or [("", {})]:
-                rows.append(
-                    head | {"parameter": name, "value": p.get("value"), "std": p.get("std"), "unit": p.get("unit")}
-                )
+            rows += [
+                head | {"parameter": name, "value": p["value"], "std": p["std"], "unit": p["unit"]}
+                for name, p in f.parameters.items()
+            ] or [head | {"parameter": "", "value": None, "std": None, "unit": None}]
         columns = ["term", "title", "verdict", "sentence", "parameter", "value", "std", "unit"]
         return pd.DataFrame(rows, columns=columns)
 

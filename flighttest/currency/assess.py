@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from flighttest.currency.battery import check
 from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
@@ -23,6 +22,7 @@ from flighttest.currency.model import (
     Verdict,
 )
 from flighttest.currency.sequence import drifts
+from flighttest.vehicle.fingerprint import FingerprintData
 
 SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
 
@@ -49,8 +49,8 @@ class Evidence:
 
 def assess(
     *,
-    model_fingerprint: Mapping[str, Any],
-    vehicle_fingerprint: Mapping[str, Any] | None,
+    model_fingerprint: FingerprintData,
+    vehicle_fingerprint: FingerprintData | None,
     stored: Estimates,
     new: Evidence | None = None,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
@@ -126,7 +126,7 @@ def assess(
     )
 
 
-def _same_parameters(model: Mapping[str, Any], vehicle: Mapping[str, Any]) -> str:
+def _same_parameters(model: FingerprintData, vehicle: FingerprintData) -> str:
     """What was compared where both sides know their parameters, in words."""
     count = len(set(model.get("shaping_parameters") or ()) & set(vehicle.get("shaping_parameters") or ()))
     return (

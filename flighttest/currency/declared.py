@@ -9,6 +9,7 @@ from fnmatch import fnmatch
 from typing import Any
 
 from flighttest.currency.model import ALL_SCRIPTS, SCRIPTS, SUBSETS, Change
+from flighttest.vehicle.fingerprint import FingerprintData
 
 EVERYTHING = tuple(SUBSETS)
 # What a component acts on, and why that is all; anything not named here touches everything.
@@ -68,7 +69,7 @@ FEW, PARTLY = 5, 0.2  # number and share of the parameters that a firmware's nex
 _UNTELLING_FIELDS = frozenset({"installed", "note", "notes", "comment", "url"})
 
 
-def declared_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[tuple[Change, ...], tuple[str, ...]]:
+def declared_changes(before: FingerprintData, after: FingerprintData) -> tuple[tuple[Change, ...], tuple[str, ...]]:
     """Changes between two fingerprints (as in model.yaml), and what could not be compared, one sentence each.
 
     Only what both sides know is compared: something one side never declared is unknown, not changed.
@@ -77,8 +78,10 @@ def declared_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tup
     unknown: list[str] = []
     changes += _components(before.get("components") or {}, after.get("components") or {}, unknown)
     changes += _firmware(before, after, unknown)
-    for key, kind, words in (("nominal_voltage_v", "voltage", "nominal voltage"), ("frame", "frame", "frame")):
-        old, new = before.get(key), after.get(key)
+    for kind, words, old, new in (
+        ("voltage", "nominal voltage", before.get("nominal_voltage_v"), after.get("nominal_voltage_v")),
+        ("frame", "frame", before.get("frame"), after.get("frame")),
+    ):
         if old is not None and new is not None and not same(old, new):
             changes.append(_everything(kind, words, old, new))
     changes += _mass(before.get("mass_kg"), after.get("mass_kg"))
@@ -86,7 +89,7 @@ def declared_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tup
     return tuple(changes), tuple(unknown)
 
 
-def same_parts(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+def same_parts(before: FingerprintData, after: FingerprintData) -> bool:
     """Whether every component is declared on both sides and the same, or, where none is declared, the parameters are."""
     parts, today = before.get("components") or {}, after.get("components") or {}
     if parts or today:
@@ -146,7 +149,7 @@ def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
     return found
 
 
-def _firmware(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
+def _firmware(before: FingerprintData, after: FingerprintData, unknown: list[str]) -> list[Change]:
     old, new = before.get("firmware"), after.get("firmware")
     if not old or not new:
         unknown.append("the firmware of " + ("the model's flight" if not old else "today's vehicle") + " is not known")

@@ -258,8 +258,8 @@ def predicted(
 
 def floors_of(found: Fit, diagnosis: Diagnosis) -> dict[str, float]:
     """Noise floor of each channel: what the repeats differ by, as the diagnosis has it, else the fast part of the residual."""
-    known = {c: diagnosis.noise_floor.get(short(c), {}).get("value") for c in found.quality}
-    return {c: float(known[c] or q.floor) for c, q in found.quality.items()}
+    known = {c: floor["value"] for c in found.quality if (floor := diagnosis.noise_floor.get(short(c))) is not None}
+    return {c: float(known.get(c) or q.floor) for c, q in found.quality.items()}
 
 
 def _prediction(
@@ -322,7 +322,7 @@ def mass_notes(found: Sequence[Difference], real: Side, simulated: Side) -> tupl
     both = [n for n in real.errors if n in simulated.errors]
     test = mass_test(
         {n: (simulated.values[n], simulated.errors[n][0]) for n in both},
-        {n: {"value": real.values[n], "scatter": real.errors[n][0]} for n in both},
+        {n: (real.values[n], real.errors[n][0]) for n in both},
     )
     return (f"from the simulator to reality {test['sentence']}",) if test.get("thrust_changed") else ()
 

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.model import Located, TermVerdict, Untestable, brief, flown, short
+from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, MapCell, Overlay, RegimeCurve
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
-from flighttest.diagnose.selection.held_out import excess, gains_held_out, held_out, horizon_rmse
+from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, held_out, horizon_rmse
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.estimation.estimator import Estimator, part_of
 from flighttest.identify.dead_time import onset_delay, start_values
@@ -63,12 +63,12 @@ class Answer:
     located: list[Located] = field(default_factory=list)
     unseen: list[Untestable] = field(default_factory=list)
     levels: dict[str, tuple[float, str]] = field(default_factory=dict)
-    heldout: dict[str, dict[str, Any]] = field(default_factory=dict)
-    floors: dict[str, dict[str, Any]] = field(default_factory=dict)
-    cells: list[Any] = field(default_factory=list)
-    curves: list[Any] = field(default_factory=list)
-    overlaid: list[Any] = field(default_factory=list)
-    candidates: list[dict[str, Any]] = field(default_factory=list)
+    heldout: dict[str, dict[str, HeldOutRow]] = field(default_factory=dict)
+    floors: dict[str, FloorRow] = field(default_factory=dict)
+    cells: list[MapCell] = field(default_factory=list)
+    curves: list[RegimeCurve] = field(default_factory=list)
+    overlaid: list[Overlay] = field(default_factory=list)
+    candidates: list[CandidateRow] = field(default_factory=list)
     baselines: dict[str, dict[str, float]] = field(default_factory=dict)
     shares: list[float] = field(default_factory=list)
     staying: set[str] = field(default_factory=set)
@@ -154,13 +154,13 @@ def _acts(term: Term, estimator: Estimator, model: Model) -> bool:
     return any(p.name in known for p in term.params)
 
 
-def _held(h: Any) -> dict[str, Any]:
+def _held(h: HeldOut) -> HeldOutRow:
     return {"rmse_before": h.rmse_before, "rmse_after": h.rmse_after, "floor": h.floor, "gain_95": list(h.gain_95)}
 
 
-def _candidates(search: Search) -> list[dict[str, Any]]:
+def _candidates(search: Search) -> list[CandidateRow]:
     """Every candidate's evidence, for the table of what was ruled out and why."""
-    found = []
+    found: list[CandidateRow] = []
     for e in {**search.rejected, **search.evidence}.values():
         named = e.term in search.evidence
         why = f"{brief(e.floors)} noise floors in {short(e.place[0])} of {flown(e.place[1])}" if named else e.why_not

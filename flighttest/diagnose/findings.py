@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
+from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.comparison import Evidence
 from flighttest.diagnose.selection.held_out import gains_held_out, held_out
 from flighttest.diagnose.selection.search import Search
@@ -17,20 +16,17 @@ from flighttest.estimation.linearisation import FloatArray, IntArray
 from flighttest.identify.fit import Fit
 
 
-def parameter_table(found: Fit) -> dict[str, dict[str, Any]]:
+def parameter_table(found: Fit) -> dict[str, ParameterRow]:
     """Name to value, std, unit and 95 % interval of every estimated parameter, as in model.yaml; scatter: std, as comparisons of two fits
     take it; at_bound where an estimate lies on its bound."""
-    table = {}
+    table: dict[str, ParameterRow] = {}
     for name, e in found.estimates.items():
         if e.std is None or e.interval_95 is None or name not in found.model.param:
             continue
         table[name] = {
-            "value": e.value,
-            "std": e.std,
-            "unit": e.unit,
-            "interval_95": list(e.interval_95),
-            "scatter": e.scatter,
-        } | ({"at_bound": True} if name in found.solution.at_bound else {})
+            "value": e.value, "std": e.std, "unit": e.unit, "interval_95": list(e.interval_95),
+            "scatter": e.std if e.scatter is None else e.scatter,
+        }  # fmt: skip
     for name in found.solution.at_bound:
         p, value = found.model.param[name], found.solution.values[name]
         spread = (p.upper - p.lower) / float(np.sqrt(12.0))  # all that is known of it is its range
@@ -40,9 +36,7 @@ def parameter_table(found: Fit) -> dict[str, dict[str, Any]]:
     return table
 
 
-def finding(
-    search: Search, term_id: str, table: Mapping[str, Mapping[str, Any]], groups: IntArray, seed: int
-) -> Finding:
+def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], groups: IntArray, seed: int) -> Finding:
     """One accepted term against the same model without it. table: parameters of the final model (`parameter_table`)."""
     assert search.now is not None
     assert search.floor is not None
@@ -50,7 +44,9 @@ def finding(
     without = evidence.without
     before, after = held_out(without.rows, without.names, groups), held_out(search.now.rows, search.now.names, groups)
     heldout = {
-        short(name): {**asdict(h), "gain_95": list(h.gain_95)}
+        short(name): HeldOutRow(
+            rmse_before=h.rmse_before, rmse_after=h.rmse_after, floor=h.floor, gain_95=list(h.gain_95)
+        )
         for name, h in gains_held_out(without.rows, before, search.now.rows, after, groups, search.floor, seed).items()
     }
     parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
@@ -102,7 +98,7 @@ def finding(
     )
 
 
-def held_out_gain(heldout: Mapping[str, Mapping[str, Any]], evidence: Evidence) -> float:
+def held_out_gain(heldout: Mapping[str, HeldOutRow], evidence: Evidence) -> float:
     """Of the held-out mean square above the noise floor, in the channel where the term shows most, the share that is gone with it."""
     h = heldout[short(evidence.place[0])]
     above = h["rmse_before"] ** 2 - h["floor"] ** 2
@@ -113,7 +109,7 @@ def _percent(probability: float) -> str:
     return "above 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
 
 
-def _told(name: str, v: Mapping[str, Any]) -> str:
+def _told(name: str, v: ParameterRow) -> str:
     """A parameter in words."""
     unit = "" if v["unit"] == "1" else f" {v['unit']}"
     if v.get("at_bound"):

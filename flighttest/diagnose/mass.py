@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from flighttest.diagnose.records import MassChange
 from flighttest.estimation.uncertainty.distributions import normal_beyond, normal_quantile
 from flighttest.identify.mass import FORCES, SIGNIFICANT, change, thrust_or_mass
 
 
 def mass_test(
-    previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
+    previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, tuple[float, float]]
+) -> MassChange:
     """Against the previous parameters: ratio of K, one common ratio of all forces and whether it fits; {} where nothing can be compared."""
     changes: dict[str, tuple[float, float]] = {}
     for name in FORCES:
         if name not in previous or name not in after:
             continue
         old, old_std = previous[name]
-        new, new_std = float(after[name]["value"]), float(after[name]["scatter"])
+        new, new_std = after[name]
         if old > 0 and new > 0:
             changes[name] = change(old, old_std or 0.0, new, new_std)
     if "K" not in changes:
         return {}
     test = thrust_or_mass(changes)
     thrust, std = changes["K"][0], float(np.sqrt(changes["K"][1]))
-    found: dict[str, Any] = {
+    found: MassChange = {
         "thrust_ratio": float(np.exp(thrust)),
         "thrust_changed": normal_beyond(thrust / std) < SIGNIFICANT,
         "common_ratio": test.common_ratio,
@@ -35,20 +35,20 @@ def mass_test(
     }
     if not found["thrust_changed"]:
         least = 100 * std * normal_quantile(1.0 - SIGNIFICANT / 2)
-        return found | {"sentence": f"no change of thrust per mass is seen (one above {least:.1f} % would show)"}
+        found["sentence"] = f"no change of thrust per mass is seen (one above {least:.1f} % would show)"
+        return found
     changed = f"{100 * (float(np.exp(thrust)) - 1):+.1f} %"
-    found |= {"answer": test.answer}
+    found["answer"] = test.answer
     if test.same_ratio_p is None:
-        return found | {
-            "sentence": f"thrust per mass changed by {changed}: thrust or mass, drag is not known well enough to tell"
-        }
+        found["sentence"] = (
+            f"thrust per mass changed by {changed}: thrust or mass, drag is not known well enough to tell"
+        )
+        return found
     words = {
         "mass": f"all forces per mass changed by one ratio: the mass changed by {100 * (1 / test.common_ratio - 1):+.1f} %",
         "thrust": f"thrust changed by {changed} and drag did not: propulsion, not mass",
         "thrust or mass": f"thrust per mass changed by {changed}: thrust or mass",
     }[test.answer]
-    return found | {
-        "same_ratio_p": test.same_ratio_p,
-        "drag_unchanged_p": test.drag_unchanged_p,
-        "sentence": words,
-    }
+    found["same_ratio_p"], found["drag_unchanged_p"] = test.same_ratio_p, test.drag_unchanged_p
+    found["sentence"] = words
+    return found

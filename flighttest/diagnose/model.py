@@ -8,6 +8,24 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum, StrEnum
 from typing import Any
 
+from flighttest.diagnose.records import (
+    CandidateRow,
+    Cost,
+    Description,
+    EvidenceRow,
+    FloorRow,
+    HeldOutRow,
+    MapCell,
+    MassChange,
+    NextReason,
+    Overlay,
+    ParameterRow,
+    Regime,
+    RegimeCurve,
+    ScriptData,
+    SetAside,
+    Unexplained,
+)
 from flighttest.identify.fit import Fit
 from flighttest.physics.model import Model
 
@@ -48,7 +66,7 @@ class Located:
     channel: str
     maneuver: str
     kind: str
-    regime: Mapping[str, Any]
+    regime: Regime
     excess_share: float
     sample_share: float
     sentence: str
@@ -81,9 +99,9 @@ class Finding:
     verdict: TermVerdict
     equation: str
     plain: str
-    parameters: Mapping[str, Mapping[str, Any]]
-    heldout: Mapping[str, Mapping[str, Any]]
-    evidence: Mapping[str, Any]
+    parameters: Mapping[str, ParameterRow]
+    heldout: Mapping[str, HeldOutRow]
+    evidence: EvidenceRow
     rivals: tuple[Rival, ...]
     sentence: str
     source: str
@@ -118,28 +136,28 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     not_needed: tuple[str, ...]
     untestable: tuple[Untestable, ...]
-    unexplained: Mapping[str, Any]
+    unexplained: Unexplained
     smallest_detectable: Mapping[str, float]
     model: Model
     values: Mapping[str, float]
     accepted: tuple[str, ...]
-    before: Mapping[str, Mapping[str, Any]]
-    after: Mapping[str, Mapping[str, Any]]
-    heldout: Mapping[str, Mapping[str, Any]]
-    noise_floor: Mapping[str, Mapping[str, Any]]
+    before: Mapping[str, ParameterRow]
+    after: Mapping[str, ParameterRow]
+    heldout: Mapping[str, Mapping[str, HeldOutRow]]
+    noise_floor: Mapping[str, FloorRow]
     baselines: Mapping[str, Mapping[str, float]]
-    residual_map: tuple[Mapping[str, Any], ...]
-    regimes: tuple[Mapping[str, Any], ...]
-    overlays: tuple[Mapping[str, Any], ...]
+    residual_map: tuple[MapCell, ...]
+    regimes: tuple[RegimeCurve, ...]
+    overlays: tuple[Overlay, ...]
     smallest_units: Mapping[str, str] = field(default_factory=dict)
-    candidates: tuple[Mapping[str, Any], ...] = ()
-    cost: Mapping[str, Any] = field(default_factory=dict)
-    unknown: tuple[Mapping[str, Any], ...] = ()
-    mass: Mapping[str, Any] = field(default_factory=dict)
+    candidates: tuple[CandidateRow, ...] = ()
+    cost: Cost = field(default_factory=Cost)
+    unknown: tuple[Description, ...] = ()
+    mass: MassChange = field(default_factory=MassChange)
     next_flight: str | None = None
-    next_script: Mapping[str, Any] | None = None
-    next_reason: Mapping[str, Any] = field(default_factory=dict)
-    set_aside: Mapping[str, Any] = field(default_factory=dict)
+    next_script: ScriptData | None = None
+    next_reason: NextReason = field(default_factory=NextReason)
+    set_aside: SetAside = field(default_factory=SetAside)
     notes: tuple[str, ...] = ()
     complete: bool = True
     runs: tuple[str, ...] = ()

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import yaml
 
 from flighttest.diagnose.model import brief
+from flighttest.diagnose.records import NextReason, ScriptData
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import Fitted
 from flighttest.diagnose.selection.search import Search
@@ -49,7 +49,7 @@ TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop
 
 
 # A script's data, the model and its values to the script as it can be flown and its size (share of the shipped one), None where it cannot.
-Flyable = Callable[[dict[str, Any], Model, Mapping[str, float]], tuple[dict[str, Any], float] | None]
+Flyable = Callable[[ScriptData, Model, Mapping[str, float]], tuple[ScriptData, float] | None]
 
 
 @dataclass(frozen=True)
@@ -61,22 +61,20 @@ class Question:
     size: Mapping[str, float]
 
 
-def as_shipped(
-    script: dict[str, Any], _model: Model, _values: Mapping[str, float]
-) -> tuple[dict[str, Any], float] | None:
+def as_shipped(script: ScriptData, _model: Model, _values: Mapping[str, float]) -> tuple[ScriptData, float] | None:
     """Where no zone is known: any script, as it is."""
     return script, 1.0
 
 
 def propose(
     search: Search, questions: Sequence[Question], values: Mapping[str, float], flyable: Flyable = as_shipped
-) -> dict[str, Any]:
+) -> tuple[NextReason, ScriptData] | None:
     """The maneuver with the best odds for the first question that any can answer, of those that can be flown; where none of them answers
-    it, the best of the others, for a larger zone. {} when none can."""
+    it, the best of the others, for a larger zone: why, and the script. None when none can."""
     assert search.now is not None
     for question in questions:
         names = dict.fromkeys([question.term.reveals, *([question.rival.reveals] if question.rival else []), *TRIED])
-        best: tuple[bool, float, str, dict[str, Any], float] | None = None
+        best: tuple[bool, float, str, ScriptData, float] | None = None
         for name in [n for n in names if n in shipped_names()][:MOST_TRIED]:
             try:
                 shipped = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
@@ -92,25 +90,27 @@ def propose(
                 best = fitted is not None, odds, name, made, size
         if best is not None:
             return _proposal(question, best[2], best[1], best[3], best[4])
-    return {}
+    return None
 
 
-def _proposal(question: Question, name: str, odds: float, made: dict[str, Any], size: float) -> dict[str, Any]:
+def _proposal(
+    question: Question, name: str, odds: float, made: ScriptData, size: float
+) -> tuple[NextReason, ScriptData]:
     rival = question.rival.id if question.rival else None
     aim = f"to tell {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
     to_one = math.exp(min(odds, 23.0))
     worth = f"{brief(to_one)} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
     how = name if size == 1.0 else f"{name} at {100 * size:.0f} % of its size, to fit the zone"
     script = {**made, "name": "next", "doc": f"{how}, {aim}; odds now 1 to 1, expected after it {worth}"}
-    return {
+    reason: NextReason = {
         "maneuver": name,
         "separates": [question.term.id, *([rival] if rival else [])],
         "size": size,
         "odds_now": 1.0,
         "expected_odds": to_one,
         "sentence": f"Fly {how}, {aim}: odds now 1 to 1, expected after it {worth}.",
-        "script": script,
     }
+    return reason, script
 
 
 def cells_of(script: Script, throttle_unit: float) -> list[Cell]:

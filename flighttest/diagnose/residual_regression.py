@@ -8,12 +8,12 @@ is not a name, and holds only inside the range of the data it came from.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.model import short
+from flighttest.diagnose.records import Description
 from flighttest.diagnose.residuals.locate import VARIABLES, sampled
 from flighttest.diagnose.selection.held_out import folds_of
 from flighttest.diagnose.selection.search import Search
@@ -59,12 +59,12 @@ def candidate_functions(variables: dict[str, FloatArray]) -> dict[str, tuple[Flo
 
 def describe(
     search: Search, segments: Sequence[Segment], groups: IntArray, channels: Collection[str]
-) -> list[dict[str, Any]]:
+) -> list[Description]:
     """Formulas for channels (short names) where a mismatch stays; forces and angles, not velocities (which follow from forces)."""
     assert search.now is not None
     rows = search.now.rows
     variables = sampled(rows, segments)
-    found = []
+    found: list[Description] = []
     for c, name in enumerate(rows.channels):
         if name.startswith("v_") or short(name) not in channels:
             continue

@@ -13,6 +13,7 @@ from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
+from flighttest.diagnose.records import CandidateRow, Description, NextReason, ParameterRow, ScriptData
 from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.residuals.outlying import set_aside
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
@@ -172,13 +173,13 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     staying = {c for a in answers for c in a.staying}
     so_far = _verdict(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
-    formulas: list[dict[str, Any]] = []
+    formulas: list[Description] = []
     if so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
         asked.tell("describing what has no name")
         for search in searches:
             formulas += describe(search, segments, asked.groups, _with_forces(staying))
     asked.tell("choosing the next flight")
-    proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else {}
+    proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
         sentence=_sentence(so_far, findings, share, located, complete) + _moved(asked.previous, after),
@@ -203,15 +204,18 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         overlays=tuple(_all(answers, "overlaid")),
         # What these flights could not have shown was not ruled out by them.
         candidates=tuple(
-            {**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]} if c["term"] in hidden else c
-            for c in _all(answers, "candidates")
+            CandidateRow({**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]})
+            if c["term"] in hidden
+            else c
+            for a in answers
+            for c in a.candidates
         ),
         cost={"added_parameters": len(after) - len(before), "held_out_groups": group_name},
         unknown=tuple(formulas),
-        mass=mass_test(asked.previous, after),
+        mass=mass_test(asked.previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
         next_flight="next.yaml" if proposal else None,
-        next_script=proposal.get("script"),
-        next_reason={k: v for k, v in proposal.items() if k != "script"},
+        next_script=proposal[1] if proposal else None,
+        next_reason=proposal[0] if proposal else {},
         notes=(*_all(answers, "notes"), *cut_short, *_delays(after), *compensated_voltage(after)),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
@@ -255,7 +259,7 @@ def _next(
     unseen: Sequence[Untestable],
     terms: Mapping[str, Term],
     flyable: Flyable,
-) -> dict[str, Any]:
+) -> tuple[NextReason, ScriptData] | None:
     """The flight that tells rivals apart; where there are none, one that shows what could not be seen."""
     for search in searches:
         assert search.now is not None
@@ -285,7 +289,7 @@ def _next(
         ]
         if asked and (made := propose(search, asked[:1], values, flyable)):
             return made
-    return {}
+    return None
 
 
 def _with_forces(channels: set[str]) -> set[str]:
@@ -293,7 +297,7 @@ def _with_forces(channels: set[str]) -> set[str]:
     return channels | {f"{force}_{c[2:]}" for c in channels if c.startswith("v_") for force in ("f", "a")}
 
 
-def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, Mapping[str, Any]]) -> str:
+def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:
     """What the refit of the base has taken up: parameters that are no longer those of the model given."""
     changes = {}
     for name in (n for n in previous if n in after and not n.startswith("T_d")):
@@ -310,7 +314,7 @@ def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[st
     return f" The model given does not hold as it is ({words}{more}): its parameters were fitted anew."
 
 
-def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _delays(table: Mapping[str, ParameterRow]) -> list[str]:
     """Channel delays that differ: the model has one per channel, so this needs no term."""
     known = {n: (float(table[n]["value"]), float(table[n]["scatter"])) for n in DELAY_PARAM.values() if n in table}
     if len(known) < 2:
@@ -326,7 +330,7 @@ def _delays(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def compensated_voltage(table: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def compensated_voltage(table: Mapping[str, ParameterRow]) -> list[str]:
     """Thrust that does not follow the voltage: somebody makes up for it, and it is no physics of the vehicle."""
     alpha = table.get("alpha")
     if alpha is None or float(alpha["value"]) + 2 * float(alpha["std"]) > COMPENSATED:

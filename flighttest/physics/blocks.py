@@ -112,7 +112,7 @@ def _term_states(terms: Sequence[Term], block: str) -> tuple[dict[str, Expr], di
     )
 
 
-def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Mapping[str, Any]) -> Signals:
+def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Mapping[str, float]) -> Signals:
     """Signals whose attitude, rates, height, voltage and time are the measured ones."""
     s = Signals(
         roll=e["roll_rad"], pitch=e["pitch_rad"], yaw=e["yaw_rad"],
@@ -128,7 +128,7 @@ def measured_signals(e: Mapping[str, Expr], p: Mapping[str, Expr], constants: Ma
     return s
 
 
-def translation_block(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> Block:
+def translation_block(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, float]) -> Block:
     """Velocity (world) and a_t, driven by throttle and the measured attitude."""
     p, e = _symbols([q.name for q in params]), _symbols(EXOGENOUS)
     own, initial, spread = _term_states(terms, "translation")
@@ -148,7 +148,7 @@ def translation_block(terms: Sequence[Term], params: Sequence[Param], constants:
     return _Draft("translation", "thrust", delay, x, x_dot, p, u, e, d, y, initial, spread).block()
 
 
-def measured_velocity_block(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> Block:
+def measured_velocity_block(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, float]) -> Block:
     """Specific force and world acceleration at the measured velocity and attitude: the equations of motion, not integrated.
 
     Its states are a_t and those of terms; the velocity is an exogenous signal, so that nothing but the lags has a memory.
@@ -170,7 +170,9 @@ def measured_velocity_block(terms: Sequence[Term], params: Sequence[Param], cons
     ).block()
 
 
-def attitude_blocks(terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any]) -> tuple[Block, ...]:
+def attitude_blocks(
+    terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, float]
+) -> tuple[Block, ...]:
     """Roll, pitch and yaw rate loops; axes that a term couples come as one block."""
     p, e = _symbols([q.name for q in params]), _symbols(EXOGENOUS)
     own, initial, spread = _term_states(terms, "attitude")

@@ -207,7 +207,7 @@ class Model:
         return build_system(self.built_terms, self.params, self.constants, self.attitude_loops)
 
     @property
-    def constants(self) -> dict[str, Any]:
+    def constants(self) -> dict[str, float]:
         """As in model.yaml: g m/s^2, nominal_voltage_v, rotor_height_m."""
         return {"g": self.g_m_s2, "nominal_voltage_v": self.nominal_voltage_v, "rotor_height_m": self.rotor_height_m}
 

@@ -45,7 +45,7 @@ class System:
 
 
 def build_system(
-    terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, Any], attitude_loops: bool
+    terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, float], attitude_loops: bool
 ) -> System:
     """Chain the attitude loops (or attitude inputs) into thrust, forces, velocity and position."""
     p = {q.name: ca.SX.sym(q.name) for q in params}

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, TypedDict, cast
 
 from flighttest.vehicle.model import Vehicle
 
@@ -55,6 +55,18 @@ HARMLESS: frozenset[str] = frozenset(
 )
 
 
+class FingerprintData(TypedDict, total=False):
+    """A `Fingerprint` as model.yaml and the manifest carry it; what is not known is left out."""
+
+    components: dict[str, dict[str, Any]]
+    firmware: str
+    frame: str
+    nominal_voltage_v: float
+    mass_kg: float
+    parameters_sha256: str
+    shaping_parameters: dict[str, float]
+
+
 @dataclass(frozen=True)
 class Fingerprint:
     """What must not change while a model is in use.
@@ -72,7 +84,7 @@ class Fingerprint:
     shaping_parameters: Mapping[str, float] = field(default_factory=dict)
     parameters_sha256: str = ""
 
-    def as_data(self) -> dict[str, Any]:
+    def as_data(self) -> FingerprintData:
         """As model.yaml and the manifest carry it; what is not known is left out."""
         found: dict[str, Any] = {
             "components": {name: dict(fields) for name, fields in self.components.items()},
@@ -83,7 +95,7 @@ class Fingerprint:
             "parameters_sha256": self.parameters_sha256,
             "shaping_parameters": dict(self.shaping_parameters),
         }
-        return {key: value for key, value in found.items() if value not in (None, "", {})}
+        return cast(FingerprintData, {key: value for key, value in found.items() if value not in (None, "", {})})
 
 
 def shaping_parameters(parameters: Mapping[str, float]) -> dict[str, float]:

@@ -79,6 +79,70 @@ def test_what_a_module_says_it_offers_is_there(repository):
             assert not [name for name in said if not hasattr(module, name)], path
 
 
+# Public parameters, results and fields that are dictionaries of anything, by package: what goes to and comes from files and programs as
+# plain data. A number may only fall: what one package tells another is a dataclass or a TypedDict.
+UNTYPED = {
+    "api": 3,
+    "cli": 4,
+    "currency": 1,
+    "diagnose": 1,
+    "documents.py": 1,
+    "flight": 4,
+    "identify": 12,
+    "logs": 1,
+    "mavlink": 2,
+    "pipeline": 16,
+    "plan": 1,
+    "proof": 6,
+    "recording": 6,
+    "report": 1,
+    "script": 2,
+    "segments": 2,
+    "sim": 2,
+    "twin": 2,
+    "vehicle": 8,
+}
+
+
+def untyped(source: str) -> list[str]:
+    """Public functions' parameters and results, and fields of public classes, of a type with dict[str, Any] or Mapping[str, Any] in it."""
+
+    def loose(annotation: ast.expr | None) -> bool:
+        return (
+            annotation is not None and re.search(r"\b(dict|Mapping)\[str, Any\]", ast.unparse(annotation)) is not None
+        )
+
+    def of(body: list[ast.stmt], within: str = "") -> list[str]:
+        found = []
+        for node in body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found += of(node.body, f"{node.name}.")
+            elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                taken = [a for a in (*node.args.args, *node.args.kwonlyargs, node.args.vararg) if a is not None]
+                found += [f"{within}{node.name}({a.arg})" for a in taken if loose(a.annotation)]
+                found += [f"{within}{node.name}()"] if loose(node.returns) else []
+            elif within and isinstance(node, ast.AnnAssign) and loose(node.annotation):
+                found += [f"{within}{ast.unparse(node.target)}"]
+        return found
+
+    return of(ast.parse(source).body)
+
+
+def test_dictionaries_of_anything_only_become_fewer(repository):
+    count: dict[str, int] = {}
+    for path in modules(repository):
+        package = path.relative_to(repository).parts[1]
+        count[package] = count.get(package, 0) + len(untyped(path.read_text()))
+    assert {package: n for package, n in count.items() if n} == UNTYPED, (
+        "one more: give it a type; one less: lower the number"
+    )
+
+
+def test_the_search_for_dictionaries_of_anything_sees_them():
+    source = "class A:\n    x: Mapping[str, Any]\n    def f(self, y: list[dict[str, Any]]) -> int: ...\ndef g() -> dict[str, Any]: ..."
+    assert untyped(source) == ["A.x", "A.f(y)", "g()"]
+
+
 PRIVATE = re.compile(r"_(?!_)\w+")
 # Names with an underscore of other libraries: pymavlink's time of a message, ctypes' and namedtuples' methods.
 FOREIGN = {"_timestamp", "_fields_", "_replace", "_asdict"}

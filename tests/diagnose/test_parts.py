@@ -97,7 +97,7 @@ def test_a_heading_is_the_same_after_a_turn_all_around(rng):
 )
 def test_thrust_or_mass(ratio, drag_ratio, drag_std, answer):
     old = {"K": (50.0, 0.05), "d_x": (0.4, drag_std * 0.4)}
-    new = {"K": {"value": 50.0 * ratio, "scatter": 0.05}, "d_x": {"value": 0.4 * drag_ratio, "scatter": drag_std * 0.4}}
+    new = {"K": (50.0 * ratio, 0.05), "d_x": (0.4 * drag_ratio, drag_std * 0.4)}
     found = mass_test(old, new)
     assert found.get("answer") == answer
     assert found["thrust_changed"] == (answer is not None)

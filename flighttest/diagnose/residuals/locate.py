@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, brief, flown, short
+from flighttest.diagnose.records import MapCell, Regime, RegimeCurve
 from flighttest.diagnose.residuals.discrepancy import correlation_times
 from flighttest.diagnose.residuals.lack_of_fit import DRIFT, NoiseFloor
 from flighttest.estimation.linearisation import Linearisation
@@ -99,10 +100,10 @@ def phase_of(rows: Linearisation, segments: Sequence[Segment]) -> NDArray[np.str
 
 def residual_map(
     before: Linearisation, after: Linearisation, segments: Sequence[Segment], floor: NoiseFloor
-) -> list[dict[str, Any]]:
+) -> list[MapCell]:
     """RMS over the noise floor by channel, kind, cell and phase, of both models."""
     phase = phase_of(before, segments)
-    found = []
+    found: list[MapCell] = []
     by_cell: dict[Any, list[int]] = {}
     for i, s in enumerate(segments):
         by_cell.setdefault(s.cell_key if s.kind != "free" else ("free", ()), []).append(i)
@@ -232,7 +233,7 @@ def located_at(
     words = WORDS.get(name, short(name))
     known = f"where repeats differ by {floor:.3g}" if repeated else f"where {brief(floor)} may be noise (no repeats)"
     head = f"{words.capitalize()} in {flown(kind)}: {rmse:.3g} {unit} {known}"
-    regime: dict[str, Any] = {}
+    regime: Regime = {}
     excess_share, sample_share, peak = 1.0, 1.0, float(r[np.argmax(np.abs(r))])
     if x is not None and share >= LEAST_EXPLAINED and p_value <= 0.05:
         label, _ = VARIABLES[variable]
@@ -248,10 +249,10 @@ def located_at(
                 part, size = float(power[inside & good].sum()) / total, float(np.mean(inside & good))
                 if part - size > best[0]:
                     best = (part - size, side, level, part, size)
-        regime = {"variable": variable}
+        regime["variable"] = variable
         inside = np.ones(r.size, dtype=bool)
         if best[1]:
-            regime[best[1]] = best[2]
+            regime["below" if best[1] == "below" else "above"] = best[2]
             excess_share, sample_share = min(best[3], 1.0), best[4]
             inside = (x <= best[2]) if best[1] == "below" else (x >= best[2])
         bins = np.array_split(np.argsort(x[inside & good]), 5)
@@ -279,11 +280,11 @@ def _where(variable: str, side: str, level: float) -> str:
 
 def regime_curves(
     located: Sequence[Located], before: Linearisation, after: Linearisation, segments: Sequence[Segment], bins: int = 12
-) -> list[dict[str, Any]]:
+) -> list[RegimeCurve]:
     """Mean residual of both models in bins of the variable that explains each located mismatch."""
     variables = sampled(before, segments)
     names = {short(n): c for c, n in enumerate(before.channels)}
-    found = []
+    found: list[RegimeCurve] = []
     for place in located:
         variable = place.regime.get("variable")
         if variable is None or variable not in variables:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.diagnose.records import SetAside
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Optimum
 from flighttest.physics.model import Model
@@ -22,9 +22,7 @@ MOST = 1 / 3  # of all responses: what comes more often is no exception
 LEAST = 12  # responses: of fewer nobody knows what is usual
 
 
-def set_aside(
-    estimator: Estimator, model: Model, start: Mapping[str, float]
-) -> tuple[tuple[Segment, ...], dict[str, Any]]:
+def set_aside(estimator: Estimator, model: Model, start: Mapping[str, float]) -> tuple[tuple[Segment, ...], SetAside]:
     """The responses without those that something pushed once, and those by name with a sentence on them.
 
     estimator: of translation. start: values of the base model to begin its fit from.
@@ -41,7 +39,7 @@ def set_aside(
     odd = outlying(fitted, segments)
     if not odd:
         return segments, {}
-    aside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
+    aside: SetAside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
     return tuple(s for i, s in enumerate(segments) if i not in odd), aside
 
 

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.model import short
+from flighttest.diagnose.records import Overlay
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.segments.model import Segment
 
 WORST = 2  # per channel
 
 
-def overlays(before: Linearisation, after: Linearisation, segments: Sequence[Segment]) -> list[dict[str, Any]]:
+def overlays(before: Linearisation, after: Linearisation, segments: Sequence[Segment]) -> list[Overlay]:
     """Per channel, the responses with the largest mean square: time since the step, measured, and both predictions."""
-    found = []
+    found: list[Overlay] = []
     for c, name in enumerate(before.channels):
         at = before.channel == c
         count = np.bincount(before.segment[at], minlength=len(segments))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypedDict, cast
 
 import yaml
 
@@ -12,6 +12,34 @@ from flighttest.physics.catalogue import catalogue
 
 _CONSTANTS = {"g": (0.1, 100.0, "m/s^2"), "nominal_voltage_v": (0.1, 2000.0, "V"), "rotor_height_m": (0.0, 5.0, "m")}
 _VALID = {"voltage_v": (0.1, 2000.0)}
+
+
+class ValidBlock(TypedDict, total=False):
+    """The range that a fit was made in, as `quality.ValidRange`; [lowest, highest] where two numbers bound it."""
+
+    tilt_max_rad: float
+    speed_max_m_s: float
+    voltage_v: list[float]
+    height_m: list[float]
+    yaw_rate_max_rad_s: float
+    throttle: list[float]
+
+
+class NoiseBlock(TypedDict, total=False):
+    """Standard deviations that residuals were measured against, SI: of each channel, and of each disturbance."""
+
+    channels: dict[str, float]
+    disturbances: dict[str, float]
+
+
+class DiagnosedBlock(TypedDict, total=False):
+    """What was looked for in a model's own flights beside its terms. smallest_detectable: by term, in the unit of its parameter."""
+
+    verdict: str
+    complete: bool
+    not_needed: list[str]
+    untestable: list[str]
+    smallest_detectable: dict[str, float]
 
 
 def constants_of(document: Document, node: Node | None) -> dict[str, float]:
@@ -23,13 +51,13 @@ def constants_of(document: Document, node: Node | None) -> dict[str, float]:
     return {name: value for name, value in read.items() if value is not None}
 
 
-def noise_of(document: Document, node: Node | None) -> dict[str, dict[str, float]]:
+def noise_of(document: Document, node: Node | None) -> NoiseBlock:
     """Standard deviations of channels and disturbances; one that is not known (null) is left out."""
     found: dict[str, dict[str, float]] = {}
     for part, block in children_of(document, node).items():
         read = {n: document.number(c, 0.0, 1e9) for n, c in children_of(document, block).items() if c.value is not None}
         found[part] = {n: value for n, value in read.items() if value is not None}
-    return found
+    return cast(NoiseBlock, found)
 
 
 def check_valid(document: Document, node: Node | None) -> None:

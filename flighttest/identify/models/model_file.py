@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import yaml
@@ -21,7 +21,10 @@ from flighttest.frames import G_M_S2
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import (
+    DiagnosedBlock,
     ModelDumper,
+    NoiseBlock,
+    ValidBlock,
     check_fingerprint,
     check_valid,
     children_of,
@@ -32,6 +35,7 @@ from flighttest.identify.models.model_blocks import (
 )
 from flighttest.physics.body import ATTITUDE_PARAMS, CHANNEL_DELAYS, DELAY, DELAY_PARAM
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, ROTOR_HEIGHT_M, Model
+from flighttest.vehicle.fingerprint import FingerprintData
 
 FloatArray = NDArray[np.float64]
 
@@ -72,15 +76,15 @@ class ModelFile:
     values: Mapping[str, float]
     order: tuple[str, ...]
     covariance: FloatArray
-    valid: Mapping[str, Any]
-    fingerprint: Mapping[str, Any] = field(default_factory=dict)
+    valid: ValidBlock
+    fingerprint: FingerprintData = field(default_factory=FingerprintData)
     runs: tuple[Any, ...] = ()
-    noise: Mapping[str, Any] = field(default_factory=dict)
+    noise: NoiseBlock = field(default_factory=NoiseBlock)
     fit_quality: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     path: str = ""
     vehicle: Mapping[str, Any] = field(default_factory=dict)
-    diagnosed: Mapping[str, Any] = field(default_factory=dict)
+    diagnosed: DiagnosedBlock = field(default_factory=DiagnosedBlock)
 
     @property
     def vehicle_name(self) -> str:
@@ -98,7 +102,7 @@ class ModelFile:
 def as_data(
     found: Fit,
     *,
-    fingerprint: Mapping[str, Any] | None = None,
+    fingerprint: FingerprintData | None = None,
     runs: Sequence[Any] | None = None,
     extra_quality: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -254,15 +258,15 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
         values=values,
         order=order,
         covariance=matrix,
-        valid=plain.get("valid") or {},
-        fingerprint=plain.get("fingerprint") or {},
+        valid=cast(ValidBlock, plain.get("valid") or {}),
+        fingerprint=cast(FingerprintData, plain.get("fingerprint") or {}),
         runs=tuple(plain.get("runs") or ()),
         noise=noise,
         fit_quality=plain.get("fit_quality") or {},
         notes=tuple(plain.get("notes") or ()),
         path=str(path),
         vehicle=plain.get("vehicle") or {},
-        diagnosed=plain.get("diagnosed") or {},
+        diagnosed=cast(DiagnosedBlock, plain.get("diagnosed") or {}),
     )
 
 

@@ -123,7 +123,7 @@ def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> dict
     }
 
 
-def difference_data(d: Difference) -> dict[str, Any]:
+def difference_data(d: Difference) -> dict[str, object]:
     """One parameter of both sides as plain data."""
     return {**vars(d), "kind": d.kind.value, "differs": d.differs}
 

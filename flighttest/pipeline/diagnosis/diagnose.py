@@ -18,6 +18,7 @@ from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.models import model_file
 from flighttest.identify.models.informative_prior import carry_over, known_before
+from flighttest.identify.models.model_blocks import DiagnosedBlock
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
@@ -178,7 +179,7 @@ def write_diagnosis(
     return data, fitted
 
 
-def looked_for(found: Diagnosis) -> dict[str, Any]:
+def looked_for(found: Diagnosis) -> DiagnosedBlock:
     """What model.yaml keeps of a diagnosis: what else its flights would have shown, and from which size on; what they could not show."""
     return {
         "verdict": found.verdict.name,

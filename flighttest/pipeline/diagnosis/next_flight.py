@@ -8,6 +8,7 @@ from typing import Any
 
 from flighttest.diagnose import Diagnosis
 from flighttest.diagnose.next_flight import Flyable, as_shipped
+from flighttest.diagnose.records import NextReason
 from flighttest.documents import write_text
 from flighttest.errors import FlighttestError
 from flighttest.physics.model import Model
@@ -106,7 +107,7 @@ def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle
     where = vehicle if vehicle is not None and vehicle.flies else flown_vehicle(recordings)
     if where is None or not found.next_script:
         return found
-    told: dict[str, Any]
+    told: NextReason
     try:
         script = parse_script(write_text(found.next_script), "next.yaml")
         prior = _prior(found.model, found.values, where)

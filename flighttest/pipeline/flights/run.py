@@ -39,6 +39,7 @@ from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
 from flighttest.sim import start_simulator
 from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.fingerprint import FingerprintData
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
@@ -309,7 +310,7 @@ def _all_flyable(plan: Plan) -> None:
     raise ScriptError(message, f"see `flighttest check {plan.script.path or plan.script.name}`")
 
 
-def _say_changes(previous: ModelFile, today: Mapping[str, object], said: set[str], progress: Progress) -> None:
+def _say_changes(previous: ModelFile, today: FingerprintData, said: set[str], progress: Progress) -> None:
     """Before take-off: what differs from the vehicle of the model in use, each change once, and what it touches."""
     changes = [c for c in declared_changes(previous.fingerprint, today)[0] if c.name not in said]
     said.update(c.name for c in changes)

@@ -8,11 +8,11 @@ from typing import Any
 
 from flighttest.currency.declared import declared_changes
 from flighttest.recording import Recording
-from flighttest.vehicle.fingerprint import fingerprint
+from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.model import Vehicle
 
 
-def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
+def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> FingerprintData:
     """From the newest recording that knows each part; the recording's own components before those of the vehicle file, but the nominal
     voltage as the vehicle file has it, since the fit takes it from there."""
     firmware = ""
@@ -39,7 +39,7 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> d
     return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
 
 
-def fingerprint_of_run(manifest: Mapping[str, Any]) -> dict[str, Any]:
+def fingerprint_of_run(manifest: Mapping[str, Any]) -> FingerprintData:
     """Of a run, by its manifest alone."""
     vehicle = manifest.get("vehicle") or {}
     made = fingerprint(None, str(manifest.get("firmware") or ""), manifest.get("parameters") or {})
@@ -49,13 +49,13 @@ def fingerprint_of_run(manifest: Mapping[str, Any]) -> dict[str, Any]:
     return replace(made, components=components, nominal_voltage_v=volts, mass_kg=mass).as_data()
 
 
-def differences(stored: Mapping[str, Any], recordings: Sequence[Recording]) -> str:
+def differences(stored: FingerprintData, recordings: Sequence[Recording]) -> str:
     """What was declared or set otherwise in recordings than for a model: 'MOT_SPIN_MIN 0.15, here 0.1'; empty where nothing was."""
     changes, _ = declared_changes(stored, of_recordings(recordings, None))
     named = [f"{c.name} {c.before}, here {c.after}" for c in changes[:4]]
     return "; ".join(named) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
 
 
-def of_vehicle(vehicle: Vehicle, firmware: str = "", parameters: dict[str, float] | None = None) -> dict[str, Any]:
+def of_vehicle(vehicle: Vehicle, firmware: str = "", parameters: dict[str, float] | None = None) -> FingerprintData:
     """Of a vehicle as declared, and as it reports itself where it was reached."""
     return fingerprint(vehicle, firmware, parameters).as_data()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 from flighttest.recording import Recording
 from flighttest.report.document import Cell, Section, Table
@@ -11,7 +11,18 @@ from flighttest.report.numbers import number
 from flighttest.segments import Segment, budget
 
 
-def time_data(recordings: Sequence[Recording], segments: Sequence[Segment]) -> list[dict[str, Any]]:
+class TimeShare(TypedDict):
+    """One use of recorded time, or one reason why it was not used."""
+
+    use: str
+    sentence: str
+    used: bool
+    seconds: float
+    share: float
+    stretches: int
+
+
+def time_data(recordings: Sequence[Recording], segments: Sequence[Segment]) -> list[TimeShare]:
     """What became of every second, largest share first, used stretches before the others: use, why, seconds, share, stretches."""
     rows: dict[tuple[Any, str], list[float]] = {}
     for recording in recordings:

@@ -249,7 +249,7 @@ def stale_since(one: Lineage, out: Path) -> tuple[str, ...]:
     """What the newest run of a vehicle declares otherwise than its model in use, one sentence each."""
     if one.current is None:
         return ()
-    fingerprint: Mapping[str, Any] = model_file.read(one.current).fingerprint
+    fingerprint = model_file.read(one.current).fingerprint
     for run in reversed(run_folders(out)):
         try:
             manifest = read_manifest(run)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -50,14 +49,13 @@ from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.currency import status_document
 from flighttest.segments import Segment
-from flighttest.vehicle.fingerprint import fingerprint
+from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
 ALPHA_TELLS = 2.0
 VAGUE = 0.2  # relative standard error beyond which the stored value serves better
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
-NOISE = ("channels", "disturbances")  # as model.yaml names them
 
 
 def status(
@@ -182,14 +180,19 @@ def flown_until(stored: ModelFile) -> str:
     return f"after {dates[-1]}" if dates else ""
 
 
-def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any] | None:
+def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) -> FingerprintData | None:
     """What is known of today's vehicle: the file's components before the recordings', the recordings' firmware and parameters."""
     if not recordings:
         return of_vehicle(vehicle) if vehicle is not None else None
     seen = of_recordings(recordings, vehicle)
     if vehicle is not None:
         declared = of_vehicle(vehicle)
-        seen.update({key: declared[key] for key in ("components", "mass_kg", "nominal_voltage_v") if key in declared})
+        if "components" in declared:
+            seen["components"] = declared["components"]
+        if "mass_kg" in declared:
+            seen["mass_kg"] = declared["mass_kg"]
+        if "nominal_voltage_v" in declared:
+            seen["nominal_voltage_v"] = declared["nominal_voltage_v"]
     return seen
 
 
@@ -234,7 +237,7 @@ def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segmen
 
 def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
     """A model's noise, where it knows that of everything in `problem`."""
-    noise = Noise(*({str(k): float(v) for k, v in (stored.noise.get(part) or {}).items()} for part in NOISE))
+    noise = Noise(stored.noise.get("channels") or {}, stored.noise.get("disturbances") or {})
     channels = {c for part in problem.parts for c in part.outputs}
     others = {n for part in problem.parts for n in part.block.disturbances}
     return noise if channels <= set(noise.channel) and others <= set(noise.disturbance) else None
