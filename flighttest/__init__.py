@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from flighttest.api.comparing import against, compare, replay, twin
     from flighttest.api.comparisons import Compared, Opposed, Replayed, Twin
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.api.tool import demo, doctor, fetch_log, import_log, prove, report, run, runs
+    from flighttest.api.tool import demo, doctor, fetch_log, import_log, prove, report, run, runs, show, sign
     from flighttest.api.verbs import (
         accept,
         check_validity,
@@ -121,6 +121,8 @@ __all__ = [
     "run",
     "runs",
     "segment",
+    "show",
+    "sign",
     "simulate",
     "terms",
     "twin",
@@ -134,7 +136,7 @@ _WHERE = {
     "flighttest.api.comparisons": ("Compared", "Opposed", "Replayed", "Twin"),
     "flighttest.api.campaigns": ("Campaign", "Checks", "Demonstrated", "Imported", "Proved", "Runs"),
     "flighttest.api.comparing": ("against", "compare", "replay", "twin"),
-    "flighttest.api.tool": ("demo", "doctor", "fetch_log", "import_log", "prove", "report", "run", "runs"),
+    "flighttest.api.tool": ("demo", "doctor", "fetch_log", "import_log", "prove", "report", "run", "runs", "show", "sign",),
     "flighttest.api.catalogue": ("Terms", "terms"),
     "flighttest.api.fitted_model": ("FittedModel",),
     "flighttest.api.verbs": (

@@ -93,6 +93,25 @@ def report(folder: AnyPath, output: AnyPath | None = None, *, progress: Tell | N
     return Path(write(Path(folder), as_path(output), Stages(progress)).data["report"])
 
 
+def show(
+    log: AnyPath, output: AnyPath | None = None, *, columns: AnyPath | None = None, progress: Tell | None = None
+) -> Path:
+    """Write one HTML page about a log or run before anything is fitted: health, course, channels, map, what it can tell; gives its path."""
+    from flighttest.pipeline.identification.showing import show as write
+
+    return Path(write(Path(log), as_path(output), as_path(columns), Stages(progress)).data["page"])
+
+
+def sign(connect: str, key: AnyPath, *, remove: bool = False, progress: Tell | None = None) -> str:
+    """Give a vehicle the key in a file (made where there is none): from then on it takes only frames signed with it; gives a sentence.
+
+    remove: take it away again. The key crosses the link in the clear: use a cable. LinkError where the vehicle does not take it.
+    """
+    from flighttest.pipeline.vehicles.signing import sign as give
+
+    return give(connect, Path(key), remove, Stages(progress)).document.verdict
+
+
 def doctor(connect: str | None = None) -> Checks:
     """What is installed and reachable, and what to do about what is not. connect: URL of a vehicle to try as well; nothing is set."""
     from flighttest.api.campaigns import Checks

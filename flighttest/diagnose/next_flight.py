@@ -193,7 +193,7 @@ def _planned(
     return segment, start, signals
 
 
-def _with_unrecorded(noise: Noise, problem: Problem) -> Noise:
+def with_unrecorded(noise: Noise, problem: Problem) -> Noise:
     """The noise, and of channels that no sensor there was recorded one so large that they say nothing."""
     usual = start_noise(problem)
     unrecorded = {c: UNRECORDED for c in usual.channel if c not in noise.channel}
@@ -217,7 +217,7 @@ def log_odds(
     if not estimator.problem(model).parts:
         return 0.0
     at = Optimum(
-        {**model.start(), **now.at.values}, {}, _with_unrecorded(now.at.noise, estimator.problem(model)), np.inf
+        {**model.start(), **now.at.values}, {}, with_unrecorded(now.at.noise, estimator.problem(model)), np.inf
     )
     null = {p.name: null_value(p) for t in (question.term, *rivals) for p in t.amplitudes}
     size = {**null, **dict(question.size)}

@@ -91,7 +91,7 @@ def exported(stored: ModelFile) -> Exported:
     }  # fmt: skip
     parameters = {
         **loops.parameters, "PILOT_THR_FILT": v["sigma_t"] / math.tau, "MOT_HOVER_LEARN": 0.0, "BATT_MONITOR": 4.0, "BATT_CAPACITY": 5000.0,
-        "SIM_BATT_VOLTAGE": full_v, **_wind(stored),
+        "SIM_BATT_VOLTAGE": full_v, **sim_wind(stored),
     }  # fmt: skip
     lacking = tuple(t for t in stored.model.terms if t not in KNOWN and block_of(catalogue()[t]) != "attitude")
     off = max(abs((u / middle) ** (2.0 - v["alpha"]) - 1.0) for u in (low, high))
@@ -113,7 +113,7 @@ def _speed(mass: float, g: float, coefficient: float, square: float) -> float:
     return (-momentum + math.sqrt(momentum**2 + 4.0 * a * force)) / (2.0 * a)
 
 
-def _wind(stored: ModelFile) -> dict[str, float]:
+def sim_wind(stored: ModelFile) -> dict[str, float]:
     """SIM_WIND_*: speed, the compass direction it comes from, and how it points up; the same at every height."""
     north, west, up = (stored.values.get(n, 0.0) for n in ("w_north", "w_west", "w_up"))
     speed = math.hypot(north, west, up)

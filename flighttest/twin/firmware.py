@@ -121,7 +121,7 @@ def frame_of(stored: ModelFile, motor_lag: bool = True) -> Frame:
     attitude = {n: v for n, v in firmware_loops.current_names(known).items() if n.startswith(("ATC_", "INS_GYRO"))}
     recorded = {n: v for n, v in attitude.items() if n in firmware_loops.DEFAULTS}
     axes = {
-        n: _fitted(stored, n, loop_of(n, recorded), lags)
+        n: frame_of_axis(stored, n, loop_of(n, recorded), lags)
         for n, (_, name) in AXES.items()
         if f"ATC_RAT_{name}_P" in recorded
     }
@@ -165,9 +165,9 @@ def _around(stored: ModelFile, axis: str) -> dict[str, float]:
     return found
 
 
-def _fitted(stored: ModelFile, axis: str, loop: Loop, lags: tuple[float, float] = LAG_S) -> Axis:
+def frame_of_axis(stored: ModelFile, axis: str, loop: Loop, lags: tuple[float, float] = LAG_S) -> Axis:
     """Gain and lag of the frame under this loop."""
-    wanted, most = _wanted(stored, axis), min(2.0 * _hover(stored), 1.0)
+    wanted, most = wanted_answers(stored, axis), min(2.0 * _hover(stored), 1.0)
 
     def made(x: FloatArray) -> list[FloatArray]:
         return _answers(axis, loop, math.exp(x[0]), math.exp(x[1]), len(wanted[0]), most)
@@ -180,7 +180,7 @@ def _fitted(stored: ModelFile, axis: str, loop: Loop, lags: tuple[float, float] 
 
 def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:
     """Gains for a frame that turns with `GAIN_RAD_S2` at once."""
-    wanted, most = _wanted(stored, axis), min(2.0 * _hover(stored), 1.0)
+    wanted, most = wanted_answers(stored, axis), min(2.0 * _hover(stored), 1.0)
     v, name = stored.values, AXES[axis][1]
     if axis == "yaw":
         start = [math.log(1.0), math.log(v["sigma_r"] / GAIN_RAD_S2)]
@@ -226,7 +226,7 @@ def _least(
     return found.x[:2], float(np.sqrt(np.mean(found.fun**2))), float(found.x[2])
 
 
-def _wanted(stored: ModelFile, axis: str) -> list[FloatArray]:
+def wanted_answers(stored: ModelFile, axis: str) -> list[FloatArray]:
     """The model's answers to steps at time zero, delay included, at the loop's rate."""
     model, values = stored.model, stored.values
     t: FloatArray = LOOP_S * np.arange(round(SECONDS / LOOP_S), dtype=float)

@@ -12,7 +12,7 @@ from flighttest.diagnose.residuals import locate
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
 from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
-from flighttest.diagnose.selection.held_out import compare, held_out, held_out_groups
+from flighttest.diagnose.selection.held_out import gains_held_out, held_out, held_out_groups
 from flighttest.estimation.linearisation import orthonormal
 from flighttest.estimation.problem import Noise
 from flighttest.segments.model import Segment
@@ -197,7 +197,7 @@ def test_a_channel_that_is_masked_everywhere_is_not_compared():
     )
     floor = NoiseFloor({"f_z_m_s2": 0.1, "v_x_m_s": 0.1}, frozenset(), {})
     residual = np.linspace(-1.0, 1.0, 20)
-    found = compare(rows, residual, rows, 0.5 * residual, np.arange(4), floor)
+    found = gains_held_out(rows, residual, rows, 0.5 * residual, np.arange(4), floor)
     assert list(found) == ["f_z_m_s2"]
     assert found["f_z_m_s2"].rmse_after == pytest.approx(0.5 * found["f_z_m_s2"].rmse_before)
 
@@ -206,7 +206,7 @@ def test_a_rehearsed_channel_that_was_never_recorded_says_nothing():
     """A recording without pitch has no noise of pitch, but a rehearsed pitch step has pitch."""
     block = SimpleNamespace(disturbances=("roll_d_rad", "pitch_d_rad"))
     problem = SimpleNamespace(parts=[SimpleNamespace(outputs=("roll_rad", "pitch_rad"), block=block)])
-    made = next_flight._with_unrecorded(Noise({"roll_rad": 0.02}, {"roll_d_rad": 0.3}), problem)
+    made = next_flight.with_unrecorded(Noise({"roll_rad": 0.02}, {"roll_d_rad": 0.3}), problem)
     assert made.channel == {"roll_rad": 0.02, "pitch_rad": next_flight.UNRECORDED}
     assert made.disturbance["roll_d_rad"] == 0.3
     assert made.disturbance["pitch_d_rad"] > 0.0

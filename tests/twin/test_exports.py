@@ -164,10 +164,10 @@ def test_ardupilots_frame_has_the_models_hover_drag_and_moments(tmp_path):
 
 
 def test_ardupilots_wind_comes_from_where_the_models_air_does_not_go():
-    assert ardupilot._wind(stored("steady_wind", w_north=3.0))["SIM_WIND_DIR"] == pytest.approx(180.0)
-    west = ardupilot._wind(stored("steady_wind", w_west=2.0))
+    assert ardupilot.sim_wind(stored("steady_wind", w_north=3.0))["SIM_WIND_DIR"] == pytest.approx(180.0)
+    west = ardupilot.sim_wind(stored("steady_wind", w_west=2.0))
     assert (west["SIM_WIND_DIR"], west["SIM_WIND_SPD"]) == pytest.approx((90.0, 2.0))
-    assert ardupilot._wind(stored()) == {}
+    assert ardupilot.sim_wind(stored()) == {}
 
 
 def test_an_export_to_ardupilot_says_what_it_lacks_and_how_it_flies(tmp_path, capsys, monkeypatch):

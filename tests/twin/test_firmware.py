@@ -37,8 +37,8 @@ def test_with_recorded_gains_gain_and_lag_of_the_frame_are_found(monkeypatch):
         made = [fly(loop, 300.0, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0] for step in firmware.STEPS[axis]]
         return [np.interp(t - 0.06, t, y) for y in made]
 
-    monkeypatch.setattr(firmware, "_wanted", flown)
-    found = firmware._fitted(stored(parameters), "roll", loop)
+    monkeypatch.setattr(firmware, "wanted_answers", flown)
+    found = firmware.frame_of_axis(stored(parameters), "roll", loop)
     assert found.gain == pytest.approx(300.0, rel=0.02)
     assert found.lag_s == pytest.approx(0.02, rel=0.05)
     assert found.delay_s == pytest.approx(0.06, abs=1e-3)
