@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.pipeline.response_views import correlations, loops, response_views
+from flighttest.pipeline.presenters.response_views import correlations, loops, response_views
 
 LAG_S = 0.15
 T = np.arange(-0.5, 3.0, 0.01)
