@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from flighttest.estimation.integration import kernel as kernel_module
-from flighttest.estimation.integration import native
+from flighttest.estimation.integration import native, native_block
 from flighttest.estimation.integration.kernel import Kernel
 from flighttest.estimation.integration.native import Program, library
 from flighttest.estimation.responses import Response, Stacked
@@ -81,6 +81,26 @@ def test_a_simulation_that_diverges_is_not_finite(monkeypatch):
     y, dy = Kernel(block, block.outputs, block.params).at_samples(p, np.zeros((1, 3)), nodes, mask, True)
     assert not np.isfinite(y).all()
     assert not np.isfinite(dy).all()
+
+
+@needs_compiler
+def test_threads_share_the_responses(monkeypatch):
+    block = Model().blocks[-1]
+    rng, known = np.random.default_rng(3), Model().start()
+    some = responses(block, 2 * native_block.LEAST_GROUPS * native_block.LANES + 3, rng)
+    p = np.array([known[n] for n in block.params])
+    nodes = Stacked.of(some).nodes(float(block.delay_s(p)), 0.012)
+    mask = np.ones((len(some), max(r.t_s.size for r in some), len(block.outputs)), dtype=bool)
+    integrator = Kernel(block, block.outputs, block.params, {})
+    local = 0.1 * rng.standard_normal((len(some), len(integrator.locals)))
+    found = []
+    for cores in (1, 2, 3):
+        monkeypatch.setattr(native_block, "usable_cores", lambda cores=cores: cores)
+        found.append(integrator.at_samples(p, local, nodes, mask, True))
+    assert np.abs(found[0][0][-1]).max() > 0.0
+    for y, dy in found[1:]:
+        assert np.array_equal(y, found[0][0])
+        assert np.array_equal(dy, found[0][1])
 
 
 def test_nodes_of_many_responses_are_those_of_each():

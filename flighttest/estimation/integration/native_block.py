@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +18,8 @@ from flighttest.estimation.integration.compiled import jacobian_of
 from flighttest.estimation.integration.native import Program, library
 from flighttest.physics.blocks import Block
 
+LANES = 16  # of kernel.c
+LEAST_GROUPS = 2  # for a thread: below that, handing over takes longer than it saves
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
@@ -57,6 +61,18 @@ class Rows:
     rows: FloatArray
     first: IndexArray
     target: IndexArray
+
+
+def _shares(order: IndexArray) -> list[IndexArray]:
+    """Responses (m,), shortest first, to one list for each core, in whole groups of `LANES` of like length."""
+    groups = [order[k : k + LANES] for k in range(0, order.size, LANES)]
+    cores = max(1, min(usable_cores(), len(groups) // LEAST_GROUPS))
+    return [np.ascontiguousarray(np.concatenate(groups[k::cores]), dtype=np.int64) for k in range(cores)]
+
+
+def usable_cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class NativeBlock:
@@ -125,15 +141,25 @@ class NativeBlock:
         y = np.zeros((m, n, self.n_outputs))
         dy = np.zeros((m, n, self.n_outputs, self.n_columns if slopes else 0))
         arrays = [np.ascontiguousarray(a, dtype=float) for a in (p, local, nodes.rows)]
-        indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (first, nodes.target, order)]
+        indices = [np.ascontiguousarray(a, dtype=np.int64) for a in (first, nodes.target)]
         counted = None if mask is None else np.ascontiguousarray(mask)
-        task = _Task(
-            m, arrays[2].shape[1], n, int(slopes), float(delay), *(a.ctypes.data for a in (*arrays, slope)),
-            None if counted is None else counted.ctypes.data, *(a.ctypes.data for a in (*indices, y, dy)),
-        )  # fmt: skip
         kernel = library()
         assert kernel is not None
-        if kernel.integrate(ctypes.byref(self._made), ctypes.byref(task)):
+
+        def integrate(mine: IndexArray) -> int:
+            """Simulate some of the responses, which share nothing with others but what is read."""
+            task = _Task(
+                mine.size, arrays[2].shape[1], n, int(slopes), float(delay), *(a.ctypes.data for a in (*arrays, slope)),
+                None if counted is None else counted.ctypes.data, *(a.ctypes.data for a in (*indices, mine, y, dy)),
+            )  # fmt: skip
+            return int(kernel.integrate(ctypes.byref(self._made), ctypes.byref(task)))
+
+        first_share, *others = _shares(order)
+        # Threads of one call: a process with a thread that lives on cannot be copied for work side by side.
+        with ThreadPoolExecutor(max(len(others), 1)) as pool:
+            waited = [pool.submit(integrate, share) for share in others]
+            failed = integrate(first_share) or any(one.result() for one in waited)
+        if failed:
             raise MemoryError(f"no memory for {m} responses")
         return y, dy
 
