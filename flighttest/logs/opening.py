@@ -19,6 +19,12 @@ _COMPRESSED = {".gz", ".xz"}
 _GZIP, _XZ = b"\x1f\x8b", b"\xfd7zXZ\x00"
 
 
+def name_of(path: Path) -> str:
+    """What a recording of this file is called: the file's name without its suffix, which is not all after the first dot."""
+    plain = path.with_suffix("") if path.suffix.lower() in _COMPRESSED else path
+    return plain.stem
+
+
 class LogFile:
     """A log on disk. `pieces` streams its (decompressed) bytes; `sha256` of them is complete once the stream was read to its end.
 

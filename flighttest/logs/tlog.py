@@ -9,7 +9,7 @@ import numpy as np
 
 from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot.importer import DEFAULT_ACCEL_FILTER_HZ, known_filters
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import clock_steps, held_union, outliers
 from flighttest.mavlink import WANTED
 from flighttest.mavlink.dialect import book
@@ -48,7 +48,7 @@ def import_tlog(path: Path) -> Recording:
             f"INS_ACCEL_FILTER was not recorded: the autopilot's default of {DEFAULT_ACCEL_FILTER_HZ:g} Hz is assumed"
         )
     return Recording(
-        name=path.name.split(".")[0],
+        name=name_of(path),
         series=series,
         markers=decoded.markers,
         provenance=Provenance(

@@ -15,7 +15,7 @@ from pyulog.exceptions import ULogException
 
 from flighttest import frames
 from flighttest.errors import RecordingError
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import held_union, ordered, outliers
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Marker, Provenance, Recording, Series
@@ -124,7 +124,7 @@ class _Importer:
                 "log the default topics (SDLOG_PROFILE bit 0)",
             )
         return Recording(
-            name=self.path.name.split(".")[0],
+            name=name_of(self.path),
             series=series,
             markers=tuple(self._markers(series)),
             provenance=Provenance(

@@ -2,12 +2,13 @@
 
 import gzip
 import lzma
+from pathlib import Path
 
 import pytest
 
 from flighttest.errors import RecordingError
 from flighttest.logs import import_log
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import LogFile, name_of
 
 
 def noise(count):
@@ -67,3 +68,11 @@ def test_a_log_with_one_sample_is_no_flight(tmp_path, dataflash):
     path.write_bytes(bytes(w.data))
     with pytest.raises(RecordingError, match="no measurement"):
         import_log(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("a/sitl_4.7dev_steps.BIN", "sitl_4.7dev_steps"), ("b.csv.gz", "b"), ("c.tlog.XZ", "c"), ("d", "d")],
+)
+def test_a_recording_is_called_by_its_file(file, name):
+    assert name_of(Path(file)) == name

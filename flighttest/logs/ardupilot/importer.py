@@ -17,7 +17,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot.dataflash import Dataflash, Table, read_dataflash, stack
 from flighttest.logs.ardupilot.notes import board, firmware, markers, parameter_changes, parameters, state
 from flighttest.logs.ardupilot.targets import Targets
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import Times, ordered
 from flighttest.mavlink import offset_m
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
@@ -132,7 +132,7 @@ class _Importer:
             )
         marks = sorted([*marks, *parameter_changes(self.tables.get("PARM"))], key=lambda m: m.t_s)
         return Recording(
-            name=self.path.name.split(".")[0],
+            name=name_of(self.path),
             series=series,
             markers=tuple(marks),
             provenance=Provenance(

@@ -17,7 +17,7 @@ from flighttest import frames
 from flighttest.channels import CHANNELS, GROUPS, HELD_GROUPS, names
 from flighttest.documents import nearest
 from flighttest.errors import RecordingError
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.agreement import disagreements
 from flighttest.logs.tables.columns import STEP, TIME, ColumnMap, Source, load_columns, plain_map
@@ -95,7 +95,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     if "state" in series:
         markers = sorted([*markers, *mode_markers(series["state"])], key=lambda m: m.t_s)
     return Recording(
-        name=path.name.split(".")[0],
+        name=name_of(path),
         series=series,
         markers=tuple(markers),
         provenance=Provenance(
