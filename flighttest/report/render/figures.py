@@ -28,6 +28,7 @@ _WIDTH: dict[Role, float] = {
     "limit": 1.0,
 }
 SIGNIFICANT_DIGITS = 5  # more than a screen can show; keeps the file small
+LEAST_HEAT = 4.0  # noise floors: the deepest colour means no less, so that noise alone, a quarter of it, is pale
 
 
 def specification(figure: Figure) -> dict[str, Any]:
@@ -46,7 +47,8 @@ def _heat_top(figure: Figure) -> float | None:
     """The largest value of all heat maps of a figure, so that they share one scale."""
     values = [np.asarray(t.z, dtype=float) for p in figure.panels for t in p.traces if t.mode == "heat"]
     finite = [v[np.isfinite(v)] for v in values]
-    return max((float(v.max()) for v in finite if v.size), default=None)
+    top = max((float(v.max()) for v in finite if v.size), default=None)
+    return None if top is None else max(top, LEAST_HEAT)
 
 
 def _legend(figure: Figure) -> list[dict[str, Any]]:
