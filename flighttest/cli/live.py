@@ -28,7 +28,7 @@ SHOWN_FROM_S = 0.7  # a stage that is shorter is one line only
 BAR_WIDTH = 24
 MOST_SHARE = 0.97  # of what is only expected: it may take longer than last time
 # A terminal that is gone, or a reader (tee, less) that Ctrl-C ended with us, must not end a flight; rich leaves the program for it.
-_NOBODY_READS = (OSError, SystemExit)
+_OUTPUT_CLOSED = (OSError, SystemExit)
 
 
 class LiveProgress:
@@ -62,14 +62,14 @@ class LiveProgress:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(*_NOBODY_READS):
+        with suppress(*_OUTPUT_CLOSED):
             self._stop()
         if kind is None:
             self._timed()
 
     def stage(self, text: str) -> None:
         """A new step of the pipeline begins: one line with the time since the start."""
-        with suppress(*_NOBODY_READS):
+        with suppress(*_OUTPUT_CLOSED):
             self._stop()
             self._timed()
             self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
@@ -87,7 +87,7 @@ class LiveProgress:
         waited_s = now_s - max(self._last_line_s, self._stage_s)
         if not self._show.live and waited_s >= PLAIN_EVERY_S and (words := self.words()):
             self._last_line_s = now_s
-            with suppress(*_NOBODY_READS):
+            with suppress(*_OUTPUT_CLOSED):
                 self._show.say(f"{now_s - self._started_s:6.1f} s  {self._stage}: {words}", style="quiet")
 
     def share(self) -> float | None:
@@ -128,7 +128,7 @@ class LiveProgress:
 
     def flight(self, progress: Any) -> None:
         """The flight went on: redraw the picture, or now and then a line."""
-        with suppress(*_NOBODY_READS):
+        with suppress(*_OUTPUT_CLOSED):
             if progress.alarms > self._alarms:
                 self._alarms = progress.alarms
                 self._show.alarm(f"{self._clock() - self._started_s:6.1f} s  {progress.alarm}")

@@ -41,7 +41,7 @@ def checklist(plan: Plan, seen: Situation, waived: tuple[str, ...]) -> str:
         ("battery", f"{voltage}, lands at {plan.limits.voltage_min_v:.1f} V"),
         ("fence", f"{'on' if fence else 'off'}{_fence(seen) if fence else ''}"),
         ("pilot", "ready, throttle stick at mid, transmitter " + ("heard" if seen.rc_live else "NOT heard")),
-        ("stop", "the mode switch always wins; Ctrl-C lands, Ctrl-C twice lets go"),
+        ("stop", "the mode switch takes over; Ctrl-C lands, Ctrl-C twice stops sending"),
     ]
     if waived:
         rows.append(("waived", ", ".join(waived)))

@@ -185,7 +185,7 @@ class TcpTransport:
         return connected
 
     def _lose(self, lost: socket.socket | None = None) -> None:
-        # One thread may send while another receives: whoever finds the connection gone must not close the next one.
+        # One thread may send while another receives: the one that finds the connection closed must not close the next one.
         if lost is not None:
             lost.close()
         if self._socket is lost:

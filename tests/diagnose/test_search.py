@@ -10,7 +10,7 @@ from made_rows import rows_of
 from flighttest.diagnose.selection import search as search_module
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at
 from flighttest.diagnose.selection.comparison import Evidence, Fitted
-from flighttest.diagnose.selection.search import Alias, Search
+from flighttest.diagnose.selection.search import Alias, Search, astray
 from flighttest.diagnose.selection.subsets import Scored
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
@@ -274,3 +274,13 @@ def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated(
     assert asked == [("K", "w_north", "w_up"), ("K", "w_north")]
     assert fitted.names == ("K", "w_north")
     assert fitted.at.values["w_up"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "gone"),
+    [("sigma_t", 2.9, False), ("sigma_t", 3.1, True), ("K", 0.32, True), ("T_d_thrust", 0.2, False)],
+)
+def test_a_gain_or_lag_is_astray_beyond_a_factor_of_three_and_a_delay_never(name, factor, gone):
+    origin = {"sigma_t": 20.0, "K": 50.0, "T_d_thrust": 0.04}
+    assert astray(tuple(origin), origin | {name: factor * origin[name]}, origin) is gone
+    assert not astray((), origin | {name: factor * origin[name]}, origin)

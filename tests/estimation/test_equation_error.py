@@ -72,7 +72,7 @@ def test_flights_that_differ_in_a_shared_parameter_widen_what_depends_on_it():
     assert quiet[0] < 0.1 * spread[0]
 
 
-def test_a_direction_nobody_knows_has_no_variance_to_trust():
+def test_a_direction_without_information_has_no_variance():
     stream = Stream("y", 0, np.random.default_rng(5).standard_normal(400), np.zeros((400, 2)))
     stream.columns[:, 0] = np.sin(np.arange(400.0))
     made = step(whiten([stream], noises([stream]), 50), np.zeros(2), np.full(2, np.inf))

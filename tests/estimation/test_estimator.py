@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.estimator import COMPARED, Estimator
+from flighttest.estimation.gauss_newton import Tolerances
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise, prior_std
 from flighttest.estimation.solver import solve
@@ -215,3 +216,41 @@ def test_variances_and_disturbances_are_found_together(throttled):
     assert once.noise.channel["f_z_m_s2"] < 0.3 * loud.channel["f_z_m_s2"]
     assert twice.noise.channel == pytest.approx(once.noise.channel, rel=0.01)
     assert twice.noise.disturbance == pytest.approx(once.noise.disturbance, rel=0.02)
+
+
+def test_between_two_steps_a_channels_noise_falls_to_half_of_its_residual_at_most(throttled, monkeypatch):
+    estimator, model = throttled
+    problem = estimator.problem(model)
+    found = solve(problem, robust=False)
+    # A gain half as large again, which disturbances without bounds would explain nearly whole.
+    local = [part.start_local() for part in problem.parts]
+    state = State(np.zeros(0), local, problem.evaluate({**found.values, "K": 1.5 * found.values["K"]}, local, FREE))
+    wide = Noise(dict(found.noise.channel), dict.fromkeys(found.noise.disturbance, 50.0))
+
+    def learned():
+        return np.array(
+            list(Weighing.even(problem, wide, robust=False).with_noise_of(state, FREE).noise.channel.values())
+        )
+
+    half = learned()
+    monkeypatch.setattr("flighttest.estimation.weighing.LEAST_LEFT", 1.0)
+    assert (half / learned()).min() == pytest.approx(0.5)
+
+
+def test_models_are_compared_at_optima_that_are_known_to_a_fraction_of_a_nat(throttled, monkeypatch):
+    estimator, model = throttled
+    start = estimator.start(model, {"K": 70.0, "sigma_t": 8.0, "T_d_thrust": 0.02, "d_z": 0.1})
+    noise = estimator.fit(model, start, estimator.problem(model).names).noise
+    begun = replace(start, noise=noise)
+
+    def likelihood(tolerances):
+        monkeypatch.setattr("flighttest.estimation.estimator.COMPARED", tolerances)
+        return estimator.fit(model, begun, estimator.problem(model).names, noise=False).log_likelihood
+
+    sharp = likelihood(Tolerances(step=1e-3, decrease=1e-6))
+    assert sharp - likelihood(COMPARED) < 0.3
+    for loose in (
+        replace(COMPARED, step=30.0),
+        replace(COMPARED, decrease=1e5),
+    ):  # a step of Gauss-Newton forgives less
+        assert sharp - likelihood(loose) > 0.3

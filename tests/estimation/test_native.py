@@ -32,9 +32,9 @@ def responses(block, count, rng):
 
 
 def both_ways(monkeypatch, block, free, hz, sensitivities=True):
-    """(outputs, derivatives) compiled, then in numpy, of eleven responses: more than are integrated at once, and no multiple of it."""
+    """(outputs, derivatives) compiled, then in numpy, of some responses: more than are integrated at once, and no multiple of it."""
     rng = np.random.default_rng(7)
-    some = responses(block, 11, rng)
+    some = responses(block, native_block.LANES + 3, rng)
     known = Model().with_terms(*catalogue()).start()
     p = np.array([known[n] for n in block.params])
     nodes = Stacked.of(some).nodes(float(block.delay_s(p)), 0.012)
@@ -101,6 +101,10 @@ def test_threads_share_the_responses(monkeypatch):
     for y, dy in found[1:]:
         assert np.array_equal(y, found[0][0])
         assert np.array_equal(dy, found[0][1])
+
+
+def test_groups_are_those_of_the_kernel():
+    assert f"#define LANES {native_block.LANES}\n" in native.SOURCE.read_text()
 
 
 def test_nodes_of_many_responses_are_those_of_each():

@@ -18,10 +18,9 @@ from tests.faults.proxy import Fault, When
 INTRODUCTION = """Written by `make faults`. The built-in vehicle flies two steps in real time (virtual: it takes as long as its computation)
 behind a link that fails as the row says, from the moment that the column names: the first parameter that is set, arming, the climb, the way
 to the second step, the entry into GUIDED_NOGPS, the first step, the abort after a stop, the landing.
-A cell says why the flight ended and how
-the vehicle was left ([operations.md](operations.md) has the words), and after how many seconds. It is right where the flight ended in time,
-what is said of the vehicle is so, a pilot who chose LOITER kept it, a fault that passed left nobody in the air, and parameters are
-restored after a landing."""
+A cell says why the flight ended and how the vehicle was left ([operations.md](operations.md) has the words), and after how many seconds.
+It is right where the flight ended in time, what is said of the vehicle is so, a pilot who chose LOITER kept it, no vehicle stayed in the
+air after a fault that passed, and parameters are restored after a landing."""
 
 
 def one(fault: Fault, when: When) -> Cell:

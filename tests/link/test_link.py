@@ -461,33 +461,6 @@ def test_two_vehicles_of_one_system_id_are_told_apart(hz: float) -> None:
         assert modes.count(6) < 8, "most of what the second one says is not taken for the first one's"
 
 
-@pytest.mark.parametrize("fault", ["loss", "burst", "double", "late double", "swap"])
-def test_one_vehicle_on_a_bad_link_is_one(fault: str) -> None:
-    from flighttest.link.transport import Sequence
-
-    draw = random.Random(4)
-    frames = [(n % 256, n) for n in range(6000)]
-    if fault == "loss":
-        frames = [f for f in frames if draw.random() > 0.3]
-    elif fault == "burst":
-        frames = [f for f in frames if f[1] // 100 % 7]
-    elif fault == "double":
-        frames = [f for f in frames for _ in range(2)]
-    elif fault == "late double":
-        frames = sorted([*frames, *frames], key=lambda f: f[1])
-        frames = [
-            f for n in range(0, 6000, 200) for f in (*frames[2 * n : 2 * n + 400 : 2], *frames[2 * n : 2 * n + 400 : 2])
-        ]
-    else:
-        for n in range(0, 5990, 10):
-            frames[n], frames[n + 3] = frames[n + 3], frames[n]
-    sequence, dropped = Sequence(), 0
-    for number, (seq, n) in enumerate(frames):
-        dropped += sequence.foreign(seq, str(n).encode(), 0.003 * (n if fault == "burst" else number))
-    assert sequence.foreign_frames == 0
-    assert dropped == 0 or fault == "burst"
-
-
 def test_a_program_that_did_not_look_for_long_finds_the_link_as_it_is() -> None:
     vehicle = ScriptedVehicle(Host())
     session = session_of(vehicle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import socket
 import threading
 import time
@@ -12,7 +13,7 @@ import pytest
 from flighttest.errors import InputError, LinkError
 from flighttest.link.port import Port
 from flighttest.link.session import Session
-from flighttest.link.transport import open_transport
+from flighttest.link.transport import Sequence, open_transport
 from flighttest.mavlink.dialect import book, parser
 
 
@@ -139,3 +140,28 @@ def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.Monkey
         session.advance(session.now_s() + 0.05)
         assert session.latest["HEARTBEAT"].message.custom_mode == 5, "a router that was started again"
     session.port.close()
+
+
+@pytest.mark.parametrize("fault", ["loss", "burst", "double", "late double", "swap"])
+def test_one_vehicle_on_a_bad_link_is_one(fault: str) -> None:
+    draw = random.Random(4)
+    frames = [(n % 256, n) for n in range(6000)]
+    if fault == "loss":
+        frames = [f for f in frames if draw.random() > 0.3]
+    elif fault == "burst":
+        frames = [f for f in frames if f[1] // 100 % 7]
+    elif fault == "double":
+        frames = [f for f in frames for _ in range(2)]
+    elif fault == "late double":
+        frames = sorted([*frames, *frames], key=lambda f: f[1])
+        frames = [
+            f for n in range(0, 6000, 200) for f in (*frames[2 * n : 2 * n + 400 : 2], *frames[2 * n : 2 * n + 400 : 2])
+        ]
+    else:
+        for n in range(0, 5990, 10):
+            frames[n], frames[n + 3] = frames[n + 3], frames[n]
+    sequence, dropped = Sequence(), 0
+    for number, (seq, n) in enumerate(frames):
+        dropped += sequence.foreign(seq, str(n).encode(), 0.003 * (n if fault == "burst" else number))
+    assert sequence.foreign_frames == 0
+    assert dropped == 0 or fault == "burst"

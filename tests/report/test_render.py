@@ -258,3 +258,12 @@ def test_the_responses_shown_are_those_that_missed_by_most_noise_floors():
     assert [t.name for t in clean.panels[0].traces] == ["simulated", "measured"], (
         "nothing was left out: one line, not two"
     )
+
+
+def test_noise_alone_is_pale_in_a_map_of_errors():
+    def top(largest):
+        heat = Trace(["steady"], ["roll"], "noise floors", "other", "heat", z=[[largest]])
+        return figures.specification(Figure("f", (Panel("map", "", "", (heat,)),), "c"))["panels"][0]["data"][0]["zmax"]
+
+    assert top(1.8) == 4.0
+    assert top(9.0) == 9.0

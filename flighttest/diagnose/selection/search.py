@@ -11,7 +11,7 @@ another that left after it, is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -285,24 +285,13 @@ class Search:
             # A nonlinear parameter means nothing until its coefficient has grown: the size comes first.
             first = self.estimator.fit(model, first, [n for n in self._free(model, inactive) if n not in shape])
         fitted = self.fit_of(model, first, inactive)
-        if not self._astray(among):
+        if not astray(among.names, among.at.values, self.origin):
             return fitted
         # The base bent itself towards what is missing, and small steps from there do not lead back.
         back = {n: v for n, v in self.origin.items() if n in among.names}
         again = self.estimator.start(model, among.at.values | (pointed if first is starts[0] else null) | back)
         other = self.fit_of(model, again, inactive)
         return max(fitted, other, key=lambda f: f.at.log_likelihood)
-
-    def _astray(self, fitted: Fitted) -> bool:
-        """Whether a gain or lag of the base is further than a factor of `ASTRAY` from where the shape of the responses puts it.
-
-        Delays are not asked: they share their time with the lag after them, and a few milliseconds may be any factor.
-        """
-        return any(
-            n in fitted.names and v > 0.0 and not v / ASTRAY < fitted.at.values[n] < v * ASTRAY
-            for n, v in self.origin.items()
-            if not n.startswith("T_d")
-        )
 
     def without(self, term: str, fitted: Fitted) -> Fitted:
         """A model refitted without one of its terms; kept."""
@@ -321,10 +310,22 @@ class Search:
         return {t: e.probability for t, e in {**self.rejected, **self.evidence}.items()}
 
 
+def astray(names: Sequence[str], values: Mapping[str, float], origin: Mapping[str, float]) -> bool:
+    """Whether a fitted gain or lag of the base is further than a factor of `ASTRAY` from where the shape of the responses puts it.
+
+    Delays are not asked: they share their time with the lag after them, and a few milliseconds may be any factor.
+    """
+    return any(
+        n in names and v > 0.0 and not v / ASTRAY < values[n] < v * ASTRAY
+        for n, v in origin.items()
+        if not n.startswith("T_d")
+    )
+
+
 def _least_needed(evidence: Iterable[Evidence]) -> Evidence | None:
     """Of the terms that are not needed the one that leaves first, those whose estimates are inadmissible last."""
     doubted = [e for e in evidence if e.why_not]
     return min(doubted, key=lambda e: (bool(e.inadmissible), e.nats), default=None)
 
 
-__all__ = ["Alias", "Search", "probability_of", "silent"]
+__all__ = ["Alias", "Search", "astray", "probability_of", "silent"]
