@@ -21,6 +21,8 @@ from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.errors import FitError
 from flighttest.estimation.estimator import BLOCKS, Estimator
+from flighttest.estimation.problem import Noise
+from flighttest.estimation.solver import Start
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
 from flighttest.identify.selection import able
@@ -232,11 +234,15 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
         return asked.base
     start: dict[str, float] = {}
     held: dict[str, float] = {}
+    channel, disturbance = dict(asked.base.noise.channel), dict(asked.base.noise.disturbance)
     for search in searches:
         assert search.now is not None
         start |= {n: v for n, v in search.now.at.values.items() if n in final.names}
         held |= {n: start[n] for t in search.named for n in search.held(t)}
-    return fit(asked.segments, final, select="all", start=start, frozen=held, robust=False)
+        channel |= search.now.at.noise.channel
+        disturbance |= search.now.at.noise.disturbance
+    begun = Start(start, Noise(channel, disturbance))
+    return fit(asked.segments, final, select="all", start=begun, frozen=held, robust=False)
 
 
 def _in_units(name: str, unit: str) -> str:

@@ -18,10 +18,11 @@ from flighttest.estimation.linearisation import (
     Optimum,
     Projection,
     in_order,
+    orthonormal_each,
     project,
 )
 from flighttest.estimation.problem import Problem, prior_std
-from flighttest.estimation.solver import Start, solve
+from flighttest.estimation.solver import Start, log_likelihood, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
 from flighttest.estimation.weighing import start_noise
 from flighttest.physics.blocks import Block
@@ -103,9 +104,18 @@ class Estimator:
         return total if np.isfinite(total) else np.inf
 
     def fit(
-        self, model: Model, start: Optimum, names: Sequence[str], *, noise: bool = True, iterations: int = 30
+        self,
+        model: Model,
+        start: Optimum,
+        names: Sequence[str],
+        *,
+        noise: bool = True,
+        iterations: int = 30,
+        compared_with: float | None = None,
     ) -> Optimum:
         """Damped Gauss-Newton over `names` and all nuisance parameters (`solver.solve`); noise: whether variances are estimated, too.
+        compared_with: log likelihood that the optimum's is only compared with, for which it needs not be found to the last nat
+        (`Tolerances`).
 
         The variance of a response's disturbance is that between repeats of a cell: what repeats have in common is the model's error and
         stays in the residual. A start from which the simulation is not finite is given back as it is.
@@ -125,7 +135,7 @@ class Estimator:
             robust=False,
             estimate_noise=noise,
             max_iterations=iterations,
-            tolerances=COMPARED,
+            tolerances=replace(COMPARED, compared_with=compared_with),
         )
         columns: dict[str, FloatArray] = {}
         for part, values in zip(problem.parts, found.local, strict=True):
@@ -134,12 +144,7 @@ class Estimator:
                 column[[r.index for r in part.responses]] = values[:, k]
         made = Optimum(dict(found.values), columns, found.noise, np.inf)
         objective = self.objective(model, made)
-        scale = 0.0
-        for part in problem.parts:
-            count = part.mask.sum(axis=(0, 1))
-            scale += sum(n * np.log(found.noise.channel[c]) for n, c in zip(count, part.outputs, strict=True))
-            scale += len(part.responses) * sum(np.log(found.noise.disturbance[d]) for d in part.block.disturbances)
-        return replace(made, objective=objective, log_likelihood=float(-scale - 0.5 * objective))
+        return replace(made, objective=objective, log_likelihood=log_likelihood(problem, found.noise, objective))
 
     def covariance(self, model: Model, at: Optimum, names: Sequence[str]) -> Covariance:
         """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
@@ -171,9 +176,9 @@ class Estimator:
             precision = 1.0 / prior_std(part, at.noise)
             residual, prior = (made.residual / std).reshape(m, -1), (part.start_local() - l_i) * precision
             scale = np.tile(std, n)
-            stacked = np.concatenate([j_l, precision[..., None] * np.eye(n_l)], axis=1)
-            start = np.linalg.qr(stacked[..., :n_f])[0] if n_f else np.zeros((m, n * n_y + n_l, 0))
-            projection = Projection(np.linalg.qr(stacked)[0], start, scale, part.mask.reshape(m, -1))
+            basis = orthonormal_each(np.concatenate([j_l, precision[..., None] * np.eye(n_l)], axis=1))
+            start = basis[..., :n_f]  # the first columns span what the first columns of the Jacobian do
+            projection = Projection(basis, start, scale, part.mask.reshape(m, -1))
             r = project(projection.basis, np.concatenate([residual, prior], axis=1)[..., None])[..., 0]
             # Without the disturbance: what it explained goes back into the residual.
             given = residual + np.einsum("mij,mj->mi", j_l[..., n_f:], l_i[:, n_f:])

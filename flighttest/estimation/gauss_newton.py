@@ -43,7 +43,8 @@ class Tolerances:
 
     step: root mean square parameter step, in standard errors; end: the same where no step lowers the cost; cost: relative decrease of the
     cost by the last step, or decrease, absolute; flat: steps in a row that lower it by no more (a kink, where an edge passes a sample, or a
-    flat direction).
+    flat direction). compared_with: log likelihood of the model that this one is compared with: the loop ends where it has gained, and
+    expects to gain, less than `share` of what separates the two.
     """
 
     step: float = 0.05
@@ -51,6 +52,8 @@ class Tolerances:
     cost: float = 1e-6
     decrease: float = 0.01
     flat: int = 4
+    compared_with: float | None = None
+    share: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,9 @@ class Objective(Protocol[P, N]):
 
     def cost(self, at: P) -> float:
         """Penalised sum of squares, whitened."""
+
+    def log_likelihood(self, cost: float) -> float:
+        """Of a cost, in the noise as learned last."""
 
     def normal_equations(self, at: P) -> tuple[FloatArray, FloatArray, N]:
         """Gauss-Newton Hessian (p, p) and minus half the gradient (p,), nuisance parameters profiled out."""
@@ -155,10 +161,14 @@ class _QuadraticModel(Generic[N]):
             found[self.active] = np.linalg.lstsq(scaled, self.g[self.active] / root, rcond=1e-13)[0] / root
         return found
 
+    def expected(self, step: FloatArray) -> float:
+        """By how much the full step of Gauss and Newton lowers the cost, to second order."""
+        sub = self.h[np.ix_(self.active, self.active)]
+        return float(step[self.active] @ sub @ step[self.active])
+
     def small(self, step: FloatArray, tolerance: float) -> bool:
         """Whether a step is small against what the data can resolve."""
-        sub = self.h[np.ix_(self.active, self.active)]
-        return bool(step[self.active] @ sub @ step[self.active] <= tolerance**2 * max(self.active.size, 1))
+        return self.expected(step) <= tolerance**2 * max(self.active.size, 1)
 
 
 def minimise(
@@ -186,10 +196,15 @@ def minimise(
         if trial is None:
             status = FitStatus.CONVERGED if quadratic.small(full_step, limits.end) else FitStatus.NO_DESCENT
             break
-        flat = flat + 1 if quadratic.cost - new_cost <= max(limits.cost * quadratic.cost, limits.decrease) else 0
+        lowered = quadratic.cost - new_cost
+        flat = flat + 1 if lowered <= max(limits.cost * quadratic.cost, limits.decrease) else 0
         still = bool(quadratic.active.size) or objective.nuisance_settled(now, trial)
         now = trial
         near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= limits.flat
+        if limits.compared_with is not None:
+            # Not in a bent valley, where steps gain little though much is left.
+            apart = abs(objective.log_likelihood(new_cost) - limits.compared_with)
+            near = near or max(lowered, quadratic.expected(full_step)) <= 2.0 * limits.share * apart
         if still and near and settled and iteration >= least_iterations:
             status = FitStatus.CONVERGED
             break

@@ -124,6 +124,22 @@ def project(basis: FloatArray, columns: FloatArray) -> FloatArray:
     return np.asarray(columns - np.matmul(basis, np.matmul(basis.transpose(0, 2, 1), columns)))
 
 
+def orthonormal_each(columns: FloatArray) -> FloatArray:
+    """(m, n, l) orthonormal columns, the first k of which span the first k of the given (m, n, l), which are of full rank.
+
+    Cholesky QR, twice (Yamamoto et al. 2015): matrix products only, several times faster than Householder's on many long matrices.
+    """
+    length = np.sqrt(np.einsum("mnl,mnl->ml", columns, columns))[:, None, :]
+    found = columns / np.maximum(length, np.finfo(float).tiny)
+    try:
+        for _ in range(2):
+            factor = np.linalg.cholesky(np.matmul(found.swapaxes(1, 2), found))
+            found = np.matmul(found, np.linalg.inv(factor).swapaxes(1, 2))
+    except np.linalg.LinAlgError:  # nearly dependent: the product has lost what tells them apart
+        return np.asarray(np.linalg.qr(columns)[0])
+    return np.asarray(found)
+
+
 def orthonormal(columns: FloatArray) -> FloatArray:
     """Orthonormal basis (n, r) of the column space of (n, p), r its numerical rank."""
     length = np.sqrt(np.sum(columns**2, axis=0))

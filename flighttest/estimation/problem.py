@@ -89,6 +89,26 @@ class PartEvaluation:
     jacobian: FloatArray
     columns: tuple[str, ...]
 
+    @cached_property
+    def sums(self) -> Sums:
+        """Over the samples of each response, per output: all that least squares asks of them, whatever the outputs' noise."""
+        outputs = [(self.jacobian[:, :, k], self.residual[:, :, k, None]) for k in range(self.residual.shape[2])]
+        return Sums(
+            gram=np.stack([a.swapaxes(1, 2) @ a for a, _ in outputs], axis=1),
+            moment=np.stack([(a.swapaxes(1, 2) @ r)[..., 0] for a, r in outputs], axis=1),
+            square=np.stack([(r.swapaxes(1, 2) @ r)[:, 0, 0] for _, r in outputs], axis=1),
+        )
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Of the Jacobian J and the residual r of m responses, per output k and summed over samples: gram (m, k, n_columns, n_columns) J'J,
+    moment (m, k, n_columns) J'r, square (m, k) r'r."""
+
+    gram: FloatArray
+    moment: FloatArray
+    square: FloatArray
+
 
 @dataclass(frozen=True)
 class _Batch:

@@ -78,6 +78,10 @@ class _PenalisedCost:
         """`Weighing.cost`."""
         return self.weighing.cost(at)
 
+    def log_likelihood(self, cost: float) -> float:
+        """`log_likelihood` in the noise as learned last."""
+        return log_likelihood(self.problem, self.weighing.noise, cost)
+
     def normal_equations(self, at: State) -> tuple[FloatArray, FloatArray, Backs]:
         """Summed over the responses."""
         normal, backs = self.weighing.normal_equations(at, self.names)
@@ -169,6 +173,16 @@ def solve(
         cost=weighing.cost(now) if now.finite else float("inf"),
         iterations=found.iterations,
     )
+
+
+def log_likelihood(problem: Problem, noise: Noise, cost: float) -> float:
+    """Log density of the samples and the disturbances, but for a constant, at a whitened sum of squares `cost`."""
+    scale = 0.0
+    for part in problem.parts:
+        count = part.mask.sum(axis=(0, 1))
+        scale += sum(n * np.log(noise.channel[c]) for n, c in zip(count, part.outputs, strict=True))
+        scale += len(part.responses) * sum(np.log(noise.disturbance[d]) for d in part.block.disturbances)
+    return float(-scale - 0.5 * cost)
 
 
 def finite_or_error(solution: Solution) -> Solution:

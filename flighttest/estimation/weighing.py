@@ -104,10 +104,9 @@ class Weighing:
         backs = []
         position = {name: k for k, name in enumerate(free)}
         for part, made, local in zip(self.problem.parts, at.made, at.local, strict=True):
-            a, r = self._whitened(part, made)
-            m, n_p = a.shape[0], a.shape[2] - len(part.locals)
-            full = a.swapaxes(1, 2) @ a
-            grad = (a.swapaxes(1, 2) @ r)[..., 0]
+            sums, n_p = self._weighted(part, made).sums, len(made.columns) - len(part.locals)
+            precision = np.array([self.noise.channel[c] ** -2 for c in part.outputs])
+            full, grad = np.einsum("mkab,k->mab", sums.gram, precision), np.einsum("mka,k->ma", sums.moment, precision)
             prior = 1.0 / prior_std(part, self.noise) ** 2
             h_ll = full[:, n_p:, n_p:] + np.einsum("ml,lk->mlk", prior, np.eye(prior.shape[1]))
             g_l = grad[:, n_p:] + prior * (part.start_local() - local)
@@ -115,7 +114,7 @@ class Weighing:
             back_g, back_h = solved[..., 0], solved[..., 1:]
             h_pl = full[:, :n_p, n_p:]
             columns = np.array([position[c] for c in made.columns[:n_p]], dtype=np.intp)
-            placed = np.zeros((m, prior.shape[1], len(free)))
+            placed = np.zeros((*prior.shape, len(free)))
             placed[:, :, columns] = back_h
             backs.append((back_g, placed))
             index = np.array([response.index for response in part.responses])
@@ -127,7 +126,10 @@ class Weighing:
         """Per part the whitened residual (m, n, n_outputs) and its Jacobian by `free` (m, n, n_outputs, p), locals eliminated."""
         found = []
         for part, made in zip(self.problem.parts, at.made, strict=True):
-            a, r = self._whitened(part, made)
+            weighted, std = self._weighted(part, made), np.array([self.noise.channel[c] for c in part.outputs])
+            m = len(part.responses)
+            a = (weighted.jacobian / std[:, None]).reshape(m, -1, len(made.columns))
+            r = (weighted.residual / std).reshape(m, -1, 1)
             n_p = a.shape[2] - len(part.locals)
             a_l, rest = a[..., n_p:], np.concatenate([r, a[..., :n_p]], axis=2)
             prior = np.einsum("ml,lk->mlk", 1.0 / prior_std(part, self.noise) ** 2, np.eye(a_l.shape[2]))
@@ -139,14 +141,19 @@ class Weighing:
             found.append((rest[..., 0].reshape(made.residual.shape), jacobian))
         return found
 
-    def _whitened(self, part: Part, made: PartEvaluation) -> tuple[FloatArray, FloatArray]:
-        """Jacobian (m, n n_outputs, n_columns) and residual (m, n n_outputs, 1) of a part over their noise, less where they count less."""
+    def _weighted(self, part: Part, made: PartEvaluation) -> PartEvaluation:
+        """A part times the square roots of its weights."""
+        weights = self._weights(part, made)
+        if (weights == part.mask).all():
+            return made
+        root = np.sqrt(weights)
+        return replace(made, residual=made.residual * root, jacobian=made.jacobian * root[..., None])
+
+    def _weights(self, part: Part, made: PartEvaluation) -> FloatArray:
+        """(m, n, n_outputs) of single samples, 0 where masked."""
         std = np.array([self.noise.channel[c] for c in part.outputs])
-        w = self.response[[r.index for r in part.responses]]
-        root = np.sqrt(sample_weights(made.residual, std, self.robust) * part.mask * w[:, None, None] / std**2)
-        m = made.residual.shape[0]
-        a = (made.jacobian * root[..., None]).reshape(m, -1, made.jacobian.shape[-1])
-        return a, (made.residual * root).reshape(m, -1, 1)
+        response = self.response[[r.index for r in part.responses]]
+        return np.asarray(sample_weights(made.residual, std, self.robust) * part.mask * response[:, None, None])
 
     def with_noise_of(self, at: State, free: Sequence[str]) -> Weighing:
         """Channel noise from the residuals, disturbance variances from the locals, together, at these parameters.
@@ -166,16 +173,11 @@ class Weighing:
         """Of one part."""
         std = np.array([self.noise.channel[c] for c in part.outputs])
         n_l, n_d = len(part.locals), len(part.block.disturbances)
-        index = [r.index for r in part.responses]
-        counted = part.mask * self.response[index][:, None, None]
-        robust = sample_weights(made.residual, std, True) * counted
-        weights = robust if self.robust else counted
-        # Sums over the samples of a response, per channel: all that residuals are, as quadratic functions of the locals.
-        a = np.moveaxis(made.jacobian[..., made.jacobian.shape[3] - n_l :], 1, 2)
-        weighted = np.moveaxis(weights, 1, 2)[..., None] * a
-        gram, moment = weighted.swapaxes(2, 3) @ a, np.einsum("mknl,mnk->mkl", weighted, made.residual)
-        square = np.einsum("mnk,mnk->mk", weights * made.residual, made.residual)
+        index, sums = [r.index for r in part.responses], self._weighted(part, made).sums
+        n_p = len(made.columns) - n_l
+        gram, moment, square = sums.gram[..., n_p:, n_p:], sums.moment[..., n_p:], sums.square
         # Single samples far out count less in the noise, whether or not they do in the cost.
+        robust = replace(self, robust=True)._weights(part, made)
         spikes = np.einsum("mnk,mnk->k", robust * made.residual, made.residual) / np.maximum(square.sum(axis=0), 1e-300)
         spent = (n_free + n_l * len(part.responses)) / max(float(part.mask.sum()), 1.0)
         scale = spikes / np.maximum(robust.sum(axis=(0, 1)), 1.0) / max(1.0 - spent, 0.2)

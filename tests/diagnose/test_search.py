@@ -258,7 +258,7 @@ def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated(
         def problem(self, model):
             return SimpleNamespace(names=("K", "w_north", "w_up"))
 
-        def fit(self, model, start, names):
+        def fit(self, model, start, names, *, compared_with=None):
             asked.append(names)
             return SimpleNamespace(values={**start.values, "w_up": -3.0 if "w_up" in names else start.values["w_up"]})
 
@@ -284,3 +284,53 @@ def test_a_gain_or_lag_is_astray_beyond_a_factor_of_three_and_a_delay_never(name
     origin = {"sigma_t": 20.0, "K": 50.0, "T_d_thrust": 0.04}
     assert astray(tuple(origin), origin | {name: factor * origin[name]}, origin) is gone
     assert not astray((), origin | {name: factor * origin[name]}, origin)
+
+
+class Likelihoods:
+    """An estimator whose every fit of a model gains what `gains` says of its terms; compared: what each was compared with."""
+
+    def __init__(self):
+        self.compared = []
+
+    def problem(self, model):
+        return SimpleNamespace(names=model.names)
+
+    def fit(self, model, start, names, *, compared_with=None):
+        self.compared.append(("".join(sorted(model.terms)), compared_with))
+        return SimpleNamespace(values=dict.fromkeys(names, 1.0), log_likelihood=start.log_likelihood, objective=0.0)
+
+    def moved(self, model, at, values=None):
+        return SimpleNamespace(values=at.values, log_likelihood=0.0, objective=0.0)
+
+    def linearise(self, model, at, names):
+        return None
+
+
+@dataclass(frozen=True)
+class Named:
+    """A model of terms that have no parameters."""
+
+    terms: tuple
+    names: tuple = ()
+    params: tuple = ()
+
+    def without_terms(self, term):
+        return Named(tuple(t for t in self.terms if t != term))
+
+
+def found(*terms, likelihood):
+    return Fitted(Named(terms), (), SimpleNamespace(values={}, log_likelihood=likelihood, objective=0.0), None)
+
+
+def test_a_smaller_model_is_fitted_once_for_comparisons_and_again_where_one_is_closer_or_it_stays():
+    estimator = Likelihoods()
+    search = Search(estimator, tuple(SimpleNamespace(id=t) for t in "abc"), np.zeros(1, dtype=int))
+    rough = search.without("b", found("a", "b", likelihood=1000.0))
+    assert search.without("c", found("a", "c", likelihood=2000.0)) is rough
+    assert estimator.compared == [("a", 1000.0)]
+    search.without("c", found("a", "c", likelihood=20.0))
+    assert estimator.compared[1:] == [("a", 20.0)]
+    exact = search.refined(search.without("c", found("a", "c", likelihood=20.0)))
+    assert estimator.compared[2:] == [("a", None)]
+    assert search.refined(exact) is search.without("b", found("a", "b", likelihood=1.0)) is exact
+    assert len(estimator.compared) == 3

@@ -81,6 +81,11 @@ class Search:
     evidence: dict[str, Evidence] = field(default_factory=dict)
     rejected: dict[str, Evidence] = field(default_factory=dict)
     _fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
+    _rough: dict[frozenset[str], float] = field(
+        default_factory=dict
+    )  # of these, only compared with this log likelihood
+    _refitted: set[frozenset[str]] = field(default_factory=set)  # of these, from where scores pointed
+    _found: dict[tuple[str, frozenset[str]], tuple[Fitted, Evidence]] = field(default_factory=dict)
 
     @property
     def terms(self) -> dict[str, Term]:
@@ -188,19 +193,21 @@ class Search:
                 return fitted, evidence, left
             left[worst.term] = worst
             self.progress(f"{worst.term} is not needed: {worst.why_not}")
-            fitted = worst.without
+            fitted = self.refined(worst.without)
 
     def _evidence(self, term: str, fitted: Fitted) -> Evidence:
+        """Of a term of a fitted model; kept."""
         assert self.floor is not None
-        return evidence_of(
-            self.terms[term],
-            fitted,
-            self.without(term, fitted),
-            self.estimator,
-            self.groups,
-            self.floor,
-            len(self.pool),
+        without, key = self.without(term, fitted), (term, self._members(fitted))
+        if key in self._found:
+            of, evidence = self._found[key]
+            if of is fitted and evidence.without is without:
+                return evidence
+        evidence = evidence_of(
+            self.terms[term], fitted, without, self.estimator, self.groups, self.floor, len(self.pool)
         )
+        self._found[key] = fitted, evidence
+        return evidence
 
     def aliases(self, term: str) -> tuple[Alias, ...]:
         """Candidates whose effect beside the rest of the present model points as a named term's does, refitted in its place."""
@@ -237,19 +244,23 @@ class Search:
     def _members(self, fitted: Fitted) -> frozenset[str]:
         return frozenset(t.id for t in self.pool if t.id in fitted.model.terms and t.id not in fitted.inactive)
 
-    def fit_of(self, model: Model, start: Optimum, inactive: frozenset[str]) -> Fitted:
-        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`)."""
+    def fit_of(
+        self, model: Model, start: Optimum, inactive: frozenset[str], compared_with: float | None = None
+    ) -> Fitted:
+        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with: as of
+        `Estimator.fit`."""
         names = self._free(model, inactive)
-        at = self.estimator.fit(model, start, names)
+        at = self.estimator.fit(model, start, names, compared_with=compared_with)
         if stuck := self._not_estimates(model, at, names):
             # What drove them there is not their effect: the rest of the term is judged without them.
             names = tuple(n for n in names if n not in stuck)
-            at = self.estimator.fit(model, self.estimator.moved(model, at, stuck), names)
+            at = self.estimator.fit(model, self.estimator.moved(model, at, stuck), names, compared_with=compared_with)
         fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
-        known = self._fits.get(self._members(fitted))
+        members, rough = self._members(fitted), -np.inf if compared_with is None else compared_with
+        known = self._fits.get(members)
         if known is not None and known.names == names and known.at.log_likelihood >= at.log_likelihood:
-            return known
-        self._fits[self._members(fitted)] = fitted
+            fitted, rough = known, min(rough, self._rough[members])
+        self._fits[members], self._rough[members] = fitted, rough
         return fitted
 
     def _not_estimates(self, model: Model, at: Optimum, names: tuple[str, ...]) -> dict[str, float]:
@@ -267,8 +278,12 @@ class Search:
         return tuple(n for n in known if model.term_of(n) not in inactive and n not in self.insensitive)
 
     def refitted(self, among: Fitted, members: list[Candidate], scored: Scored) -> Fitted:
-        """Joint fit with candidates, from where their scores point, or from their null values where that is nearer."""
+        """Joint fit with candidates, from where their scores point, or from their null values where that is nearer; kept."""
         terms = [c.term for c in members]
+        asked = self._members(among) | {t.id for t in terms}
+        if asked in self._refitted:
+            return self.refined(self._fits[asked])
+        self._refitted.add(asked)
         model = among.model.with_terms(*(t for t in terms if t.id not in among.model.terms))
         shape = {n: v for c in members for n, v in c.shape.items()}
         pointed, null, at = dict(shape), dict(shape), 0
@@ -283,7 +298,8 @@ class Search:
         inactive = among.inactive - {t.id for t in terms}
         if shape and len(shape) < sum(len(t.params) for t in terms):
             # A nonlinear parameter means nothing until its coefficient has grown: the size comes first.
-            first = self.estimator.fit(model, first, [n for n in self._free(model, inactive) if n not in shape])
+            sizes = [n for n in self._free(model, inactive) if n not in shape]
+            first = self.estimator.fit(model, first, sizes, compared_with=among.at.log_likelihood)
         fitted = self.fit_of(model, first, inactive)
         if not astray(among.names, among.at.values, self.origin):
             return fitted
@@ -295,15 +311,24 @@ class Search:
 
     def without(self, term: str, fitted: Fitted) -> Fitted:
         """A model refitted without one of its terms; kept."""
-        rest = self._members(fitted) - {term}
+        rest, best = self._members(fitted) - {term}, fitted.at.log_likelihood
         if rest in self._fits:
-            return self._fits[rest]
+            # Good enough for one that is better still; not for one that is nearer.
+            return self._fits[rest] if self._rough[rest] <= best else self.refined(self._fits[rest], best)
+        model, inactive, null = fitted.model, fitted.inactive, {}
         if term in self.inactive:
             null = {p.name: null_value(p) for p in self.terms[term].amplitudes}
-            start = self.estimator.moved(fitted.model, fitted.at, null)
-            return self.fit_of(fitted.model, start, fitted.inactive | {term})
-        model = fitted.model.without_terms(term)
-        return self.fit_of(model, self.estimator.moved(model, fitted.at), fitted.inactive)
+            inactive = inactive | {term}
+        else:
+            model = model.without_terms(term)
+        start = self.estimator.moved(model, fitted.at, null)
+        return self.fit_of(model, start, inactive, compared_with=best)
+
+    def refined(self, fitted: Fitted, compared_with: float | None = None) -> Fitted:
+        """A model that was only compared with a better one, at its own optimum, or near enough for another comparison."""
+        if self._rough.get(self._members(fitted), -np.inf) == -np.inf:
+            return fitted
+        return self.fit_of(fitted.model, fitted.at, fitted.inactive, compared_with)
 
     def probabilities(self) -> Mapping[str, float]:
         """Of every term that was refitted: that it is needed."""

@@ -23,7 +23,7 @@ from scipy.special import log_ndtr
 from flighttest.diagnose.residuals.discrepancy import Discrepancy
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.diagnose.selection.candidates import Candidate
-from flighttest.estimation.linearisation import FloatArray, Linearisation, orthonormal
+from flighttest.estimation.linearisation import RANK, FloatArray, Linearisation
 
 LARGEST = 3  # terms in the exhaustive search
 SETTINGS = 2  # grid values of a term that go into subsets of three
@@ -69,20 +69,26 @@ class Subsets:
     ) -> Subsets:
         """names: parameters of the present model."""
         # Weights by inflation alone: variances are free in the likelihood.
-        inflation = np.append(discrepancy.inflation, 1.0)[rows.stratum]
-        variance = np.append(discrepancy.variance, 1.0)[rows.stratum]
-        root = 1.0 / np.sqrt(inflation * variance)
-        basis = orthonormal(rows.columns(names) * root[:, None])
-        columns = np.concatenate([c.columns for c in candidates], axis=1) * root[:, None]
-        residual = rows.residual * root
-        length = np.sqrt(np.sum(columns**2, axis=0))
-        columns = columns - basis @ (basis.T @ columns)
-        residual = residual - basis @ (basis.T @ residual)
-        left = np.sqrt(np.sum(columns**2, axis=0)) / np.maximum(length, 1e-300)
+        root = 1.0 / np.sqrt(np.append(discrepancy.inflation * discrepancy.variance, 1.0)[rows.stratum])
+        stacked = np.concatenate(
+            [rows.columns(names), *(c.columns for c in candidates), rows.residual[:, None]], axis=1
+        )
+        p = len(names)
         strata = [rows.stratum == k for k in range(len(rows.strata))] + [rows.stratum < 0]
+        products = []
+        for at in strata:
+            own = stacked[at] * root[at, None]
+            products.append(own.T @ own)
+        total = np.sum(products, axis=0)
+        # What the base explains of every column and of the residual is taken away; it need not be of full rank.
+        explained = np.zeros_like(total)
+        explained[:p, p:] = _inverse(total[:p, :p]) @ total[:p, p:]
+        rest = np.eye(len(total)) - explained
+        products = [(rest.T @ one @ rest)[p:, p:] for one in products]
+        left = np.sqrt(np.maximum(np.diag(np.sum(products, axis=0)) / np.maximum(np.diag(total)[p:], 1e-300), 0.0))
         noise = np.array([_floor_variance(rows, floor, k) for k in range(len(rows.strata))])
         size = np.append(discrepancy.count / discrepancy.inflation, 0.0)
-        square = np.array([float(residual[at] @ residual[at]) for at in strata])
+        square = np.array([one[-1, -1] for one in products])
         # In units of the present variance of the stratum.
         least = np.append(noise / discrepancy.variance, 1.0)
         first = np.cumsum([0, *(c.columns.shape[1] for c in candidates)])
@@ -91,8 +97,8 @@ class Subsets:
             counts[c.term.id] = counts.get(c.term.id, 0) + 1
         return cls(
             candidates=candidates,
-            gram=np.array([columns[at].T @ columns[at] for at in strata]),
-            moment=np.array([columns[at].T @ residual[at] for at in strata]),
+            gram=np.array([one[:-1, :-1] for one in products]),
+            moment=np.array([one[:-1, -1] for one in products]),
             square=square,
             size=size,
             least=least,
@@ -172,6 +178,13 @@ class Subsets:
 
     def _different(self, members: Sequence[int]) -> bool:
         return len({self.candidates[j].term.id for j in members}) == len(members)
+
+
+def _inverse(gram: FloatArray) -> FloatArray:
+    """Pseudo-inverse (p, p) of a Gram matrix, to rounding error of its columns at unit length."""
+    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    unit = np.outer(length, length)
+    return np.asarray(np.linalg.pinv(gram / unit, rcond=RANK, hermitian=True) / unit)
 
 
 def _floor_variance(rows: Linearisation, floor: NoiseFloor, stratum: int) -> float:
