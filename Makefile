@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check faults faults-sitl frozen sitl docs docs-site docs-figures notebooks clean
+.PHONY: demo test check mutants faults faults-sitl frozen sitl docs docs-site docs-figures notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -26,6 +26,9 @@ check: .venv/installed
 
 frozen: .venv/installed  ## diagnose the frozen bench of sealed flights and compare with the answers kept
 	$(BIN)/python -m benchmarks.frozen
+
+mutants: .venv/installed  ## loosen what decides, one change at a time, and see whether a test fails (an hour)
+	$(BIN)/python -m tests.mutants
 
 faults: .venv/installed  ## every fault of the link in every state of a flight, into docs/faults.md
 	$(BIN)/python -m tests.faults.table -o docs/faults.md

@@ -166,6 +166,14 @@ def test_a_column_the_base_can_copy_is_no_candidate(rng):
     assert {t for s in nearly.ranked() for t in nearly.terms(s)} == {"copy", "other"}
 
 
+@pytest.mark.parametrize(("left", "tried"), [(0.0008, False), (0.0013, True)])
+def test_a_column_of_which_a_thousandth_is_left_is_a_candidate(rng, left, tried):
+    base, other = np.linalg.qr(rng.normal(size=(500, 2)))[0].T
+    found = subsets(rng.normal(size=500), base[:, None], [candidate("a", base + left * other)])
+    assert found.left[0] == pytest.approx(left, rel=1e-3)
+    assert bool(found.ranked()) is tried
+
+
 def test_a_difference_without_a_coefficient_is_there_about_once(rng):
     """A term without a linear coefficient: multiple one of its whole change is expected, none is not it."""
     effect = rng.normal(size=(N, 1))
@@ -178,6 +186,18 @@ def test_a_difference_without_a_coefficient_is_there_about_once(rng):
     assert scored[0].coefficients[0] == pytest.approx(1.0, abs=0.25)
     assert scored[0].log_odds > 10.0
     assert scored[1].log_odds < -1.0
+
+
+def test_the_multiple_of_a_difference_is_known_to_two_fifths(rng):
+    a = rng.normal(size=(N, 1))
+    residual = 0.3 * a[:, 0] + rng.normal(size=N)
+    term = SimpleNamespace(id="a", params=())
+    found = subsets(residual, np.zeros((N, 0)), [Candidate(term, {}, (), a, a)], floor=1.0)
+    found.now[:], found.least[:], found.size[:] = 1.0, 1.0, 0.0
+    (scored,) = found.score([(0,)])
+    with_it = stats.multivariate_normal(a[:, 0], np.eye(N) + 0.4**2 * a @ a.T).logpdf(residual)
+    without = stats.multivariate_normal(np.zeros(N), np.eye(N)).logpdf(residual)
+    assert scored.log_odds == pytest.approx(with_it - without, abs=1e-8)
 
 
 def test_of_noise_alone_hardly_anything_is_proposed_however_many_candidates_there_are(rng):

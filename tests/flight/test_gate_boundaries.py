@@ -183,6 +183,33 @@ def test_letting_go_passes_whatever_the_vehicle_does(
     assert refusals(level, wild, GATE) == ()
 
 
+@pytest.mark.parametrize(
+    ("change", "passes"),
+    [
+        ({"throttle": GATE.stop_throttle[0]}, True),
+        ({"throttle": GATE.stop_throttle[0] - JUST}, False),
+        ({"throttle": GATE.stop_throttle[1]}, True),
+        ({"throttle": GATE.stop_throttle[1] + JUST}, False),
+        ({"yaw_rate_rad_s": JUST}, False),
+        ({"roll_rad": JUST}, False),
+        ({"pitch_rad": -JUST}, False),
+    ],
+)
+def test_letting_go_is_level_without_a_yaw_rate_between_the_stopping_throttles(
+    change: dict[str, float], passes: bool
+) -> None:
+    target = AttitudeTarget(
+        0.0, **{"roll_rad": 0.0, "pitch_rad": 0.0, "yaw_rate_rad_s": 0.0, "throttle": 0.18, **change}
+    )
+    assert (refusals(target, replace(GOOD, armed=False), GATE) == ()) is passes
+
+
+@pytest.mark.parametrize(("height_m", "inside"), [(3.0, True), (3.0 - JUST, False), (8.0, True), (8.0 + JUST, False)])
+def test_the_zones_floor_and_ceiling_count_where_they_are_narrower(height_m: float, inside: bool) -> None:
+    narrow = replace(GATE, zone=replace(GATE.zone, z_m=(3.0, 8.0)))
+    assert (refusals(TILTED, replace(GOOD, height_m=height_m), narrow) == ()) is inside
+
+
 @given(roll=angles, pitch=angles, rate=st.floats(-5.0, 5.0), throttle=st.floats(-0.2, 1.2))
 def test_only_what_lets_go_passes_an_unfit_vehicle(roll: float, pitch: float, rate: float, throttle: float) -> None:
     target = AttitudeTarget(0.0, roll, pitch, rate, throttle)
@@ -207,6 +234,13 @@ def test_a_step_that_looks_like_letting_go_is_judged_in_full() -> None:
     assert refusals(level, GOOD, GATE, step=True) == ()
     assert refusals(level, replace(GOOD, silence_s=1.0), GATE, step=True) == (Refusal.LINK,)
     assert refusals(level, replace(GOOD, height_m=10.5), GATE, step=True) == (Refusal.HEIGHT,)
+
+
+def test_a_step_whose_climb_is_not_known_is_refused() -> None:
+    unknown = replace(GOOD, climb_m_s=None)
+    assert refusals(TILTED, unknown, GATE, step=True) == (Refusal.HEIGHT,)
+    assert refusals(TILTED, unknown, GATE) == ()
+    assert refusals(TILTED, replace(GOOD, climb_m_s=math.nan), GATE, step=True) == (Refusal.HEIGHT,)
 
 
 def test_a_step_is_judged_by_the_zone_wherever_the_vehicle_has_a_position() -> None:
