@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_rows import rows_of
+from made_rows import responses, rows_of
 
 from flighttest.diagnose import next_flight, run
 from flighttest.diagnose.mass import mass_test
@@ -12,7 +12,7 @@ from flighttest.diagnose.residuals import locate
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
 from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
-from flighttest.diagnose.selection.held_out import gains_held_out, held_out, held_out_groups
+from flighttest.diagnose.selection.held_out import gains_held_out, held_out, held_out_groups, places
 from flighttest.estimation.linearisation import orthonormal
 from flighttest.estimation.problem import Noise
 from flighttest.segments.model import Segment
@@ -52,6 +52,12 @@ def test_held_out_groups_are_cells_flights_or_pieces():
     groups, what = held_out_groups([segment("free", "one", k) for k in range(12)])
     assert what == "pieces of the flight"
     assert list(groups) == sorted(groups)
+
+
+@pytest.mark.parametrize(("count", "there"), [(59, False), (60, True)])
+def test_a_place_has_sixty_samples_at_least(count, there):
+    rows = rows_of(np.zeros(count), np.zeros((count, 0)), segments=1)
+    assert bool(places(rows, responses(1, count))) is there
 
 
 def test_explained_variance_sees_a_regime_and_nothing_in_noise(rng):

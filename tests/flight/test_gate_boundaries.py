@@ -65,6 +65,8 @@ STATES = [
     ({"armed": False}, Refusal.DISARMED),
     ({"silence_s": 0.5 + JUST}, Refusal.LINK),
     ({"silence_s": math.nan}, Refusal.LINK),
+    ({"mode_age_s": 2.5 + JUST}, Refusal.LINK),
+    ({"uplink_silence_s": 1.5 + JUST}, Refusal.UPLINK),
     ({"attitude_rad": None}, Refusal.TELEMETRY_OLD),
     ({"attitude_age_s": 0.3 + JUST}, Refusal.TELEMETRY_OLD),
     ({"position_m": None}, Refusal.POSITION_OLD),
@@ -91,6 +93,8 @@ def test_each_unfit_state_is_refused_with_its_own_reason(change: dict[str, objec
 
 FIT = [
     {"silence_s": 0.5},
+    {"mode_age_s": 2.5},
+    {"uplink_silence_s": 1.5},
     {"attitude_age_s": 0.3},
     {"position_age_s": 0.5},
     {"attitude_rad": (0.87, 0.0, 0.0)},
