@@ -60,10 +60,11 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
 }
 # Of these a factor of two changes the time taken, a resolution far below what matters, or a picture, and no answer.
 NO_DECISION = {
-    "diagnose/selection/subsets.py": ("CHUNK", "SETTINGS"),
+    "diagnose/selection/subsets.py": ("CHUNK", "LARGEST", "SETTINGS"),
     "diagnose/selection/search.py": ("MOST_ROUNDS",),
-    "diagnose/selection/held_out.py": ("BOOTSTRAPS", "RIDGE"),
+    "diagnose/selection/held_out.py": ("BOOTSTRAPS", "FOLDS", "RIDGE"),
     "diagnose/selection/detectability.py": ("NEVER",),
+    "diagnose/residuals/lack_of_fit.py": ("BIN_S",),
     "diagnose/residuals/discrepancy.py": ("LONGEST_S",),
     "estimation/gauss_newton.py": ("MAX_ITERATIONS", "MAX_REJECTIONS"),
     "estimation/weighing.py": ("LARGEST", "RIDGE", "NOISE_STEPS", "NOISE_TOLERANCE"),

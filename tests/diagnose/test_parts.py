@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_rows import responses, rows_of
+from scipy import stats
 
 from flighttest.diagnose import next_flight, run
 from flighttest.diagnose.mass import mass_test
@@ -12,9 +13,11 @@ from flighttest.diagnose.residuals import locate
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
 from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
+from flighttest.diagnose.selection.comparison import log_odds_asked
 from flighttest.diagnose.selection.held_out import gains_held_out, held_out, held_out_groups, places
 from flighttest.estimation.linearisation import orthonormal
 from flighttest.estimation.problem import Noise
+from flighttest.physics.catalogue import catalogue
 from flighttest.segments.model import Segment
 
 
@@ -156,6 +159,37 @@ def test_what_would_be_seen_is_told_for_the_usual_value_of_a_nonlinear_parameter
     term = SimpleNamespace(id="thrust_fade", shapes=(SimpleNamespace(name="tau", nominal=60.0),))
     settings = [SimpleNamespace(term=term, shape={"tau": tau}) for tau in (5.0, 40.0, 300.0)]
     assert detectability.usual_settings(settings) == [settings[1]]
+
+
+def test_an_effect_of_the_smallest_size_told_is_named_four_times_in_five(rng, monkeypatch):
+    monkeypatch.setattr(detectability, "weights_of", lambda *_: lambda rows: np.ones(rows.residual.size))
+    column = rng.normal(size=(2000, 1))
+    rows = rows_of(np.zeros(2000), np.ones((2000, 1)))
+    candidate = SimpleNamespace(
+        term=SimpleNamespace(id="a", shapes=()), shape={}, names=("a0",), columns=column, unprofiled=column
+    )
+    search = SimpleNamespace(
+        now=SimpleNamespace(rows=rows, names=("p0",)), candidates=[candidate], pool=tuple(range(30)),
+        estimator=SimpleNamespace(segments=responses(20, 100)), floor=NoiseFloor({"f_z_m_s2": 1e-6}, frozenset(), {}),
+    )  # fmt: skip
+    level, name = detectability.detectable(search)["a"]
+    assert name == "a0"
+    mean = level * np.linalg.norm(
+        column - column.mean()
+    )  # of the evidence's normal variable, whose square is twice the nats
+    asked = np.sqrt(2.0 * log_odds_asked(30))
+    assert stats.norm.sf(asked - mean) == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("level", "said"), [(1.9, None), (2.1, "2.1 times what is usual"), (101.0, "would not have shown")]
+)
+def test_what_shows_only_at_more_than_twice_its_usual_size_could_not_be_seen(level, said):
+    term = catalogue()["quadratic_drag"]
+    name, usual = term.amplitudes[0].name, abs(term.amplitudes[0].nominal)
+    search = SimpleNamespace(pool=(term,), named=frozenset())
+    found = detectability.untestable(search, {term.id: (level * usual, name)})
+    assert (said in found[0].why) if said else not found
 
 
 @pytest.mark.parametrize(("size", "error"), [(1.5, "error"), (5.0, "excess error")])
