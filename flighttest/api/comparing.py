@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from flighttest.api.verbs import AnyPath, Source, Stages, Tell, as_path, as_sources
 
@@ -56,6 +56,7 @@ def twin(
     model: FittedModel | AnyPath,
     *sources: Source,
     offline: bool = False,
+    backend: Literal["builtin", "sitl"] = "builtin",
     seed: int = 1,
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
@@ -63,19 +64,19 @@ def twin(
 ) -> Twin:
     """Fly an identified model as a vehicle, as it was recorded, and say what still differs.
 
-    The scripts of recorded runs are flown behind the built-in autopilot; logs and runs without a script, or all of them with offline=True,
+    The scripts of recorded runs are flown behind the built-in autopilot, or with backend="sitl" under the real ArduCopter on this machine
+    (LinkError without one), where the steps are compared as flown; logs and runs without a script, or all of them with offline=True,
     are compared with what the model makes of their recorded commands. output: folder that keeps the twin's flights and report.html.
     `simulate(model=...)` lets it fly for any ground station.
     """
     from flighttest.api.comparisons import Twin
-    from flighttest.pipeline.twin import verify
+    from flighttest.pipeline.twin import Flying, verify
 
     result = verify(
         _model(model),
         as_sources(sources),
         as_path(output),
-        offline=offline,
-        seed=seed,
+        flying=Flying(offline, backend == "sitl", seed),
         columns=as_path(columns),
         progress=Stages(progress),
     )

@@ -36,6 +36,13 @@ from flighttest.cli.live import LiveProgress
     help="With --replay: payload=KG, battery=V (or +V, -V), propeller=RATIO, or a parameter: K=+10%, w_north=3.",
 )
 @click.option("--offline", is_flag=True, help="With --verify: recorded commands alone, nothing is flown.")
+@click.option(
+    "--backend",
+    type=click.Choice(("builtin", "sitl")),
+    default="builtin",
+    show_default=True,
+    help="With --verify: behind the built-in autopilot, or under the real ArduCopter.",
+)
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the twin's noise.")
 @click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
 @click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for the twin's flights and report.html.")
@@ -46,6 +53,7 @@ def twin(
     replayed: tuple[Path, ...],
     changes: tuple[str, ...],
     offline: bool,
+    backend: str,
     seed: int,
     columns: Path | None,
     output: Path | None,
@@ -58,12 +66,15 @@ def twin(
 
     if bool(verified) == bool(replayed):
         raise click.UsageError("give either --verify RUN... or --replay RUN...")
+    if backend == "sitl" and replayed:
+        raise click.UsageError("--backend is of --verify: a replay flies nothing")
     if changes and not replayed:
         raise click.UsageError("--set changes the vehicle of a --replay")
     with LiveProgress(context.show) as progress:
         if replayed:
             return context.finish(twins.replay(model, replayed, changes, output, columns, progress))
-        result = twins.verify(model, verified, output, offline=offline, seed=seed, columns=columns, progress=progress)
+        flying = twins.Flying(offline, backend == "sitl", seed)
+        result = twins.verify(model, verified, output, flying=flying, columns=columns, progress=progress)
     return context.finish(result)
 
 

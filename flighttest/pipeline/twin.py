@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from flighttest.diagnose.against import (
     side_of,
     step_by_step,
 )
-from flighttest.errors import FlighttestError
+from flighttest.errors import FlighttestError, InputError
 from flighttest.flight import FlightOptions, fly
 from flighttest.identify.fit import fit
 from flighttest.identify.models import model_file
@@ -45,7 +46,11 @@ from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.twin import replay_sections, replay_sentence, verify_sections, verify_sentence
 from flighttest.segments import Segment
-from flighttest.sim import start_simulator
+from flighttest.sim import Simulation, start_simulator
+from flighttest.sim.sitl.launcher import find_arducopter
+from flighttest.sim.sitl.physics import PhysicsSitl, launch_on_physics
+from flighttest.twin.firmware import firmware_options
+from flighttest.twin.flown import flown_errors
 from flighttest.twin.replay import HORIZON_S
 from flighttest.twin.replay import replay as run_commands
 from flighttest.twin.vehicle import assumed, fly_able, options_of
@@ -57,7 +62,30 @@ from flighttest.vehicle.model import Vehicle
 NEAR_FLOOR = 1.2  # noise floors that the twin's error may have in a channel that it predicts
 _DOF = 30.0  # of the model's own standard errors, which a model file does not keep
 _SPEED = 20.0
+_FIRMWARE_SPEED = (
+    3.0  # times real time: targets are due every 20 ms of the firmware's clock, and both processes share the machine
+)
 NOT_A_FILE = "as given"  # of a model that is in no file
+_Launched = AbstractContextManager[Simulation] | AbstractContextManager[PhysicsSitl]
+
+
+@dataclass(frozen=True)
+class Flying:
+    """How a twin is verified. offline: recorded commands alone; firmware: under the real ArduCopter, not the built-in autopilot; seed:
+    of the twin's noise."""
+
+    offline: bool = False
+    firmware: bool = False
+    seed: int = 1
+
+    def check(self) -> None:
+        """InputError where both are asked for, LinkError where there is no firmware on this machine."""
+        if self.offline and self.firmware:
+            raise InputError(
+                "offline nothing is flown, under the firmware neither", "leave out --offline or --backend sitl"
+            )
+        if self.firmware:
+            find_arducopter()
 
 
 def verify(
@@ -65,34 +93,40 @@ def verify(
     runs: Sequence[Source],
     output: Path | None = None,
     *,
-    offline: bool = False,
-    seed: int = 1,
+    flying: Flying = Flying(),
     columns: Path | None = None,
     progress: Progress = SILENT,
 ) -> Result:
-    """Fly the scripts of recorded runs on the twin and compare; runs without a script, or all of them `offline`, are compared with what the
+    """Fly the scripts of recorded runs on the twin and compare; runs without a script, or all of them offline, are compared with what the
     model makes of their recorded commands. With `output` the twin's flights and report.html are kept there."""
     check_writable(output)
     stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
+    flying.check()
     recordings = once(open_recordings(runs, Reading(columns), progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
     kept = [run for run in runs if isinstance(run, Path)]
-    scripted = [] if offline else [run for run in kept if (run / "script.yaml").is_file()]
+    scripted = [] if flying.offline else [run for run in kept if (run / "script.yaml").is_file()]
     found = run_diagnosis(segments, recordings, stored, None, progress)
     flown: tuple[Segment, ...] = ()
     folders: list[Path] = []
+    if flying.firmware and not scripted:
+        raise InputError(
+            "none of these recordings has a script to fly under the firmware", "give run folders of `flighttest run`"
+        )
     if scripted:
+        sides = _sides(stored, flying, progress)
         with tempfile.TemporaryDirectory() as scratch:
             folders = [
-                _fly(stored, run, (output or Path(scratch)) / f"twin-{run.name}", seed + i, progress)
+                _fly(stored, run, (output or Path(scratch)) / f"twin-{run.name}", sides(flying.seed + i), progress)
                 for i, run in enumerate(scripted)
             ]
             flown = cut_all(open_recordings(folders, progress=progress), progress)
     progress.stage("comparing the twin with the recordings")
-    data = compare_with_recordings(stored, segments, found, flown)
+    data = compare_with_recordings(stored, segments, found, flown, flying.firmware)
     data |= {
+        "backend": "sitl" if flying.firmware else "builtin",
         "flown": [str(f) for f in folders] if output is not None else [],
         "flights": len(folders),
         "assumed": list(assumed(stored)),
@@ -169,17 +203,25 @@ def vehicle_of(run: Path) -> Vehicle:
     return replace(DEFAULT_VEHICLE, name=name)
 
 
-def _fly(stored: ModelFile, run: Path, folder: Path, seed: int, progress: Progress) -> Path:
+def _sides(stored: ModelFile, flying: Flying, progress: Progress) -> Callable[[int], _Launched]:
+    """What starts the twin with a seed: behind the built-in autopilot, or under the real firmware, whose frame is fitted once."""
+    if not flying.firmware:
+        return lambda seed: start_simulator(options_of(stored, seed=seed, speed=_SPEED, lockstep=True))
+    progress.stage("fitting a frame whose attitude loops under the firmware are the identified ones")
+    made, _ = firmware_options(stored, speed=_FIRMWARE_SPEED)
+    return lambda seed: launch_on_physics(replace(made, seed=seed))
+
+
+def _fly(stored: ModelFile, run: Path, folder: Path, launched: _Launched, progress: Progress) -> Path:
     """One recorded script on the twin; gives the run folder."""
     prior = ModelPredictor(stored.model, stored.values)
     (plan,) = plans([str(run / "script.yaml")], vehicle_of(run), prior)
     refused = {leg for leg, _, _ in plan.refusals}
     progress.stage(f"flying {plan.script.name} on the twin: {len(plan.legs) - len(refused)} steps")
-    options = options_of(stored, seed=seed, speed=_SPEED, lockstep=True)
     asked = FlightOptions(
         set_params=True, skip=refused, replanner=ScriptReplanner(plan, prior), on_progress=progress.flight
     )
-    with start_simulator(options) as simulation:
+    with launched as simulation:
         ended = fly(plan, simulation.url, folder, asked)
     if not ended.outcome.orderly:
         raise FlighttestError(
@@ -190,9 +232,10 @@ def _fly(stored: ModelFile, run: Path, folder: Path, seed: int, progress: Progre
 
 
 def compare_with_recordings(
-    stored: ModelFile, segments: Sequence[Segment], found: Diagnosis, flown: Sequence[Segment]
+    stored: ModelFile, segments: Sequence[Segment], found: Diagnosis, flown: Sequence[Segment], firmware: bool = False
 ) -> dict[str, Any]:
-    """twin/1: parameters, error by channel in noise floors, steps, and the verdict."""
+    """twin/1: parameters, error by channel in noise floors, steps, and the verdict. firmware: the attitude loops that flew are the
+    firmware's, not the model's: the channels of the steps are judged by the flown responses."""
     assert found.fit is not None
     model = stored.model
     errors = {n: (p.std, _DOF) for n, p in stored.parameters.items() if p.std is not None and n in model.names}
@@ -214,7 +257,9 @@ def compare_with_recordings(
         for c, q in made.items()
         if c in floors and floors[c] > 0
     }
-    above = [c for c, v in channels.items() if v["ratio"] > NEAR_FLOOR]
+    steps_flown = flown_errors(segments, flown)
+    judged = channels | steps_flown if firmware else channels
+    above = [c for c, v in judged.items() if v["ratio"] > NEAR_FLOOR]
     differing: list[Difference] = [d for d in rows if d.differs]
     return {
         "format": "twin/1",
@@ -225,6 +270,7 @@ def compare_with_recordings(
         "lacks": list(found.accepted),
         "differing": [d.name for d in differing],
         "channels": plain(channels),
+        "flown_channels": plain(steps_flown),
         "above": above,
         "parameters": plain([difference_data(d) for d in rows]),
         "notes": list(notes_of(rows, real, twin)),

@@ -26,6 +26,7 @@ def stored(**options):
     [
         ([], "either --verify RUN... or --replay RUN..."),
         (["--verify", "a", "--replay", "b"], "either --verify RUN... or --replay RUN..."),
+        (["--replay", "a", "--backend", "sitl"], "--backend is of --verify"),
         (["--verify", "a", "--set", "K=1"], "--set changes the vehicle of a --replay"),
     ],
 )
@@ -88,3 +89,46 @@ def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, chang
     if change:
         assert "K differs" in said
     assert [s.id for s in verify_sections(data)] == ["channels", "parameters"]
+
+
+def test_flying_is_offline_or_under_the_firmware():
+    with pytest.raises(InputError, match="offline nothing is flown"):
+        twin.Flying(offline=True, firmware=True).check()
+
+
+def test_without_the_firmware_no_recording_is_read(monkeypatch):
+    def none():
+        raise LinkError("no ArduPilot SITL here", "build one")
+
+    monkeypatch.setattr(twin, "find_arducopter", none)
+    monkeypatch.setattr(twin.model_file, "read", lambda *_args, **_more: stored())
+    with pytest.raises(LinkError, match="no ArduPilot SITL here"):
+        twin.verify("m", [], flying=twin.Flying(firmware=True))
+
+
+def test_under_the_firmware_steps_are_judged_as_flown(monkeypatch):
+    """The model's own error in roll does not count there, that of the flown steps does."""
+    file = stored()
+    quality = {"roll_rad": SimpleNamespace(rmse=0.5, floor=0.1)}
+    fit = SimpleNamespace(quality=quality, noise=None, values=file.values)
+    found = SimpleNamespace(
+        fit=fit,
+        model=file.model,
+        accepted=(),
+        untestable=(),
+        noise_floor={},
+        sentence="-",
+        verdict=SimpleNamespace(name="-"),
+    )
+    errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
+    monkeypatch.setattr(twin, "predicted", lambda *_: quality)
+    monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, file.values, errors))
+    for ratio, verdict in ((1.1, "NOTHING_MISSING"), (1.3, "DIFFERS")):
+        row = {"rmse": ratio, "floor": 1.0, "ratio": ratio, "steps": 4}
+        monkeypatch.setattr(twin, "flown_errors", lambda *_, row=row: {"roll_rad": row})
+        data = twin.compare_with_recordings(file, [], found, (), firmware=True)
+        assert data["verdict"] == verdict
+        assert twin.compare_with_recordings(file, [], found, ())["verdict"] == "DIFFERS"
+        data |= {"flights": 1, "assumed": [], "backend": "sitl"}
+        assert f"{ratio:.2f}" in verify_sentence(data)
+        assert len(verify_sections(data)[0].blocks) == 2

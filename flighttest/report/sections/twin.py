@@ -19,7 +19,7 @@ _PANELS = 3  # channels drawn of each stretch
 
 def verify_sentence(data: Data) -> str:
     """The answer in one sentence."""
-    channels = data["channels"]
+    channels = judged(data)
     worst = max(channels, key=lambda c: channels[c]["ratio"], default=None)
     if data["verdict"] == "NOTHING_MISSING":
         said = f", {number(channels[worst]['ratio'], 3)} of {WORDS.get(worst, worst)}" if worst is not None else ""
@@ -37,6 +37,12 @@ def verify_sentence(data: Data) -> str:
         errors = [f"{WORDS.get(c, c)} {number(channels[c]['ratio'], 3)}" for c in data["above"]]
         parts.append(f"its error is above {data['near_floor']:g} noise floors in {join(errors)}")
     return f"The twin does not fly as recorded: {'; '.join(parts)}."
+
+
+def judged(data: Data) -> dict[str, Mapping[str, float]]:
+    """Errors that the verdict is of: under the real firmware the steps' own channels as flown, the rest by the model."""
+    flown = data.get("flown_channels") or {} if data.get("backend") == "sitl" else {}
+    return {**data["channels"], **flown}
 
 
 def verify_sections(data: Data) -> tuple[Section, ...]:
@@ -61,23 +67,52 @@ def verify_sections(data: Data) -> tuple[Section, ...]:
         ("left", "right", "right", "right", "right"),
         caption,
     )
+    tables = [table]
+    flown = data.get("flown_channels") or {}
+    if flown:
+        tables.append(_flown_table(data, flown))
     lines = [*data["notes"]]
     if data["assumed"]:
         lines.append(f"no flight of the model told {join(data['assumed'])}: the twin flies with what was assumed")
     lines.append(f"the recordings by themselves: {data['diagnosis']['sentence']}")
     flights = data["flights"]
+    where = " under the real firmware" if data.get("backend") == "sitl" else ""
     how = (
-        f"{flights} script{'s' if flights != 1 else ''} flown on the twin"
+        f"{flights} script{'s' if flights != 1 else ''} flown on the twin{where}"
         if flights
         else "recorded commands alone, nothing flown"
     )
     blocks: list[Block] = [Bullets(tuple(lines)), parameter_table(data["parameters"], "recorded", "twin")]
     found = [
-        Section("channels", "Twin against recordings", (table,), f"Compared: {how}."),
+        Section("channels", "Twin against recordings", tuple(tables), f"Compared: {how}."),
         Section("parameters", "Parameters", tuple(blocks)),
     ]
     steps = steps_section(data)
     return (*found, steps) if steps is not None else tuple(found)
+
+
+def _flown_table(data: Data, flown: Mapping[str, Mapping[str, float]]) -> Table:
+    """Steps that recording and twin both flew, by the channel they drive."""
+    rows = tuple(
+        (
+            WORDS.get(c, c),
+            number(v["floor"], 2),
+            number(v["rmse"], 3),
+            Cell(number(v["ratio"], 3), "bad" if v["ratio"] > data["near_floor"] else "good"),
+            number(v["steps"], 3),
+        )
+        for c, v in flown.items()
+    )
+    caption = (
+        "Steps as flown, no model between: RMS of each recorded response less the mean of the twin's of the same step, each from its own "
+        "state before it; in what the repeats of the recording alone would give."
+    )
+    return Table(
+        ("flown steps", "repeats", "twin", "in floors", "steps"),
+        rows,
+        ("left", "right", "right", "right", "right"),
+        caption,
+    )
 
 
 def replay_sentence(data: Data) -> str:

@@ -1,0 +1,47 @@
+"""Steps flown by both, against what repeats differ by."""
+
+import numpy as np
+import pytest
+
+from flighttest.segments.model import Segment
+from flighttest.twin.flown import flown_errors
+
+T = np.arange(-0.2, 1.0, 0.02)
+
+
+def steps(rng, count, bias=0.0, noise=0.01, offset=0.0, amplitude=0.2):
+    shape = amplitude * np.clip(T / 0.3, 0.0, 1.0)
+    return [
+        Segment(
+            f"s{i}", "r", "roll_step", {"amplitude_rad": amplitude}, i, 5.0, T + 5.0,
+            {"roll_rad": shape + offset + bias * (T > 0.1) + noise * rng.standard_normal(T.size)}, {},
+        )
+        for i in range(count)
+    ]  # fmt: skip
+
+
+def test_equal_vehicles_are_at_one_noise_floor():
+    rng = np.random.default_rng(1)
+    found = flown_errors(steps(rng, 200), steps(rng, 200))["roll_rad"]
+    assert found["ratio"] == pytest.approx(1.0, abs=0.03)
+    assert found["floor"] == pytest.approx(0.01, rel=0.1)
+    assert found["steps"] == 1
+
+
+def test_one_flight_of_the_twin_counts_with_its_own_noise():
+    rng = np.random.default_rng(2)
+    ratios = [flown_errors(steps(rng, 3), steps(rng, 1))["roll_rad"]["ratio"] for _ in range(200)]
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_bias_shows_and_an_offset_before_the_step_does_not():
+    rng = np.random.default_rng(3)
+    real = steps(rng, 30)
+    assert flown_errors(real, steps(rng, 30, offset=0.5))["roll_rad"]["ratio"] < 1.1
+    assert flown_errors(real, steps(rng, 30, bias=0.03))["roll_rad"]["ratio"] > 2.0
+
+
+def test_a_step_that_only_one_of_them_flew_or_that_was_not_repeated_does_not_count():
+    rng = np.random.default_rng(4)
+    assert flown_errors(steps(rng, 1), steps(rng, 3)) == {}
+    assert flown_errors(steps(rng, 3), steps(rng, 3, amplitude=0.3)) == {}
