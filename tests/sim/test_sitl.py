@@ -114,6 +114,14 @@ class TestCommand:
 
 
 class TestProcess:
+    def test_a_firmware_without_scripting_is_refused_at_once_where_scripts_are_needed(self, tmp_path):
+        script = program(tmp_path / "battery.lua")
+        without = program(tmp_path / "arducopter")
+        with pytest.raises(LinkError, match="built without scripting"):
+            launch(SitlOptions(scripts=(script,)), binary=without, wait_s=0.0)
+        having = program(tmp_path / "with", "#!/bin/sh\n# Scripting: started\nexec sleep 60\n")
+        launch(SitlOptions(scripts=(script,)), binary=having, wait_s=0.0).stop()
+
     def test_a_firmware_that_ends_says_what_it_printed(self, tmp_path):
         fake = program(tmp_path / "arducopter", "#!/bin/sh\necho frame file is broken\nexit 3\n")
         with pytest.raises(LinkError, match=r"code 3(.|\n)*frame file is broken"):

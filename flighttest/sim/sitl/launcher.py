@@ -26,6 +26,7 @@ DOCUMENTATION = "https://ardupilot.org/dev/docs/sitl-simulator-software-in-the-l
 _HOST = "127.0.0.1"
 _BUILT = Path("build/sitl/bin/arducopter")
 _PORTS = range(17000, 29000, 20)  # below the ephemeral range; a vehicle takes ten in a row
+_SCRIPTING = b"Scripting: "  # begins what a firmware with scripts prints about them
 _PORTS_EACH = 10
 _LAST_PORT = 65535
 _STOP_PATIENCE_S = 5.0
@@ -211,6 +212,11 @@ def launch(
     """Start a SITL vehicle and wait until it can arm (wait_s = 0: do not wait). LinkError where there is none or it will not fly."""
     chosen = options or SitlOptions()
     program = binary or find_arducopter()
+    if chosen.scripts and _SCRIPTING not in program.read_bytes():
+        raise LinkError(
+            f"{program} was built without scripting, by which it is given the battery of an outside physics: it could not arm",
+            "build it without --disable-scripting",
+        )
     temporary = chosen.folder is None
     folder = Path(tempfile.mkdtemp(prefix="flighttest-sitl-")) if chosen.folder is None else chosen.folder
     folder.mkdir(parents=True, exist_ok=True)
