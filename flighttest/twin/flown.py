@@ -2,13 +2,14 @@
 
 With x_i the recorded responses of one step, m in number, and y the mean of the twin's n: RMS of x_i - y, against what the repeats of the
 recording by themselves would give, s sqrt(1 + 1/n) with s^2 the variance between the repeats. Each response counts from its own state
-before the step.
+before the step, and moved in time to where it fits y best: a link delivers one command earlier than another by milliseconds, which on the
+slope of a step is more than all else that repeats differ by. The mean of these moves is given apart, as a delay.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,39 +17,69 @@ from numpy.typing import NDArray
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
+Curve = Callable[[FloatArray], FloatArray]
 
 # Channels that a step drives; others answer to the estimator and to gusts.
 DRIVEN: Mapping[str, tuple[str, ...]] = {
     "roll_step": ("roll_rad",), "pitch_step": ("pitch_rad",), "yaw_rate_step": ("r_rad_s",), "throttle_step": ("f_z_m_s2",),
 }  # fmt: skip
 GRID_S = 0.02
+MOVE_S = 0.1  # most that a link's delay is taken to differ by
+_MOVES_S = 0.001
+_WITHIN = (-0.4, -0.2, 0.0, 0.2, 0.4)
 _FEWEST = 5  # samples of a response
 
 
 def flown_errors(real: Sequence[Segment], twin: Sequence[Segment]) -> dict[str, dict[str, float]]:
-    """By channel, SI: rmse of the twin's mean response, floor (what repeats would give), ratio of the two, and steps, the number of cells
-    compared. Cells that the recording did not repeat have no floor and do not count."""
+    """By channel, SI: rmse of the twin's mean response, floor (what repeats would give), ratio of the two; later_s: by which the recorded
+    responses come later than the twin's, later_std_s its standard error by their scatter; steps: number of cells compared. Cells
+    that the recording did not repeat have no floor and do not count."""
     sides = [_cells(real), _cells(twin)]
-    sums: dict[str, list[tuple[float, float]]] = {}
+    rows: dict[str, list[tuple[float, float]]] = {}
+    moves: dict[str, list[FloatArray]] = {}
     for key in sides[0].keys() & sides[1].keys():
         mine, theirs = sides[0][key], sides[1][key]
         if len(mine) < 2:
             continue
         for channel in DRIVEN[mine[0].kind]:
-            if not all(channel in s.y for s in (*mine, *theirs)):
+            if not all(channel in s.y and np.isfinite(s.y[channel]).sum() >= _FEWEST for s in (*mine, *theirs)):
                 continue
-            grid = np.arange(0.0, min(float(s.t_s[-1]) - s.t_step_s for s in (*mine, *theirs)), GRID_S)
+            end = min(float(s.t_s[-1]) - s.t_step_s for s in (*mine, *theirs)) - MOVE_S
+            grid = np.arange(0.0, end, GRID_S)
             if grid.size < _FEWEST:
                 continue
-            x, y = (np.array([_since_the_step(s, channel, grid) for s in some]) for some in (mine, theirs))
+            x, y, late = _in_step(mine, theirs, channel, grid)
             spread = float(np.mean(np.var(x, axis=0, ddof=1))) * (1.0 + 1.0 / len(theirs))
-            sums.setdefault(channel, []).append((float(np.mean((x - y.mean(axis=0)) ** 2)), spread))
+            rows.setdefault(channel, []).append((float(np.mean((x - y) ** 2)), spread))
+            moves.setdefault(channel, []).append(late)
     found = {}
-    for channel, rows in sums.items():
-        rmse, floor = (math.sqrt(sum(r[i] for r in rows) / len(rows)) for i in (0, 1))
+    for channel, squares in rows.items():
+        rmse, floor = (math.sqrt(sum(r[i] for r in squares) / len(squares)) for i in (0, 1))
+        late = np.concatenate(moves[channel])
         if floor > 0.0:
-            found[channel] = {"rmse": rmse, "floor": floor, "ratio": rmse / floor, "steps": len(rows)}
+            found[channel] = {
+                "rmse": rmse, "floor": floor, "ratio": rmse / floor, "later_s": float(late.mean()),
+                "later_std_s": float(late.std(ddof=1) / math.sqrt(late.size)), "steps": len(squares),
+            }  # fmt: skip
     return dict(sorted(found.items()))
+
+
+def _in_step(
+    mine: Sequence[Segment], theirs: Sequence[Segment], channel: str, grid: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Recorded responses (m, len(grid)) moved to the twin's mean, that mean, and by how much they came later than it, s (m,)."""
+    first = _since_the_step(theirs[0], channel)
+    y = np.mean(
+        [
+            _moved(_since_the_step(s, channel), _best_move(_since_the_step(s, channel), first(grid), grid), grid)
+            for s in theirs
+        ],
+        axis=0,
+    )
+    curves = [_since_the_step(s, channel) for s in mine]
+    late = np.array([_best_move(c, y, grid) for c in curves])
+    base = np.mean([_best_move(_since_the_step(s, channel), y, grid) for s in theirs])
+    return np.array([_moved(c, m, grid) for c, m in zip(curves, late, strict=True)]), y, late - base
 
 
 def _cells(segments: Sequence[Segment]) -> dict[object, list[Segment]]:
@@ -59,12 +90,22 @@ def _cells(segments: Sequence[Segment]) -> dict[object, list[Segment]]:
     return cells
 
 
-def _since_the_step(segment: Segment, channel: str, grid: FloatArray) -> FloatArray:
-    """The response on the grid, less its mean before the step."""
+def _since_the_step(segment: Segment, channel: str) -> Curve:
+    """The response as a function of the time since the step, less its mean before it."""
     t, y = segment.t_s - segment.t_step_s, segment.y[channel]
     good = np.isfinite(y)
     t, y = t[good], y[good]
-    if t.size < _FEWEST:
-        return np.full(grid.size, np.nan)
     before = y[t <= 0.0]
-    return np.asarray(np.interp(grid, t, y) - (before.mean() if before.size else y[0]))
+    y = y - (before.mean() if before.size else y[0])
+    # Over one sample, so that the noise is much the same wherever between two samples the response is read.
+    return lambda at: np.asarray(np.mean([np.interp(at + d * GRID_S, t, y) for d in _WITHIN], axis=0))
+
+
+def _moved(curve: Curve, late_s: float, grid: FloatArray) -> FloatArray:
+    return curve(grid + late_s)
+
+
+def _best_move(curve: Curve, y: FloatArray, grid: FloatArray) -> float:
+    """How much later than y this response comes, s, within MOVE_S: least squares."""
+    tried = np.arange(-MOVE_S, MOVE_S + 0.5 * _MOVES_S, _MOVES_S)
+    return float(min(tried, key=lambda m: float(np.sum((_moved(curve, m, grid) - y) ** 2))))

@@ -124,7 +124,7 @@ def test_under_the_firmware_steps_are_judged_as_flown(monkeypatch):
     monkeypatch.setattr(twin, "predicted", lambda *_: quality)
     monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, file.values, errors))
     for ratio, verdict in ((1.1, "NOTHING_MISSING"), (1.3, "DIFFERS")):
-        row = {"rmse": ratio, "floor": 1.0, "ratio": ratio, "steps": 4}
+        row = {"rmse": ratio, "floor": 1.0, "ratio": ratio, "later_s": 0.0, "later_std_s": 0.001, "steps": 4}
         monkeypatch.setattr(twin, "flown_errors", lambda *_, row=row: {"roll_rad": row})
         data = twin.compare_with_recordings(file, [], found, (), firmware=True)
         assert data["verdict"] == verdict
