@@ -189,6 +189,12 @@ def glossary() -> str:
             "|---|---|---|---|",
             *rows,
             "",
+            "Words of the textbooks, to be searched for as they are written here, and the module that is about each:",
+            "",
+            "| word | where |",
+            "|---|---|",
+            *(f"| {word} | `flighttest/{where}` |" for word, where in words.SEARCHED),
+            "",
             "Where a thing stands in the code: [finding_things.md](finding_things.md).",
             "",
         ]

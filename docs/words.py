@@ -183,6 +183,46 @@ GLOSSARY = (
     Entry("zone", "the box that a flight must stay in", "vehicle/model.py"),
 )
 
+# Words of the textbooks that a reader searches for, and the module that is about each, in which it stands as written here.
+SEARCHED = (
+    ("autocorrelation", "identify/diagnostics/residuals.py"),
+    ("Bode", "pipeline/presenters/response_views.py"),
+    ("bootstrap", "identify/diagnostics/bootstrap.py"),
+    ("closed-loop bias", "identify/diagnostics/closed_loop.py"),
+    ("coherence", "pipeline/presenters/response_views.py"),
+    ("covariance", "estimation/uncertainty/covariance.py"),
+    ("Cramer-Rao", "identify/expected_information.py"),
+    ("Cramér-Rao", "identify/expected_information.py"),
+    ("cross-validated", "diagnose/selection/comparison.py"),
+    ("dead time", "identify/dead_time.py"),
+    ("doublet", "script/profiles/attitude.py"),
+    ("equality constraint", "identify/equality_constraints.py"),
+    ("equation error", "identify/motion_equations.py"),
+    ("Fisher information", "identify/expected_information.py"),
+    ("frequency response", "pipeline/presenters/response_views.py"),
+    ("Gauss-Newton", "estimation/gauss_newton.py"),
+    ("identifiable", "identify/diagnostics/identifiability.py"),
+    ("information matrix", "identify/expected_information.py"),
+    ("Jacobian", "estimation/linearisation.py"),
+    ("lack of fit", "diagnose/residuals/discrepancy.py"),
+    ("local optima", "identify/diagnostics/local_optima.py"),
+    ("maximum likelihood", "identify/fit.py"),
+    ("multistart", "identify/diagnostics/local_optima.py"),
+    ("nuisance parameter", "estimation/linearisation.py"),
+    ("output error", "identify/fit.py"),
+    ("overshoot", "segments/metrics.py"),
+    ("power spectral density", "segments/health.py"),
+    ("residual analysis", "identify/diagnostics/residuals.py"),
+    ("rise time", "segments/metrics.py"),
+    ("Runge-Kutta", "physics/simulate.py"),
+    ("score test", "diagnose/selection/candidates.py"),
+    ("sensitivities", "diagnose/selection/candidates.py"),
+    ("specific force", "channels.py"),
+    ("standard error", "estimation/uncertainty/covariance.py"),
+    ("whiteness", "identify/diagnostics/residuals.py"),
+    ("zero-order hold", "physics/simulate.py"),
+)
+
 # What a reader asks, the word to search `flighttest/` for, and the module that answers: among the four files that hold the word most often.
 QUESTIONS = (
     ("Where do standard errors come from?", "cluster", "estimation/uncertainty/covariance.py"),

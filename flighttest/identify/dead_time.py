@@ -1,4 +1,4 @@
-"""The paper's delay: time between an applied input and the first observed change, per response; and start values from the shape.
+"""The paper's delay (dead time): time from an applied input to the first observed change, per response; and start values from the shape.
 
 Onset alone is late by 1 to 20 ms depending on amplitude and noise: it is reported, and used to start the joint estimate.
 """

@@ -1,4 +1,4 @@
-"""Tied parameters (roll like pitch, d_x like d_y): does the data support the tie?"""
+"""Tied parameters (equality constraints: roll like pitch, d_x like d_y): does the data support the tie?"""
 
 from __future__ import annotations
 

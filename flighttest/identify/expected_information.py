@@ -1,7 +1,8 @@
 """What a planned script would make known: expected standard errors from the prior model's Fisher information.
 
 Each leg is flown by the prior model; the sensitivities of what would be measured give the information each response carries, with its own
-initial state and disturbance unknown, as in the fit. The numbers rest on the noise assumed (`ASSUMED`) and on the prior parameters.
+initial state and disturbance unknown, as in the fit; the inverse of the summed information matrix is a lower bound of the
+covariance (Cramér-Rao, or Cramer-Rao). The numbers rest on the noise assumed (`ASSUMED`) and on the prior parameters.
 """
 
 from __future__ import annotations

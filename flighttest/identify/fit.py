@@ -1,5 +1,7 @@
 """`fit`: segments in, parameters with intervals and a verdict on each out.
 
+Output error: penalised maximum likelihood of simulated responses.
+
 found = fit(segments)                                  # the paper's model; attitude loops where there are attitude references
 found.estimates["K"].interval_95
 found = fit(segments, Model(("body", "linear_drag", "ground_effect")), ties={"d_y": "d_x"})

@@ -1,4 +1,4 @@
-"""Free flight as equations of motion: stretches without gaps, their residuals and Jacobians at the measured velocity.
+"""Free flight as equations of motion (equation error): stretches without gaps, their residuals and Jacobians at the measured velocity.
 
 The velocity in the model is predicted from the samples before each: what is smoothed with its own sample or later ones holds the very
 disturbance that the equation is to leave as its error, and in gusts drag came out at half.

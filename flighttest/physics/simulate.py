@@ -1,4 +1,4 @@
-"""The chained model stepped through time: many runs at once, references held between edges, delays applied exactly."""
+"""The chained model stepped through time: many runs at once, references held between edges (zero-order hold), delays applied exactly."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _CHANNEL = {
 class Metrics:
     """Of one step response, on the channel that was stepped.
 
-    delay_s: from the recorded step to the first 5 % of the change (or where it leaves the noise, if that is later). rise_s: 10 to 90 %.
+    delay_s: from the recorded step to the first 5 % of the change (or where it leaves the noise, if later). rise_s: rise time, 10 to 90 %.
     overshoot: beyond the final value, as a share of the change. settling_s: from the step until it stays within 5 % of the change.
     steady_error: final value minus reference, rad or rad/s; None for throttle, whose reference is no acceleration.
     change: final minus initial value, rad, rad/s or m/s^2.

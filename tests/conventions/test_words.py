@@ -67,6 +67,17 @@ def test_every_term_of_the_glossary_stands_in_its_module(words, repository):
     assert not missing
 
 
+def test_a_textbook_word_is_found_by_search_in_the_module_that_is_about_it(words, repository):
+    """As grep finds it: on one line, in a docstring or comment, spelt as in the textbook."""
+    missing = [
+        f"{word} in {where}"
+        for word, where in words.SEARCHED
+        if word.lower() not in (repository / "flighttest" / where).read_text(encoding="utf-8").lower()
+    ]
+    assert not missing
+    assert len({word for word, _ in words.SEARCHED}) == len(words.SEARCHED) >= 36
+
+
 def test_a_search_for_the_word_leads_to_the_module_that_answers(words, texts):
     astray = {}
     for _, word, where in words.QUESTIONS:

@@ -1,4 +1,4 @@
-"""A second opinion on the covariance: resample whole responses with replacement.
+"""A second opinion on the covariance: cluster bootstrap, which resamples whole responses with replacement.
 
 Each draw is one Gauss-Newton step from the solution on the resampled responses: exact for a linear problem, and near enough to a refit
 this close to the minimum, at a thousandth of its cost.

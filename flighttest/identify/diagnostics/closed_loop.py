@@ -1,4 +1,6 @@
-"""Free flight is flown by somebody: a pilot or a position loop answers gusts, so that commands and disturbances are correlated.
+"""Closed-loop bias.
+
+Free flight is flown by somebody: a pilot or a position loop answers gusts, so that commands and disturbances are correlated.
 
 Output error takes for granted that they are not, as they are not in steps that a script sent. Where they are, the estimate has turned what
 was disturbance into parameters, and its standard error knows nothing of it. What is left of each response says how much: it is orthogonal

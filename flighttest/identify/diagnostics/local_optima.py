@@ -1,4 +1,4 @@
-"""Would other numbers serve as well? Lag and delay are looked for once more from slower and from quicker loops.
+"""Would other numbers serve as well (local optima, multistart)? Lag and delay are looked for once more from slower and from quicker loops.
 
 Steps that the model follows to within its noise have one optimum. Free flight at a few samples per time constant, or a loop that is not the
 model's, may have several: a slow loop without delay beside a quick one with. Which of two optima serves better is asked of every response

@@ -1,4 +1,4 @@
-"""What residuals still say: do they follow the commands, and are they noise? In words an operator understands."""
+"""Residual analysis: whiteness, and correlation with the commands. In words an operator understands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each response of a fit as it is shown by itself; what is left of all of them: correlations and frequency responses."""
+"""Each response of a fit as it is shown by itself; of all of them, correlations of residuals, frequency responses (Bode) and coherence."""
 
 from __future__ import annotations
 
