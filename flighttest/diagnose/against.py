@@ -2,7 +2,9 @@
 
 The model is the base with every term that the diagnosis of either side accepted. A parameter differs where the difference of its two
 estimates is beyond its joint standard error, by Student's t with Welch's degrees of freedom and Holm's correction over all parameters.
-A term without an amplitude (a limit) has no value at which it is absent: it is in the model of the sides whose diagnosis named it.
+A term without an amplitude (a limit, a shaped reference) has no value at which it is absent. Where one diagnosis alone named it, it is in
+the model of the other side, too, if that side's recordings are followed better with the term as it was found than without: that a
+search stopped short of it says nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from flighttest.estimation.problem import Noise
 from flighttest.estimation.solver import Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, interval_factor
 from flighttest.estimation.uncertainty.distributions import beyond, quantile
+from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.diagnostics.quality import ChannelQuality, channel_quality
 from flighttest.identify.fit import Fit, fit
 from flighttest.identify.selection import problem_of
@@ -125,10 +128,11 @@ def compare(
     fits, models = [], []
     for (segments, found), (_, other) in zip(sides, sides[::-1], strict=True):
         missing = [terms[t] for t in other.accepted if t not in found.accepted and terms[t].amplitudes]
+        found = replace(found, model=found.model.with_terms(*shared_limits(segments, found, other)))
         # The shape of an effect that is not there cannot be told: it is held as the other side has it.
         shapes = {p.name: other.values[p.name] for t in missing for p in t.shapes}
         models.append(found.model.with_terms(*(t.id for t in missing)))
-        fits.append(_fitted(segments, models[-1], found.values, shapes))
+        fits.append(_fitted(segments, models[-1], {**other.values, **found.values}, shapes))
     for i in (0, 1):
         # What one side cannot tell is held at what the other found, so that the rest compares.
         known, unknown = fits[1 - i].covariance.names, fits[i]
@@ -146,6 +150,20 @@ def compare(
     floors = floors_of(mine, of_real)
     prediction, corrected, held_out = _prediction(sides[0][0], mine, theirs, differences, floors)
     return Against(mine, theirs, differences, prediction, corrected, held_out, notes_of(differences, *compared))
+
+
+def shared_limits(segments: Sequence[Segment], found: Diagnosis, other: Diagnosis) -> tuple[str, ...]:
+    """Terms without an amplitude that only the other side's diagnosis named, and with which, as it found them, these responses are followed
+    better than without: ids. Neither of the two models has more to fit than the other."""
+    asked = [t for t in other.model.built_terms if t.id in other.accepted and t.id not in found.accepted]
+    shared = []
+    for term in (t for t in asked if not t.amplitudes):
+        without = _fitted(segments, found.model, found.values, {})
+        values = {p.name: other.values[p.name] for p in term.params}
+        with_it = _fitted(segments, found.model.with_terms(term.id), found.values, values)
+        if misfit(with_it.problem, with_it.solution) < misfit(without.problem, without.solution):
+            shared.append(term.id)
+    return tuple(shared)
 
 
 def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float], frozen: Mapping[str, float]) -> Fit:

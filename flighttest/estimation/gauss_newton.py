@@ -202,7 +202,7 @@ def minimise(
         now = trial
         near = quadratic.small(full_step, limits.step) or (flat > 0 and damping <= 1e-2) or flat >= limits.flat
         if limits.compared_with is not None:
-            # Not in a bent valley, where steps gain little though much is left.
+            # Not along a curved ridge, where steps gain little though much is left.
             apart = abs(objective.log_likelihood(new_cost) - limits.compared_with)
             near = near or max(lowered, quadratic.expected(full_step)) <= 2.0 * limits.share * apart
         if still and near and settled and iteration >= least_iterations:

@@ -5,8 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from flight import campaign, fly
 
-from flighttest.diagnose.against import Kind, Side, differences_of, errors_of, hidden_notes, mass_notes, step_by_step
+from flighttest.diagnose.against import (
+    Kind,
+    Side,
+    differences_of,
+    errors_of,
+    hidden_notes,
+    mass_notes,
+    shared_limits,
+    step_by_step,
+)
 from flighttest.estimation.uncertainty.covariance import cluster_covariance
 from flighttest.estimation.weighing import Normal
 from flighttest.physics.model import Model
@@ -75,6 +85,17 @@ def test_a_limit_is_in_the_model_of_one_side_alone():
     assert kinds(differences_of(side(limited), side()))[name] is Kind.LACKS
     assert kinds(differences_of(side(), side(limited)))[name] is Kind.TOO_MUCH
     assert kinds(differences_of(side(limited), side(unseen=["rate_limit"])))[name] is Kind.UNTESTED
+
+
+@pytest.mark.parametrize("limit", [3.0, np.inf])
+def test_a_limit_that_one_diagnosis_missed_is_in_the_model_of_a_side_that_it_serves(limit):
+    segments = fly(campaign(1, throttles=False, yaws=False), rate_limit=limit)
+    base = Model()
+    limited = base.with_terms("rate_limit")
+    found = SimpleNamespace(model=base, values=base.start(), accepted=())
+    other = SimpleNamespace(model=limited, values={**limited.start(), "rate_max": 3.2}, accepted=("rate_limit",))
+    assert shared_limits(segments, found, other) == (("rate_limit",) if limit == 3.0 else ())
+    assert shared_limits(segments, other, other) == ()
 
 
 def test_what_one_side_does_not_tell_is_not_tested():
