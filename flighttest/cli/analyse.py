@@ -48,6 +48,14 @@ def show(context: Context, log: Path, columns: Path | None, output: Path | None)
     return context.finish(result)
 
 
+WEATHER = click.option(
+    "--weather",
+    multiple=True,
+    metavar="[FLIGHT=]still",
+    help="Flights in still air: a prior for the wind of each flight.",
+)
+
+
 @command("segment")
 @RUNS
 @COLUMNS
@@ -70,12 +78,7 @@ def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> i
     "--freeze", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value; T_d holds every delay."
 )
 @click.option("--tie", multiple=True, metavar="A=B", help="Tie a parameter to another (omega_theta=omega_phi).")
-@click.option(
-    "--weather",
-    multiple=True,
-    metavar="[FLIGHT=]still",
-    help="Flights in still air: a prior for the wind of each flight.",
-)
+@WEATHER
 @click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for reading recordings."
 )
@@ -111,7 +114,8 @@ def fit(
     "-o", "--output", type=FOLDER, metavar="DIR", help="Folder for diagnosis.json, model.yaml, report.html, next.yaml."
 )
 @COLUMNS
-@click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage, components, weather.")
+@WEATHER
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--accept", is_flag=True, help="Make the improved model the vehicle's (see `accept`).")
 @click.option(
@@ -129,6 +133,7 @@ def diagnose(
     output: Path | None,
     columns: Path | None,
     vehicle: Path | None,
+    weather: tuple[str, ...],
     workers: int,
     accept: bool,
     simulated: tuple[Path, ...],
@@ -138,7 +143,7 @@ def diagnose(
     from flighttest.pipeline.diagnosis import diagnose as diagnosis
     from flighttest.pipeline.recordings.sources import Reading
 
-    reading = Reading(columns, workers)
+    reading = Reading(columns, workers, weather=weather)
     with LiveProgress(context.show) as progress:
         if simulated:
             result = against.against(runs, simulated, model, output, vehicle, reading, progress)

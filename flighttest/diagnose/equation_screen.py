@@ -1,21 +1,21 @@
 """Score tests of the catalogue on free flight by equation error: every linear coefficient of the translation in a few passes.
 
 At the optimum of the base model the whitened equations are linear in a candidate's coefficients. Its columns beside the base's give
-the score test (Rao 1948) with a covariance by blocks of 5 s, so that a spectrum that the noise model missed does not name a term. Terms
-whose states have unknown initial values (slung load, latency of the velocity) and those without a linear coefficient are not seen here.
+the score test (Rao 1948) with a covariance by blocks of 1 to 5 s, so that a spectrum that the noise model missed does not name a
+term. Terms whose states have unknown initial values (slung load, latency of the velocity) and those without a linear coefficient are not seen here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.selection.candidates import grid, null_value
 from flighttest.diagnose.selection.detectability import missing_channels
-from flighttest.estimation.equation_error import Stream, Whitened, whiten
+from flighttest.estimation.equation_error import Stream, Whitened, block_rows, whiten
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight
 from flighttest.identify.motion_equations import Equations
@@ -25,20 +25,20 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-BLOCK_S = 5.0  # of one cluster
 FEWEST_BLOCKS = 8  # beside the parameters: below, a covariance by blocks is none
 
 
 @dataclass(frozen=True)
 class Screened:
     """A candidate's score test. shape: its nonlinear parameters; coefficients: one-step estimates by name, from their null values; p_value;
-    size: root mean square of its effect beside the base model, m/s^2."""
+    size: root mean square of its effect beside the base model, m/s^2; std: of the coefficients, by blocks."""
 
     term: str
     shape: Mapping[str, float]
     coefficients: Mapping[str, float]
     p_value: float
     size: float
+    std: Mapping[str, float] = field(default_factory=dict)
 
 
 def seen_by_equations(term: Term) -> bool:
@@ -59,23 +59,26 @@ def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> 
     if not terms:
         return ()
     equations = Equations(base.model.with_terms(*terms), flown)
-    names = [n for n in base.names if "@" not in n]
+    own_of_flights = tuple(dict.fromkeys(n.split("@")[0] for n in base.names if "@" in n))
+    names = [*(n for n in base.names if "@" not in n), *own_of_flights]
     period = float(np.median(np.concatenate([np.diff(s.t_s) for s in flown])))
+    rows = block_rows(sum(float(np.ptp(s.t_s)) for s in flown), period)
     grids: dict[str, list[dict[str, float]]] = {t.id: grid(t) if t.shapes else [{}] for t in terms}
     best: dict[str, Screened] = {}
     for k in range(max(len(g) for g in grids.values())):
         asked = [t for t in terms if k < len(grids[t.id])]
-        values = dict(equations.model.start()) | {n: v for n, v in base.values.items() if n in equations.model.names}
+        values = dict(equations.model.start()) | {
+            n: v for n, v in base.values.items() if n.split("@")[0] in equations.model.names
+        }
         values |= {p.name: null_value(p) for t in terms for p in t.amplitudes}
         values |= {n: v for t in terms for n, v in grids[t.id][k % len(grids[t.id])].items()}
         wanted = [*names, *(p.name for t in asked for p in t.amplitudes)]
         with np.errstate(all="ignore"):
-            streams, columns = equations.streams(values, wanted)
+            streams, columns = equations.streams(values, wanted, own_of_flights)
+        others = [columns.index(n) for n in base.names if n in columns]
         for t in asked:
             own = [columns.index(p.name) for p in t.amplitudes if p.name in columns]
-            found = _tested(
-                streams, base, t, grids[t.id][k], own, [columns.index(n) for n in names], round(BLOCK_S / period)
-            )
+            found = _tested(streams, base, t, grids[t.id][k], own, others, rows)
             if found is not None and (t.id not in best or found.p_value < best[t.id].p_value):
                 best[t.id] = found
     return tuple(sorted(best.values(), key=lambda s: s.p_value))
@@ -91,7 +94,7 @@ def _tested(
     rows: int,
 ) -> Screened | None:
     only = [Stream(s.channel, s.group, s.residual, s.columns[:, [*others, *own]]) for s in streams]
-    whitened: Whitened = whiten(only, dict(base.noise), max(rows, 10))
+    whitened: Whitened = whiten(only, dict(base.noise), rows)
     c, b = whitened.columns[:, len(others) :], whitened.columns[:, : len(others)]
     if not np.isfinite(c).all() or not np.any(c):
         return None
@@ -111,12 +114,14 @@ def _tested(
     q = left.shape[1]
     dof = count - len(others) - q + 1
     statistic = float(total @ np.linalg.pinv(meat) @ total) * dof / (q * count)
-    delta = np.linalg.pinv(information) @ total
+    inverse = np.linalg.pinv(information)
+    delta, error = inverse @ total, np.sqrt(np.diag(inverse @ meat @ inverse))
     raw = np.concatenate([s.columns for s in only])
     base_columns, columns = raw[:, : len(others)], raw[:, len(others) :][:, told]
     beside = columns - base_columns @ np.linalg.lstsq(base_columns, columns, rcond=None)[0]
     size = float(np.sqrt(np.mean((beside @ delta) ** 2) * len(base.rms)))
     named = [p.name for p, keep in zip(term.amplitudes, told, strict=False) if keep]
     return Screened(
-        term.id, dict(shape), dict(zip(named, delta.tolist(), strict=False)), fisher_beyond(statistic, q, dof), size
-    )
+        term.id, dict(shape), dict(zip(named, delta.tolist(), strict=False)), fisher_beyond(statistic, q, dof), size,
+        dict(zip(named, error.tolist(), strict=False)),
+    )  # fmt: skip

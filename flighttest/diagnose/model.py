@@ -13,6 +13,7 @@ from flighttest.diagnose.records import (
     Cost,
     Description,
     EvidenceRow,
+    FlightWindRow,
     FloorRow,
     HeldOutRow,
     MapCell,
@@ -127,7 +128,8 @@ class Diagnosis:
     accepted model, name to {value, std, unit, interval_95, scatter}; heldout: channel to horizon or 'all' to {rmse_before, rmse_after,
     floor, gain_95}; set_aside: responses that something pushed once, by name, and a sentence on them; baselines: name to channel to RMSE;
     residual_map: cells of the heat map; regimes: residual against the variable that explains it; overlays: worst responses,
-    measured, before, after; complete: False when it was interrupted; fit: of the accepted model, what model.yaml is written from.
+    measured, before, after; complete: False when it was interrupted; fit: of the accepted model, what model.yaml is written from;
+    winds: of each flight, where free flight shows one.
     """
 
     verdict: Verdict
@@ -161,6 +163,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     complete: bool = True
     runs: tuple[str, ...] = ()
+    winds: tuple[FlightWindRow, ...] = ()
     fit: Fit | None = field(default=None, repr=False)
 
     def to_json(self) -> dict[str, Any]:

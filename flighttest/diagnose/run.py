@@ -173,7 +173,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     shares = _all(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else 0.0
     staying = {c for a in answers for c in a.staying}
-    so_far = _verdict(bool(findings), share, bool(located), bool(staying))
+    so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
     formulas: list[Description] = []
     if so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
@@ -184,7 +184,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
-        sentence=_sentence(so_far, findings, share, located, complete) + _moved(asked.previous, after),
+        sentence=sentence_of(so_far, findings, share, located, complete) + moved_parameters(asked.previous, after),
         located=tuple(located),
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - named)),
@@ -303,7 +303,7 @@ def _with_forces(channels: set[str]) -> set[str]:
     return channels | {f"{force}_{c[2:]}" for c in channels if c.startswith("v_") for force in ("f", "a")}
 
 
-def _moved(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:
+def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:
     """What the refit of the base has taken up: parameters that are no longer those of the model given."""
     changes = {}
     for name in (n for n in previous if n in after and not n.startswith("T_d")):
@@ -347,13 +347,15 @@ def compensated_voltage(table: Mapping[str, ParameterRow]) -> list[str]:
     ]
 
 
-def _verdict(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
+def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
+    """The answer as a whole. share: of the excess that stays; still: whether a mismatch is located with what is named, too."""
     if not any_named:
         return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
     return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
 
 
-def _sentence(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
+def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
+    """The answer in one sentence."""
     if not complete and verdict is Verdict.NOTHING_MISSING:
         return "Interrupted: nothing was found missing until then, and what was not searched may hide something."
     more = "" if complete else " Interrupted: there may be more."

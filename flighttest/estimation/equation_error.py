@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 MOST_LAGS = 40  # 0.8 s at 50 Hz: beyond it, gusts of multirotor flights are predicted by their last value
 FEWEST_GROUPS = 3  # of which a variance between them can be told
 LEAST_POWER = 0.01  # of the most informative group: one with less says nothing of a parameter
+BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of correlation ends within a second
+WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
 LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left out
 
 
@@ -101,6 +103,11 @@ class Whitened:
     def information(self) -> tuple[FloatArray, FloatArray]:
         """Normal equations: (q, q) and (q,)."""
         return self.columns.T @ self.columns, self.columns.T @ self.residual
+
+
+def block_rows(seconds: float, period_s: float) -> int:
+    """Samples of one block of the sandwich: the longest of `BLOCK_S` that leaves `WANTED_BLOCKS` in so many seconds."""
+    return max(round(float(np.clip(seconds / WANTED_BLOCKS, *BLOCK_S)) / period_s), 10)
 
 
 def noises(streams: Sequence[Stream]) -> dict[str, Autoregression]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
-from flighttest.estimation.equation_error import Autoregression, Stream, heterogeneity, noises, step, whiten
+from flighttest.estimation.equation_error import Autoregression, Stream, block_rows, heterogeneity, noises, step, whiten
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.motion_equations import Equations, chunk, stretches
 from flighttest.physics.core import Param
@@ -31,7 +31,6 @@ __all__ = ["FreeFlight", "estimate", "stretches"]
 
 FloatArray = NDArray[np.float64]
 
-BLOCK_S = 5.0  # of one cluster
 ITERATIONS = 25
 CONVERGED = 0.02  # of a standard error
 PRIOR_SIZES = 3.0  # as of the candidates of a diagnosis: prior standard deviation in usual sizes
@@ -49,10 +48,12 @@ LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger erro
 class FreeFlight:
     """What free flight says about the translation.
 
-    values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 5 s pieces;
+    values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
     covariance (q, q) in the order of `names`; noise: per channel the spectrum of what is left; rms: per channel of the residual, m/s^2;
     seconds: of flight used; priors: names whose error is mostly the prior's; spread: by name of a shared parameter, the standard deviation
-    by which flights differ in it beyond their errors (in `covariance` already).
+    by which flights differ in it beyond their errors (in `covariance` already); inflation: median ratio of the robust variances to those of
+    the information alone, at least 1, by which differences of log likelihoods are to be divided (Burnham and Anderson 2002, section 2.5);
+    blocks: of the robust covariance.
     """
 
     model: Model
@@ -68,6 +69,8 @@ class FreeFlight:
     log_likelihood: float
     priors: frozenset[str] = frozenset()
     spread: Mapping[str, float] = field(default_factory=dict)
+    inflation: float = 1.0
+    blocks: int = 0
 
     @property
     def std(self) -> dict[str, float]:
@@ -171,7 +174,7 @@ class _Descent:
         self.params = [param[c.split("@")[0]] for c in self.columns]
         self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
         period = float(np.median(np.concatenate([np.diff(s.t_s) for s in equations.flown])))
-        self.rows = max(round(BLOCK_S / period), 10)
+        self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), period)
         self.noise = noises(self.streams)
         self.iterations, self.converged = 0, False
 
@@ -242,4 +245,11 @@ class _Descent:
             {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
             float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, self.iterations, self.converged,
             self.log_likelihood, leaning, {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
+            _inflation(made.covariance, made.robust), int(rows.block.max(initial=-1)) + 1,
         )  # fmt: skip
+
+
+def _inflation(model: FloatArray, robust: FloatArray) -> float:
+    known = np.isfinite(np.diag(robust)) & np.isfinite(np.diag(model)) & (np.diag(model) > 0.0)
+    ratio = np.diag(robust)[known] / np.diag(model)[known]
+    return max(float(np.median(ratio)), 1.0) if ratio.size else 1.0

@@ -19,7 +19,7 @@ from flighttest.segments.model import Segment
 STILL_STD_M_S = 0.2  # draught of a closed hall (ISO 7730, 2005: below 0.25 m/s)
 CHANCE = 0.01  # that still air is called wind
 TURNED_RAD = 0.5  # headings that differ by less do not part a wind from an offset
-_WIND = ("w_north", "w_west")
+WIND = ("w_north", "w_west")
 _TERMS = ("steady_wind", "attitude_offset")
 
 
@@ -75,23 +75,33 @@ def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] 
         ("body", "linear_drag", *_TERMS), nominal_voltage_v=model.nominal_voltage_v, attitude_loops=False,
         rotor_height_m=model.rotor_height_m,
     )  # fmt: skip
-    declared = frozenset(f for f, what in (weather or {}).items() if what == "still")
-    priors = {f"{n}@{f}": (0.0, STILL_STD_M_S) for f in declared for n in _WIND}
+    declared, priors = still_air(weather)
     free = [n for n in tried.names if n != "w_up" and (n != "alpha" or _voltage_varies(flown))]
-    found = estimate(flown, tried, free=free, per_flight=_WIND, priors=priors)
+    found = estimate(flown, tried, free=free, per_flight=WIND, priors=priors)
     drag = [found.values[n] / found.std[n] for n in ("d_x", "d_y") if n in found.std and found.std[n] > 0]
     if not drag or max(drag) < 2.0:
         return None
+    return Winds(tuple(winds_of(found, declared)), found, turned(flown), declared)
+
+
+def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[FlightWind]:
+    """The wind of every flight in an estimate with `w_north` and `w_west` per flight. declared: flights said to be in still air."""
     made = []
     for flight in found.flights:
-        at = [found.names.index(f"{n}@{flight}") for n in _WIND]
+        at = [found.names.index(f"{n}@{flight}") for n in WIND]
         w = np.array([found.values[found.names[i]] for i in at])
         covariance = found.covariance[np.ix_(at, at)]
         std = np.sqrt(np.diag(covariance))
         chi2 = float(w @ np.linalg.pinv(covariance) @ w) if np.isfinite(std).all() else 0.0
         verdict = "wind" if chi2_beyond(chi2, 2) < CHANCE else "still" if flight in declared else "none seen"
         made.append(FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict))
-    return Winds(tuple(made), found, _turned(flown), declared)
+    return made
+
+
+def still_air(weather: Mapping[str, str] | None) -> tuple[frozenset[str], dict[str, tuple[float, float]]]:
+    """Flights declared 'still', and the prior of their wind: none, with a standard deviation of 0.2 m/s."""
+    declared = frozenset(f for f, what in (weather or {}).items() if what == "still")
+    return declared, {f"{n}@{f}": (0.0, STILL_STD_M_S) for f in declared for n in WIND}
 
 
 def _voltage_varies(flown: Sequence[Segment]) -> bool:
@@ -100,7 +110,7 @@ def _voltage_varies(flown: Sequence[Segment]) -> bool:
     return bool(joined.size) and float(np.ptp(joined)) > 0.0
 
 
-def _turned(flown: Sequence[Segment]) -> bool:
+def turned(flown: Sequence[Segment]) -> bool:
     """Whether headings lie further apart than `TURNED_RAD`, over all flights."""
     yaw = np.concatenate([s.y["yaw_rad"][np.isfinite(s.y["yaw_rad"])] for s in flown])
     mean = np.angle(np.mean(np.exp(1j * yaw)))

@@ -33,13 +33,15 @@ class NoiseBlock(TypedDict, total=False):
 
 
 class DiagnosedBlock(TypedDict, total=False):
-    """What was looked for in a model's own flights beside its terms. smallest_detectable: by term, in the unit of its parameter."""
+    """What was looked for in a model's own flights beside its terms. smallest_detectable: by term, in the unit of its parameter; winds: of
+    each flight, m/s, which are no property of the vehicle."""
 
     verdict: str
     complete: bool
     not_needed: list[str]
     untestable: list[str]
     smallest_detectable: dict[str, float]
+    winds: list[dict[str, Any]]
 
 
 def constants_of(document: Document, node: Node | None) -> dict[str, float]:

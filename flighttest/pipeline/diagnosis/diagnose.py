@@ -11,6 +11,8 @@ from typing import Any
 
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
+from flighttest.diagnose.equation_search import WIND_TERM
+from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
 from flighttest.documents import write_text
 from flighttest.errors import InputError
 from flighttest.estimation.solver import Start
@@ -20,9 +22,11 @@ from flighttest.identify.models import model_file
 from flighttest.identify.models.informative_prior import carry_over, known_before
 from flighttest.identify.models.model_blocks import DiagnosedBlock
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
 from flighttest.pipeline.identification.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
+from flighttest.pipeline.identification.winds import declared_weather
 from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
 from flighttest.pipeline.recordings.consistency import doubts, once
@@ -54,16 +58,27 @@ def run_diagnosis(
     stored: ModelFile | None,
     vehicle: Vehicle | None,
     progress: Progress = SILENT,
+    weather: Sequence[str] = (),
 ) -> Diagnosis:
-    """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone."""
+    """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone.
+
+    Free flight alone by equation error (`diagnose.free_flight`), all else by output error. weather: as in `Reading`; where it is not said,
+    the vehicle's holds.
+    """
     previous = None
     if stored is not None:
         previous = {name: (p.value, p.scatter) for name, p in stored.parameters.items()}
     progress.stage("looking for what the model leaves out")
+    air = declared_weather(weather, recordings, "unknown" if vehicle is None else vehicle.weather)
+    base = stored.model if stored is not None else base_model(recordings, vehicle)
+    if is_free_flight(segments):
+        return diagnose_free_flight(segments, base, previous=previous, weather=air, progress=progress.stage)
+    still = bool(air) and all(one == "still" for one in air.values())
     found = search(
         segments,
-        stored.model if stored is not None else base_model(recordings, vehicle),
+        base,
         previous=previous,
+        only=[t for t in catalogue() if t != WIND_TERM] if still else None,
         progress=progress.stage,
         side_by_side=in_parallel,
         flyable=flyable_in(recordings, vehicle),
@@ -91,7 +106,8 @@ def diagnose(
     doubtful = doubts(recordings)
     recordings = once(recordings)
     segments = cut_all(recordings, progress)
-    found = run_diagnosis(segments, recordings, stored, declared, progress)
+    weather = () if reading is None else reading.weather
+    found = run_diagnosis(segments, recordings, stored, declared, progress, weather)
     found = replace(found, notes=(*found.notes, *doubtful))
     data = found.to_json()
     facts = {"recordings": join([named(r) for r in runs]), "base": ", ".join(_base_terms(found))}
@@ -137,7 +153,9 @@ def refit(
     assert found.fit is not None
     fitted = found.fit
     known = known_before(fitted, base)
-    if not known:
+    if not known or is_free_flight(
+        segments
+    ):  # its translation is of the equations, which output error does not estimate anew
         return fitted, ()
     usable = [s for s in segments if s.usable]
     again = identify(usable, found.model, select="all", start=Start(fitted.values, fitted.noise), frozen=known)
@@ -187,4 +205,5 @@ def looked_for(found: Diagnosis) -> DiagnosedBlock:
         "not_needed": sorted(found.not_needed),
         "untestable": sorted({u.term for u in found.untestable}),
         "smallest_detectable": {k: float(f"{v:.4g}") for k, v in found.smallest_detectable.items()},
+        **({"winds": [dict(w) for w in found.winds]} if found.winds else {}),
     }

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from flighttest.errors import FlighttestError, InputError
 from flighttest.identify.winds import STILL_STD_M_S, Winds, winds
 from flighttest.physics.model import Model
 from flighttest.recording import Recording
-from flighttest.report.document import Cell, Paragraph, Section, Table
+from flighttest.report.document import Paragraph, Section
 from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
+from flighttest.report.sections.diagnosis import winds_table
 from flighttest.segments import Segment
 
 WEATHERS = ("still", "unknown")
@@ -51,20 +53,6 @@ def wind_section(
 
 def _section(found: Winds) -> Section:
     fit = found.fit
-    rows = []
-    for w in found.flights:
-        rows.append(
-            (
-                w.flight,
-                f"{w.north:.2f} ± {1.96 * w.north_std:.2f}",
-                f"{w.west:.2f} ± {1.96 * w.west_std:.2f}",
-                f"{w.speed:.1f} ± {1.96 * w.speed_std:.1f}",
-                f"{w.from_deg:.0f}°" if w.verdict == "wind" else "",
-                Cell(w.verdict, "good" if w.verdict == "wind" else "quiet"),
-            )
-        )
-    columns = ("flight", "to north, m/s", "to west, m/s", "speed, m/s", "from", "")
-    table = Table(columns, tuple(rows), ("left", "right", "right", "right", "right", "left"))
     drag = [
         f"{n} {fit.values[n]:.2f} ± {1.96 * fit.std[n]:.2f} 1/s"
         + (f" (flights differ by {fit.spread[n]:.2f})" if n in fit.spread else "")
@@ -79,9 +67,9 @@ def _section(found: Winds) -> Section:
             else "declare flights in still air with --weather FLIGHT=still, or fly two headings"
         )
         notes.append(f"At a single heading a wind and an attitude offset tilt the vehicle alike: {known}.")
-    windy = sum(w.verdict == "wind" for w in found.flights)
-    lead = f"Wind is seen in {windy} of {len(found.flights)} flight{'s' if len(found.flights) > 1 else ''}."
-    return Section("winds", "Wind of each flight", (table, *(Paragraph(n, "quiet") for n in notes)), lead)
+    section = winds_table(_data(found))
+    assert section is not None
+    return replace(section, blocks=(*section.blocks, *(Paragraph(n, "quiet") for n in notes)))
 
 
 def _data(found: Winds) -> dict[str, Any]:

@@ -75,11 +75,12 @@ def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
 @dataclass(frozen=True)
 class Reading:
     """How recordings are read. columns: column map of foreign tables; workers: processes on this machine; scheduler: address of a Dask
-    cluster instead, whose workers see the same paths."""
+    cluster instead, whose workers see the same paths; weather: what is said of it, 'still' of all flights or 'FLIGHT=still'."""
 
     columns: Path | None = None
     workers: int = 1
     scheduler: str | None = None
+    weather: tuple[str, ...] = ()
 
 
 def open_recordings(

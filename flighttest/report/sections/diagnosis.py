@@ -33,7 +33,14 @@ def verdict_tone(data: Data, otherwise: Tone = "plain") -> Tone:
 
 def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]:
     """data: diagnosis/1 with whatever it holds of the optional parts; next_script: the text of next.yaml."""
-    found = [_located(data), _findings(data), _improvement(data), _limits(data), _next(data, next_script)]
+    found = [
+        _located(data),
+        _findings(data),
+        winds_table(data),
+        _improvement(data),
+        _limits(data),
+        _next(data, next_script),
+    ]
     return tuple(s for s in found if s is not None)
 
 
@@ -111,6 +118,30 @@ def _findings(data: Data) -> Section:
         searched = "of what was searched before the interruption " if data.get("complete") is False else ""
         blocks.append(Paragraph(f"No physics of the catalogue {searched}is needed to explain these recordings."))
     return Section("findings", "What physics was left out", tuple(blocks))
+
+
+def winds_table(data: Data) -> Section | None:
+    """The wind of each flight, where free flight shows one."""
+    rows = []
+    for w in data.get("winds") or ():
+        seen = w["verdict"] == "wind"
+        rows.append(
+            (
+                w["flight"],
+                f"{w['w_north']:.2f} ± {1.96 * w['w_north_std']:.2f}",
+                f"{w['w_west']:.2f} ± {1.96 * w['w_west_std']:.2f}",
+                f"{w['speed_m_s']:.1f} ± {1.96 * w['speed_std']:.1f}",
+                f"{w['from_deg']:.0f}°" if seen else "",
+                Cell(w["verdict"], "good" if seen else "quiet"),
+            )
+        )
+    if not rows:
+        return None
+    columns = ("flight", "to north, m/s", "to west, m/s", "speed, m/s", "from", "")
+    windy = sum(w["verdict"] == "wind" for w in data["winds"])
+    lead = f"Wind is seen in {windy} of {len(rows)} flight{'s' if len(rows) > 1 else ''}."
+    table = Table(columns, tuple(rows), ("left", "right", "right", "right", "right", "left"))
+    return Section("winds", "Wind of each flight", (table,), lead)
 
 
 def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> Table:

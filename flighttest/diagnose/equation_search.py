@@ -1,0 +1,259 @@
+"""Which terms of the catalogue free flight needs, by equation error: forward selection with backward elimination, one wind per flight.
+
+Each step screens every term (`equation_screen`), estimates the most significant ones anew beside all other parameters, and takes the
+one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
+shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
+term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
+(Bonferroni), and its effect is larger than what estimates drift by. Wind and attitude offset are estimated together first: at one heading they tilt alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flighttest.channels import CHANNELS
+from flighttest.diagnose.equation_screen import Screened, screen, seen_by_equations
+from flighttest.diagnose.residuals.lack_of_fit import DRIFT
+from flighttest.diagnose.selection.candidates import null_value
+from flighttest.diagnose.selection.detectability import missing_channels
+from flighttest.errors import FitError
+from flighttest.estimation.equation_error import Stream
+from flighttest.estimation.uncertainty.distributions import fisher_beyond
+from flighttest.identify.diagnostics.identifiability import voltage_varies
+from flighttest.identify.free_flight import FreeFlight, estimate
+from flighttest.identify.motion_equations import Equations
+from flighttest.identify.winds import CHANCE, WIND, FlightWind, still_air, turned, winds_of
+from flighttest.physics.core import Term
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+TRIED = 4  # of the most significant terms are estimated anew in each step
+MOST_NAMED = 5
+CLOSE_NATS = 3.0  # odds of 20: a term that predicts as well as the one taken, to this, is its rival
+WIND_TERM, OFFSET_TERM = "steady_wind", "attitude_offset"
+STAYS = 0.05  # p-value that a coefficient of a named term keeps when further terms join
+
+
+@dataclass(frozen=True)
+class NamedByEquations:
+    """A term that free flight needs. nats: of quasi-likelihood that it gains; size: channel to the root mean square of its effect beside
+    the rest of the model, in the channel's unit; rivals: terms that explain it as well."""
+
+    term: str
+    nats: float
+    p_value: float
+    size: Mapping[str, float]
+    rivals: tuple[str, ...] = ()
+
+
+@dataclass
+class EquationSearch:
+    """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
+    anew and not taken, with the reason; screened: the last score tests; winds: of each flight, empty where none is in the model; turned:
+    whether headings differ enough to part a wind from an attitude offset."""
+
+    flown: Sequence[Segment]
+    base: FreeFlight
+    final: FreeFlight
+    named: dict[str, NamedByEquations] = field(default_factory=dict)
+    refused: dict[str, tuple[float, str]] = field(default_factory=dict)
+    screened: tuple[Screened, ...] = ()
+    offered: tuple[str, ...] = ()
+    winds: tuple[FlightWind, ...] = ()
+    declared: frozenset[str] = frozenset()
+    turned: bool = True
+
+    @property
+    def beside_wind(self) -> bool:
+        """Whether an attitude offset is in the model only because a wind is."""
+        return OFFSET_TERM in self.final.model.terms and OFFSET_TERM not in (*self.named, *self.base.model.terms)
+
+
+def find_terms(
+    flown: Sequence[Segment],
+    model: Model,
+    pool: Sequence[Term],
+    *,
+    weather: Mapping[str, str] | None = None,
+    start: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> EquationSearch:
+    """Search the terms of `pool` on stretches of free flight (`identify.free_flight.stretches`).
+
+    weather: flight to 'still', a prior for its wind. FitError where no stretch can be estimated from.
+    """
+    declared, priors = still_air(weather)
+    asked = _Asked(flown, priors, not voltage_varies(flown, model.nominal_voltage_v))
+    progress("estimating the base model by equation error")
+    base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
+    known = {t.id: t for t in pool if seen_by_equations(t) and not missing_channels(t, tuple(flown))}
+    found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared, turned=turned(flown))
+    level = CHANCE / max(len(known), 1)
+    _wind_first(found, asked, known, level)
+    while len(found.named) < MOST_NAMED and _step(found, asked, known, level, progress):
+        _drop_what_left(found, asked, level)
+    if WIND_TERM in found.final.model.terms:
+        found.winds = tuple(winds_of(found.final, declared))
+    return found
+
+
+@dataclass(frozen=True)
+class _Asked:
+    flown: Sequence[Segment]
+    priors: Mapping[str, tuple[float, float]]
+    no_voltage: bool
+
+    def estimate(self, model: Model, start: Mapping[str, float]) -> FreeFlight:
+        held = {"w_up"} | ({"alpha"} if self.no_voltage else set())
+        free = [n for n in model.names if n not in held]
+        own = WIND if WIND_TERM in model.terms else ()
+        return estimate(self.flown, model, start=start, free=free, per_flight=own, priors=self.priors)
+
+    def streams(self, found: FreeFlight) -> list[Stream]:
+        names = list(dict.fromkeys(n.split("@")[0] for n in found.names))
+        own = tuple(n for n in names if n not in found.names)
+        with np.errstate(all="ignore"):
+            return Equations(found.model, self.flown).streams(found.values, names, own)[0]
+
+
+def coefficients_of(found: FreeFlight, term: Term) -> list[int]:
+    """Positions of a term's linear coefficients, of its nonlinear parameters where it has none, in an estimate."""
+    own = {p.name for p in (term.amplitudes or term.params)}
+    return [i for i, n in enumerate(found.names) if n.split("@")[0] in own]
+
+
+def wald(found: FreeFlight, term: Term) -> float:
+    """p-value of a term's linear coefficients against their null values, by the robust covariance.
+
+    Degrees of freedom: blocks less parameters; flights less one where what flights differ by decides the error.
+    """
+    at = coefficients_of(found, term)
+    null = {p.name: null_value(p) for p in term.amplitudes}
+    off = np.array([found.values[found.names[i]] - null[found.names[i].split("@")[0]] for i in at])
+    covariance = found.covariance[np.ix_(at, at)]
+    if not at or not np.isfinite(covariance).all():
+        return 1.0
+    dof = float(max(found.blocks - len(found.names), 2))
+    shared = [found.names[i] for i in at if found.names[i] in found.spread]
+    if shared and len(found.flights) > 1:
+        dof = min(dof, float(len(found.flights) - 1))
+    statistic = float(off @ np.linalg.pinv(covariance) @ off) / len(at)
+    return fisher_beyond(statistic, len(at), dof)
+
+
+def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str, float]:
+    """Root mean square per channel of what the residuals of two models differ by, in the channel's unit."""
+    squares: dict[str, list[float]] = {}
+    for a, b in zip(before, after, strict=True):
+        n = min(a.residual.size, b.residual.size)
+        difference = a.residual[:n] - b.residual[:n]
+        total = squares.setdefault(a.channel, [0.0, 0.0])
+        total[0] += float(difference @ difference)
+        total[1] += n
+    return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
+
+
+def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
+    """Quasi-log-likelihood that `richer` gains, less the penalty of its further parameters."""
+    more = len(richer.names) - len(poorer.names)
+    gained = (richer.log_likelihood - poorer.log_likelihood) / richer.inflation
+    return gained - 0.5 * more * float(np.log(max(richer.blocks, 2)))
+
+
+def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], level: float) -> None:
+    """Wind of every flight and attitude offset together; the wind stays where one flight shows it."""
+    base = found.base
+    if WIND_TERM not in known or set(base.flights) <= found.declared:
+        return
+    missing = [t for t in (WIND_TERM, OFFSET_TERM) if t in known]
+    tried = asked.estimate(base.model.with_terms(*missing), base.values)
+    drag = [n for n in ("d_x", "d_y", "k_x", "k_y", "c_h") if n in tried.std and tried.values[n] > 2.0 * tried.std[n]]
+    windy = [w for w in winds_of(tried, found.declared) if w.verdict == "wind"]
+    p_value = wald(tried, known[WIND_TERM])
+    if not drag or not windy or p_value >= level:
+        return
+    size = effect_sizes(asked.streams(base), asked.streams(tried))
+    rivals = (OFFSET_TERM,) if OFFSET_TERM in known and not found.turned and len(base.flights) == 1 else ()
+    found.final = tried
+    found.named[WIND_TERM] = NamedByEquations(WIND_TERM, _nats(tried, base), p_value, size, rivals)
+    if OFFSET_TERM in known and (p := wald(tried, known[OFFSET_TERM])) < level:
+        found.named[OFFSET_TERM] = NamedByEquations(OFFSET_TERM, _nats(tried, base), p, size)
+
+
+def _step(
+    found: EquationSearch, asked: _Asked, known: Mapping[str, Term], level: float, progress: Callable[[str], None]
+) -> bool:
+    """Screen, estimate the most significant terms anew, take the best; False where none is to be taken."""
+    now = found.final
+    # A wind that was estimated and not seen is no wind; it may still be the rival of an offset.
+    pool = [t for t in known.values() if t.id not in now.model.terms]
+    progress("screening the catalogue by equation error")
+    found.screened = screen(asked.flown, now, pool)
+    picks = [s for s in found.screened if s.p_value < level][:TRIED]
+    tried: list[tuple[float, Screened, FreeFlight]] = []
+    for s in picks:
+        progress(f"estimating with {s.term} by equation error")
+        try:
+            one = asked.estimate(now.model.with_terms(s.term), {**now.values, **s.shape})
+        except FitError as problem:
+            found.refused[s.term] = (-np.inf, str(problem))
+            continue
+        tried.append((_nats(one, now), s, one))
+    tried.sort(key=lambda x: -x[0])
+    before = asked.streams(now) if tried else []
+    for k, (nats, s, one) in enumerate(tried):
+        term = known[s.term]
+        size, p_value = effect_sizes(before, asked.streams(one)), wald(one, term)
+        why = _against(nats, p_value, level, size, one, term)
+        if why:
+            found.refused[s.term] = (nats, why)
+            continue
+        rivals = tuple(r.term for n, r, _ in tried[k + 1 :] if nats - n < CLOSE_NATS)
+        found.final = one
+        found.named[s.term] = NamedByEquations(s.term, nats, p_value, size, rivals)
+        found.refused.pop(s.term, None)
+        for n, r, _ in tried[k + 1 :]:
+            found.refused.setdefault(r.term, (n, f"{s.term} predicts better by {nats - n:.1f} nats"))
+        return True
+    return False
+
+
+def _against(
+    nats: float, p_value: float, level: float, size: Mapping[str, float], found: FreeFlight, term: Term
+) -> str:
+    """Why a term is not taken; empty where it is."""
+    if not np.isfinite(nats) or nats <= 0.0:
+        return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
+    if p_value >= level:
+        return f"its coefficients are not significant (p {p_value:.2g}, asked {level:.2g})"
+    if all(value < DRIFT.get(c, 0.0) for c, value in size.items()):
+        channel, value = max(size.items(), key=lambda kv: kv[1])
+        return f"its effect, {value:.2g} {CHANNELS[channel].unit} RMS, is below what estimates drift by"
+    bound = [
+        p.name
+        for p in term.params
+        if p.name in found.names and not p.lower + 1e-6 < found.values[p.name] < p.upper - 1e-6
+    ]
+    if bound and set(bound) & {p.name for p in term.amplitudes}:
+        return f"{bound[0]} is at its bound"
+    return ""
+
+
+def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
+    """Terms that are no longer significant beside the newest leave, the newest excepted."""
+    known = {t.id: t for t in found.final.model.built_terms}
+    for name in list(found.named)[:-1]:
+        if name == WIND_TERM:
+            seen = any(w.verdict == "wind" for w in winds_of(found.final, found.declared))
+            gone = [] if seen else [name, *([OFFSET_TERM] if found.beside_wind else [])]
+        else:
+            gone = [name] if wald(found.final, known[name]) > STAYS else []
+        if not gone:
+            continue
+        smaller = found.final.model.without_terms(*gone)
+        found.final = asked.estimate(smaller, {n: v for n, v in found.final.values.items() if "@" not in n})
+        del found.named[name]
+        found.refused[name] = (0.0, "not needed beside the terms that joined later")
