@@ -1,8 +1,9 @@
 """Score tests of the catalogue on free flight by equation error: every linear coefficient of the translation in a few passes.
 
 At the optimum of the base model the whitened equations are linear in a candidate's coefficients. Its columns beside the base's give
-the score test (Rao 1948) with a covariance by blocks of 1 to 5 s, so that a spectrum that the noise model missed does not name a
-term. Terms whose states have unknown initial values (slung load, latency of the velocity) and those without a linear coefficient are not seen here.
+the score test (Rao 1948) with a covariance by blocks of 1 to 5 s, so that a spectrum that the noise model missed does not name a term.
+Terms whose states have unknown initial values (slung load, latency of the velocity) and those without a linear coefficient are not
+seen here.
 """
 
 from __future__ import annotations

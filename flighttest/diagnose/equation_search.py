@@ -4,7 +4,8 @@ Each step screens every term (`equation_screen`), estimates the most significant
 one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
 shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
 term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
-(Bonferroni), and its effect is larger than what estimates drift by. Wind and attitude offset are estimated together first: at one heading they tilt alike.
+(Bonferroni), and its effect is larger than what estimates drift by. Wind is estimated first, together with what looks like it at one
+heading (`identify.winds`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.motion_equations import Equations
-from flighttest.identify.winds import CHANCE, WIND, FlightWind, still_air, turned, winds_of
+from flighttest.identify.winds import BESIDE_WIND, CHANCE, WIND, WIND_TERM, FlightWind, still_air, turned, winds_of
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -33,7 +34,8 @@ from flighttest.segments.model import Segment
 TRIED = 4  # of the most significant terms are estimated anew in each step
 MOST_NAMED = 5
 CLOSE_NATS = 3.0  # odds of 20: a term that predicts as well as the one taken, to this, is its rival
-WIND_TERM, OFFSET_TERM = "steady_wind", "attitude_offset"
+OFFSET_TERM = "attitude_offset"
+NOT_BESIDE = "no wind is seen beside what looks like one at a single heading"
 STAYS = 0.05  # p-value that a coefficient of a named term keeps when further terms join
 
 
@@ -67,9 +69,10 @@ class EquationSearch:
     turned: bool = True
 
     @property
-    def beside_wind(self) -> bool:
-        """Whether an attitude offset is in the model only because a wind is."""
-        return OFFSET_TERM in self.final.model.terms and OFFSET_TERM not in (*self.named, *self.base.model.terms)
+    def beside_wind(self) -> tuple[str, ...]:
+        """Terms that are in the model only because a wind is."""
+        known = (*self.named, *self.base.model.terms)
+        return tuple(t for t in BESIDE_WIND if t in self.final.model.terms and t not in known)
 
 
 def find_terms(
@@ -90,6 +93,8 @@ def find_terms(
     progress("estimating the base model by equation error")
     base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
     known = {t.id: t for t in pool if seen_by_equations(t) and not missing_channels(t, tuple(flown))}
+    if set(base.flights) <= declared:
+        known.pop(WIND_TERM, None)
     found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared, turned=turned(flown))
     level = CHANCE / max(len(known), 1)
     _wind_first(found, asked, known, level)
@@ -164,23 +169,36 @@ def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
 
 
 def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], level: float) -> None:
-    """Wind of every flight and attitude offset together; the wind stays where one flight shows it."""
+    """Wind of every flight and what looks like it together; the wind stays where it is significant, and one flight shows it."""
     base = found.base
-    if WIND_TERM not in known or set(base.flights) <= found.declared:
+    if WIND_TERM not in known:
         return
-    missing = [t for t in (WIND_TERM, OFFSET_TERM) if t in known]
-    tried = asked.estimate(base.model.with_terms(*missing), base.values)
+    beside = [t for t in BESIDE_WIND if t in known]
+    tried = asked.estimate(base.model.with_terms(WIND_TERM, *beside), base.values)
     drag = [n for n in ("d_x", "d_y", "k_x", "k_y", "c_h") if n in tried.std and tried.values[n] > 2.0 * tried.std[n]]
     windy = [w for w in winds_of(tried, found.declared) if w.verdict == "wind"]
     p_value = wald(tried, known[WIND_TERM])
     if not drag or not windy or p_value >= level:
         return
-    size = effect_sizes(asked.streams(base), asked.streams(tried))
-    rivals = (OFFSET_TERM,) if OFFSET_TERM in known and not found.turned and len(base.flights) == 1 else ()
+    streams = asked.streams(tried)
+    without = asked.estimate(base.model.with_terms(*beside), base.values) if beside else base
+    nats = _nats(tried, without)
+    if nats <= 0.0:
+        return
+    size = effect_sizes(asked.streams(without), streams)
+    rivals = (OFFSET_TERM,) if OFFSET_TERM in beside and not found.turned and nats < CLOSE_NATS else ()
     found.final = tried
-    found.named[WIND_TERM] = NamedByEquations(WIND_TERM, _nats(tried, base), p_value, size, rivals)
-    if OFFSET_TERM in known and (p := wald(tried, known[OFFSET_TERM])) < level:
-        found.named[OFFSET_TERM] = NamedByEquations(OFFSET_TERM, _nats(tried, base), p, size)
+    found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, size, rivals)
+    for one in beside:
+        p = wald(tried, known[one])
+        if p >= level:
+            continue
+        smaller = asked.estimate(
+            tried.model.without_terms(one), {n: v for n, v in tried.values.items() if "@" not in n}
+        )
+        nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
+        if not _against(nats, p, level, size, tried, known[one]):
+            found.named[one] = NamedByEquations(one, nats, p, size)
 
 
 def _step(
@@ -188,7 +206,6 @@ def _step(
 ) -> bool:
     """Screen, estimate the most significant terms anew, take the best; False where none is to be taken."""
     now = found.final
-    # A wind that was estimated and not seen is no wind; it may still be the rival of an offset.
     pool = [t for t in known.values() if t.id not in now.model.terms]
     progress("screening the catalogue by equation error")
     found.screened = screen(asked.flown, now, pool)
@@ -207,11 +224,14 @@ def _step(
     for k, (nats, s, one) in enumerate(tried):
         term = known[s.term]
         size, p_value = effect_sizes(before, asked.streams(one)), wald(one, term)
-        why = _against(nats, p_value, level, size, one, term)
+        # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
+        why = NOT_BESIDE if s.term == WIND_TERM else _against(nats, p_value, level, size, one, term)
         if why:
             found.refused[s.term] = (nats, why)
             continue
-        rivals = tuple(r.term for n, r, _ in tried[k + 1 :] if nats - n < CLOSE_NATS)
+        rivals = tuple(
+            r.term for n, r, _ in tried if r is not s and nats - n < CLOSE_NATS and (n <= nats or r.term == WIND_TERM)
+        )
         found.final = one
         found.named[s.term] = NamedByEquations(s.term, nats, p_value, size, rivals)
         found.refused.pop(s.term, None)
@@ -248,7 +268,9 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
     for name in list(found.named)[:-1]:
         if name == WIND_TERM:
             seen = any(w.verdict == "wind" for w in winds_of(found.final, found.declared))
-            gone = [] if seen else [name, *([OFFSET_TERM] if found.beside_wind else [])]
+            gone = [] if seen else [name, *found.beside_wind]
+        elif name in BESIDE_WIND and WIND_TERM in found.named:
+            gone = []
         else:
             gone = [name] if wald(found.final, known[name]) > STAYS else []
         if not gone:

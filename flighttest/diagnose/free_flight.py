@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from flighttest.diagnose.block import SEED, Answer, Asked, answer
-from flighttest.diagnose.equation_search import OFFSET_TERM, WIND_TERM, EquationSearch, NamedByEquations, find_terms
+from flighttest.diagnose.equation_search import OFFSET_TERM, EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Finding, Rival, TermVerdict, Untestable, brief, short
@@ -37,7 +37,7 @@ from flighttest.identify.fit import Estimate, Fit, fit, has_attitude_references
 from flighttest.identify.free_flight import FreeFlight, stretches
 from flighttest.identify.motion_equations import Equations
 from flighttest.identify.selection import able, problem_of
-from flighttest.identify.winds import CHANCE
+from flighttest.identify.winds import CHANCE, WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -213,7 +213,7 @@ class _Assembly:
             sentence=sentence_of(verdict, findings, share, located, self.complete) + moved_parameters(previous, after),
             located=tuple(located),
             findings=tuple(findings),
-            not_needed=tuple(sorted(tried - set(accepted) - set(hidden))),
+            not_needed=tuple(sorted(tried - set(accepted) - set(hidden) - set(found.beside_wind))),
             untestable=tuple(unseen),
             unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
             smallest_detectable={k: v for k, (v, _) in levels.items() if k not in hidden},
@@ -334,6 +334,8 @@ class _Assembly:
             if t.id in told or t.id in found.refused or t.id in found.final.model.terms:
                 continue
             missing = missing_channels(t, self.segments)
+            if t.id == WIND_TERM:
+                continue  # every flight was declared still
             if missing:
                 unseen.append(Untestable(t.id, f"not recorded: {', '.join(missing)}", t.reveals, False))
             elif block_of(t) == "translation" and t.id not in found.offered:
@@ -373,7 +375,8 @@ class _Assembly:
             )
         if found.beside_wind:
             notes.append(
-                f"{OFFSET_TERM} is estimated beside the wind, since at one heading both tilt the vehicle alike; it is no finding of its own"
+                f"{' and '.join(found.beside_wind)} {'is' if len(found.beside_wind) == 1 else 'are'} estimated beside the wind, which tilts "
+                "the vehicle as they do, and no finding"
             )
         if found.winds and len(found.final.flights) > 1:
             notes.append(

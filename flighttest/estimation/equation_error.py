@@ -193,15 +193,16 @@ def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray)
     """What groups differ by in shared parameters: (q,) standard deviation of each, 0 where errors account for it, and (q, q) what it adds
     to the covariance.
 
-    own (q,): columns that belong to one group. Every group's one-step estimate of a shared parameter, its own profiled and the other
-    shared ones held, is one value with an error; their variance between groups is DerSimonian and Laird's (1986). It moves a group's own
-    parameters by what they make up for it, and the shared value by its mean over the groups.
+    own (q,): columns that belong to one group. Every group's one-step estimate of all parameters is one value of each shared one with its
+    error; the variance between groups is DerSimonian and Laird's (1986). It moves a group's own parameters by what they make up for it,
+    and the shared value by its mean over the groups.
     """
     q = own.size
     spread, extra = np.zeros(q), np.zeros((q, q))
     groups = np.unique(rows.group)
     if groups.size < FEWEST_GROUPS:
         return spread, extra
+    known = 1.0 / prior_std**2  # zero where there is no prior
     parts = []
     for g in groups:
         some = rows.columns[rows.group == g]
@@ -210,13 +211,17 @@ def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray)
         precision = 1.0 / prior_std[mine] ** 2 if mine.any() else np.zeros(0)
         back = np.linalg.pinv(hessian[np.ix_(mine, mine)] + np.diag(precision)) if mine.any() else np.zeros((0, 0))
         follow = -back @ hessian[mine]  # how own parameters answer to the shared ones
-        parts.append((hessian + hessian[:, mine] @ follow, score - hessian[:, mine] @ back @ score[mine], mine, follow))
+        power = np.diag(hessian) + known
+        scale = np.sqrt(np.where(power > 0.0, power, 1.0))  # a column of another group is nothing here
+        inverse = np.linalg.pinv((hessian + np.diag(known)) / np.outer(scale, scale), rcond=1e-10)
+        inverse /= np.outer(scale, scale)
+        parts.append((inverse @ score, np.diag(inverse), mine, follow, np.diag(hessian) > 0.0))
     for k in np.flatnonzero(~own):
-        power = np.array([max(float(h[k, k]), 0.0) for h, *_ in parts])
+        power = np.array([1.0 / v[k] if seen[k] and v[k] > 0.0 else 0.0 for _, v, _, _, seen in parts])
         told = power > power.max() * LEAST_POWER if power.max() > 0.0 else np.zeros(power.size, dtype=bool)
         if told.sum() < FEWEST_GROUPS:
             continue
-        value = np.array([s[k] for _, s, *_ in parts])[told] / power[told]
+        value = np.array([one[k] for one, *_ in parts])[told]
         w = power[told]
         mean = float(np.sum(w * value) / w.sum())
         chance = float(np.sum(w * (value - mean) ** 2)) - (w.size - 1)
@@ -225,7 +230,7 @@ def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray)
             continue
         spread[k] = np.sqrt(variance)
         extra[k, k] += variance / w.size
-        for _, _, mine, follow in parts:
+        for _, _, mine, follow, _ in parts:
             answer = follow[:, k]
             extra[np.ix_(mine, mine)] += variance * np.outer(answer, answer)
     return spread, extra

@@ -20,7 +20,10 @@ STILL_STD_M_S = 0.2  # draught of a closed hall (ISO 7730, 2005: below 0.25 m/s)
 CHANCE = 0.01  # that still air is called wind
 TURNED_RAD = 0.5  # headings that differ by less do not part a wind from an offset
 WIND = ("w_north", "w_west")
-_TERMS = ("steady_wind", "attitude_offset")
+WIND_TERM = "steady_wind"
+# What a steady wind looks like at one heading: a tilted thrust axis, and the in-plane force of rotors in a wind, thrust times velocity
+# through the air (Mahony, Kumar, Corke 2012), which is a tilt of the thrust axis as well.
+BESIDE_WIND = ("attitude_offset", "thrust_scaled_drag")
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] 
     if not flown:
         return None
     tried = Model(
-        ("body", "linear_drag", *_TERMS), nominal_voltage_v=model.nominal_voltage_v, attitude_loops=False,
+        ("body", "linear_drag", WIND_TERM, *BESIDE_WIND), nominal_voltage_v=model.nominal_voltage_v, attitude_loops=False,
         rotor_height_m=model.rotor_height_m,
     )  # fmt: skip
     declared, priors = still_air(weather)

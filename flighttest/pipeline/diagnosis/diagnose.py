@@ -11,7 +11,6 @@ from typing import Any
 
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
-from flighttest.diagnose.equation_search import WIND_TERM
 from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
 from flighttest.documents import write_text
 from flighttest.errors import InputError
@@ -22,6 +21,7 @@ from flighttest.identify.models import model_file
 from flighttest.identify.models.informative_prior import carry_over, known_before
 from flighttest.identify.models.model_blocks import DiagnosedBlock
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.identify.winds import WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
