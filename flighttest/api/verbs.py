@@ -159,12 +159,13 @@ def diagnose(
     vehicle: AnyPath | None = None,
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
+    weather: Sequence[str] = (),
     progress: Tell | None = None,
 ) -> Diagnosed:
     """Say where simulation and recordings differ, what physics the model leaves out, and what to fly next.
 
     model: what to start from, one fitted to the recordings where none is given. output: folder for diagnosis.json, model.yaml,
-    report.html and, where one is due, next.yaml.
+    report.html and, where one is due, next.yaml. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT.
     """
     from flighttest.api.answers import Diagnosed
     from flighttest.api.fitted_model import fitted_model
@@ -173,9 +174,8 @@ def diagnose(
     from flighttest.pipeline.recordings.sources import Reading
 
     base = None if model is None else fitted_model(model).stored
-    result = search(
-        as_sources(sources), base, as_path(output), as_path(vehicle), Reading(as_path(columns)), Stages(progress)
-    )
+    reading = Reading(as_path(columns), weather=tuple(weather))
+    result = search(as_sources(sources), base, as_path(output), as_path(vehicle), reading, Stages(progress))
     found = result.value.fit
     accepted = None if found is None else model_of(found, model_file.as_data(found))
     return Diagnosed(

@@ -375,8 +375,8 @@ class _Assembly:
             )
         if found.beside_wind:
             notes.append(
-                f"{' and '.join(found.beside_wind)} {'is' if len(found.beside_wind) == 1 else 'are'} estimated beside the wind, which tilts "
-                "the vehicle as they do, and no finding"
+                f"{' and '.join(found.beside_wind)} {'is' if len(found.beside_wind) == 1 else 'are'} estimated beside the wind, which "
+                "tilts the vehicle as they do, and no finding"
             )
         if found.winds and len(found.final.flights) > 1:
             notes.append(

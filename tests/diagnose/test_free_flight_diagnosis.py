@@ -1,0 +1,100 @@
+"""Diagnosis of free flight alone: a position loop in gusts, made without our equations, in a wind, with a tilted thrust axis, or neither."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from flighttest.diagnose import Verdict
+from flighttest.diagnose.equation_search import find_terms
+from flighttest.diagnose.free_flight import diagnose_free_flight, in_still_air, is_free_flight
+from flighttest.identify.free_flight import stretches
+from flighttest.identify.models import model_file
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
+from flighttest.pipeline.diagnosis.diagnose import looked_for
+from flighttest.report.sections.diagnosis import diagnosis_sections
+from tests.identify.test_free_flight import DRAG, GAIN, flight
+
+POOL = tuple(catalogue().values())
+ALONE = Model(attitude_loops=False)
+
+
+@cache
+def calm():
+    return tuple(flight(60.0, 21, run="calm"))
+
+
+@cache
+def windy():
+    return tuple(flight(60.0, 22, (-7.0, 0.0), run="windy"))
+
+
+@cache
+def diagnosed():
+    return diagnose_free_flight((*calm(), *windy()), Model(), weather={"calm": "still"})
+
+
+def test_only_windows_of_free_flight_are_free_flight():
+    assert is_free_flight(calm())
+    assert not is_free_flight(calm()[:10])  # 25 s
+    assert not is_free_flight([])
+
+
+def test_a_wind_is_named_with_its_size_and_nothing_else_is():
+    found = find_terms(stretches(windy()), ALONE, POOL)
+    assert list(found.named) == ["steady_wind"]
+    (wind,) = found.winds
+    assert wind.verdict == "wind"
+    assert abs(wind.north + 7.0) < 3.0 * wind.north_std < 4.0
+
+
+def test_a_tilted_thrust_axis_in_still_air_is_called_no_wind():
+    found = find_terms(stretches(flight(60.0, 23, gust=0.1, offset=0.04, run="tilted")), ALONE, POOL)
+    assert "steady_wind" not in found.named
+    assert not found.winds
+    assert set(found.named) == {"attitude_offset"}
+    assert abs(found.final.values["offset_pitch"] - 0.04) < 4.0 * found.final.std["offset_pitch"]
+
+
+def test_where_nothing_is_missing_nothing_is_named():
+    found = find_terms(stretches(calm()), ALONE, POOL)
+    assert not found.named
+
+
+def test_declared_still_air_is_no_candidate():
+    assert "steady_wind" not in find_terms(stretches(calm()), ALONE, POOL, weather={"calm": "still"}).offered
+
+
+def test_flights_in_two_winds_share_one_model_in_still_air():
+    found = diagnosed()
+    assert found.verdict is Verdict.EXPLAINED
+    assert found.accepted == ("steady_wind",)
+    assert "steady_wind" not in found.model.terms
+    still, wind = found.winds
+    assert (still["verdict"], wind["verdict"]) == ("still", "wind")
+    assert abs(wind["w_north"] + 7.0) < 3.0 * wind["w_north_std"] < 3.0
+    for name, truth in (("K", GAIN), ("d_x", DRAG[0])):
+        e = found.fit.estimates[name]
+        assert e.source == "fit"
+        assert abs(e.value - truth) < 3.0 * e.std, name
+    held = found.heldout["f_x"]["all"]
+    assert held["rmse_after"] < held["rmse_before"]
+    assert held["gain_95"][0] > 0.0
+
+
+def test_the_model_in_still_air_holds_for_motion_relative_to_the_air():
+    found = find_terms(stretches(windy()), ALONE, POOL)
+    before, after = windy()[5], in_still_air(windy(), found)[5]
+    (wind,) = found.winds
+    assert after.y["v_x_m_s"] == pytest.approx(before.y["v_x_m_s"] - wind.north)
+    assert np.array_equal(after.y["pitch_rad"], before.y["pitch_rad"])
+
+
+def test_what_is_written_and_shown_has_the_winds():
+    found = diagnosed()
+    data = model_file.as_data(found.fit)
+    assert {"K", "d_x"} <= set(data["covariance"]["order"])
+    assert [w["flight"] for w in looked_for(found)["winds"]] == ["calm", "windy"]
+    titles = [s.title for s in diagnosis_sections(found.to_json())]
+    assert "Wind of each flight" in titles
