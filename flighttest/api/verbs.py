@@ -7,7 +7,7 @@ where nothing can be estimated, LinkError and PreflightError for a vehicle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path

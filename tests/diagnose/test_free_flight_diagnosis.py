@@ -1,4 +1,4 @@
-"""Diagnosis of free flight alone: a position loop in gusts, made without our equations, in a wind, with a tilted thrust axis, or neither."""
+"""Diagnosis of free flight alone, of vehicles made without our equations: in a wind, with a tilted thrust axis, or in neither."""
 
 from functools import cache
 
