@@ -1,0 +1,96 @@
+"""Rows and sentences of a diagnosis of free flight: parameters, winds, noise floor, pairs of flights that would tell more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flighttest.diagnose.equation_search import OFFSET_TERM, EquationSearch
+from flighttest.diagnose.model import brief
+from flighttest.diagnose.records import FlightWindRow, ParameterRow
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.estimation.linearisation import Linearisation
+from flighttest.estimation.uncertainty.covariance import interval_factor
+from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.winds import CHANCE, WIND_TERM
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.model import Model
+from flighttest.segments.model import Segment
+
+
+def pairs_of_flights(found: EquationSearch) -> list[str]:
+    """Pairs of flights that would part what these could not."""
+    said = []
+    if found.winds and not found.turned and not found.declared:
+        said.append(
+            "a wind and an attitude offset tilt the vehicle alike at one heading: a second flight at another heading, or one in still air "
+            "(--weather FLIGHT=still), diagnosed together with this one tells them apart"
+        )
+    offered = {*found.offered} - {*found.named}
+    if "ground_effect" in offered and not any(s.term == "ground_effect" and s.p_value < CHANCE for s in found.screened):
+        said.append(
+            "ground effect shows between a low and a high flight: hover below one rotor diameter and above three, diagnosed together"
+        )
+    if len(found.final.flights) == 1:
+        said.append(
+            "a payload shows as K of a loaded over K of an unloaded flight of the same battery: diagnose the one with the other's --model"
+        )
+    return said
+
+
+def table_of(found: FreeFlight, model: Model | None) -> dict[str, ParameterRow]:
+    """Estimated parameters as rows; `model` None: those of single flights, too."""
+    rows: dict[str, ParameterRow] = {}
+    factor = interval_factor(float(max(found.blocks - len(found.names), 1)))
+    for n, std in found.std.items():
+        if model is not None and n not in model.names:
+            continue
+        value, p = found.values[n], found.model.param[n.split("@")[0]]
+        if np.isfinite(std):
+            rows[n] = {
+                "value": value, "std": std, "unit": p.unit, "interval_95": [value - factor * std, value + factor * std], "scatter": std,
+            }  # fmt: skip
+    return rows
+
+
+def parameter_in_words(name: str, row: ParameterRow) -> str:
+    """Name, value, half of its 95 % interval and unit."""
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    return f"{name} {row['value']:.3g} ± {brief(0.5 * (row['interval_95'][1] - row['interval_95'][0]))}{unit}"
+
+
+def what_separates(rival: str, term: str) -> str:
+    """The flight that tells two terms apart."""
+    if {rival, term} == {WIND_TERM, OFFSET_TERM}:
+        return "fly a second heading, or declare a flight in still air"
+    return f"fly {catalogue()[rival].reveals}"
+
+
+def wind_rows(found: EquationSearch) -> list[FlightWindRow]:
+    """The wind of each flight as diagnosis.json has it."""
+    return [
+        FlightWindRow(
+            flight=w.flight, w_north=w.north, w_west=w.west, w_north_std=w.north_std, w_west_std=w.west_std, speed_m_s=w.speed,
+            speed_std=w.speed_std, from_deg=w.from_deg, verdict=w.verdict, declared="still" if w.flight in found.declared else "unknown",
+        )
+        for w in found.winds
+    ]  # fmt: skip
+
+
+def free_flight_floor(rows: Linearisation, segments: Sequence[Segment]) -> NoiseFloor:
+    """The floor of free flight: what the final model leaves of each channel is its noise, whatever its spectrum.
+
+    What a variable orders in it is no noise, and is still found by `locate`. Never below what sensors resolve.
+    """
+    least = floor_of(rows, segments, RESOLUTION)
+    left = {
+        name: float(np.sqrt(np.mean(rows.unprofiled_residual[rows.channel == c] ** 2)))
+        for c, name in enumerate(rows.channels)
+    }
+    return NoiseFloor({c: max(v, left.get(c, 0.0)) for c, v in least.std.items()}, frozenset(), {})
+
+
+def sampling_rate(found: EquationSearch) -> float:
+    """Median rate of the samples, Hz."""
+    return 1.0 / float(np.median(np.concatenate([np.diff(s.t_s) for s in found.flown])))
