@@ -267,3 +267,22 @@ def test_noise_alone_is_pale_in_a_map_of_errors():
 
     assert top(1.8) == 4.0
     assert top(9.0) == 9.0
+
+
+def test_a_long_command_keeps_the_indent_of_its_lines_and_goes_on_deeper():
+    command = "flighttest twin demo/model.yaml \\\n    --replay demo/spot_check --set battery=-1"
+    page = Document("t", "v", "plain", (Section("next", "Next", (Code(command),)),))
+
+    def lines(width):
+        console = Console(width=width, file=io.StringIO())
+        console.print(terminal.render(page))
+        return [
+            line.rstrip() for line in console.file.getvalue().splitlines() if line.startswith("  ") and line.strip()
+        ]
+
+    assert lines(80) == ["  flighttest twin demo/model.yaml \\", "      --replay demo/spot_check --set battery=-1"]
+    assert lines(40) == [
+        "  flighttest twin demo/model.yaml \\",
+        "      --replay demo/spot_check --set \\",
+        "        battery=-1",
+    ]

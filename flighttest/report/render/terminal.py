@@ -115,13 +115,16 @@ class _Command:
 
 
 def _continued(line: str, room: int) -> list[str]:
-    found = [""]
-    for word in line.strip().split(" "):
-        if found[-1] and cell_len(f"  {found[-1]} {word} \\") > room:
-            found.append(f"  {word}")
+    """The line in pieces of at most `room` cells; its own indent stays, and each further piece is two deeper."""
+    words = line.strip().split(" ")
+    indent = line[: len(line) - len(line.lstrip())]
+    found = [indent + words[0]]
+    for word in words[1:]:
+        if cell_len(f"{found[-1]} {word} \\") > room and word != "\\":
+            found.append(f"{indent}  {word}")
         else:
-            found[-1] = f"{found[-1]} {word}" if found[-1] else word
-    return [f"  {part} \\" for part in found[:-1]] + [f"  {found[-1]}"]
+            found[-1] = f"{found[-1]} {word}"
+    return [f"{part} \\" for part in found[:-1]] + [found[-1]]
 
 
 def _facts(facts: Facts) -> RenderableType:
