@@ -211,8 +211,9 @@ RECEIVER = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 def test_rc_is_live_where_the_autopilot_receives_it_now(
     channels: int | None, present: int, health: int, live: bool
 ) -> None:
-    latest = {} if channels is None else {"RC_CHANNELS": Heard(SimpleNamespace(chancount=channels), 1.0)}
-    status = SimpleNamespace(onboard_control_sensors_present=present, onboard_control_sensors_health=health)
+    heard = book.MAVLink_rc_channels_message(0, channels or 0, *([0] * 18), 0)
+    latest = {} if channels is None else {"RC_CHANNELS": Heard(heard, 1.0)}
+    status = book.MAVLink_sys_status_message(present, present, health, *([0] * 10))
     vehicle = SimpleNamespace(session=SimpleNamespace(latest=latest), request=lambda *_: status)
     assert preflight.rc_live(vehicle) is live  # type: ignore[arg-type]
 

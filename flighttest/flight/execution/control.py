@@ -16,6 +16,7 @@ from flighttest.flight.outcome import FlightProgress, OnProgress
 from flighttest.flight.preparation.changes import ExternalChanges
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader, VehicleState
+from flighttest.flight.transmitter import Transmitter
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
 from flighttest.link.streams import Streams
@@ -94,6 +95,7 @@ class FlightControl:
         self._boots = self.session.boots
         self._others = set(self.session.others)
         self.streams: Streams | None = None
+        self._transmitter = Transmitter()
         self.session.listen(self._watch)
 
     # -- whose vehicle it is -------------------------------------------------------------------------------------------------
@@ -124,6 +126,10 @@ class FlightControl:
         if self.session.boots != self._boots:
             self._boots = self.session.boots
             self.on(Event.REBOOTED)
+        said = self._transmitter.look(message)
+        if said and self.machine.state is not FlightState.GROUND:
+            self.recorder.event("note", said, t_s)
+            self.alarm(said)
         if not self.machine.ours:
             return
         if message.get_type() == "PARAM_VALUE":

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from flighttest.errors import PreflightError
 from flighttest.flight.state import VehicleState
+from flighttest.flight.transmitter import received
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink.dialect import book
@@ -46,6 +47,7 @@ RATES_HZ: dict[str, float] = {
     "SERVO_OUTPUT_RAW": 10.0,
     "EKF_STATUS_REPORT": 5.0,
     "RC_CHANNELS": 5.0,
+    "SYS_STATUS": 2.0,
 }
 """Message rates asked for, Hz. HEARTBEAT at 10 Hz, so that a pilot's mode switch is seen within a tenth of a second."""
 
@@ -87,14 +89,10 @@ class Situation:
 def rc_live(vehicle: ArduPilot) -> bool:
     """Whether the autopilot receives the pilot's transmitter now: RC_CHANNELS goes on with the last channels when it is off."""
     heard = vehicle.session.latest.get("RC_CHANNELS")
-    if heard is None or heard.message.chancount == 0:
+    if heard is None or received(heard.message) is False:
         return False
     status = vehicle.request("SYS_STATUS", book.MAVLINK_MSG_ID_SYS_STATUS)
-    if status is None:
-        return False
-    if not status.onboard_control_sensors_present & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER:
-        return True  # it does not say
-    return bool(status.onboard_control_sensors_health & book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
+    return status is not None and received(status) is not False  # it may not say
 
 
 def figure(value: float) -> str:

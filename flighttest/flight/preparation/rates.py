@@ -13,13 +13,13 @@ from flighttest.plan import Plan
 _BYTES: dict[str, int] = {
     "HEARTBEAT": 21, "ATTITUDE": 40, "HIGHRES_IMU": 74, "RAW_IMU": 38, "LOCAL_POSITION_NED": 40, "ATTITUDE_TARGET": 49,
     "BATTERY_STATUS": 50, "GLOBAL_POSITION_INT": 40, "VFR_HUD": 32, "SERVO_OUTPUT_RAW": 33, "EKF_STATUS_REPORT": 38,
-    "RC_CHANNELS": 54, "SCALED_PRESSURE": 28, "DISTANCE_SENSOR": 40,
+    "RC_CHANNELS": 54, "SCALED_PRESSURE": 28, "DISTANCE_SENSOR": 40, "SYS_STATUS": 43,
 }  # fmt: skip
 # The least that preflight and the gate's greatest ages allow, with a twentieth of the frames lost, Hz.
 _LEAST_HZ: dict[str, float] = {
     "HEARTBEAT": 5.0, "ATTITUDE": 45.0, "HIGHRES_IMU": 25.0, "LOCAL_POSITION_NED": 10.0, "ATTITUDE_TARGET": 5.0,
     "BATTERY_STATUS": 2.0, "GLOBAL_POSITION_INT": 1.0, "VFR_HUD": 1.0, "SERVO_OUTPUT_RAW": 1.0, "EKF_STATUS_REPORT": 2.0,
-    "RC_CHANNELS": 2.0, "SCALED_PRESSURE": 5.0, "DISTANCE_SENSOR": 5.0,
+    "RC_CHANNELS": 2.0, "SCALED_PRESSURE": 5.0, "DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0,
 }  # fmt: skip
 _STREAMS_SHARE = 0.85  # of a link; answers, texts and TIMESYNC need the rest
 _BITS_PER_BYTE = 10  # on a serial line: start and stop bit

@@ -218,6 +218,8 @@ def _battery(v: Vehicle) -> bytes:
 def _sys_status(v: Vehicle) -> bytes:
     sensors = 0x5361_FC2F if v.has_position else 0x5361_FC0F
     health = sensors if v.armable else sensors & ~book.MAV_SYS_STATUS_PREARM_CHECK
+    if v.store["SIM_RC_FAIL"]:
+        health &= ~book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     used = v.charge_used_ah
     left = max(0, min(100, int(100.0 * (1.0 - used / v.capacity_ah))))
     volts = min(max(round(v.sensors.voltage() * 1e3), 0), 65534)
