@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check mutants faults faults-sitl frozen sitl docs docs-site docs-figures notebooks clean
+.PHONY: demo test check mutants faults faults-sitl faults-endurance faults-lines frozen sitl docs docs-site docs-figures notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -35,6 +35,12 @@ faults: .venv/installed  ## every fault of the link in every state of a flight, 
 
 faults-sitl: .venv/installed  ## the dangerous ones on a real ArduCopter (`arducopter` on PATH, or ARDUCOPTER)
 	$(BIN)/python -m tests.faults.table --sitl -o docs/faults.md
+
+faults-endurance: .venv/installed  ## an hour's flight in flat memory, and 20 flights of ten minutes with faults at random
+	$(BIN)/python -m tests.faults.table --endurance -o docs/faults.md
+
+faults-lines: .venv/installed  ## flights over serial lines of 57600 and 115200 baud, in real time
+	$(BIN)/python -m tests.faults.table --lines -o docs/faults.md
 
 docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py

@@ -18,6 +18,7 @@ import flighttest as ft
 from flighttest.channels import CHANNELS
 from flighttest.cli.main import cli
 from flighttest.flight.execution.machine import drawing, table_as_markdown, words_as_markdown
+from flighttest.link.states import link_as_markdown
 from flighttest.physics.catalogue import catalogue
 from flighttest.script.load import load_script
 from flighttest.script.profiles import PROFILES, Duration, Field
@@ -172,6 +173,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "profiles": profiles,
     "flight_words": words_as_markdown,
     "flight_states": lambda: drawing() + "\n" + table_as_markdown(),
+    "link_states": link_as_markdown,
 }
 
 

@@ -10,6 +10,7 @@ from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedCloc
 from flighttest.link.lockstep import Grants
 from flighttest.link.port import Port
 from flighttest.link.requests import ModeRequests
+from flighttest.link.states import LinkEvent, LinkMachine, LinkState
 from flighttest.link.transport import ENOUGH, Sequence
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_vehicle
 
@@ -66,6 +67,7 @@ class Session:
         self.overtaken = 0  # HEARTBEATs that came after one sent later, or after one of another vehicle
         self._held = False
         self._sequence = Sequence()
+        self.link = LinkMachine()
 
     def listen(self, listener: Callable[[Message, float], None]) -> None:
         """Call `listener(message, vehicle time s)` for every message from the vehicle."""
@@ -89,6 +91,7 @@ class Session:
         granted.reach(grants.now_s)
         self._grants = grants
         self.clock = granted
+        self.link.on(LinkEvent.BOOTED, granted.now_s())
         self._timesync = TimeSync()
         self._asked_s.clear()
         self._answered_s = None
@@ -193,12 +196,13 @@ class Session:
             self.others.add(system)
         if system != self.vehicle_system or system == 0 or (kind == "HEARTBEAT" and self._overtaken(message)):
             return
+        answer = booted = False
         if kind == "TIMESYNC":
             trip = self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
             if trip is not None:
                 self.clock.heard(message.tc1 * 1e-9)
                 self.clock.answered(message.tc1 * 1e-9, trip)
-                self._answered(message.ts1)
+                answer = self._answered(message.ts1)
         if self._grants is not None and self._grants.heard(message):
             return  # the clock's own mark says nothing of the link
         stamp = getattr(message, "time_boot_ms", None)
@@ -210,12 +214,14 @@ class Session:
             self._asked_s.clear()
             self._answered_s = None
             self.boots += 1
+            booted = True
         gap_s = t_s - self.last_heard_s
         if gap_s > QUIET_S * max(self.clock.pace, 1.0) and self._answered_s is not None:
             self._answered_s += gap_s  # answers were lost with all the rest
         self.last_heard_s = t_s
         self.latest[kind] = Heard(message, t_s)
         self.counts[kind] = self.counts.get(kind, 0) + 1
+        self.link.on(LinkEvent.BOOTED if booted else LinkEvent.ANSWER if answer else LinkEvent.MESSAGE, t_s)
         for listener in tuple(self._listeners):
             listener(message, t_s)
 
@@ -228,14 +234,15 @@ class Session:
             self.others.add(self.vehicle_system)
         return foreign
 
-    def _answered(self, ts1: int) -> None:
-        """A question of ours was answered: the vehicle has received it, and what was sent before it."""
+    def _answered(self, ts1: int) -> bool:
+        """Whether a question of ours was answered: the vehicle has received it, and what was sent before it."""
         asked_s = self._asked_s.pop(ts1, None)
         if asked_s is None:
-            return
+            return False
         self._asked_s = {t: s for t, s in self._asked_s.items() if s > asked_s}
         self._answered_s = asked_s if self._answered_s is None else max(self._answered_s, asked_s)
         self.mode_requests.answered(asked_s, self.clock.now_s())
+        return True
 
     def _overtaken(self, heartbeat: Message) -> bool:
         """Whether a HEARTBEAT comes after one that was sent later: the mode it shows is over."""
@@ -269,17 +276,28 @@ class Session:
 
     def require_link(self) -> None:
         """LinkSilent where the vehicle that was connected is not heard, or answers nothing."""
-        pace = max(self.clock.pace, 1.0)
-        if self.vehicle_system and self.silence_s > LOST_S * pace:
+        state = self.look_at_link()
+        if state is LinkState.LOST:
             raise LinkSilent(
                 f"the link was lost: nothing has been heard from the vehicle for {LOST_S:.0f} s",
                 "check that the vehicle is on, the radio or cable, and the distance",
             )
-        if self.uplink_silence_s > UNANSWERED_S * pace:
+        if state is LinkState.ONE_WAY:
             raise LinkSilent(
                 f"the link was lost in one direction: the vehicle is heard, but has answered nothing for {UNANSWERED_S:.0f} s",
                 "check the transmitting side of the radio, or the address that is sent to",
             )
+
+    def look_at_link(self) -> LinkState:
+        """The state of the link now: what has not come for long is an event, too."""
+        pace, now = max(self.clock.pace, 1.0), self.clock.now_s()
+        if self.vehicle_system and self.silence_s > LOST_S * pace:
+            return self.link.on(LinkEvent.SILENCE, now)
+        if self.vehicle_system and self.silence_s > QUIET_S * pace:
+            self.link.on(LinkEvent.PAUSE, now)
+        if self.uplink_silence_s > UNANSWERED_S * pace:
+            self.link.on(LinkEvent.UNANSWERED, now)
+        return self.link.state
 
     def await_message(self, wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
         """The next message from the vehicle for which `wanted` is true, or None after timeout_s of the vehicle's time."""

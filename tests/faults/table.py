@@ -1,6 +1,7 @@
 """Every fault in every state, as a table: `python -m tests.faults.table [-o docs/faults.md]` (or `make faults`).
 
-With --sitl the dangerous cells are flown on a real ArduCopter instead; either keeps what the page has of the other.
+With --sitl the dangerous cells are flown on a real ArduCopter instead, with --endurance an hour and long flights with faults at random,
+with --lines flights over serial lines. Each writes its own part of the page and keeps the others.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from tests.faults.cells import FAULTS, STATES, Cell, fly_cell
+from tests.faults.endurance import GROWTH_MAX_MB, RANDOM_FLIGHTS, Drawn, Soak, random_flight, soak
+from tests.faults.lines import OverLine, fly_script
 from tests.faults.proxy import Fault, When
 
 INTRODUCTION = """Written by `make faults`. The built-in vehicle flies two steps in real time (virtual: it takes as long as its computation)
@@ -89,26 +92,121 @@ def tell(cell: Cell) -> None:
     sys.stderr.flush()
 
 
+ENDURANCE_HEADING = "## An hour, and faults at random"
+LINES_HEADING = "## Over serial lines"
+HEADINGS = (SITL_HEADING, ENDURANCE_HEADING, LINES_HEADING)
+
+
+def of_endurance(hour: Soak, flights: list[Drawn]) -> str:
+    """The page's part of long flights."""
+    warm = next(mb for t, mb in hour.memory if t >= hour.warm_s)
+    right = sum(d.cell.ok for d in flights)
+    lines = [
+        ENDURANCE_HEADING, "",
+        "Written by `make faults-endurance`. The built-in vehicle in real time (virtual: as many targets, messages, clock questions and",
+        "records as in an hour, computed faster; what depends on the host's own hour, such as the drift of its clock, is not shown by it).",
+        f"One flight of {hour.seconds:.0f} s: {hour.ended}, {hour.flown} of {hour.legs} steps flown, {hour.written_mb:.0f} MB recorded, "
+        f"computed in {hour.host_s:.0f} s. Memory of client and vehicle in one process: {warm:.1f} MB after {hour.warm_s / 60:.0f} min, "
+        f"at most {hour.growth_mb:.1f} MB more in flight since then (looked at every minute; allowed are {GROWTH_MAX_MB:.0f} MB).",
+        "" if not hour.wrong else f"**wrong:** {'; '.join(hour.wrong)}",
+        "",
+        f"{right} of {len(flights)} flights of ten minutes with faults drawn at random are right, by the same rules as above. ",
+        "The last fault may be one that ends the flight.", "",
+        "| seed | faults (from, s) | how it ended | steps | s | memory, MB |", "|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for d in flights:
+        told = ", ".join(f"{name} ({t:.0f})" for name, t, _ in d.faults)
+        ended = d.cell.ended if d.cell.ok else f"**wrong:** {d.cell.ended}: {'; '.join(d.cell.wrong)}"
+        lines.append(f"| {d.seed} | {told} | {ended} | {d.flown} | {d.cell.seconds:.0f} | {d.growth_mb:+.1f} |")
+    return "\n".join(lines) + "\n"
+
+
+def of_lines(flights: list[OverLine]) -> str:
+    """The page's part of flights over serial lines."""
+    right = sum(not f.wrong for f in flights)
+    lines = [
+        LINES_HEADING, "",
+        "Written by `make faults-lines`. A pty at whose other end the built-in vehicle sends and hears, in real time, what the baud rate",
+        "carries; half a second of it waits in a buffer, what comes on top is dropped, a radio's loss is drawn frame by frame each way.",
+        "Rates are those measured before arming; `dropped` counts frames that found the buffer full (most of them while all parameters are",
+        "read). Of the scripts at 115200 baud the first two steps are flown (two scripts begin with the motors off),",
+        "`roll_pitch` at 57600 baud is flown whole.",
+        "`late` is how far the simulation fell behind the time of day at most: that is the computer's, not the line's.",
+        "",
+        f"{right} of {len(flights)} are right.", "",
+        "| baud | loss | script | how it ended | steps flown | s | ATTITUDE, Hz | HIGHRES_IMU, Hz | dropped up, down | late, s |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for f in flights:
+        ended = f.ended if not f.wrong else f"**wrong:** {'; '.join(f.wrong)}"
+        rates = " | ".join(f"{f.rates_hz.get(name, 0.0):.0f}" for name in ("ATTITUDE", "HIGHRES_IMU"))
+        lines.append(
+            f"| {f.baud} | {100 * f.loss:.0f} % | {f.script} | {ended} | {f.flown} of {f.legs} | {f.seconds:.0f} | {rates} | "
+            f"{f.dropped[0]}, {f.dropped[1]} | {f.late_s:.2f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def parts_of(text: str) -> dict[str, str]:
+    """A page's parts by their heading, '' for the first."""
+    parts, heading = {"": ""}, ""
+    for line in text.splitlines(keepends=True):
+        if line.strip() in HEADINGS:
+            heading = line.strip()
+        parts[heading] = parts.get(heading, "") + line
+    return parts
+
+
+def endure(jobs: int) -> tuple[str, bool]:
+    """An hour, and long flights with random faults: the page's part, and whether all is right."""
+    with ProcessPoolExecutor(jobs, max_tasks_per_child=1) as pool:
+        hour_of = pool.submit(soak)
+        flights = list(pool.map(random_flight, range(1, RANDOM_FLIGHTS + 1)))
+        hour = hour_of.result()
+    for d in flights:
+        tell(d.cell)
+    return of_endurance(hour, flights), not hour.wrong and all(d.cell.ok for d in flights)
+
+
+def over_lines(jobs: int) -> tuple[str, bool]:
+    """Flights over serial lines: the page's part, and whether all is right."""
+    from flighttest.script.shipped import shipped_names
+
+    whole, first = (57600, 0.05, "roll_pitch", None), [(115200, 0.0, name, 2) for name in shipped_names()]
+    with ProcessPoolExecutor(jobs) as pool:
+        flights = list(pool.map(fly_script, *zip(whole, *first, strict=True)))
+    return of_lines(flights), not any(f.wrong for f in flights)
+
+
 def main() -> int:
     """Fly all cells on all cores, write the page, and fail where one is wrong."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, help="otherwise it is written to the terminal")
     parser.add_argument("-j", "--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--sitl", action="store_true", help="the dangerous cells, on a real ArduCopter")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--sitl", action="store_true", help="the dangerous cells, on a real ArduCopter")
+    what.add_argument("--endurance", action="store_true", help="an hour, and long flights with faults at random")
+    what.add_argument("--lines", action="store_true", help="flights over serial lines")
     words = parser.parse_args()
-    kept = words.output.read_text(encoding="utf-8") if words.output is not None and words.output.exists() else ""
-    built_in, _, real = kept.partition(SITL_HEADING)
     if words.sitl:
         cells = fly_on_sitl(words.jobs)
-        built_in, real = built_in.rstrip() + "\n\n", of_sitl(cells)
+        heading, part, right = SITL_HEADING, of_sitl(cells), all(cell.ok for cell in cells)
+    elif words.endurance:
+        heading, (part, right) = ENDURANCE_HEADING, endure(words.jobs)
+    elif words.lines:
+        heading, (part, right) = LINES_HEADING, over_lines(words.jobs)
     else:
         cells = fly_all(words.jobs)
-        built_in, real = page(cells), f"\n{SITL_HEADING}{real}" if real else ""
+        heading, part, right = "", page(cells), all(cell.ok for cell in cells)
     if words.output is None:
-        sys.stdout.write(built_in + real)
-    else:
-        words.output.write_text(built_in + real, encoding="utf-8")
-    return 1 if any(not cell.ok for cell in cells) else 0
+        sys.stdout.write(part)
+        return 0 if right else 1
+    # Read only now: another part may have been written meanwhile.
+    parts = parts_of(words.output.read_text(encoding="utf-8") if words.output.exists() else "")
+    parts[heading] = part
+    text = "\n".join(parts[h].strip("\n") + "\n" for h in ("", *HEADINGS) if parts.get(h, "").strip())
+    words.output.write_text(text, encoding="utf-8")
+    return 0 if right else 1
 
 
 def fly_on_sitl(jobs: int) -> list[Cell]:

@@ -19,6 +19,7 @@ from flighttest.flight.state import StateReader, VehicleState
 from flighttest.flight.transmitter import Transmitter
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
+from flighttest.link.states import BROKEN, LinkState
 from flighttest.link.streams import Streams
 from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import Message, book, is_armed
@@ -96,6 +97,7 @@ class FlightControl:
         self._others = set(self.session.others)
         self.streams: Streams | None = None
         self._transmitter = Transmitter()
+        self._link = LinkState.SEARCHING
         self.session.listen(self._watch)
 
     # -- whose vehicle it is -------------------------------------------------------------------------------------------------
@@ -178,6 +180,11 @@ class FlightControl:
     def _watch_link(self) -> None:
         if self.streams is None:
             return  # preflight: whoever waits for an answer is told
+        before, link = self._link, self.session.look_at_link()
+        if link is not before:
+            self._link = link
+            if link in BROKEN:
+                self.recorder.event("note", f"link: {link.value}", self.state.t_s)
         fallen = self.streams.keep() if self.machine.ours else []
         if fallen:
             text = f"asked again for {', '.join(fallen)}: somebody else may have changed the rate"

@@ -1,0 +1,165 @@
+"""A flight of an hour in flat memory, and long flights with faults drawn at random: `python -m tests.faults.table --endurance`."""
+
+from __future__ import annotations
+
+import ctypes
+import random
+import resource
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flighttest.flight import LegOutcome
+from flighttest.sim import SimOptions
+from tests.faults.cells import FAULTS, FOR_GOOD_S, Cell, judge
+from tests.faults.proxy import EPOCH_S, Fault, Proxy, When
+from tests.flight.faulty import fly, make_leg, make_plan
+
+HOUR_S = 3600.0
+WARM_S = 300.0  # by then every module is loaded, and every buffer as large as it becomes
+GROWTH_MAX_MB = 20.0
+FLIGHT_S = 600.0
+RANDOM_FLIGHTS = 20
+_LEG_S = 3.8  # a step of make_leg with its way back
+_CAPACITY_AH = 400.0  # a pack that lasts: what is looked at is the program
+_EVERY_S = 60.0
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in use, MB. What was freed is given back first: its pages are nobody's growth."""
+    ctypes.CDLL(None).malloc_trim(0)
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+class Watched(Proxy):
+    """A proxy that looks at the memory once a minute. memory: (flight time s, MB)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.memory: list[tuple[float, float]] = []
+
+    def _act(self) -> None:
+        super()._act()
+        if self.now_s - EPOCH_S >= _EVERY_S * len(self.memory):
+            self.memory.append((self.now_s - EPOCH_S, resident_mb()))
+
+
+@dataclass(frozen=True)
+class Soak:
+    """A long flight. flown: steps; growth_mb: most memory after `warm_s`, less that at `warm_s`; host_s: what it took."""
+
+    ended: str
+    seconds: float
+    host_s: float
+    flown: int
+    legs: int
+    warm_s: float
+    memory: tuple[tuple[float, float], ...]
+    written_mb: float
+    wrong: tuple[str, ...]
+
+    @property
+    def growth_mb(self) -> float:
+        """Most memory after the start, less that at its end, MB."""
+        warm = next(mb for t, mb in self.memory if t >= self.warm_s)
+        return max(mb for t, mb in self.memory if t >= self.warm_s) - warm
+
+
+def options() -> SimOptions:
+    """The built-in vehicle in free-running time, with a pack that lasts."""
+    return SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0, capacity_ah=_CAPACITY_AH)
+
+
+def soak(span_s: float = HOUR_S, warm_s: float = WARM_S) -> Soak:
+    """Steps one after the other over span_s of flight time, on a link without a fault."""
+    proxy = Watched(options(), Fault("nothing"), When.LANDING, limit_s=2.0 * span_s)
+    plan = make_plan(*(make_leg(f"s{k}") for k in range(round(span_s / _LEG_S))))
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        result = fly(plan, "proxy", run, transport=proxy, clock=proxy.clock())
+        written = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) / 1e6
+    flown = sum(leg.outcome is LegOutcome.FLOWN for leg in result.legs)
+    seconds = proxy.now_s - EPOCH_S
+    wrong = []
+    found = Soak(
+        f"{result.outcome.name}, {result.left.name}", seconds, time.monotonic() - began, flown, len(plan.legs),
+        warm_s, tuple(proxy.memory), written, (),
+    )  # fmt: skip
+    if found.growth_mb > GROWTH_MAX_MB:
+        wrong.append(f"memory grew by {found.growth_mb:.1f} MB")
+    if found.ended != "COMPLETED, LANDED":
+        wrong.append(found.ended)
+    if flown < len(plan.legs):
+        wrong.append(f"{len(plan.legs) - flown} steps were not flown")
+    if seconds < span_s:
+        wrong.append(f"it lasted only {seconds:.0f} s")
+    return replace(found, wrong=tuple(wrong))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One long flight with faults at random times. cell: how it ended; faults: (name, from s, for s)."""
+
+    seed: int
+    faults: tuple[tuple[str, float, float], ...]
+    flown: int
+    cell: Cell
+    growth_mb: float
+
+
+PASSING = tuple(
+    f for f in FAULTS
+    if f.lasts_s < FOR_GOOD_S and f.name != "nothing" and not (f.reboot or f.presses or f.disk or f.leap)
+    and f.pilot_after_s is None
+)  # fmt: skip
+"""Faults after which a flight may go on."""
+
+
+class Drawing(Watched):
+    """One fault after the other, at random times."""
+
+    schedule: list[tuple[float, Fault]]
+
+    def _act(self) -> None:
+        if self.schedule and self.now_s - EPOCH_S >= self.schedule[0][0]:
+            _, self.fault = self.schedule.pop(0)
+            self.began_s = self.now_s
+            self._done.clear()
+        super()._act()
+
+
+def random_flight(seed: int, span_s: float = FLIGHT_S) -> Drawn:
+    """A flight of span_s with a fault about every minute, the last one of any kind, also one that ends it."""
+    draw = random.Random(seed)
+    at_s = draw.uniform(5.0, 60.0)
+    schedule: list[tuple[float, Fault]] = []
+    while at_s < span_s:
+        ending = at_s > 0.8 * span_s and draw.random() < 0.7
+        fault = draw.choice([f for f in FAULTS if f.name != "nothing"] if ending else PASSING)
+        lasts_s = (
+            fault.lasts_s if fault.lasts_s >= 1e3 or fault.lasts_s <= 1.0 else fault.lasts_s * draw.uniform(0.3, 1.5)
+        )
+        schedule.append((at_s, replace(fault, lasts_s=lasts_s)))
+        if ending:
+            break
+        at_s += lasts_s + draw.uniform(10.0, 80.0)
+    proxy = Drawing(options(), Fault("nothing"), When.FLYING, limit_s=3.0 * span_s, seed=seed)
+    proxy.schedule = list(schedule)
+    plan = make_plan(*(make_leg(f"r{k}") for k in range(round(span_s / _LEG_S))))
+    flown = 0
+    with tempfile.TemporaryDirectory() as folder:
+
+        def flight(stops):  # type: ignore[no-untyped-def]
+            nonlocal flown
+            run = Path(folder) / "run"
+            result = fly(plan, "proxy", run, transport=proxy, clock=proxy.clock(), stop_requested=stops)
+            flown = sum(leg.outcome is LegOutcome.FLOWN for leg in result.legs)
+            return result
+
+        cell = judge(proxy, flight, lambda: proxy.sim.vehicle)
+    warm = [mb for t, mb in proxy.memory if t >= 60.0]
+    told = tuple((f.name, t, f.lasts_s) for t, f in schedule)
+    return Drawn(seed, told, flown, cell, max(warm) - warm[0] if warm else 0.0)
