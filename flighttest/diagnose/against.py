@@ -3,8 +3,7 @@
 The model is the base with every term that the diagnosis of either side accepted. A parameter differs where the difference of its two
 estimates is beyond its joint standard error, by Student's t with Welch's degrees of freedom and Holm's correction over all parameters.
 A term without an amplitude (a limit, a shaped reference) has no value at which it is absent. Where one diagnosis alone named it, it is in
-the model of the other side, too, if that side's recordings are followed better with the term as it was found than without: that a
-search stopped short of it says nothing.
+the model of the other side, too, if that side's recordings are followed better with the term as it was found than without.
 """
 
 from __future__ import annotations
@@ -128,10 +127,9 @@ def compare(
     fits, models = [], []
     for (segments, found), (_, other) in zip(sides, sides[::-1], strict=True):
         missing = [terms[t] for t in other.accepted if t not in found.accepted and terms[t].amplitudes]
-        found = replace(found, model=found.model.with_terms(*shared_limits(segments, found, other)))
         # The shape of an effect that is not there cannot be told: it is held as the other side has it.
         shapes = {p.name: other.values[p.name] for t in missing for p in t.shapes}
-        models.append(found.model.with_terms(*(t.id for t in missing)))
+        models.append(found.model.with_terms(*(t.id for t in missing), *shared_limits(segments, found, other)))
         fits.append(_fitted(segments, models[-1], {**other.values, **found.values}, shapes))
     for i in (0, 1):
         # What one side cannot tell is held at what the other found, so that the rest compares.
@@ -155,9 +153,9 @@ def compare(
 def shared_limits(segments: Sequence[Segment], found: Diagnosis, other: Diagnosis) -> tuple[str, ...]:
     """Terms without an amplitude that only the other side's diagnosis named, and with which, as it found them, these responses are followed
     better than without: ids. Neither of the two models has more to fit than the other."""
-    asked = [t for t in other.model.built_terms if t.id in other.accepted and t.id not in found.accepted]
     shared = []
-    for term in (t for t in asked if not t.amplitudes):
+    alone = {*other.accepted} - {*found.accepted}
+    for term in (t for t in other.model.built_terms if t.id in alone and not t.amplitudes):
         without = _fitted(segments, found.model, found.values, {})
         values = {p.name: other.values[p.name] for p in term.params}
         with_it = _fitted(segments, found.model.with_terms(term.id), found.values, values)
@@ -167,8 +165,7 @@ def shared_limits(segments: Sequence[Segment], found: Diagnosis, other: Diagnosi
 
 
 def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float], frozen: Mapping[str, float]) -> Fit:
-    begin = {n: v for n, v in start.items() if n in model.names}
-    return fit(segments, model, select="all", start=begin, frozen=frozen)
+    return fit(segments, model, select="all", start={n: start[n] for n in model.names if n in start}, frozen=frozen)
 
 
 def errors_of(found: Fit) -> dict[str, tuple[float, float]]:

@@ -13,7 +13,6 @@ from flighttest.diagnose.records import (
     Cost,
     Description,
     EvidenceRow,
-    FlightWindRow,
     FloorRow,
     HeldOutRow,
     MapCell,
@@ -28,6 +27,7 @@ from flighttest.diagnose.records import (
     Unexplained,
 )
 from flighttest.identify.fit import Fit
+from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
 
 

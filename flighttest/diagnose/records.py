@@ -170,18 +170,3 @@ class Cost(TypedDict, total=False):
 
     added_parameters: int
     held_out_groups: str
-
-
-class FlightWindRow(TypedDict):
-    """Velocity of the air in one flight, m/s, world NWU, with standard errors. verdict: 'wind', 'none seen' or 'still' (declared)."""
-
-    flight: str
-    w_north: float
-    w_west: float
-    w_north_std: float
-    w_west_std: float
-    speed_m_s: float
-    speed_std: float
-    from_deg: float
-    verdict: str
-    declared: str

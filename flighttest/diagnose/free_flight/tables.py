@@ -8,11 +8,12 @@ import numpy as np
 
 from flighttest.diagnose.equation_search import OFFSET_TERM, EquationSearch
 from flighttest.diagnose.model import brief
-from flighttest.diagnose.records import FlightWindRow, ParameterRow
+from flighttest.diagnose.records import ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.identify.free_flight import FreeFlight
+from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.identify.winds import CHANCE, WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model

@@ -32,6 +32,21 @@ class NoiseBlock(TypedDict, total=False):
     disturbances: dict[str, float]
 
 
+class FlightWindRow(TypedDict):
+    """Velocity of the air in one flight, m/s, world NWU, with standard errors. verdict: 'wind', 'none seen' or 'still' (declared)."""
+
+    flight: str
+    w_north: float
+    w_west: float
+    w_north_std: float
+    w_west_std: float
+    speed_m_s: float
+    speed_std: float
+    from_deg: float
+    verdict: str
+    declared: str
+
+
 class DiagnosedBlock(TypedDict, total=False):
     """What was looked for in a model's own flights beside its terms. smallest_detectable: by term, in the unit of its parameter; winds: of
     each flight, m/s, which are no property of the vehicle."""
@@ -41,7 +56,7 @@ class DiagnosedBlock(TypedDict, total=False):
     not_needed: list[str]
     untestable: list[str]
     smallest_detectable: dict[str, float]
-    winds: list[dict[str, Any]]
+    winds: list[FlightWindRow]
 
 
 def constants_of(document: Document, node: Node | None) -> dict[str, float]:

@@ -199,11 +199,13 @@ def write_diagnosis(
 
 def looked_for(found: Diagnosis) -> DiagnosedBlock:
     """What model.yaml keeps of a diagnosis: what else its flights would have shown, and from which size on; what they could not show."""
-    return {
+    kept: DiagnosedBlock = {
         "verdict": found.verdict.name,
         "complete": found.complete,
         "not_needed": sorted(found.not_needed),
         "untestable": sorted({u.term for u in found.untestable}),
         "smallest_detectable": {k: float(f"{v:.4g}") for k, v in found.smallest_detectable.items()},
-        **({"winds": [dict(w) for w in found.winds]} if found.winds else {}),
     }
+    if found.winds:
+        kept["winds"] = list(found.winds)
+    return kept
