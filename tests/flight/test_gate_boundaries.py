@@ -254,6 +254,19 @@ def test_a_step_is_judged_by_the_zone_wherever_the_vehicle_has_a_position() -> N
     assert refusals(TILTED, outside, replace(blind, zone_placed=True), step=True) == (Refusal.ZONE,)
 
 
+@pytest.mark.parametrize("change", [{"position_ok": False}, {"position_age_s": 0.5 + JUST}])
+def test_a_step_that_needs_no_position_is_not_judged_by_one_that_is_lost(change: dict[str, object]) -> None:
+    placed = replace(GATE, needs_position=False, zone_placed=True)
+    outside = replace(GOOD, position_m=(20.0, 0.0, 5.0))
+    assert refusals(TILTED, outside, placed, step=True) == (Refusal.ZONE,)
+    assert refusals(TILTED, replace(outside, **change), placed, step=True) == ()
+
+
+def test_without_a_limit_of_voltage_none_needs_to_be_known() -> None:
+    unlimited = replace(GATE, limits=replace(LIMITS, voltage_min_v=0.0))
+    assert refusals(TILTED, replace(GOOD, voltage_v=None), unlimited) == ()
+
+
 @pytest.mark.parametrize(
     ("change", "refusal"),
     [
