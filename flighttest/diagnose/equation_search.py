@@ -20,6 +20,7 @@ from flighttest.diagnose.equation_screen import Screened, screen, seen_by_equati
 from flighttest.diagnose.residuals.lack_of_fit import DRIFT
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.detectability import missing_channels
+from flighttest.diagnose.selection.search import CHANCE_NATS
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
@@ -33,7 +34,6 @@ from flighttest.segments.model import Segment
 
 TRIED = 4  # of the most significant terms are estimated anew in each step
 MOST_NAMED = 5
-CLOSE_NATS = 3.0  # odds of 20: a term that predicts as well as the one taken, to this, is its rival
 OFFSET_TERM = "attitude_offset"
 NOT_BESIDE = "no wind is seen beside what looks like one at a single heading"
 STAYS = 0.05  # p-value that a coefficient of a named term keeps when further terms join
@@ -186,7 +186,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     if nats <= 0.0:
         return
     size = effect_sizes(asked.streams(without), streams)
-    rivals = (OFFSET_TERM,) if OFFSET_TERM in beside and not found.turned and nats < CLOSE_NATS else ()
+    rivals = (OFFSET_TERM,) if OFFSET_TERM in beside and not found.turned and nats < CHANCE_NATS else ()
     found.final = tried
     found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, size, rivals)
     for one in beside:
@@ -230,7 +230,7 @@ def _step(
             found.refused[s.term] = (nats, why)
             continue
         rivals = tuple(
-            r.term for n, r, _ in tried if r is not s and nats - n < CLOSE_NATS and (n <= nats or r.term == WIND_TERM)
+            r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
         )
         found.final = one
         found.named[s.term] = NamedByEquations(s.term, nats, p_value, size, rivals)

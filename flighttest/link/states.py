@@ -16,8 +16,8 @@ class LinkState(Enum):
     HEARD = "the vehicle is heard; whether it hears us is not known (it has answered no TIMESYNC question yet)"
     BOTH_WAYS = "the vehicle is heard, and answers"
     QUIET = "nothing has been heard for 1.5 s"
-    LOST = "nothing has been heard for 6 s: whoever waits for an answer is told"
-    ONE_WAY = "the vehicle is heard, and has answered nothing for 10 s: whoever waits for an answer is told"
+    LOST = "nothing has been heard for 6 s: what waits for an answer ends with an error"
+    ONE_WAY = "the vehicle is heard, and has answered nothing for 10 s: what waits for an answer ends with an error"
 
 
 class LinkEvent(Enum):
@@ -44,12 +44,14 @@ def _table() -> dict[tuple[LinkState, LinkEvent], LinkState]:
         **{(s, E.ANSWER): S.BOTH_WAYS for s in (*_CONNECTED, *_AWAY)},
         **{(s, E.PAUSE): S.QUIET for s in _CONNECTED},
         **{(s, E.PAUSE): s for s in _AWAY},
-        **{(s, E.SILENCE): S.LOST for s in (*_CONNECTED, *_AWAY)},  # also at once, where nobody looked for so long
+        **{
+            (s, E.SILENCE): S.LOST for s in (*_CONNECTED, *_AWAY)
+        },  # without QUIET before it, where the link was not checked in between
         **{(s, E.UNANSWERED): S.ONE_WAY for s in _CONNECTED},
         **{(s, E.UNANSWERED): s for s in _AWAY},  # what is not heard cannot show whether it hears
         **{(s, E.BOOTED): S.HEARD for s in (*_CONNECTED, *_AWAY)},
     }
-    # before the first message there is nothing to miss, and nobody to answer
+    # Before the first message no other event changes the state.
     table |= {(S.SEARCHING, e): S.SEARCHING for e in LinkEvent if e is not E.MESSAGE}
     return {place: table[place] for place in product(LinkState, LinkEvent)}
 

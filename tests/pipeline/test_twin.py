@@ -59,6 +59,19 @@ def test_without_the_firmware_that_is_said_first(monkeypatch):
         next(simulator.serve(simulator.Served(backend="sitl", model="model.yaml")))
 
 
+def diagnosed(fit, model):
+    """A diagnosis that names nothing."""
+    return SimpleNamespace(
+        fit=fit,
+        model=model,
+        accepted=(),
+        untestable=(),
+        noise_floor={},
+        sentence="-",
+        verdict=SimpleNamespace(name="-"),
+    )
+
+
 @pytest.mark.parametrize(
     ("ratio", "change", "verdict"), [(1.0, 0.0, "NOTHING_MISSING"), (3.0, 0.0, "DIFFERS"), (1.0, 0.3, "DIFFERS")]
 )
@@ -67,15 +80,7 @@ def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, chang
     values = dict(file.values) | {"K": file.values["K"] * (1.0 + change)}
     quality = SimpleNamespace(rmse=ratio * 0.1, floor=0.1)
     fit = SimpleNamespace(quality={"f_z_m_s2": SimpleNamespace(rmse=0.1, floor=0.1)}, noise=None, values=values)
-    found = SimpleNamespace(
-        fit=fit,
-        model=file.model,
-        accepted=(),
-        untestable=(),
-        noise_floor={},
-        sentence="-",
-        verdict=SimpleNamespace(name="-"),
-    )
+    found = diagnosed(fit, file.model)
     errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
     monkeypatch.setattr(twin, "predicted", lambda *_: {"f_z_m_s2": quality})
     monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, values, errors))
@@ -111,15 +116,7 @@ def test_under_the_firmware_steps_are_judged_as_flown(monkeypatch):
     file = stored()
     quality = {"roll_rad": SimpleNamespace(rmse=0.5, floor=0.1)}
     fit = SimpleNamespace(quality=quality, noise=None, values=file.values)
-    found = SimpleNamespace(
-        fit=fit,
-        model=file.model,
-        accepted=(),
-        untestable=(),
-        noise_floor={},
-        sentence="-",
-        verdict=SimpleNamespace(name="-"),
-    )
+    found = diagnosed(fit, file.model)
     errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
     monkeypatch.setattr(twin, "predicted", lambda *_: quality)
     monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, file.values, errors))
