@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import time
 
-from flighttest.diagnose.equation_screen import screen
+from flighttest.diagnose.free_flight.equation_screen import screen
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model

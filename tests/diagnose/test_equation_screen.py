@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from flighttest.diagnose.equation_screen import screen, seen_by_equations
+from flighttest.diagnose.free_flight.equation_screen import screen, seen_by_equations
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import Verdict
-from flighttest.diagnose.equation_search import find_terms
 from flighttest.diagnose.free_flight import diagnose_free_flight, in_still_air, is_free_flight
+from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
 from flighttest.physics.catalogue import catalogue

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from flighttest.diagnose.block import SEED, Answer, Asked, answer
-from flighttest.diagnose.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.prediction import groups_left_out, held_out_table, share_gained
 from flighttest.diagnose.free_flight.tables import (
     free_flight_floor,

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from flighttest.diagnose.block import SEED
-from flighttest.diagnose.equation_search import EquationSearch
+from flighttest.diagnose.free_flight.equation_search import EquationSearch
 from flighttest.diagnose.free_flight.tables import (
     sampling_rate,
 )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flighttest.diagnose.equation_search import OFFSET_TERM, EquationSearch
+from flighttest.diagnose.free_flight.equation_search import OFFSET_TERM, EquationSearch
 from flighttest.diagnose.model import brief
 from flighttest.diagnose.records import ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.equation_screen import Screened, screen, seen_by_equations
+from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations
 from flighttest.diagnose.residuals.lack_of_fit import DRIFT
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.detectability import missing_channels
