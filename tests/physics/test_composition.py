@@ -57,7 +57,7 @@ def test_a_coupling_term_joins_roll_and_pitch():
 
 def test_thrust_is_boosted_by_the_target_and_not_by_what_the_loop_is_told_beforehand():
     model = Model(("reference_shaping", "angle_boost"))
-    system, values = model.system, model.start({"boost": 1.0, "shaping_ff": 1.0})
+    system, values = model.system, model.start({"boost": 1.0, "boost_actual": 0.0, "shaping_ff": 1.0})
     state = {"roll_target_ahead_rad": 0.2, "roll_target_rate_rad_s": 2.0}
     x = [state.get(n, 0.0) for n in system.states]
     u = [{"throttle": 0.2, "voltage_v": 22.2, "roll_ref_rad": 0.5}.get(n, 0.0) for n in system.inputs]

@@ -63,7 +63,7 @@ def signals(values):
     s.rotation = ca.DM(rotation_from_euler([values["roll"], values["pitch"], values["yaw"]]))
     s.measured = {"f": ca.DM(values["force"]), "v": ca.DM(values["v_world"]), "roll": values["roll"],
                   "pitch": values["pitch"], "r": values["yaw_rate"]}  # fmt: skip
-    s.base = {p.name: p.nominal for p in (*body.ATTITUDE_PARAMS, *body.THRUST_PARAMS)}
+    s.base = {p.name: p.nominal for p in (*body.ATTITUDE_PARAMS, *body.THRUST_PARAMS)} | {"T_d_thrust": 0.1}
     return s
 
 
@@ -230,7 +230,8 @@ WITNESSES = {
     # w = sqrt(a): d/dt w^2 = 2 w sigma (sqrt(14) - w) against sigma (14 - a).
     "rotor_speed_lag": ({"rotor_lag": 1.0}, {}, [2 * np.sqrt(8) * 20 * (np.sqrt(14) - np.sqrt(8))]),
     "thrust_fade": ({"fade_depth": 0.1, "fade_tau": 60.0}, {}, [1 - 0.1 * (1 - np.exp(-1))]),
-    "angle_boost": ({"boost": 1.0}, {"target_roll": 0.5, "target_pitch": 0.0}, [0.25 / np.cos(0.5)]),
+    # the lean angle of 0.1 s ago, that of the throttle which takes effect now
+    "angle_boost": ({"boost": 1.0}, {"roll": 0.5, "pitch": 0.0, "roll_rate": 1.0, "pitch_rate": 0.0}, [0.25 / np.cos(0.4)]),
     "thrust_extra_lag": ({"thrust_extra_tau": 0.02}, {}, [0.0, 0.0, -0.1]),
     "voltage_sag": ({"sag_v": 3.0}, {}, [-0.3]),
     "accelerometer_bias": ({"bias_x": 0.1, "bias_y": 0.2, "bias_z": -0.3}, {}, [0.5, -0.1, 7.7]),
@@ -302,6 +303,12 @@ def test_shaping_keeps_the_acceleration_limit_and_arrives():
     assert target[-1] == pytest.approx(0.5, abs=2e-3)
     # Bang-bang would take 2 sqrt(0.5 / 10) = 0.45 s; the square root keeps most of it, then decays with t_c.
     assert np.interp(0.9 * 0.5, target, np.arange(target.size) * 0.001) == pytest.approx(0.5, abs=0.12)
+
+
+def test_the_throttle_may_be_boosted_by_the_targets_tilt():
+    s = signals(flight(target_roll=0.5, target_pitch=0.0))
+    made = TERMS["angle_boost"].build(s, params(TERMS["angle_boost"], boost=1.0, boost_actual=0.0), {})
+    assert float(made.value["throttle"]) == pytest.approx(0.25 / np.cos(0.5))
 
 
 def test_what_the_rate_loop_is_told_beforehand_makes_the_second_order_follow_the_target():

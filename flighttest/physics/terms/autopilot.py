@@ -16,7 +16,11 @@ _CATCH_UP_S = 0.015
 
 
 def _boost(s: Signals, p: Values, _x: Values) -> Contribution:
-    cosine = ca.fmax(ca.cos(s.target_roll) * ca.cos(s.target_pitch), 0.1)
+    # The throttle here is that of a delay ago, and so is the lean angle that went with it.
+    ago = s.base.get("T_d_thrust", s.base.get("T_d", 0.0))
+    actual = ca.cos(s.roll - ago * s.roll_rate) * ca.cos(s.pitch - ago * s.pitch_rate)
+    target = ca.cos(s.target_roll) * ca.cos(s.target_pitch)
+    cosine = ca.fmax(target + p["boost_actual"] * (actual - target), 0.1)
     return Contribution({"throttle": s.throttle * (1 + p["boost"] * (1 / cosine - 1))})
 
 
@@ -26,14 +30,17 @@ angle_boost = Term(
     family="autopilot",
     port=Port.REFERENCE,
     params=(
-        Param("boost", "b", "1", 1.0, -1.0, 3.0, 0.2, "1: throttle is divided by the cosine of the target tilt; 0: it is not",
+        Param("boost", "b", "1", 1.0, -1.0, 3.0, 0.2, "1: throttle is divided by the cosine of the tilt; 0: it is not",
               "ArduPilot ATC_ANGLE_BOOST: 1", one_sided=True),
+        Param("boost_actual", "s_b", "1", 1.0, -1.0, 2.0, 0.2, "whose tilt: 1 the vehicle's lean angle, 0 the attitude target's",
+              "ArduPilot: 1", "shape", None, (1.0, 0.0)),
     ),
     build=_boost,
-    equation="T <- T (1 + b (1 / cos(target tilt) - 1))",
+    equation="T <- T (1 + b (1 / c - 1)), c = (1 - s_b) cos(target tilt) + s_b cos(tilt)",
     plain="the autopilot raises the throttle when it tilts, to hold the vertical part of the thrust; this is no physics of the vehicle",
-    source="ArduPilot AC_AttitudeControl_Multi::get_throttle_boosted",
-    doubt="on the target tilt, before the attitude loop; where the shaped target is not recorded, the reference stands for it",
+    source="ArduPilot AC_AttitudeControl_Multi::get_throttle_boosted; its angle is that of the vehicle, not of the target, by "
+    "AC_AttitudeControl::thrust_vector_rotation_angles",
+    doubt="before the thrust's delay, with the tilt of the same time; where the shaped target is not recorded, the reference stands for it",
     hides_in=("K", "d_z"),
     told_apart_by="tilt steps at rest and at speed",
     reveals="roll_pitch",

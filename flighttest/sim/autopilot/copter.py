@@ -268,8 +268,8 @@ class Autopilot:
         self.target.throttle = throttle
         out = self._throttle_state
         if store["ATC_ANGLE_BOOST"]:
-            m = self.motion
-            out /= max(math.cos(m.shaped_roll) * math.cos(m.shaped_pitch), 0.5)
+            m = self.motion  # the lean angle, not the target's, as ArduCopter takes it
+            out /= max(math.cos(m.roll) * math.cos(m.pitch), 0.1)
         full, empty = store["MOT_BAT_VOLT_MAX"], store["MOT_BAT_VOLT_MIN"]
         if full > empty > 0.0:
             ratio = min(max(self.motion.voltage, empty), full) / full
