@@ -1,4 +1,4 @@
-"""Channels of different rates on one time base, without moving any sample in time.
+"""Channels of different rates on one time base, without moving any sample in time (`stamps` corrects what the log stamped late).
 
 The time base is that of the accelerometer (else attitude), thinned by centred averages to about 50 Hz. Fast channels are averaged the
 same way and read off linearly; slow ones (EKF, battery) linearly. Attitude or rates logged much slower than the time base keep their own
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from flighttest.channels import HELD_GROUPS, names
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.recording import Recording, Series
+from flighttest.segments.airborne import flights
+from flighttest.segments.stamps import StampOffsets, restamped, stamp_offsets
 
 FloatArray = NDArray[np.float64]
 
@@ -30,12 +32,13 @@ _FAST = ("attitude", "rates", "specific_force")
 @dataclass(frozen=True)
 class Aligned:
     """Series ready to be cut: t_s (n,) the time base; per group its averaged Series and its rate; own: groups that keep their
-    own times."""
+    own times; offsets: by which stamps were corrected, None: nothing says."""
 
     t_s: FloatArray
     groups: dict[str, Series]
     rates_hz: dict[str, float]
     own: frozenset[str]
+    offsets: StampOffsets | None = None
 
 
 def prepare(recording: Recording) -> Aligned | None:
@@ -65,11 +68,14 @@ def prepare(recording: Recording) -> Aligned | None:
         groups[group] = _averaged(series)
         if group in _FAST and series.rate_hz < _OWN_TIMES_BELOW * min(base.rate_hz, RATE_MAX_HZ):
             own.add(group)
-    t_s = base.t_s
+    offsets = stamp_offsets(groups, flights(recording), recording.provenance.filters.get("specific_force"))
+    if offsets is not None:
+        groups = restamped(groups, offsets)
+    t_s = groups[base_group].t_s
     if base.rate_hz > RATE_MAX_HZ:
         thin = int(np.ceil(base.rate_hz / RATE_MAX_HZ))
-        t_s = _thinned(groups[base_group].t_s, thin, groups.get("velocity"))
-    return Aligned(t_s, groups, {g: s.rate_hz for g, s in groups.items()}, frozenset(own))
+        t_s = _thinned(t_s, thin, groups.get("velocity"))
+    return Aligned(t_s, groups, {g: s.rate_hz for g, s in groups.items()}, frozenset(own), offsets)
 
 
 def _thinned(t_s: FloatArray, every: int, velocity: Series | None) -> FloatArray:

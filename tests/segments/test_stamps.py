@@ -1,0 +1,92 @@
+"""Time offsets between messages of a log, recovered from motion that obeys kinematics exactly."""
+
+import numpy as np
+import pytest
+from scipy import integrate, signal
+
+from flighttest.channels import names
+from flighttest.frames import G_M_S2, rotation_from_euler
+from flighttest.recording import Series
+from flighttest.segments.stamps import LARGEST_S, StampOffsets, restamped, stamp_offsets
+
+RATE_HZ, LENGTH_S, CUTOFF_HZ = 400.0, 60.0, 20.0
+FLOWN = [(0.5, LENGTH_S - 0.5)]
+
+
+def smooth(rng, scale, hz=1.5):
+    """Noise below hz, of standard deviation scale, at RATE_HZ."""
+    sos = signal.butter(4, hz, fs=RATE_HZ, output="sos")
+    x = signal.sosfiltfilt(sos, rng.standard_normal(int(LENGTH_S * RATE_HZ)))
+    return scale * x / x.std()
+
+
+def flight(velocity_late_s=0.0, force_late_s=0.0, tilt=0.25, filtered=True, seed=1):
+    """Series of a flight whose velocity and specific force are stamped so late, s; noise of usual sensors."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)
+    attitude = np.stack([smooth(rng, tilt), smooth(rng, tilt), 0.3 * t], axis=-1)
+    force = np.stack([smooth(rng, 0.2), smooth(rng, 0.2), G_M_S2 + smooth(rng, 2.0)], axis=-1)
+    world = np.einsum("nij,nj->ni", rotation_from_euler(attitude), force) - [0, 0, G_M_S2]
+    velocity = integrate.cumulative_trapezoid(world, dx=1.0 / RATE_HZ, axis=0, initial=0.0)
+    velocity -= np.linspace(0, 1, t.size)[:, None] * velocity[-1]  # a bias, as accelerometers have
+    if filtered:
+        force = signal.sosfilt(signal.butter(2, CUTOFF_HZ, fs=RATE_HZ, output="sos"), force, axis=0)
+    force = force + 0.05 * rng.standard_normal(force.shape)
+    velocity = velocity[::8] + 0.005 * rng.standard_normal(velocity[::8].shape)
+
+    def series(group, times, values):
+        return Series(times, dict(zip(names(group), values.T, strict=True)))
+
+    return {
+        "attitude": series("attitude", t, attitude),
+        "specific_force": series("specific_force", t + force_late_s, force),
+        "velocity": series("velocity", t[::8] + velocity_late_s, velocity),
+    }
+
+
+@pytest.mark.parametrize(("velocity_s", "force_s"), [(0.0, 0.0), (-0.0075, -0.004), (0.006, 0.002)])
+def test_offsets_are_found(velocity_s, force_s):
+    found = stamp_offsets(flight(velocity_s, force_s), FLOWN, CUTOFF_HZ)
+    assert found.velocity_s == pytest.approx(velocity_s, abs=max(4 * found.velocity_std_s, 3e-4))
+    assert found.force_s == pytest.approx(force_s, abs=max(4 * found.force_std_s, 3e-4))
+    assert 0.0 < found.velocity_std_s < 8e-4
+
+
+def test_the_delay_of_a_known_filter_is_no_offset():
+    with_it, without = (stamp_offsets(flight(), FLOWN, hz) for hz in (CUTOFF_HZ, None))
+    assert abs(with_it.force_s) < 5e-4
+    assert without.force_s == pytest.approx(np.sqrt(2) / (2 * np.pi * CUTOFF_HZ), rel=0.2)
+
+
+def test_without_tilting_only_the_difference_is_found():
+    found = stamp_offsets(flight(-0.004, 0.004, tilt=1e-4), FLOWN, CUTOFF_HZ)
+    assert found.velocity_s - found.force_s == pytest.approx(-0.008, abs=1e-3)
+
+
+def test_a_latency_is_found_and_left_where_it_is():
+    groups = flight(0.1)
+    found = stamp_offsets(groups, FLOWN, CUTOFF_HZ)
+    assert found.velocity_s > 2 * LARGEST_S
+    assert restamped(groups, found)["velocity"] is groups["velocity"]
+
+
+def test_stamps_are_moved_by_the_offset_of_their_message():
+    groups = flight(-0.0075, 0.004)
+    moved = restamped(groups, StampOffsets(-0.0075, 1e-4, 0.004, 1e-4, 10))
+    assert moved["velocity"].t_s[0] == pytest.approx(0.0, abs=1e-9)
+    assert moved["specific_force"].t_s[0] == pytest.approx(0.0, abs=1e-9)
+    assert moved["attitude"] is groups["attitude"]
+
+
+@pytest.mark.parametrize("lacking", ["attitude", "specific_force", "velocity"])
+def test_nothing_is_said_without_the_channels(lacking):
+    groups = {k: v for k, v in flight().items() if k != lacking}
+    assert stamp_offsets(groups, FLOWN) is None
+
+
+def test_gaps_and_short_flights_say_nothing():
+    groups = flight()
+    assert stamp_offsets(groups, [(0.5, 9.0)]) is None
+    thin = groups["velocity"]
+    holes = Series(thin.t_s[::15], {n: v[::15] for n, v in thin.columns.items()})
+    assert stamp_offsets(groups | {"velocity": holes}, FLOWN) is None
