@@ -1,4 +1,5 @@
-"""Channels of different rates on one time base, without moving any sample in time (`stamps` corrects what the log stamped late).
+"""Channels of different rates on one time base, without moving any sample in time (but what the log stamped late:
+`compatibility`).
 
 The time base is that of the accelerometer (else attitude), thinned by centred averages to about 50 Hz. Fast channels are averaged the
 same way and read off linearly; slow ones (EKF, battery) linearly. Attitude or rates logged much slower than the time base keep their own
@@ -16,7 +17,7 @@ from flighttest.channels import HELD_GROUPS, names
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.recording import Recording, Series
 from flighttest.segments.airborne import flights
-from flighttest.segments.stamps import StampOffsets, restamped, stamp_offsets
+from flighttest.segments.compatibility import Compatibility, compatibility, corrected
 
 FloatArray = NDArray[np.float64]
 
@@ -32,13 +33,13 @@ _FAST = ("attitude", "rates", "specific_force")
 @dataclass(frozen=True)
 class Aligned:
     """Series ready to be cut: t_s (n,) the time base; per group its averaged Series and its rate; own: groups that keep their
-    own times; offsets: by which stamps were corrected, None: nothing says."""
+    own times; compatibility: what was corrected by kinematics, None: nothing says."""
 
     t_s: FloatArray
     groups: dict[str, Series]
     rates_hz: dict[str, float]
     own: frozenset[str]
-    offsets: StampOffsets | None = None
+    compatibility: Compatibility | None = None
 
 
 def prepare(recording: Recording) -> Aligned | None:
@@ -68,14 +69,14 @@ def prepare(recording: Recording) -> Aligned | None:
         groups[group] = _averaged(series)
         if group in _FAST and series.rate_hz < _OWN_TIMES_BELOW * min(base.rate_hz, RATE_MAX_HZ):
             own.add(group)
-    offsets = stamp_offsets(groups, flights(recording), recording.provenance.filters.get("specific_force"))
-    if offsets is not None:
-        groups = restamped(groups, offsets)
+    found = compatibility(groups, flights(recording), recording.provenance.filters.get("specific_force"))
+    if found is not None:
+        groups = corrected(groups, found)
     t_s = groups[base_group].t_s
     if base.rate_hz > RATE_MAX_HZ:
         thin = int(np.ceil(base.rate_hz / RATE_MAX_HZ))
         t_s = _thinned(t_s, thin, groups.get("velocity"))
-    return Aligned(t_s, groups, {g: s.rate_hz for g, s in groups.items()}, frozenset(own), offsets)
+    return Aligned(t_s, groups, {g: s.rate_hz for g, s in groups.items()}, frozenset(own), found)
 
 
 def _thinned(t_s: FloatArray, every: int, velocity: Series | None) -> FloatArray:

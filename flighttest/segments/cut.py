@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -277,7 +277,7 @@ class _Cutter:
                 "filters": dict(self.recording.provenance.filters),
                 "reference_clock": self.recording.provenance.reference_clock,
                 "derived": dict(self.recording.provenance.derived),
-                **self._stamp_offsets(),
+                "compatibility": self.aligned.compatibility,
                 **self._clock_error(),
                 **self._voltage_samples(response),
             },
@@ -286,9 +286,6 @@ class _Cutter:
     def _takeoff_s(self, t_s: float) -> float:
         """Of the flight that a time lies in."""
         return max((up for up in self.takeoffs_s if up <= t_s), default=self.takeoffs_s[0])
-
-    def _stamp_offsets(self) -> dict[str, dict[str, float]]:
-        return {} if self.aligned.offsets is None else {"stamp_offsets_s": asdict(self.aligned.offsets)}
 
     def _clock_error(self) -> dict[str, float]:
         error = self.recording.provenance.clock.get("error_s")

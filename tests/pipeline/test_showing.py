@@ -25,6 +25,7 @@ def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
     assert told["K"]
     assert told["omega_phi"]
     assert result.data["battery"]["first_v"] > result.data["battery"]["last_v"]
+    assert abs(result.data["compatibility"]["velocity_late_s"]) < 0.01
     assert any(c.startswith("flighttest fit ") for c in result.data["commands"])
     assert {s.id for s in result.value.sections} >= {
         "channels",

@@ -73,9 +73,10 @@ def looked(recording: Recording, segments: Sequence[Segment], named: str, column
     """What the page shows of a recording and its segments."""
     outlook, why = _outlook(recording, segments)
     resistance = battery_of([recording])
+    compatible = next((s.context["compatibility"] for s in segments), None)
     said = resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
     return Look(
-        recording, sampling(recording), at_limits(recording), spectra(recording), battery(recording), said, modes(recording),
+        recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery(recording), said, modes(recording),
         flights(recording), _figures(recording), outlook, why, _commands(segments, outlook, named, columns),
     )  # fmt: skip
 
@@ -212,6 +213,7 @@ def _data(look: Look, page: Path, verdict: str, losses: Sequence[str]) -> dict[s
         "sampling": plain([asdict(s) for s in look.sampling]),
         "limits": plain([asdict(s) for s in look.limits]),
         "vibration": [{"channel": s.channel, "rms": plain(s.rms), "peak_hz": s.peak_hz} for s in look.spectra],
+        "compatibility": plain(look.compatibility),
         "battery": plain(look.battery),
         "modes": [{"start_s": a, "end_s": b, "mode": name} for a, b, name in look.modes],
         "flights": [list(span) for span in look.flights],

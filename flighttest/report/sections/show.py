@@ -27,6 +27,7 @@ from flighttest.report.document import (
 )
 from flighttest.report.numbers import duration, number, percent, unit
 from flighttest.report.packing import coarse
+from flighttest.segments.compatibility import LARGEST, PRIOR_S, Compatibility
 from flighttest.segments.health import AtLimit, Battery, Sampling, Spectrum
 
 # Standard deviation of vibration: "below 30 m/s/s normally acceptable, above 60 nearly always problems" (ArduPilot, Measuring Vibration).
@@ -56,6 +57,7 @@ class Look:
     sampling: tuple[Sampling, ...]
     limits: tuple[AtLimit, ...]
     spectra: tuple[Spectrum, ...]
+    compatibility: Compatibility | None
     battery: Battery | None
     resistance: str
     modes: tuple[tuple[float, float, str], ...]
@@ -242,6 +244,8 @@ def health(look: Look) -> Section:
     if clock.get("error_s") is not None:
         how = str(clock.get("method", "")) or "its own"
         lines.append(f"clock: {how}, error {float(clock['error_s']) * 1000:.2g} ms")
+    if look.compatibility is not None:
+        lines.append(_compatible(look.compatibility))
     for one in look.limits:
         lines.append(
             f"{word(one.channel)} is at {number(one.limit, 3)} {unit(CHANNELS[one.channel].unit)}".rstrip()
@@ -265,6 +269,21 @@ def health(look: Look) -> Section:
     if source.derived:
         blocks.append(Bullets(tuple(f"{name}: {how}" for name, how in source.derived.items())))
     return Section("health", "Health of the recording", tuple(blocks))
+
+
+def _compatible(found: Compatibility) -> str:
+    """What kinematics said of stamps and scale."""
+
+    def late(value_s: float, std_s: float) -> str:
+        return f"{number(1000 * abs(value_s), 2)} +- {number(2000 * std_s, 1)} ms {'late' if value_s > 0 else 'early'}"
+
+    far = abs(found.velocity_late_s) > LARGEST * PRIOR_S
+    done = "too much for time stamps, and left as it is" if far else "corrected before anything is fitted"
+    return (
+        f"compatibility with the attitude by kinematics: velocity {late(found.velocity_late_s, found.velocity_late_std_s)} and "
+        f"{number(100 * abs(found.velocity_scale), 2)} +- {number(200 * found.velocity_scale_std, 1)} % too "
+        f"{'large' if found.velocity_scale > 0 else 'small'}, accelerometer {late(found.force_late_s, found.force_late_std_s)}; {done}"
+    )
 
 
 def spectrum(look: Look) -> Section | None:

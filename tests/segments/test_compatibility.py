@@ -1,4 +1,4 @@
-"""Time offsets between messages of a log, recovered from motion that obeys kinematics exactly."""
+"""Time offsets between messages of a log and the velocity's scale, recovered from motion that obeys kinematics exactly."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy import integrate, signal
 from flighttest.channels import names
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.recording import Series
-from flighttest.segments.stamps import LARGEST_S, StampOffsets, restamped, stamp_offsets
+from flighttest.segments.compatibility import LARGEST, PRIOR_S, Compatibility, compatibility, corrected
 
 RATE_HZ, LENGTH_S, CUTOFF_HZ = 400.0, 60.0, 20.0
 FLOWN = [(0.5, LENGTH_S - 0.5)]
@@ -46,47 +46,60 @@ def flight(velocity_late_s=0.0, force_late_s=0.0, tilt=0.25, filtered=True, seed
 
 @pytest.mark.parametrize(("velocity_s", "force_s"), [(0.0, 0.0), (-0.0075, -0.004), (0.006, 0.002)])
 def test_offsets_are_found(velocity_s, force_s):
-    found = stamp_offsets(flight(velocity_s, force_s), FLOWN, CUTOFF_HZ)
-    assert found.velocity_s == pytest.approx(velocity_s, abs=max(4 * found.velocity_std_s, 3e-4))
-    assert found.force_s == pytest.approx(force_s, abs=max(4 * found.force_std_s, 3e-4))
-    assert 0.0 < found.velocity_std_s < 8e-4
+    found = compatibility(flight(velocity_s, force_s), FLOWN, CUTOFF_HZ)
+    assert found.velocity_late_s == pytest.approx(velocity_s, abs=max(4 * found.velocity_late_std_s, 3e-4))
+    assert found.force_late_s == pytest.approx(force_s, abs=max(4 * found.force_late_std_s, 3e-4))
+    assert 0.0 < found.velocity_late_std_s < 8e-4
+
+
+@pytest.mark.parametrize("scale", [-0.015, 0.0, 0.01])
+def test_a_velocity_that_follows_short_is_found(scale):
+    groups = flight(-0.005)
+    v = groups["velocity"]
+    short = {n: x * (1.0 + scale) for n, x in v.columns.items() if n != "v_z_m_s"}
+    found = compatibility(groups | {"velocity": Series(v.t_s, {**v.columns, **short})}, FLOWN, CUTOFF_HZ)
+    assert found.velocity_scale == pytest.approx(scale, abs=max(4 * found.velocity_scale_std, 1e-3))
+    assert found.velocity_late_s == pytest.approx(-0.005, abs=5e-4)
 
 
 def test_the_delay_of_a_known_filter_is_no_offset():
-    with_it, without = (stamp_offsets(flight(), FLOWN, hz) for hz in (CUTOFF_HZ, None))
-    assert abs(with_it.force_s) < 5e-4
-    assert without.force_s == pytest.approx(np.sqrt(2) / (2 * np.pi * CUTOFF_HZ), rel=0.2)
+    with_it, without = (compatibility(flight(), FLOWN, hz) for hz in (CUTOFF_HZ, None))
+    assert abs(with_it.force_late_s) < 5e-4
+    assert without.force_late_s == pytest.approx(np.sqrt(2) / (2 * np.pi * CUTOFF_HZ), rel=0.2)
 
 
 def test_without_tilting_only_the_difference_is_found():
-    found = stamp_offsets(flight(-0.004, 0.004, tilt=1e-4), FLOWN, CUTOFF_HZ)
-    assert found.velocity_s - found.force_s == pytest.approx(-0.008, abs=1e-3)
+    found = compatibility(flight(-0.004, 0.004, tilt=1e-4), FLOWN, CUTOFF_HZ)
+    assert found.velocity_late_s - found.force_late_s == pytest.approx(-0.008, abs=1e-3)
 
 
 def test_a_latency_is_found_and_left_where_it_is():
     groups = flight(0.1)
-    found = stamp_offsets(groups, FLOWN, CUTOFF_HZ)
-    assert found.velocity_s > 2 * LARGEST_S
-    assert restamped(groups, found)["velocity"] is groups["velocity"]
+    found = compatibility(groups, FLOWN, CUTOFF_HZ)
+    assert found.velocity_late_s > 2 * LARGEST * PRIOR_S
+    assert corrected(groups, found)["velocity"] is groups["velocity"]
 
 
 def test_stamps_are_moved_by_the_offset_of_their_message():
     groups = flight(-0.0075, 0.004)
-    moved = restamped(groups, StampOffsets(-0.0075, 1e-4, 0.004, 1e-4, 10))
+    moved = corrected(groups, Compatibility(-0.0075, 1e-4, 0.004, 1e-4, -0.01, 1e-3, 10))
     assert moved["velocity"].t_s[0] == pytest.approx(0.0, abs=1e-9)
     assert moved["specific_force"].t_s[0] == pytest.approx(0.0, abs=1e-9)
     assert moved["attitude"] is groups["attitude"]
+    before, after = (g["velocity"].columns for g in (groups, moved))
+    np.testing.assert_allclose(after["v_x_m_s"], before["v_x_m_s"] / 0.99)
+    np.testing.assert_array_equal(after["v_z_m_s"], before["v_z_m_s"])
 
 
 @pytest.mark.parametrize("lacking", ["attitude", "specific_force", "velocity"])
 def test_nothing_is_said_without_the_channels(lacking):
     groups = {k: v for k, v in flight().items() if k != lacking}
-    assert stamp_offsets(groups, FLOWN) is None
+    assert compatibility(groups, FLOWN) is None
 
 
 def test_gaps_and_short_flights_say_nothing():
     groups = flight()
-    assert stamp_offsets(groups, [(0.5, 9.0)]) is None
+    assert compatibility(groups, [(0.5, 9.0)]) is None
     thin = groups["velocity"]
     holes = Series(thin.t_s[::15], {n: v[::15] for n, v in thin.columns.items()})
-    assert stamp_offsets(groups | {"velocity": holes}, FLOWN) is None
+    assert compatibility(groups | {"velocity": holes}, FLOWN) is None

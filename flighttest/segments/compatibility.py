@@ -1,0 +1,143 @@
+"""Data compatibility check: what velocity, attitude and specific force of one log must have in common by kinematics alone, corrected.
+
+A log stamps attitude, accelerometer and velocity estimate in different messages, each at its own place in the autopilot's cycle, and an
+estimator that fuses a late position follows what the accelerometer sees by a per cent less. After a tilt step both are off by some 40 mm/s,
+more than the noise, and a fit bends drag and thrust to make up for it. With the attitude's clock as the reference, velocity read tau_v
+late and (1 + kappa) large, specific force read tau_f late (its known low-pass filter beside it),
+
+    v(t) = v_0 + b t + int (R f - g e_z) dt - tau_v a(t) + tau_f int R df/dt dt + kappa int (a_x, a_y, 0) dt
+
+holds in every stretch, three axes with one triple of unknowns; v_0, b (what attitude and accelerometer are biased by) are each stretch's
+own. Linear least squares after one zero-phase low-pass filter of all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
+motion says of them moves them little, and without tilting only the difference of the offsets is known, which is all that matters there.
+Standard errors cluster by stretch. Klein & Morelli, Aircraft System Identification, chapter 10. No vehicle model is involved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from flighttest.channels import names
+from flighttest.frames import G_M_S2, rotation_from_euler
+from flighttest.recording import Series
+
+FloatArray = NDArray[np.float64]
+
+PRIOR_S = 0.01  # one cycle of ArduPilot's EKF (100 Hz), the slowest of what stamps messages
+PRIOR_SCALE = 0.01  # ArduPilot's EKF against its simulator's truth: 0.2 to 2.2 % in flights of 0.5 rad steps
+LARGEST = 2.0  # priors; more is no matter of stamps but a latency, which the catalogue knows (`velocity_latency`)
+_GROUPS = ("attitude", "specific_force", "velocity")
+_STRETCH_S = 4.0
+_RATE_HZ = 100.0
+_CUTOFF_HZ = 5.0  # motion lies below it, most of what shakes an accelerometer above
+_SHORTEST = 3  # stretches
+
+
+@dataclass(frozen=True)
+class Compatibility:
+    """How late velocity and specific force are stamped against the attitude, s (negative: early), and by what share the horizontal velocity
+    is too large, each with its standard error. stretches: of 4 s each, that say so."""
+
+    velocity_late_s: float
+    velocity_late_std_s: float
+    force_late_s: float
+    force_late_std_s: float
+    velocity_scale: float
+    velocity_scale_std: float
+    stretches: int
+
+
+def compatibility(
+    groups: Mapping[str, Series], flown: Sequence[tuple[float, float]], cutoff_hz: float | None = None
+) -> Compatibility | None:
+    """Of one recording; None where attitude, specific force or velocity are not recorded or there are too few stretches without gaps.
+
+    groups: of channels, by name; flown: stretches in the air, s. cutoff_hz: of the accelerometer's known second-order low-pass filter.
+    """
+    series = [groups.get(group) for group in _GROUPS]
+    if any(
+        s is None or len(s) < 2 or not set(names(g)) <= set(s.columns) for g, s in zip(_GROUPS, series, strict=True)
+    ):
+        return None
+    made = []
+    for begin, end in flown:
+        for start in np.arange(begin, end - _STRETCH_S, _STRETCH_S):
+            equations = _equations([s for s in series if s is not None], float(start), cutoff_hz)
+            if equations is not None:
+                made.append(equations)
+    if len(made) < _SHORTEST:
+        return None
+    gram = np.stack([a.T @ a for a, _ in made])
+    moment = np.stack([a.T @ y for a, y in made])
+    power = float(np.mean([np.mean(y**2) for _, y in made])) or 1.0
+    correlated = _RATE_HZ / _CUTOFF_HZ  # samples that count once
+    prior = np.diag([PRIOR_S, PRIOR_S, PRIOR_SCALE]) ** 2
+    inverse = np.linalg.inv(gram.sum(axis=0) / (power * correlated) + np.linalg.inv(prior))
+    found = inverse @ moment.sum(axis=0) / (power * correlated)
+    scores = (moment - gram @ found) / (power * correlated)
+    spread = inverse @ (scores.T @ scores) @ inverse
+    std = np.sqrt(np.maximum(np.diag(spread), 0.0) * len(made) / (len(made) - 2))
+    v, f, scale = zip((-float(found[0]), -float(found[1]), float(found[2])), std.tolist(), strict=True)
+    return Compatibility(*v, *f, *scale, len(made))
+
+
+def _equations(
+    series: Sequence[Series], start_s: float, cutoff_hz: float | None
+) -> tuple[FloatArray, FloatArray] | None:
+    """(3 n, 3) regressors of (-tau_v, -tau_f, kappa) and (3 n,) residual velocity of one stretch, what v_0 and b explain taken out."""
+    t = start_s + np.arange(round(_STRETCH_S * _RATE_HZ)) / _RATE_HZ
+    columns = []
+    for s, group in zip(series, _GROUPS, strict=True):
+        here = slice(max(int(np.searchsorted(s.t_s, t[0])) - 2, 0), int(np.searchsorted(s.t_s, t[-1])) + 2)
+        times = s.t_s[here]
+        if times.size < t.size // 20 or times[0] > t[0] or times[-1] < t[-1] or np.diff(times).max() > 0.2:
+            return None
+        columns.append(np.stack([np.interp(t, times, s.columns[n][here]) for n in names(group)], axis=-1))
+    attitude, force, velocity = columns
+    if not all(np.isfinite(c).all() for c in columns):
+        return None
+    rotation = rotation_from_euler(attitude)
+    force = _unfiltered(force, t, cutoff_hz)
+    acceleration = np.einsum("nij,nj->ni", rotation, force) - [0.0, 0.0, G_M_S2]
+    jerk = np.einsum("nij,nj->ni", rotation, np.gradient(force, t, axis=0))
+    moved = _integral(acceleration, t)
+    terms = np.stack([velocity - moved, acceleration, -_integral(jerk, t), moved * [1.0, 1.0, 0.0]])
+    smooth = signal.sosfiltfilt(signal.butter(2, _CUTOFF_HZ, fs=_RATE_HZ, output="sos"), terms, axis=1)
+    still = np.linalg.qr(np.stack([np.ones(t.size), t - t[0]], axis=-1))[0]
+    inside = slice(20, -20)  # filters settle at the ends
+    y, *regressors = ((x - still @ (still.T @ x))[inside].ravel() for x in smooth)
+    return np.stack(regressors, axis=-1), y
+
+
+def _unfiltered(force: FloatArray, t_s: FloatArray, cutoff_hz: float | None) -> FloatArray:
+    """Specific force before its low-pass filter: the inverse of the second-order Butterworth, 1 + sqrt(2) s / w + s^2 / w^2."""
+    if not cutoff_hz:
+        return force
+    w, rate = 2.0 * np.pi * cutoff_hz, np.gradient(force, t_s, axis=0)
+    return np.asarray(force + np.sqrt(2.0) / w * rate + np.gradient(rate, t_s, axis=0) / w**2)
+
+
+def _integral(x: FloatArray, t_s: FloatArray) -> FloatArray:
+    """(n, 3) by the trapezoidal rule, from zero."""
+    pieces = (x[1:] + x[:-1]) * np.diff(t_s)[:, None] / 2.0
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
+
+
+def corrected(groups: Mapping[str, Series], found: Compatibility) -> dict[str, Series]:
+    """The same with velocity, position and specific force on the attitude's clock and the horizontal velocity as large as kinematics has
+    it; what is further off than `LARGEST` priors is an effect, not a matter of stamps, and stays as it is."""
+    made = dict(groups)
+    late = {"velocity": found.velocity_late_s, "position": found.velocity_late_s, "specific_force": found.force_late_s}
+    for group, late_s in late.items():
+        if group in made and abs(late_s) <= LARGEST * PRIOR_S:
+            made[group] = Series(made[group].t_s - late_s, made[group].columns)
+    if abs(found.velocity_scale) <= LARGEST * PRIOR_SCALE and abs(found.velocity_late_s) <= LARGEST * PRIOR_S:
+        v = made["velocity"]
+        scaled = {n: v.columns[n] / (1.0 + found.velocity_scale) for n in names("velocity")[:2]}
+        made["velocity"] = Series(v.t_s, {**v.columns, **scaled})
+    return made
