@@ -16,6 +16,7 @@ from flighttest.diagnose.selection.comparison import (
     log_odds_asked,
     probability_of,
     standard_errors,
+    unfelt,
 )
 from flighttest.diagnose.selection.held_out import cross_validated
 from flighttest.estimation.linearisation import Optimum
@@ -42,7 +43,7 @@ def evidence(y, columns):
     names = tuple(f"p{k}" for k in range(columns.shape[1]))
     larger, smaller = fitted(y, columns, names), fitted(y, columns[:, :-1], names[:-1])
     floor = floor_of(larger.rows, segments, {})
-    return log_evidence(larger, smaller, SimpleNamespace(segments=segments), GROUPS, floor)
+    return sum(log_evidence(larger, smaller, SimpleNamespace(segments=segments), GROUPS, floor).values())
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -50,7 +51,7 @@ def test_what_is_not_needed_has_no_evidence_on_the_average_and_is_not_named(rng,
     found = []
     for _ in range(150):
         e, x = (autoregressive(rng, (SEGMENTS, EACH), rho).ravel() for _ in range(2))
-        found.append(evidence(e, np.stack([np.ones(e.size), x], axis=1))[0])
+        found.append(evidence(e, np.stack([np.ones(e.size), x], axis=1)))
     # A parameter that is not there costs about half a nat of prediction.
     assert -1.1 < np.mean(found) < -0.2
     assert np.std(found) < 1.6
@@ -70,17 +71,29 @@ def test_what_is_there_has_half_its_chi_square(rng, rho, size):
         columns = np.stack([np.ones(e.size), x], axis=1)
         error = np.sqrt(tau * np.linalg.inv(columns.T @ columns)[1, 1])
         y = e + size * error * x
-        found.append(evidence(y, columns)[0])
+        found.append(evidence(y, columns))
         chi.append((np.linalg.lstsq(columns, y, rcond=None)[0][1] / error) ** 2)
     assert np.mean(found) == pytest.approx(0.5 * np.mean(chi), rel=0.2)
 
 
-def test_the_evidence_is_the_sum_over_groups(rng):
-    y, columns = rng.normal(size=SEGMENTS * EACH), rng.normal(size=(SEGMENTS * EACH, 2))
-    total, each = evidence(y + 0.2 * columns[:, 1], columns)
-    assert each.shape == (10,)
-    assert total == pytest.approx(each.sum())
-    assert np.mean(each > 0) > 0.6
+FELT = {"f_x_m_s2": 3.0, "f_y_m_s2": 2.0, "f_z_m_s2": 4.0, "v_x_m_s": 400.0, "v_y_m_s": 300.0, "v_z_m_s": 9.0, "": -5.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "aside"),
+    [
+        ({}, set()),
+        ({"f_x_m_s2": -9.0, "f_y_m_s2": -7.0}, {"v_x_m_s", "v_y_m_s"}),
+        ({"f_x_m_s2": -9.0, "f_y_m_s2": 10.0}, set()),  # one side of a force is enough: body axes turn
+        ({"f_z_m_s2": -0.1}, {"v_z_m_s"}),
+    ],
+)
+def test_a_velocity_that_the_accelerometer_contradicts_is_no_evidence_of_a_force(changes, aside):
+    assert unfelt(FELT | changes) == aside
+
+
+def test_without_an_accelerometer_nothing_contradicts_the_velocity():
+    assert unfelt({"v_x_m_s": 400.0, "v_y_m_s": 300.0, "v_z_m_s": 9.0}) == frozenset()
 
 
 def test_models_are_compared_in_the_noise_of_the_larger(rng):
@@ -92,7 +105,8 @@ def test_models_are_compared_in_the_noise_of_the_larger(rng):
     estimator = SimpleNamespace(
         segments=responses(SEGMENTS, EACH), linearise=lambda _m, at, _n: asked.append(at.noise) or larger.rows
     )
-    assert log_evidence(larger, smaller, estimator, GROUPS, floor_of(larger.rows, estimator.segments, {}))[0] == 0.0
+    found = log_evidence(larger, smaller, estimator, GROUPS, floor_of(larger.rows, estimator.segments, {}))
+    assert set(found.values()) == {0.0}
     assert asked == [NOISE]
 
 

@@ -82,7 +82,7 @@ def searched(monkeypatch, made):
     monkeypatch.setattr(search_module, "floor_of", lambda *_: SimpleNamespace())
 
     def run(scores, finds, better=1.0, **how):
-        monkeypatch.setattr(search_module, "log_evidence", lambda *_: (better, None))
+        monkeypatch.setattr(search_module, "log_evidence", lambda *_: {"": better})
         pool = tuple(SimpleNamespace(id=t) for t in "abcd")
         estimator = SimpleNamespace(insensitive=lambda *_: frozenset(), segments=())
         table = {tuple(k): v for k, v in scores.items()}
@@ -209,7 +209,7 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     monkeypatch.setattr(Search, "refitted", lambda _self, _among, members, _s: asked.append(members) or without)
     monkeypatch.setattr(search_module, "inadmissible", lambda *_: "")
     monkeypatch.setattr(search_module, "floor_of", lambda *_: None)
-    monkeypatch.setattr(search_module, "log_evidence", lambda *_: (1.0, None))
+    monkeypatch.setattr(search_module, "log_evidence", lambda *_: {"": 1.0})
     pool = tuple(SimpleNamespace(id=t) for t in "ab")
     search = Search(SimpleNamespace(segments=()), pool, np.zeros(1, dtype=int), now=without, candidates=[alike])
     search.evidence = {"a": replace(evidence("a", without=without), profiled=5.0 * effect)}

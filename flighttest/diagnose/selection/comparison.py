@@ -8,7 +8,7 @@ where its probability, prior odds included, is above `PROBABILITY`, its effect h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,8 @@ from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
+_FORCE, _VELOCITY = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+_OF_INSTRUMENTS = ("sensor", "link")  # families of terms that are no forces
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
 
 
@@ -114,19 +116,28 @@ def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, fl
 
 def log_evidence(
     larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
-) -> tuple[float, FloatArray]:
-    """(difference of cross-validated log predictive densities, the same per group), in the noise and discrepancy of the larger model."""
-    segments = estimator.segments
-    weights = weights_of(larger, segments, floor)
+) -> dict[str, float]:
+    """Stratum (channel, disturbance; '' for initial states) to the difference of cross-validated log predictive densities, nats, in the
+    noise and discrepancy of the larger model; their sum is the log evidence."""
+    weights = weights_of(larger, estimator.segments, floor)
     at = replace(smaller.at, noise=larger.at.noise)
     rows = smaller.rows if at.noise == smaller.at.noise else estimator.linearise(smaller.model, at, smaller.names)
-    count = int(groups.max()) + 1
-    density = [
-        -0.5 * np.bincount(groups[r.segment], weights=cross_validated(r, names, groups, weights(r)), minlength=count)
-        for r, names in ((larger.rows, larger.names), (rows, smaller.names))
-    ]
-    difference = density[0] - density[1]
-    return float(difference.sum()), difference
+    found: dict[str, float] = {}
+    for sign, r, names in ((0.5, rows, smaller.names), (-0.5, larger.rows, larger.names)):
+        squares = cross_validated(r, names, groups, weights(r))
+        # -1, of initial states, comes first
+        for name, total in zip(("", *r.strata), np.bincount(r.stratum + 1, squares, len(r.strata) + 1), strict=True):
+            found[name] = found.get(name, 0.0) + sign * float(total)
+    return found
+
+
+def unfelt(nats: Mapping[str, float]) -> frozenset[str]:
+    """Velocities that an accelerometer contradicts: a force moves both, and where the specific force is predicted no better with it, what
+    it explains of the velocity is the velocity estimator's own error. nats: by stratum."""
+    sides = (_FORCE[:2], _VELOCITY[:2]), (_FORCE[2:], _VELOCITY[2:])
+    return frozenset(
+        v for force, velocity in sides if {*force} <= {*nats} and sum(nats[f] for f in force) <= 0.0 for v in velocity
+    )
 
 
 def evidence_of(
@@ -140,9 +151,11 @@ def evidence_of(
 ) -> Evidence:
     """One term of a fitted model against the model without it. floor: of the base model, in which sizes are counted."""
     segments = estimator.segments
-    nats, _ = log_evidence(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
+    by_stratum = log_evidence(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
+    aside = unfelt(by_stratum) if term.family not in _OF_INSTRUMENTS else frozenset()
+    nats = sum(value for stratum, value in by_stratum.items() if stratum not in aside)
     effect = _change(fitted.rows, without.rows.unprofiled_residual, fitted.rows.unprofiled_residual)
-    floors, place = size_in_floors(fitted.rows, effect, segments, floor)
+    floors, place = size_in_floors(fitted.rows, effect, segments, floor, aside)
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )

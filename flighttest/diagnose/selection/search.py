@@ -148,7 +148,7 @@ class Search:
             return True
         assert self.floor is not None
         floor = floor_of(kept.rows, self.estimator.segments, RESOLUTION)
-        return log_evidence(kept, before, self.estimator, self.groups, floor)[0] > 0.0
+        return sum(log_evidence(kept, before, self.estimator, self.groups, floor).values()) > 0.0
 
     def _proposals(self) -> list[Scored]:
         """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient: a
@@ -234,7 +234,7 @@ class Search:
                 finite = bool(np.isfinite(other.at.objective))
                 if finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
                     floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
-                    nats, _ = log_evidence(now, other, self.estimator, self.groups, floor)
+                    nats = sum(log_evidence(now, other, self.estimator, self.groups, floor).values())
             if cosine > 0.6:
                 found.append(Alias(name, cosine, nats))
         return tuple(found)
