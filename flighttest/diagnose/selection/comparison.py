@@ -131,12 +131,14 @@ def log_evidence(
     return found
 
 
-def unfelt(nats: Mapping[str, float]) -> frozenset[str]:
-    """Velocities that an accelerometer contradicts: a force moves both, and where the specific force is predicted no better with it, what
-    it explains of the velocity is the velocity estimator's own error. nats: by stratum."""
+def unfelt(nats: Mapping[str, float], candidates: int) -> frozenset[str]:
+    """Velocities that say nothing of a force, since the accelerometer does not feel it: a force moves both, and where the specific force
+    alone makes it no likelier than not (prior odds one to the number of candidates), what it explains of the velocity may be the velocity
+    estimator's own error. nats: by stratum."""
     sides = (_FORCE[:2], _VELOCITY[:2]), (_FORCE[2:], _VELOCITY[2:])
+    asked = math.log(max(candidates, 1))
     return frozenset(
-        v for force, velocity in sides if {*force} <= {*nats} and sum(nats[f] for f in force) <= 0.0 for v in velocity
+        v for force, velocity in sides if {*force} <= {*nats} and sum(nats[f] for f in force) <= asked for v in velocity
     )
 
 
@@ -152,7 +154,7 @@ def evidence_of(
     """One term of a fitted model against the model without it. floor: of the base model, in which sizes are counted."""
     segments = estimator.segments
     by_stratum = log_evidence(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
-    aside = unfelt(by_stratum) if term.family not in _OF_INSTRUMENTS else frozenset()
+    aside = unfelt(by_stratum, candidates) if term.family not in _OF_INSTRUMENTS else frozenset()
     nats = sum(value for stratum, value in by_stratum.items() if stratum not in aside)
     effect = _change(fitted.rows, without.rows.unprofiled_residual, fitted.rows.unprofiled_residual)
     floors, place = size_in_floors(fitted.rows, effect, segments, floor, aside)
