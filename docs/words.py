@@ -186,10 +186,10 @@ GLOSSARY = (
 # Words of the textbooks that a reader searches for, and the module that is about each, in which it stands as written here.
 SEARCHED = (
     ("autocorrelation", "identify/diagnostics/residuals.py"),
-    ("Bode", "pipeline/presenters/response_views.py"),
+    ("Bode", "identify/response_analysis/frequency_response.py"),
     ("bootstrap", "identify/diagnostics/bootstrap.py"),
     ("closed-loop bias", "identify/diagnostics/closed_loop.py"),
-    ("coherence", "pipeline/presenters/response_views.py"),
+    ("coherence", "identify/response_analysis/frequency_response.py"),
     ("covariance", "estimation/uncertainty/covariance.py"),
     ("Cramer-Rao", "identify/expected_information.py"),
     ("Cramér-Rao", "identify/expected_information.py"),
@@ -199,7 +199,7 @@ SEARCHED = (
     ("equality constraint", "identify/equality_constraints.py"),
     ("equation error", "identify/motion_equations.py"),
     ("Fisher information", "identify/expected_information.py"),
-    ("frequency response", "pipeline/presenters/response_views.py"),
+    ("frequency response", "identify/response_analysis/frequency_response.py"),
     ("Gauss-Newton", "estimation/gauss_newton.py"),
     ("identifiable", "identify/diagnostics/identifiability.py"),
     ("information matrix", "identify/expected_information.py"),

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from flighttest.identify.response_analysis.comparison import FittedResponse, Overlay, ThrustPoint
+from flighttest.identify.response_analysis.frequency_response import FrequencyResponse, ResidualCorrelation
 
 
 @dataclass(frozen=True)
@@ -26,29 +24,6 @@ class ParameterView:
     remedy: str = ""
     source: str = "fit"
     doc: str = ""
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """One response, measured and simulated. t_s counts from the step."""
-
-    segment: str
-    kind: str
-    cell: Mapping[str, float]
-    channel: str
-    t_s: FloatArray
-    measured: FloatArray
-    simulated: FloatArray
-
-
-@dataclass(frozen=True)
-class ThrustPoint:
-    """The settled vertical acceleration of one throttle response against the battery's voltage."""
-
-    cell: Mapping[str, float]
-    voltage_v: float
-    measured: float
-    simulated: float
 
 
 @dataclass(frozen=True)
@@ -80,53 +55,6 @@ class QualityView:
 
 
 @dataclass(frozen=True)
-class ChannelOfResponse:
-    """One output of one response: (n,) measured and simulated at t_s since the step; floor: its noise, unit of the channel."""
-
-    channel: str
-    t_s: FloatArray
-    measured: FloatArray
-    simulated: FloatArray
-    floor: float
-
-
-@dataclass(frozen=True)
-class ResponseView:
-    """One response with its commands (n,) at t_s since the step, and every output."""
-
-    name: str
-    t_s: FloatArray
-    commands: Mapping[str, FloatArray]
-    channels: tuple[ChannelOfResponse, ...]
-
-
-@dataclass(frozen=True)
-class CorrelationView:
-    """Correlation (n,) of a channel's residual with itself and with the command, by lag_s (n,); band: 1.96 standard errors of white
-    noise."""
-
-    channel: str
-    lag_s: FloatArray
-    auto: FloatArray
-    cross: FloatArray
-    band: float
-
-
-@dataclass(frozen=True)
-class LoopView:
-    """Complex frequency response (n,) of one loop, measured and by the model, with the coherence of the measured one."""
-
-    title: str
-    command_unit: str
-    answer_unit: str
-    responses: int
-    frequency_hz: FloatArray
-    measured: NDArray[np.complex128]
-    model: NDArray[np.complex128]
-    coherence: FloatArray
-
-
-@dataclass(frozen=True)
 class FitView:
     """A fit as it is shown."""
 
@@ -141,6 +69,6 @@ class FitView:
     quality: tuple[QualityView, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    responses: tuple[ResponseView, ...] = ()
-    residual_correlations: tuple[CorrelationView, ...] = ()
-    loops: tuple[LoopView, ...] = ()
+    responses: tuple[FittedResponse, ...] = ()
+    residual_correlations: tuple[ResidualCorrelation, ...] = ()
+    loops: tuple[FrequencyResponse, ...] = ()

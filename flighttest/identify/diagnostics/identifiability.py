@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.estimation.responses import never_changing, zero_order_hold
+from flighttest.estimation.uncertainty.covariance import Covariance
 from flighttest.identify.diagnostics.heterogeneity import Spread
 from flighttest.identify.diagnostics.local_optima import Rival
 from flighttest.physics.core import Param
@@ -144,6 +145,19 @@ def judge(
         return Known(True)
     with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
     return Known(False, f"its standard error is {limit}{with_whom}{steered}", fly)
+
+
+def correlated_parameters(covariance: Covariance, above: float) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of parameters whose estimates are correlated by `above` or more in absolute value, with the correlation; largest first."""
+    matrix, names = covariance.matrix, covariance.names
+    std = np.sqrt(np.diag(matrix))
+    strong = []
+    for i in range(len(names)):
+        for j in range(i + 1, len(names)):
+            c = float(matrix[i, j] / (std[i] * std[j])) if std[i] > 0 and std[j] > 0 else 0.0
+            if abs(c) >= above:
+                strong.append((names[i], names[j], c))
+    return tuple(sorted(strong, key=lambda s: -abs(s[2])))
 
 
 def allowance(param: Param, value: float) -> float:

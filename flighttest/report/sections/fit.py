@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from flighttest.identify.response_analysis.comparison import Overlay, ThrustPoint
 from flighttest.report.document import (
     Align,
     Block,
@@ -20,7 +21,7 @@ from flighttest.report.document import (
 from flighttest.report.numbers import interval, join, number, to_error, unit
 from flighttest.report.packing import coarse
 from flighttest.report.sections.responses import response_sections
-from flighttest.report.views import FitView, Overlay, ParameterView, SegmentView, ThrustPoint
+from flighttest.report.views import FitView, ParameterView, SegmentView
 
 MAX_CORRELATIONS = 6
 MANY_OUTLIERS = 6

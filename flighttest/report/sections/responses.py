@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from flighttest.channels import CHANNELS, WORDS
+from flighttest.identify.response_analysis.comparison import FittedResponse
+from flighttest.identify.response_analysis.frequency_response import FrequencyResponse, ResidualCorrelation
 from flighttest.report.document import Choice, Figure, Panel, Section, Trace
 from flighttest.report.numbers import unit
 from flighttest.report.packing import coarse
 from flighttest.report.sections.show import word
-from flighttest.report.views import CorrelationView, FitView, LoopView, ResponseView
+from flighttest.report.views import FitView
 
 POINTS = 80  # of a trace
 MOST_CORRELATED = 9
@@ -27,7 +29,7 @@ def one_by_one(view: FitView) -> Section | None:
     return Section("one", "One response", (choice,), lead, detail=True)
 
 
-def _one(r: ResponseView) -> Figure:
+def _one(r: FittedResponse) -> Figure:
     panels = []
     by_unit: dict[str, list[str]] = {}
     for name in r.commands:
@@ -71,16 +73,17 @@ def correlation(view: FitView) -> Section | None:
     )
 
 
-def _correlation(c: CorrelationView) -> tuple[Panel, ...]:
+def _correlation(c: ResidualCorrelation) -> tuple[Panel, ...]:
     ends = [float(c.lag_s[0]), float(c.lag_s[-1])]
     limits = tuple(
         Trace(ends, [s * c.band, s * c.band], "95 % of white noise", "limit", group="white noise") for s in (1.0, -1.0)
     )
-    auto = Trace(c.lag_s, c.auto, c.channel, "other", group="correlation")
-    panels = [Panel(f"{c.channel} with itself", "lag, s", "correlation", (auto, *limits))]
+    name = WORDS.get(c.channel, c.channel)
+    auto = Trace(c.lag_s, c.auto, name, "other", group="correlation")
+    panels = [Panel(f"{name} with itself", "lag, s", "correlation", (auto, *limits))]
     if np.isfinite(c.cross).all():
-        cross = Trace(c.lag_s, c.cross, c.channel, "other", group="correlation")
-        panels.append(Panel(f"{c.channel} with the command", "lag, s", "correlation", (cross, *limits)))
+        cross = Trace(c.lag_s, c.cross, name, "other", group="correlation")
+        panels.append(Panel(f"{name} with the command", "lag, s", "correlation", (cross, *limits)))
     return tuple(panels)
 
 
@@ -96,21 +99,22 @@ def bode(view: FitView) -> Section | None:
     return Section("bode", "Frequency responses", (Figure("bode", tuple(panels), caption, 3, 250),), detail=True)
 
 
-def _bode(loop: LoopView) -> tuple[Panel, ...]:
+def _bode(loop: FrequencyResponse) -> tuple[Panel, ...]:
     f = loop.frequency_hz
     ratio = (
-        f"{unit(loop.answer_unit)}/{unit(loop.command_unit)}".replace("rad/s/rad/s", "")
+        f"{unit(CHANNELS[loop.answer].unit)}/{unit(CHANNELS[loop.command].unit)}".replace("rad/s/rad/s", "")
         .replace("rad/rad", "")
         .rstrip("/")
     )
     level = f"amplitude, dB{f' re {ratio}' if ratio else ''}"
-    both = (("model", "simulated", loop.model), ("measured", "measured", loop.measured))
-    gain = tuple(Trace(f, 20.0 * np.log10(np.abs(h)), name, role) for name, role, h in both)  # type: ignore[arg-type]
-    phase = tuple(Trace(f, np.degrees(np.unwrap(np.angle(h))), name, role) for name, role, h in both)  # type: ignore[arg-type]
+    gain, phase = (
+        (Trace(f, model, "model", "simulated"), Trace(f, measured, "measured", "measured"))
+        for measured, model in (loop.gain_db, loop.phase_deg)
+    )
     seen = (Trace(f, loop.coherence, "coherence", "other"),)
     return (
         Panel(
-            f"{loop.title.capitalize()} ({loop.responses} steps)",
+            f"{loop.loop.capitalize()} ({loop.responses} steps)",
             "frequency, Hz",
             level,
             gain,

@@ -1,22 +1,19 @@
-"""Each response of a fit as it is shown by itself; of all of them, correlations of residuals, frequency responses (Bode) and coherence."""
+"""Over all responses of a fit: correlations of residuals, frequency responses (Bode) of measurement and model, and coherence."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.channels import CHANNELS, INPUTS, WORDS
-from flighttest.estimation.problem import Part, PartEvaluation
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.identify.fit import Fit
-from flighttest.report.views import ChannelOfResponse, CorrelationView, LoopView, ResponseView
+from flighttest.identify.response_analysis.comparison import pieces
 from flighttest.segments import Segment
 
 FloatArray = NDArray[np.float64]
 
-MOST_RESPONSES = 24  # shown one by one, spread over all
 MOST_LAG_S = 1.0
 LEAST_PAIRS = 50  # samples that a correlation rests on
 LEAST_RESPONSES = 3  # of which a coherence says something
@@ -29,58 +26,59 @@ LOOPS = (
     ("yaw rate loop", "yaw_rate_ref_rad_s", "r_rad_s", ("yaw_rate_step",)),
     ("thrust", "throttle", "f_z_m_s2", ("throttle_step", "tilt_throttle")),
 )
-_Piece = tuple[Segment, Part, FloatArray, FloatArray, FloatArray]
 
 
-def _pieces(found: Fit) -> Iterator[_Piece]:
-    """(segment, part, t_s (n,), measured (n, outputs), simulated (n, outputs)) of every response in every block; NaN where masked."""
-    for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True):
-        for j, response in enumerate(part.responses):
-            measured, residual = _of(part, made, j)
-            yield found.problem.segments[response.index], part, response.t_s, measured, measured - residual
+@dataclass(frozen=True)
+class ResidualCorrelation:
+    """Correlation (n,) of a channel's residual with itself and with the command, by lag_s (n,); band: 1.96 standard errors of white
+    noise."""
+
+    channel: str
+    lag_s: FloatArray
+    auto: FloatArray
+    cross: FloatArray
+    band: float
 
 
-def _of(part: Part, made: PartEvaluation, j: int) -> tuple[FloatArray, FloatArray]:
-    n = part.responses[j].t_s.size
-    mask = part.mask[j, :n]
-    return np.where(mask, part.y[j, :n], np.nan), np.where(mask, made.residual[j, :n], np.nan)
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Complex frequency response (n,) of one loop from channel `command` to channel `answer`, measured and by the model, with the
+    coherence of the measured one; responses: how many it rests on."""
+
+    loop: str
+    command: str
+    answer: str
+    responses: int
+    frequency_hz: FloatArray
+    measured: NDArray[np.complex128]
+    model: NDArray[np.complex128]
+    coherence: FloatArray
+
+    @property
+    def gain_db(self) -> tuple[FloatArray, FloatArray]:
+        """Amplitude (n,) of measurement and model, dB."""
+        return _decibel(self.measured), _decibel(self.model)
+
+    @property
+    def phase_deg(self) -> tuple[FloatArray, FloatArray]:
+        """Phase (n,) of measurement and model, degrees, without jumps of 360."""
+        return _degrees(self.measured), _degrees(self.model)
 
 
-def response_views(found: Fit) -> tuple[ResponseView, ...]:
-    """Command, measured, model and what is left, of responses spread over all of them."""
-    floors = {c: q.floor for c, q in found.quality.items()}
-    by_segment: dict[int, list[_Piece]] = {}
-    order: dict[int, Segment] = {}
-    for piece in _pieces(found):
-        order[id(piece[0])] = piece[0]
-        by_segment.setdefault(id(piece[0]), []).append(piece)
-    chosen = list(order)
-    chosen = chosen[:: max(1, -(-len(chosen) // MOST_RESPONSES))]
-    views = []
-    for key in chosen:
-        segment = order[key]
-        channels = [
-            ChannelOfResponse(c, t - segment.t_step_s, measured[:, k], simulated[:, k], floors.get(c, float("nan")))
-            for _, part, t, measured, simulated in by_segment[key]
-            for k, c in enumerate(part.outputs)
-            if np.isfinite(measured[:, k]).any()
-        ]
-        grid = segment.t_s - segment.t_step_s
-        commands = {}
-        for name in (n for n in INPUTS if n in segment.u):
-            values = zero_order_hold(segment.u[name], segment.t_s)
-            if np.ptp(values) > 0.0 or name == "throttle":
-                commands[name] = values
-        views.append(ResponseView(f"{segment.run}: {segment.name}", grid, commands, tuple(channels)))
-    return tuple(views)
+def _decibel(h: NDArray[np.complex128]) -> FloatArray:
+    return np.asarray(20.0 * np.log10(np.abs(h)))
 
 
-def correlations(found: Fit) -> tuple[CorrelationView, ...]:
+def _degrees(h: NDArray[np.complex128]) -> FloatArray:
+    return np.asarray(np.degrees(np.unwrap(np.angle(h))))
+
+
+def residual_correlations(found: Fit) -> tuple[ResidualCorrelation, ...]:
     """Per channel: autocorrelation of its residual and cross-correlation with the command, by lag, over all responses."""
     sums: dict[str, dict[str, FloatArray]] = {}
     step_s = _usual_step(found)
     lags = np.arange(round(MOST_LAG_S / step_s) + 1)
-    for segment, part, t, measured, simulated in _pieces(found):
+    for segment, part, t, measured, simulated in pieces(found):
         for k, channel in enumerate(part.outputs):
             grid = np.arange(t[0], t[-1], step_s)
             left = measured[:, k] - simulated[:, k]
@@ -106,8 +104,8 @@ def correlations(found: Fit) -> tuple[CorrelationView, ...]:
         cross = kept["cross"] / np.sqrt(energy * driven) if driven > 0.0 else np.full(lags.size, np.nan)
         band = 1.96 / np.sqrt(kept["n"][0])
         views.append(
-            CorrelationView(
-                WORDS.get(channel, channel),
+            ResidualCorrelation(
+                channel,
                 np.asarray(lags * step_s, dtype=float),
                 kept["auto"] / energy,
                 cross,
@@ -129,15 +127,15 @@ def _usual_step(found: Fit) -> float:
     return max(float(np.median(steps)), 0.005)
 
 
-def loops(found: Fit) -> tuple[LoopView, ...]:
+def frequency_responses(found: Fit) -> tuple[FrequencyResponse, ...]:
     """Frequency response from command to answer, measured and simulated alike (H1 estimate: cross over input spectrum, summed over
     responses), and the coherence of the measured one. Spectra are of the changes, so that steps need no window."""
-    pieces = list(_pieces(found))
+    every = list(pieces(found))
     views = []
     for title, command, channel, kinds in LOOPS:
         rows = [
             (_spectrum(*_changes(segment, command, t)), _answer(t, measured[:, k]), _answer(t, simulated[:, k]))
-            for segment, part, t, measured, simulated in pieces
+            for segment, part, t, measured, simulated in every
             if segment.kind in kinds and command in segment.u and channel in part.outputs
             for k in [part.outputs.index(channel)]
             if np.isfinite(measured[:, k]).mean() > 0.9
@@ -153,10 +151,10 @@ def loops(found: Fit) -> tuple[LoopView, ...]:
         cross, model = (np.conj(u) * y).sum(axis=0), (np.conj(u) * m).sum(axis=0)
         coherence = np.abs(cross) ** 2 / (power * (np.abs(y) ** 2).sum(axis=0))
         views.append(
-            LoopView(
+            FrequencyResponse(
                 title,
-                CHANNELS[command].unit,
-                CHANNELS[channel].unit,
+                command,
+                channel,
                 len(rows),
                 f,
                 cross / power,
@@ -183,8 +181,3 @@ def _answer(t: FloatArray, values: FloatArray) -> NDArray[np.complex128]:
 def _spectrum(times: FloatArray, changes: FloatArray) -> NDArray[np.complex128]:
     """Fourier transform (n_frequencies,) of changes at uneven times."""
     return np.asarray(np.exp(-2j * np.pi * np.outer(FREQUENCIES_HZ, times)) @ changes)
-
-
-def views_of(found: Fit) -> tuple[Sequence[ResponseView], Sequence[CorrelationView], Sequence[LoopView]]:
-    """All three."""
-    return response_views(found), correlations(found), loops(found)

@@ -5,14 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.pipeline.presenters.response_views import correlations, loops, response_views
+from flighttest.identify.response_analysis.comparison import fitted_responses
+from flighttest.identify.response_analysis.frequency_response import frequency_responses, residual_correlations
 
 LAG_S = 0.15
 T = np.arange(-0.5, 3.0, 0.01)
 
 
 def made(amplitudes, noise=0.0, model_lag_s=LAG_S, seed=0):
-    """A fit of first-order steps: what `response_views` reads of one, nothing else."""
+    """A fit of first-order steps: what `response_analysis` reads of one, nothing else."""
     rng = np.random.default_rng(seed)
     segments, responses, measured, residual = [], [], [], []
     for i, a in enumerate(amplitudes):
@@ -35,22 +36,22 @@ def made(amplitudes, noise=0.0, model_lag_s=LAG_S, seed=0):
 
 
 def test_a_first_order_loop_has_its_frequency_response():
-    (loop,) = loops(made((0.1, -0.2, 0.3, -0.3), noise=1e-4))
+    (loop,) = frequency_responses(made((0.1, -0.2, 0.3, -0.3), noise=1e-4))
     f = loop.frequency_hz < 4.0
     truth = 1.0 / (1.0 + 2j * np.pi * loop.frequency_hz[f] * LAG_S)
     assert np.abs(loop.measured[f] - truth).max() < 0.03
     assert np.abs(loop.model[f] - truth).max() < 0.03
     assert loop.coherence[f].min() > 0.99
-    assert loops(made((0.1, -0.2))) == (), "two steps have no coherence"
+    assert frequency_responses(made((0.1, -0.2))) == (), "two steps have no coherence"
 
 
 def test_a_model_that_is_too_slow_shows_in_its_curve_and_in_the_correlation():
     found = made((0.1, -0.2, 0.3, -0.3), noise=1e-4, model_lag_s=0.3)
-    (loop,) = loops(found)
+    (loop,) = frequency_responses(found)
     at = int(np.argmin(np.abs(loop.frequency_hz - 1.0)))
     assert abs(loop.measured[at]) > 1.3 * abs(loop.model[at])
-    (wrong,) = correlations(found)
-    (right,) = correlations(made((0.1, -0.2, 0.3, -0.3), noise=1e-2))
+    (wrong,) = residual_correlations(found)
+    (right,) = residual_correlations(made((0.1, -0.2, 0.3, -0.3), noise=1e-2))
     assert wrong.auto[5] > 0.5
     assert np.mean(np.abs(right.auto[1:]) < right.band) > 0.9, "white noise stays in its band"
     assert right.auto[0] == pytest.approx(1.0)
@@ -58,7 +59,7 @@ def test_a_model_that_is_too_slow_shows_in_its_curve_and_in_the_correlation():
 
 
 def test_a_response_is_shown_with_its_command_and_what_is_left():
-    (first, *rest) = response_views(made((0.1, -0.2), noise=1e-3))
+    (first, *rest) = fitted_responses(made((0.1, -0.2), noise=1e-3))
     assert [r.name for r in (first, *rest)] == ["r: s0", "r: s1"]
     (channel,) = first.channels
     assert channel.floor == 0.01

@@ -1,0 +1,192 @@
+"""Measured and simulated responses of a fit: each by itself, laid over each other by kind, and settled thrust over voltage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flighttest.channels import INPUTS
+from flighttest.estimation.problem import Part, PartEvaluation
+from flighttest.estimation.responses import zero_order_hold
+from flighttest.frames import G_M_S2
+from flighttest.identify.fit import Fit
+from flighttest.segments import Segment
+
+FloatArray = NDArray[np.float64]
+
+MOST_RESPONSES = 24  # given one by one, spread over all
+MAX_OVERLAYS = 40  # per kind: more lines than that are a grey cloud, and megabytes of page
+SETTLED_SHARE = 0.3  # the last part of a throttle response that counts as settled
+_SPECIFIC_FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
+Piece = tuple[Segment, Part, FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class FittedChannel:
+    """One output of one response: (n,) measured and simulated at t_s since the step; floor: its noise, unit of the channel."""
+
+    channel: str
+    t_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+    floor: float
+
+
+@dataclass(frozen=True)
+class FittedResponse:
+    """One response with its commands (n,) at t_s since the step, and every output."""
+
+    name: str
+    t_s: FloatArray
+    commands: Mapping[str, FloatArray]
+    channels: tuple[FittedChannel, ...]
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """The stepped channel of one response, (n,) measured and simulated, or the world's vertical acceleration. t_s counts from the step."""
+
+    segment: str
+    kind: str
+    cell: Mapping[str, float]
+    channel: str
+    t_s: FloatArray
+    measured: FloatArray
+    simulated: FloatArray
+
+
+@dataclass(frozen=True)
+class ThrustPoint:
+    """The settled vertical acceleration, m/s^2, of one throttle response against the battery's voltage."""
+
+    cell: Mapping[str, float]
+    voltage_v: float
+    measured: float
+    simulated: float
+
+
+def pieces(found: Fit) -> Iterator[Piece]:
+    """(segment, part, t_s (n,), measured (n, outputs), simulated (n, outputs)) of every response in every block; NaN where masked."""
+    for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True):
+        for j, response in enumerate(part.responses):
+            measured, residual = _of(part, made, j)
+            yield found.problem.segments[response.index], part, response.t_s, measured, measured - residual
+
+
+def _of(part: Part, made: PartEvaluation, j: int) -> tuple[FloatArray, FloatArray]:
+    n = part.responses[j].t_s.size
+    mask = part.mask[j, :n]
+    return np.where(mask, part.y[j, :n], np.nan), np.where(mask, made.residual[j, :n], np.nan)
+
+
+def fitted_responses(found: Fit) -> tuple[FittedResponse, ...]:
+    """Command, measured, model and what is left, of responses spread over all of them."""
+    floors = {c: q.floor for c, q in found.quality.items()}
+    by_segment: dict[int, list[Piece]] = {}
+    order: dict[int, Segment] = {}
+    for piece in pieces(found):
+        order[id(piece[0])] = piece[0]
+        by_segment.setdefault(id(piece[0]), []).append(piece)
+    chosen = list(order)
+    chosen = chosen[:: max(1, -(-len(chosen) // MOST_RESPONSES))]
+    views = []
+    for key in chosen:
+        segment = order[key]
+        channels = [
+            FittedChannel(c, t - segment.t_step_s, measured[:, k], simulated[:, k], floors.get(c, float("nan")))
+            for _, part, t, measured, simulated in by_segment[key]
+            for k, c in enumerate(part.outputs)
+            if np.isfinite(measured[:, k]).any()
+        ]
+        grid = segment.t_s - segment.t_step_s
+        commands = {}
+        for name in (n for n in INPUTS if n in segment.u):
+            values = zero_order_hold(segment.u[name], segment.t_s)
+            if np.ptp(values) > 0.0 or name == "throttle":
+                commands[name] = values
+        views.append(FittedResponse(f"{segment.run}: {segment.name}", grid, commands, tuple(channels)))
+    return tuple(views)
+
+
+def overlays(found: Fit) -> tuple[Overlay, ...]:
+    """Measured and simulated responses, at most `MAX_OVERLAYS` per kind, spread over the cells."""
+    made: list[Overlay] = []
+    for part, evaluation in zip(found.problem.parts, found.solution.evaluations, strict=True):
+        for j, response in enumerate(part.responses):
+            segment = found.problem.segments[response.index]
+            made += _overlays_of(part, evaluation, j, segment)
+    return tuple(_thinned(made))
+
+
+def _overlays_of(part: Part, made: PartEvaluation, j: int, segment: Segment) -> list[Overlay]:
+    t = part.responses[j].t_s
+    n = t.size
+    wanted = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}.get(segment.kind)
+    since = t - segment.t_step_s
+    if wanted in part.outputs:
+        k = part.outputs.index(wanted)
+        measured = np.where(part.mask[j, :n, k], part.y[j, :n, k], np.nan)
+        return [
+            Overlay(
+                segment.name, segment.kind, segment.cell, wanted, since, measured, measured - made.residual[j, :n, k]
+            )
+        ]
+    if segment.kind in ("throttle_step", "tilt_throttle", "free") and all(c in part.outputs for c in _SPECIFIC_FORCE):
+        both = _vertical(part, made, j, segment)
+        if both is not None:
+            return [Overlay(segment.name, segment.kind, segment.cell, "a_z_m_s2", since, *both)]
+    return []
+
+
+def _vertical(part: Part, made: PartEvaluation, j: int, segment: Segment) -> tuple[FloatArray, FloatArray] | None:
+    """Measured and simulated world a_z of one response, from the body specific force and the measured attitude."""
+    roll, pitch = segment.y.get("roll_rad"), segment.y.get("pitch_rad")
+    n = part.responses[j].t_s.size
+    if roll is None or pitch is None or roll.size != n:
+        return None
+    index = [part.outputs.index(c) for c in _SPECIFIC_FORCE]
+    up = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+    f = np.where(part.mask[j, :n][:, index], part.y[j, :n][:, index], np.nan)
+    measured = (up * f).sum(axis=1) - G_M_S2
+    simulated = (up * (f - made.residual[j, :n][:, index])).sum(axis=1) - G_M_S2
+    return measured, simulated
+
+
+def _thinned(made: Sequence[Overlay]) -> list[Overlay]:
+    kept: list[Overlay] = []
+    for kind in dict.fromkeys(o.kind for o in made):
+        mine = [o for o in made if o.kind == kind]
+        step = max(1, -(-len(mine) // MAX_OVERLAYS))
+        kept += mine[::step]
+    return kept
+
+
+def thrust_points(found: Fit) -> tuple[ThrustPoint, ...]:
+    """Settled acceleration over voltage, per throttle response."""
+    points = []
+    for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True):
+        if not all(c in part.outputs for c in _SPECIFIC_FORCE):
+            continue
+        for j, response in enumerate(part.responses):
+            segment = found.problem.segments[response.index]
+            volts = segment.y.get("voltage_v")
+            if segment.kind != "throttle_step" or volts is None:
+                continue
+            both = _vertical(part, made, j, segment)
+            if both is None:
+                continue
+            late = response.t_s > response.t_s[-1] - SETTLED_SHARE * (response.t_s[-1] - segment.t_step_s)
+            late &= np.isfinite(both[0]) & np.isfinite(volts)
+            if late.sum() >= 3:
+                points.append(
+                    ThrustPoint(
+                        segment.cell,
+                        float(volts[late].mean()),
+                        float(both[0][late].mean()),
+                        float(both[1][late].mean()),
+                    )
+                )
+    return tuple(points)
