@@ -10,7 +10,7 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
-from flighttest.logs.ros_bag import MAGIC, SQLITE
+from flighttest.logs.tables.ros_bag import MAGIC, SQLITE
 from flighttest.recording import Recording, Series
 
 # Far beyond any multirotor, far below what a flipped bit in a float makes; by unit.

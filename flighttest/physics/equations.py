@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from flighttest.physics.body import DELAY
+from flighttest.physics.core import Param, Term
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from flighttest.physics.model import Model
 
 PAPER = "Modeling and Identification of Multirotor Drone Dynamics for Onboard MPC Motion Planning"
 
@@ -75,28 +74,33 @@ class Equations:
         return pd.DataFrame([asdict(s) for s in self.symbols]).set_index("name")
 
 
-def equations_of(model: Model, values: Mapping[str, float] | None = None) -> Equations:
-    """The equations of a model in evaluation order. values: parameters by name, where their numbers are wanted beside the symbols.
+def equations_of(
+    terms: Sequence[Term], params: Sequence[Param], attitude_loops: bool, values: Mapping[str, float] | None = None
+) -> Equations:
+    """The equations of a model in evaluation order.
+
+    terms: those beside the body; params: all of the model's; attitude_loops: whether the body has them; values: parameters by name, where
+    their numbers are wanted beside the symbols.
 
     World North-West-Up, body Forward-Left-Up, SI. A reference acts one delay after it was sent; `<-` marks what a term changes.
     """
-    lines = [Equation("body", text, reference) for text, reference in (_ATTITUDE if model.attitude_loops else ())]
+    lines = [Equation("body", text, reference) for text, reference in (_ATTITUDE if attitude_loops else ())]
     lines += [Equation("body", text, reference) for text, reference in _TRANSLATION]
-    delays = [p for p in model.params if p.name.startswith(DELAY.name)]
+    delays = [p for p in params if p.name.startswith(DELAY.name)]
     acts = ", ".join(f"{p.name} ({p.doc.removeprefix('delay of ')})" for p in delays)
     lines.append(Equation("body", f"references act at t - delay: {acts}", "paper, section 2"))
-    ports = {port: k for k, port in enumerate(type(model.built_terms[0].port))} if model.built_terms else {}
-    for term in sorted(model.built_terms, key=lambda t: ports[t.port]):
+    ports = {port: k for k, port in enumerate(type(terms[0].port))} if terms else {}
+    for term in sorted(terms, key=lambda t: ports[t.port]):
         lines.append(Equation(term.id, term.equation, term.source))
     known = values or {}
+    owner = {p.name: term.id for term in terms for p in term.params}
     symbols = tuple(
-        Symbol(p.name, p.symbol, p.unit, p.doc, p.source, model.term_of(p.name), known.get(p.name))
-        for p in model.params
+        Symbol(p.name, p.symbol, p.unit, p.doc, p.source, owner.get(p.name, "body"), known.get(p.name)) for p in params
     )
     return Equations(tuple(lines), symbols)
 
 
-def citations_of(model: Model) -> tuple[str, ...]:
+def citations_of(terms: Sequence[Term]) -> tuple[str, ...]:
     """The literature behind a model, each work once: the paper first, then the sources of its terms in the model's order."""
-    works = [work.strip() for term in model.built_terms for work in term.source.split(";")]
+    works = [work.strip() for term in terms for work in term.source.split(";")]
     return tuple(dict.fromkeys([PAPER, *(w for w in works if not w.startswith("paper"))]))

@@ -28,12 +28,11 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
 from flighttest.physics.equations import Equations, citations_of, equations_of
+from flighttest.physics.simulated import Simulated, run
 from flighttest.physics.system import System, build_system
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from flighttest.physics.simulated import Simulated
 
 NOMINAL_VOLTAGE_V = 22.2
 ROTOR_HEIGHT_M = 0.2
@@ -156,11 +155,11 @@ class Model:
 
     def equations(self, values: Mapping[str, float] | None = None) -> Equations:
         """The model written out: equations, symbols, units, references; `print` it. values: parameters by name, to show beside them."""
-        return equations_of(self, values)
+        return equations_of(self.built_terms, self.params, self.attitude_loops, values)
 
     def citations(self) -> tuple[str, ...]:
         """The literature behind the model, each work once."""
-        return citations_of(self)
+        return citations_of(self.built_terms)
 
     def simulate(
         self,
@@ -175,8 +174,6 @@ class Model:
         one, other missing inputs are 0. values: parameters by name, `start()` for the rest. start: states by name at t_s[0], 0 for the rest
         (thrust: hover). InputError names what cannot be used.
         """
-        from flighttest.physics.simulated import run
-
         return run(self, inputs, values, start)
 
     @cached_property

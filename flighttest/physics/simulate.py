@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.physics.model import Model
 from flighttest.physics.system import System
 from flighttest.physics.vectorised import Columns, Vectorised
 
@@ -22,6 +21,18 @@ MAX_STEP_S = 0.0101
 _CHUNK = 64
 FEW = 96  # columns up to which CasADi is faster than numpy
 TOGETHER = 16  # runs from which on numpy, over all of them, overtakes CasADi, one after the other
+
+
+class Simulable(Protocol):
+    """What is simulated: `physics.model.Model`, as far as a simulation reads of it."""
+
+    @property
+    def g_m_s2(self) -> float:
+        """Gravity, m/s^2: the specific thrust that a run begins with where nothing is said."""
+
+    @property
+    def system(self) -> System:
+        """Everything chained, without the delays."""
 
 
 def rk4_step(system: System) -> ca.Function:
@@ -164,7 +175,7 @@ class Run:
 
 
 def simulate(
-    model: Model,
+    model: Simulable,
     values: Mapping[str, float],
     t_s: FloatArray,
     start: Mapping[str, float],
@@ -176,7 +187,7 @@ def simulate(
 
 
 def simulate_many(
-    model: Model, values: Mapping[str, float], runs: Sequence[Run], max_step_s: float = MAX_STEP_S
+    model: Simulable, values: Mapping[str, float], runs: Sequence[Run], max_step_s: float = MAX_STEP_S
 ) -> list[dict[str, FloatArray]]:
     """The same for many runs at once."""
     if not runs:
@@ -236,7 +247,7 @@ def _together(system: System, p: FloatArray, begun: FloatArray, made: Sequence[G
     return found
 
 
-def _begin(model: Model, run: Run) -> dict[str, float]:
+def _begin(model: Simulable, run: Run) -> dict[str, float]:
     return {"a_t_m_s2": model.g_m_s2, **model.system.initial, **run.start}
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flighttest.errors import InputError
-from flighttest.physics.model import Model
-from flighttest.physics.simulate import simulate
+from flighttest.physics.core import Param
+from flighttest.physics.simulate import Simulable, simulate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,8 +41,26 @@ class Simulated:
         return over_time(by_group(self.t_s, self.channels), "simulated")
 
 
+class Runnable(Simulable, Protocol):
+    """A model that knows what to take for inputs and parameters that are not given: `physics.model.Model`."""
+
+    @property
+    def nominal_voltage_v(self) -> float:
+        """Battery voltage where none is given, V."""
+
+    @property
+    def param(self) -> Mapping[str, Param]:
+        """Parameters by name."""
+
+    def start(self, values: Mapping[str, float] | None = None) -> dict[str, float]:
+        """All parameters by name: `values`, and the model's own for the rest."""
+
+    def hover_throttle(self, values: Mapping[str, float], voltage_v: ArrayLike) -> FloatArray:
+        """Throttle that holds height at these voltages, V, of their shape."""
+
+
 def run(
-    model: Model,
+    model: Runnable,
     inputs: Mapping[str, ArrayLike] | pd.DataFrame,
     values: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,

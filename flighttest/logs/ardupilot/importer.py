@@ -17,8 +17,9 @@ from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot.dataflash import Dataflash, Table, read_dataflash, stack
 from flighttest.logs.ardupilot.notes import board, firmware, markers, parameter_changes, parameters, state
 from flighttest.logs.ardupilot.targets import Targets
+from flighttest.logs.ardupilot.times import Times
 from flighttest.logs.opening import LogFile, name_of
-from flighttest.logs.timing import Times, ordered
+from flighttest.logs.timing import ordered
 from flighttest.mavlink import offset_m
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Provenance, Recording, Series

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,8 @@ from flighttest.channels import CHANNELS, GROUPS
 from flighttest.datafiles import read_text
 from flighttest.documents import Document, Node, nearest
 from flighttest.errors import RecordingError
-from flighttest.logs.input_table import InputTable, parse_table
+from flighttest.logs.tables.input_table import InputTable, parse_table
+from flighttest.logs.tables.sheet import TIME
 
 World = Literal["NWU", "NED", "ENU"]
 Body = Literal["FLU", "FRD"]
@@ -30,11 +30,10 @@ UNITS: dict[str, dict[str, float]] = {
     "A": {"A": 1.0, "mA": 1e-3, "cA": 0.01},
     "1": {"1": 1.0, "%": 0.01},
 }  # fmt: skip
-TIME, STEP = "t_s", "step"
+STEP = "step"
 _QUATERNIONS = ("attitude", "reference")
 _ENTRY = ("from", "unit", "mean", "power", "table", "scale", "offset", "quaternion")
 _KEYS = ("format", "doc", "frame", "rate_hz", "columns", "constants", "filters_hz")
-_CELL = re.compile(r"^(?P<name>.*?)(?P<indices>(\[\d+\])*)$")
 
 
 @dataclass(frozen=True)
@@ -99,13 +98,6 @@ def plain_map(names: tuple[str, ...]) -> ColumnMap:
     """The map of a table whose columns already carry the channels' names; what has no such name is left out."""
     known = [n for n in names if n in CHANNELS or n in (TIME, STEP)]
     return ColumnMap({name: Source((name,)) for name in known})
-
-
-def cell_of(name: str) -> tuple[str, tuple[int, ...]]:
-    """Column and indices of `v[0]` or `R[2][1]`; no indices for a plain column."""
-    match = _CELL.match(name)
-    assert match is not None  # the pattern matches every text
-    return match["name"], tuple(int(i) for i in re.findall(r"\[(\d+)\]", match["indices"]))
 
 
 def _frame(document: Document, fields: Mapping[str, Node]) -> tuple[str, str]:

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot import modes, telemetry
 from flighttest.sim.autopilot.navigation import GuidedGoal
-from flighttest.sim.autopilot.streams import RATE_MAX_HZ
-
-if TYPE_CHECKING:
-    from flighttest.sim.autopilot.copter import Autopilot
+from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
 ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 _FORCE = 21196
 
 
-def acknowledge(v: Autopilot, message: Any, command: int, result: int) -> None:
+def acknowledge(v: CommandedVehicle, message: Any, command: int, result: int) -> None:
     """COMMAND_ACK to whoever sent the message."""
     sender = (message.get_srcSystem(), message.get_srcComponent())
     v.outbox.append(v.encoder.message(book.MAVLink_command_ack_message(command, result, 0, 0, *sender)))
 
 
-def handle(v: Autopilot, m: Any) -> None:
+def handle(v: CommandedVehicle, m: Any) -> None:
     """Do what is asked, and acknowledge it. What it causes to be said comes after that, as ArduPilot's queues have it."""
     if m.target_component not in (0, v.encoder.component):
         return
@@ -51,32 +48,32 @@ def _altitude(m: Any) -> float:
     return float(m.z if m.get_type() == "COMMAND_INT" else m.param7)
 
 
-def _arm(v: Autopilot, m: Any) -> int:
+def _arm(v: CommandedVehicle, m: Any) -> int:
     force = round(m.param2) == _FORCE
     if m.param1 not in (0.0, 1.0):
         return UNSUPPORTED
     return ACCEPTED if (v.arm(force=force) if m.param1 else v.disarm(force=force)) else FAILED
 
 
-def _mode(v: Autopilot, m: Any) -> int:
+def _mode(v: CommandedVehicle, m: Any) -> int:
     if not int(m.param1) & book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return DENIED
     return ACCEPTED if v.set_mode(int(m.param2)) else FAILED
 
 
 def _mode_command(mode: int) -> Any:
-    def action(v: Autopilot, _: Any) -> int:
+    def action(v: CommandedVehicle, _: Any) -> int:
         return ACCEPTED if v.set_mode(mode) else FAILED
 
     return action
 
 
-def _set_interval(v: Autopilot, m: Any) -> int:
+def _set_interval(v: CommandedVehicle, m: Any) -> int:
     message_id, interval_us = int(m.param1), m.param2
     if message_id not in telemetry.MAKERS:
         v.say(f"No ap_message for mavlink id ({message_id})")
         return DENIED
-    if interval_us > 0.0 and 1e6 / interval_us > RATE_MAX_HZ * 1.001:
+    if interval_us > 0.0 and 1e6 / interval_us > telemetry.RATE_MAX_HZ * 1.001:
         v.say(f"Requested rate for message ID {message_id} too fast. Increase SCHED_LOOP_RATE")
         return DENIED
     # 0 is the default rate, which is none: nothing is streamed unasked
@@ -84,7 +81,7 @@ def _set_interval(v: Autopilot, m: Any) -> int:
     return ACCEPTED
 
 
-def _get_interval(v: Autopilot, m: Any) -> int:
+def _get_interval(v: CommandedVehicle, m: Any) -> int:
     message_id = int(m.param1)
     known = message_id in telemetry.MAKERS
     interval = (round(v.streams.interval_s(message_id) * 1e6) or -1) if known else 0
@@ -92,25 +89,25 @@ def _get_interval(v: Autopilot, m: Any) -> int:
     return ACCEPTED
 
 
-def _request(v: Autopilot, m: Any) -> int:
+def _request(v: CommandedVehicle, m: Any) -> int:
     if int(m.param1) not in telemetry.MAKERS:
         return FAILED
     _send(v, int(m.param1))
     return ACCEPTED
 
 
-def _send(v: Autopilot, message_id: int) -> None:
+def _send(v: CommandedVehicle, message_id: int) -> None:
     frame = telemetry.MAKERS[message_id](v)
     if frame is not None:
         v.outbox.append(frame)
 
 
-def _capabilities(v: Autopilot, _: Any) -> int:
+def _capabilities(v: CommandedVehicle, _: Any) -> int:
     _send(v, book.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     return ACCEPTED
 
 
-def _take_off(v: Autopilot, m: Any) -> int:
+def _take_off(v: CommandedVehicle, m: Any) -> int:
     height = _altitude(m)
     if not v.armed or not v.landed or not math.isfinite(height) or height <= 0.0:
         return FAILED
@@ -121,11 +118,11 @@ def _take_off(v: Autopilot, m: Any) -> int:
     seen = v.measured()
     v.navigator.goal = GuidedGoal(position=(seen.px, seen.py), height=height, yaw=seen.yaw, stamp_s=v.time_s)
     v.navigator.take_off_m = height
-    v.mailbox.angle_submode = False
+    v.angle.chosen = False
     return ACCEPTED
 
 
-def _turn(v: Autopilot, m: Any) -> int:
+def _turn(v: CommandedVehicle, m: Any) -> int:
     if v.mode != modes.GUIDED:
         return FAILED
     angle = math.radians(m.param1)
@@ -135,7 +132,7 @@ def _turn(v: Autopilot, m: Any) -> int:
     return ACCEPTED
 
 
-def _speed(v: Autopilot, m: Any) -> int:
+def _speed(v: CommandedVehicle, m: Any) -> int:
     name = {0: "WP_SPD", 1: "WP_SPD", 2: "WP_SPD_UP", 3: "WP_SPD_DN"}.get(int(m.param1))
     if name is None or not m.param2 > 0.0:
         return FAILED
@@ -143,7 +140,7 @@ def _speed(v: Autopilot, m: Any) -> int:
     return ACCEPTED
 
 
-def _reposition(v: Autopilot, m: Any) -> int:
+def _reposition(v: CommandedVehicle, m: Any) -> int:
     if v.mode != modes.GUIDED and not (int(m.param2) & 1 and v.set_mode(modes.GUIDED)):
         return DENIED
     lat, lon, altitude = _place(m)
@@ -153,16 +150,16 @@ def _reposition(v: Autopilot, m: Any) -> int:
     yaw = v.navigator.goal.yaw
     v.navigator.goal = GuidedGoal(telemetry.local_of(int(lat), int(lon)), None, height, yaw=yaw, stamp_s=v.time_s)
     v.navigator.take_off_m = None
-    v.mailbox.angle_submode = False
+    v.angle.chosen = False
     return ACCEPTED
 
 
-def _battery_reset(v: Autopilot, _: Any) -> int:
+def _battery_reset(v: CommandedVehicle, _: Any) -> int:
     v.replace_battery()
     return ACCEPTED
 
 
-def _home(v: Autopilot, _: Any) -> int:
+def _home(v: CommandedVehicle, _: Any) -> int:
     if not v.has_home:
         return FAILED
     _send(v, book.MAVLINK_MSG_ID_HOME_POSITION)
@@ -170,7 +167,7 @@ def _home(v: Autopilot, _: Any) -> int:
     return ACCEPTED
 
 
-def _denied(_: Autopilot, __: Any) -> int:
+def _denied(_: CommandedVehicle, __: Any) -> int:
     return DENIED
 
 

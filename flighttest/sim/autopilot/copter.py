@@ -20,7 +20,7 @@ from flighttest.sim.autopilot.mailbox import Mailbox
 from flighttest.sim.autopilot.navigation import Navigator
 from flighttest.sim.autopilot.parameters import ParameterStore
 from flighttest.sim.autopilot.safety import LIFT_S, ORIGIN_S, Boot, arming_refusal, fence_breaches
-from flighttest.sim.autopilot.streams import Streams
+from flighttest.sim.autopilot.vehicle import Target
 from flighttest.sim.autopilot.watch import Watch
 from flighttest.sim.plants.plant import Command, Plant
 from flighttest.sim.sensors import SensorNoise, Sensors
@@ -53,11 +53,11 @@ class Autopilot:
             "SIM_BATT_CAP_AH": capacity_ah,
         }
         self.store = ParameterStore(own | dict(parameters or {}))
-        self.encoder, self.streams = Encoder(), Streams()
+        self.encoder, self.streams = Encoder(), telemetry.Streams()
         self.sensors = Sensors(
             plant.motion, plant.tick_s, seed, noise, self.store["INS_ACCEL_FILTER"], self.store["INS_GYRO_FILTER"]
         )
-        self.command, self.target = Command(), telemetry.Target()
+        self.command, self.target = Command(), Target()
         self.angle = AngleControl(plant.delays)
         self.control = PositionControl(hover=plant.hover_throttle)
         self.navigator = Navigator(self.store)
@@ -222,7 +222,7 @@ class Autopilot:
 
     def _angle_rules(self, t_s: float) -> bool:
         """Whether attitude targets steer now (in GUIDED, when one was sent last; not before the motors have spun up)."""
-        if self.mode == modes.GUIDED and not self.mailbox.angle_submode:
+        if self.mode == modes.GUIDED and not self.angle.chosen:
             return False
         self.angle.due(t_s)
         return t_s - self.angle.last_s <= self.store["GUID_TIMEOUT"] and self.angle.thrust is not None
@@ -297,7 +297,7 @@ class Autopilot:
             if self.armed and self.mode in modes.ATTITUDE_TARGETS:
                 self.angle.due(t_s)
             return
-        if self.mode in modes.ATTITUDE_TARGETS and (self.mode == modes.GUIDED_NOGPS or self.mailbox.angle_submode):
+        if self.mode in modes.ATTITUDE_TARGETS and (self.mode == modes.GUIDED_NOGPS or self.angle.chosen):
             self._angle_mode(t_s)
             return
         if self.mode == modes.STABILIZE:

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot import commands, modes, telemetry
 from flighttest.sim.autopilot.guided import accept
 from flighttest.sim.autopilot.navigation import GuidedGoal
-
-if TYPE_CHECKING:
-    from flighttest.sim.autopilot.copter import Autopilot
+from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
 _NO_INDEX = 0xFFFF
 
 
 class Mailbox:
-    """Handlers by message name. angle_submode: in GUIDED, whether attitude targets were the last kind sent."""
+    """Handlers by message name. lockstep_asked, speed_asked: what SIM_ parameters ask of whoever runs the simulation; None: nothing."""
 
-    def __init__(self, vehicle: Autopilot) -> None:
+    def __init__(self, vehicle: CommandedVehicle) -> None:
         self._v = vehicle
-        self.angle_submode = False
         self._confessed = False
         self.lockstep_asked: bool | None = None
         self.speed_asked: float | None = None
@@ -66,8 +63,8 @@ class Mailbox:
         target = accept(m.type_mask, m.q, (m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate), m.thrust)
         if target is None:
             return
-        if not self.angle_submode:
-            self.angle_submode = True
+        if not v.angle.chosen:
+            v.angle.chosen = True
             thrust = v.angle.thrust
             v.angle.start(v.time_s, v.motion.yaw)
             v.angle.thrust = thrust
@@ -124,7 +121,7 @@ class Mailbox:
             goal.yaw_rate = None
         v.navigator.goal = goal
         v.navigator.take_off_m = None
-        self.angle_submode = False
+        self._v.angle.chosen = False
 
     # -- parameters ----------------------------------------------------------------------------------------------------------
 

@@ -1,20 +1,18 @@
-"""Messages the vehicle can be asked for, made from what its instruments say: NWU/FLU to NED/FRD, SI to MAVLink's units."""
+"""Messages the vehicle can be asked for, made from what its instruments say (NWU/FLU to NED/FRD, SI to MAVLink's units), and when each is
+due: SET_MESSAGE_INTERVAL as ArduPilot grants it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot.modes import LAND
-from flighttest.sim.autopilot.parameters import ParameterStore
-from flighttest.sim.plants.plant import Command, Motion
-from flighttest.sim.sensors import Sensors
-from flighttest.sim.wire import Encoder
+from flighttest.sim.autopilot.vehicle import Vehicle
 
+RATE_MAX_HZ = 200.0
 HOME_LAT_E7, HOME_LON_E7, HOME_ALT_M = -353632621, 1491652374, 584.09
 _M_PER_LAT_E7 = 6378137.0 * math.pi / 180.0 * 1e-7
 _M_PER_LON_E7 = _M_PER_LAT_E7 * math.cos(math.radians(HOME_LAT_E7 * 1e-7))
@@ -32,57 +30,6 @@ _CAPABILITIES = (
     | book.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
     | book.MAV_PROTOCOL_CAPABILITY_MAVLINK2
 )
-
-
-@dataclass(slots=True)
-class Target:
-    """The attitude target as the controllers have it now, NWU: rad, rad/s, and the throttle asked for before any boost."""
-
-    roll: float = 0.0
-    pitch: float = 0.0
-    yaw: float = 0.0
-    yaw_rate: float = 0.0
-    throttle: float = 0.0
-
-
-class Vehicle(Protocol):
-    """What telemetry reads of the autopilot."""
-
-    encoder: Encoder
-    motion: Motion
-    sensors: Sensors
-    store: ParameterStore
-    command: Command
-    target: Target
-    mode: int
-    armed: bool
-    landed: bool
-    capacity_ah: float
-    fence_breach: int
-
-    @property
-    def charge_used_ah(self) -> float:
-        """Charge drawn since the battery was last declared full, A h."""
-
-    @property
-    def time_s(self) -> float:
-        """Vehicle time, s since boot."""
-
-    @property
-    def has_position(self) -> bool:
-        """Whether the estimator uses GPS."""
-
-    @property
-    def has_home(self) -> bool:
-        """Whether home and the estimator's origin are set."""
-
-    @property
-    def armable(self) -> bool:
-        """Whether the arming checks pass."""
-
-    @property
-    def taking_off(self) -> bool:
-        """Whether it climbs to its take-off height."""
 
 
 def global_of(px: float, py: float) -> tuple[int, int]:
@@ -379,3 +326,42 @@ MAKERS: dict[int, Maker] = {
     book.MAVLINK_MSG_ID_WIND: _silent,
 }
 """Every message that can be asked for, by id; None means: accepted, and nothing is there to send."""
+
+
+class Streams:
+    """Message ids with their intervals, s. A message is due at a tick when its time has come: the interval is an average."""
+
+    def __init__(self) -> None:
+        self._interval: dict[int, float] = {}
+        self._next: dict[int, float] = {}
+        self._first = float("inf")
+
+    def interval_s(self, message_id: int) -> float:
+        """The interval of a message, s; 0 when it is not sent."""
+        return self._interval.get(message_id, 0.0)
+
+    def set(self, message_id: int, interval_s: float, t_s: float) -> None:
+        """Send a message every interval_s, s, from t_s on; 0 or less stops it."""
+        if interval_s <= 0.0:
+            self._interval.pop(message_id, None)
+            self._next.pop(message_id, None)
+        else:
+            self._interval[message_id] = interval_s
+            # on a grid of its own interval, so that streams of one rate come in one tick
+            self._next[message_id] = (int(t_s / interval_s + 1e-6) + 1) * interval_s
+        self._first = min(self._next.values(), default=float("inf"))
+
+    def due(self, t_s: float) -> list[int]:
+        """Ids to be sent at t_s, s."""
+        late = t_s + 1e-9
+        if self._first > late:
+            return []
+        found = []
+        times, intervals = self._next, self._interval
+        for i, when in times.items():
+            if when <= late:
+                found.append(i)
+                when += intervals[i]
+                times[i] = when if when > late else t_s + intervals[i]
+        self._first = min(times.values())
+        return found

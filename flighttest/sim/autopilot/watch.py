@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.frames import G_M_S2
 from flighttest.sim.autopilot import modes, telemetry
 from flighttest.sim.autopilot.safety import CrashCheck, fence_breaches, fence_mode
-
-if TYPE_CHECKING:
-    from flighttest.sim.autopilot.copter import Autopilot
+from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
 _LAND_DISARM_S = 1.5
 _TIMESYNC_S = 10.0
@@ -29,7 +26,7 @@ _BOOT_TEXTS = (
 class Watch:
     """The slow duties of one vehicle; `look` at every tenth of a second."""
 
-    def __init__(self, vehicle: Autopilot) -> None:
+    def __init__(self, vehicle: CommandedVehicle) -> None:
         self._v = vehicle
         self._texts = list(_BOOT_TEXTS)
         self._origin_said = self._gps_said = self._switch_read = False

@@ -19,7 +19,7 @@ from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
 from flighttest.logs.tables.columns import ColumnMap, Source
 from flighttest.logs.tables.sheet import Sheet
-from flighttest.logs.time_bases import joined
+from flighttest.logs.tables.time_bases import joined
 
 FloatArray = NDArray[np.float64]
 MAGIC = b"\x89MCAP0\r\n"

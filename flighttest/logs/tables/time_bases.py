@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.logs.tables.columns import TIME
+from flighttest.logs.tables.sheet import TIME
 
 FloatArray = NDArray[np.float64]
 

@@ -54,7 +54,7 @@ def parse_table(document: Document, node: Node, file: str) -> InputTable | None:
 
 def _from_file(document: Document, node: Node, folder: Path) -> InputTable | None:
     from flighttest.logs.opening import LogFile
-    from flighttest.logs.tables.sheet import read_sheet
+    from flighttest.logs.tables.reading import read_sheet
 
     fields: Mapping[str, Node] = document.mapping(node, _FILE_KEYS)
     missing = [k for k in _FILE_KEYS if k not in fields]
