@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +17,6 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
-T = TypeVar("T")
 
 # Longer pieces are split. The step resolves the fastest pole of the block: RK4 then errs by less than 3e-5 in any parameter,
 # which is a tenth of the standard error of the best known one (a damping ratio in a full campaign).
@@ -110,22 +107,6 @@ def outputs_of(
     return tuple(c for c in block.outputs if c in seen)
 
 
-# What was worked out of a segment, for as long as it lives: a diagnosis prepares the same segments for dozens of models.
-_worked_out: dict[int, tuple[weakref.ref[Segment], dict[Any, Any]]] = {}
-
-
-def _once(segment: Segment, key: Any, work: Callable[[], T]) -> T:
-    """The result of `work` on a segment, which is done once."""
-    number = id(segment)
-    if number not in _worked_out or _worked_out[number][0]() is not segment:
-        _worked_out[number] = weakref.ref(segment, lambda _: _worked_out.pop(number, None)), {}
-    known = _worked_out[number][1]
-    if key not in known:
-        known[key] = work()
-    found: T = known[key]
-    return found
-
-
 def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
     """One measured signal (`physics.blocks.EXOGENOUS`) at the segment's times; angles unwrapped."""
     key = (
@@ -133,7 +114,7 @@ def exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_de
         nominal_voltage_v if name == "voltage_v" else 0.0,
         attitude_delay_s if name.startswith("target_") else 0.0,
     )
-    return _once(segment, key, lambda: _exogenous(segment, name, nominal_voltage_v, attitude_delay_s))
+    return segment.once(key, lambda: _exogenous(segment, name, nominal_voltage_v, attitude_delay_s))
 
 
 def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_delay_s: float) -> FloatArray:
@@ -176,7 +157,7 @@ def _voltage(segment: Segment, nominal_voltage_v: float) -> FloatArray:
 
 def merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Times at which any of the inputs changes (m,), and all inputs from then on (m, n)."""
-    return _once(segment, ("edges", tuple(inputs)), lambda: _merged_edges(segment, inputs))
+    return segment.once(("edges", tuple(inputs)), lambda: _merged_edges(segment, inputs))
 
 
 def _merged_edges(segment: Segment, inputs: Sequence[str]) -> tuple[FloatArray, FloatArray]:

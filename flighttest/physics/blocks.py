@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -54,6 +54,30 @@ class Block:
     def __getstate__(self) -> dict[str, Any]:
         """What has been compiled stays behind when a block goes to another process."""
         return {**self.__dict__, "made": {}}
+
+
+class BlockStore:
+    """Blocks of models derived from one another: equal ones are one object, with all that was compiled of it, and made once. Of more than
+    `KEPT`, the one not asked for longest is dropped. It goes empty to another process."""
+
+    KEPT = 128  # attitude axes and translations: a diagnosis tries about so many
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, tuple[Block, ...]] = {}
+
+    def of(self, key: Hashable, make: Callable[[], tuple[Block, ...]]) -> tuple[Block, ...]:
+        """The blocks under a key, made where they are not there yet."""
+        found = self._known.pop(key, None)
+        if found is None:
+            found = make()
+        self._known[key] = found
+        while len(self._known) > self.KEPT:
+            del self._known[next(iter(self._known))]
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Nothing: CasADi's functions are cheaper made than carried."""
+        return {"_known": {}}
 
 
 @dataclass(frozen=True)

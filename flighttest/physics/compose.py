@@ -7,7 +7,6 @@ simulation and the export (chained). They are the only place where contributions
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cache
 
 import casadi as ca
 
@@ -34,7 +33,6 @@ def symbolic_signals() -> Signals:
     return Signals(**scalars, **vectors, rotation=sym("R", 3, 3), measured=measured, base=base)
 
 
-@cache
 def block_of(term: Term) -> str:
     """'attitude' or 'translation': where the term is evaluated; 'delay' for terms that only shift inputs in time."""
     if term.port is Port.DELAY:

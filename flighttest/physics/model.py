@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
 from flighttest.physics import body
-from flighttest.physics.blocks import Block, attitude_blocks, measured_velocity_block, translation_block
+from flighttest.physics.blocks import Block, BlockStore, attitude_blocks, measured_velocity_block, translation_block
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 NOMINAL_VOLTAGE_V = 22.2
 ROTOR_HEIGHT_M = 0.2
 PAPER_TERMS = ("body", "linear_drag")
-BLOCKS_KEPT = 64  # of attitude, and of translation: a diagnosis tries about so many
-Constants = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Model:
     terms: ids, 'body' first; ids not in the catalogue come with their `Term` in `extra`. channel_delays: each channel (attitude, yaw
     rate, thrust) has a delay of its own (T_d_attitude, T_d_yaw_rate, T_d_thrust; T_d is their mean), else one T_d. rotor_height_m: of the
     rotors above the landing gear's feet.
-    Equal models compare equal and share what was compiled of their blocks.
+    Equal models compare equal; models derived from one another (`+`, `-`, `dataclasses.replace`) share what was compiled of their blocks.
     """
 
     terms: tuple[str, ...] = PAPER_TERMS
@@ -58,6 +56,7 @@ class Model:
     attitude_loops: bool = True
     extra: Mapping[str, Term] = field(default_factory=dict, hash=False)
     rotor_height_m: float = ROTOR_HEIGHT_M
+    store: BlockStore = field(default_factory=BlockStore, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         ids = tuple(dict.fromkeys(("body", *self.terms)))
@@ -183,9 +182,16 @@ class Model:
         The translation takes the measured attitude, rates, height and voltage as known signals. Models that agree in the terms of a block
         share it, with all that was compiled of it.
         """
-        constants = tuple(self.constants.items())
-        loops = _attitude_blocks(*self._only("attitude"), constants) if self.attitude_loops else ()
-        return (*loops, _translation_block(*self._only("translation"), constants))
+        constants = self.constants
+        known = tuple(constants.items())
+        loops: tuple[Block, ...] = ()
+        if self.attitude_loops:
+            terms, params = self._only("attitude")
+            loops = self.store.of(("attitude", terms, params, known), lambda: attitude_blocks(terms, params, constants))
+        own, names = self._only("translation")
+        return *loops, *self.store.of(
+            ("translation", own, names, known), lambda: (translation_block(own, names, constants),)
+        )
 
     @cached_property
     def measured_velocity(self) -> Block:
@@ -207,13 +213,3 @@ class Model:
     def constants(self) -> dict[str, float]:
         """As in model.yaml: g m/s^2, nominal_voltage_v, rotor_height_m."""
         return {"g": self.g_m_s2, "nominal_voltage_v": self.nominal_voltage_v, "rotor_height_m": self.rotor_height_m}
-
-
-@lru_cache(maxsize=BLOCKS_KEPT)
-def _attitude_blocks(terms: tuple[Term, ...], params: tuple[Param, ...], constants: Constants) -> tuple[Block, ...]:
-    return attitude_blocks(terms, params, dict(constants))
-
-
-@lru_cache(maxsize=BLOCKS_KEPT)
-def _translation_block(terms: tuple[Term, ...], params: tuple[Param, ...], constants: Constants) -> Block:
-    return translation_block(terms, params, dict(constants))

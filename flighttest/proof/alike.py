@@ -1,4 +1,9 @@
 """Effects that no diagnosis can be asked to tell apart in the proof's campaign: what a base refit leaves of them is alike."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
 # Cosine above `oracle.CONFUSABLE`, as `python -m benchmarks.alike` finds it on quiet flights of one vehicle, every effect of usual size.
-ALIKE: dict[str, tuple[str, ...]] = {}
+ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType({})

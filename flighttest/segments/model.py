@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+T = TypeVar("T")
 
 
 class Flaw(Enum):
@@ -59,6 +61,23 @@ class Segment:
     heading_rad: float = float("nan")
     time_since_takeoff_s: float = float("nan")
     context: Mapping[str, Any] = field(default_factory=dict)
+
+    def once(self, key: Hashable, work: Callable[[], T]) -> T:
+        """The result of `work`, done once under a key for as long as this segment lives: a diagnosis prepares the same segments for dozens
+        of models. It stays behind when the segment goes to another process."""
+        known = self._worked_out
+        if key not in known:
+            known[key] = work()
+        found: T = known[key]
+        return found
+
+    @cached_property
+    def _worked_out(self) -> dict[Hashable, Any]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, without what was worked out."""
+        return {name: value for name, value in self.__dict__.items() if name != "_worked_out"}
 
     @property
     def usable(self) -> bool:

@@ -3,10 +3,12 @@
 import ast
 import importlib
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+parsed = cache(ast.parse)  # every module once, for all tests
 MAX_LINES = 400
 MAX_MODULES = 12  # a listing that is read at a glance
 PRINTER = "flighttest/cli/show.py"
@@ -38,7 +40,7 @@ def test_a_public_name_is_defined_once_in_its_package(repository):
     where: dict[tuple[str, str], list[str]] = {}
     for path in modules(repository):
         package = path.relative_to(repository).parts[1]
-        for node in ast.parse(path.read_text()).body:
+        for node in parsed(path.read_text()).body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
                 where.setdefault((package, node.name), []).append(path.name)
     twice = {key: files for key, files in where.items() if len(files) > 1}
@@ -48,14 +50,14 @@ def test_a_public_name_is_defined_once_in_its_package(repository):
 def exported(source: str) -> tuple[set[str], list[str] | None]:
     """What a module defines or, where it is a package, takes from its own modules, for others; and what it says it offers, if it does."""
     offered, said = set(), None
-    for node in ast.parse(source).body:
+    for node in parsed(source).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             offered.add(node.name)
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("flighttest."):
             offered |= {alias.asname or alias.name for alias in node.names}
         elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             said = ast.literal_eval(node.value)
-    used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    used = {node.id for node in ast.walk(parsed(source)) if isinstance(node, ast.Name)}
     return {name for name in offered - used if not name.startswith("_")}, said
 
 
@@ -125,7 +127,7 @@ def untyped(source: str) -> list[str]:
                 found += [f"{within}{ast.unparse(node.target)}"]
         return found
 
-    return of(ast.parse(source).body)
+    return of(parsed(source).body)
 
 
 def test_dictionaries_of_anything_only_become_fewer(repository):
@@ -148,7 +150,7 @@ FOREIGN = {"_timestamp", "_fields_", "_replace", "_asdict"}
 
 def private_names(source: str) -> set[str]:
     """Names with an underscore that a test takes from a module of the package, or puts another thing in the place of."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     modules, taken = set(), set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("flighttest"):
@@ -193,7 +195,7 @@ def test_the_search_for_private_names_sees_each_way(source):
 def printing_calls(source: str) -> list[int]:
     """Lines that print: print(), click.echo/secho, sys.stdout/stderr.write, or a rich Console being made."""
     lines = []
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if not isinstance(node, ast.Call):
             continue
         name = ast.unparse(node.func)
@@ -224,7 +226,7 @@ def test_the_print_check_sees_printing(source):
 
 def unfinished(source: str) -> list[int]:
     lines = [n for n, line in enumerate(source.splitlines(), 1) if any(w in line for w in ("TODO", "FIXME", "XXX"))]
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Raise) and node.exc is not None and "NotImplementedError" in ast.unparse(node.exc):
             lines.append(node.lineno)
     return lines
@@ -241,3 +243,60 @@ def test_nothing_is_left_unfinished(repository):
 
 def test_the_unfinished_check_sees_stubs():
     assert unfinished("def f():\n    raise NotImplementedError\n") == [2]
+
+
+# One per process, by its nature: what a copied process was given to work on.
+GLOBALS = {"flighttest/pipeline/parallel.py: _given"}
+
+
+def mutable_globals(source: str) -> list[str]:
+    """What a module keeps between calls: functions of arguments whose results are cached, names changed by `global`, and containers of the
+    module that its functions add to. A cached function without arguments is a constant made on first use."""
+    tree = parsed(source)
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    kept = []
+    for f in functions:
+        cached = any(
+            re.fullmatch(r"(functools\.)?(lru_cache|cache)(\(.*\))?", ast.unparse(d)) for d in f.decorator_list
+        )
+        kept += [f.name] if cached and ast.unparse(f.args) else []
+        kept += [name for n in ast.walk(f) if isinstance(n, ast.Global) for name in n.names]
+    containers = {
+        ast.unparse(target)
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        if isinstance(node.value, ast.Dict | ast.List | ast.Set | ast.DictComp | ast.ListComp | ast.SetComp)
+        or re.match(r"(dict|list|set|defaultdict|OrderedDict|Weak\w+|deque)\(", ast.unparse(node.value))
+    }
+    changes = r"(append|add|update|setdefault|pop|popitem|clear|extend|insert|remove|discard|appendleft)"
+    for f in functions:
+        for n in ast.walk(f):
+            if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute) and re.fullmatch(changes, n.func.attr):
+                kept += [ast.unparse(n.func.value)] if ast.unparse(n.func.value) in containers else []
+            if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store | ast.Del):
+                kept += [ast.unparse(n.value)] if ast.unparse(n.value) in containers else []
+    return sorted(set(kept))
+
+
+def test_no_module_keeps_what_an_object_should_own(repository):
+    found = {
+        f"{path.relative_to(repository).as_posix()}: {name}"
+        for path in modules(repository)
+        for name in mutable_globals(path.read_text())
+    }
+    assert found == GLOBALS, "let the object own it whose life it shares"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "@lru_cache(maxsize=4)\ndef kept(x): ...",
+        "@functools.cache\ndef kept(x): ...",
+        "def f():\n    global kept\n    kept = 1",
+        "kept = {}\ndef f(x):\n    kept[x] = 1",
+        "kept: list[int] = []\ndef f(x):\n    kept.append(x)",
+    ],
+)
+def test_the_search_for_mutable_globals_sees_each_kind(source):
+    assert mutable_globals(source) == ["kept"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -85,7 +85,7 @@ class Butterworth:
             if moved.size:
                 was = before.reshape(-1, 2, len(members))
                 arguments = [*(v.T.ravel() for v in ends), was[:, 0].ravel(), was[:, 1].ravel()]
-                by_h = _by_length(w)([*arguments, np.repeat(_safe(h), len(members))])
+                by_h = self._slopes_by_length[w]([*arguments, np.repeat(_safe(h), len(members))])
                 for force, slope in zip(forced, by_h, strict=True):
                     force[..., moved] += slope.reshape(-1, len(members), 1) * dh[:, None, moved]
             force = np.stack(forced, axis=1).reshape(*shape, 2, -1)
@@ -113,6 +113,11 @@ class Butterworth:
             made[i + 1] += force[i]
         lag.z[:, :, members] = made[-1]
         return made[1:], made[:-1]
+
+    @cached_property
+    def _slopes_by_length(self) -> dict[float, Vectorised]:
+        """`_by_length` by the angular frequency of each filter, rad/s."""
+        return {w: _by_length(w) for _, w in self._alike()}
 
     def _alike(self) -> list[tuple[list[int], float]]:
         """Filters of one cut-off, and its angular frequency, rad/s."""
@@ -152,7 +157,6 @@ def forced_response(w: float, y: tuple[Any, Any, Any], h: Any, lib: Any = np) ->
     return a + b * h + u2 * h**2 - e11 * a - e12 * b, b + 2.0 * u2 * h - e21 * a - e22 * b
 
 
-@cache
 def _by_length(w: float) -> Vectorised:
     """Derivative of a filter's state after a piece by the piece's length: of rows (y0, ym, y1, z, z_dot, h), (2, n)."""
     y0, ym, y1, z, z_dot, h = symbols = [ca.SX.sym(n) for n in ("y0", "ym", "y1", "z", "z_dot", "h")]
