@@ -20,19 +20,30 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from flighttest.api.answers import Diagnosed, Fitted, Flown, Models, Planned, Responses, Validated, Validity
+    from flighttest.api.answers import (
+        Answer,
+        Diagnosed,
+        Fitted,
+        Flown,
+        Models,
+        Planned,
+        Responses,
+        Validated,
+        Validity,
+        Written,
+    )
     from flighttest.api.campaigns import Campaign, Checks, Demonstrated, Imported, Proved, Runs
     from flighttest.api.catalogue import Terms, terms
     from flighttest.api.comparing import against, compare, replay, twin
     from flighttest.api.comparisons import Compared, Opposed, Replayed, Twin
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.api.tool import demo, doctor, fetch_log, import_log, prove, report, run, runs, show, sign
+    from flighttest.api.flights import fly, run
+    from flighttest.api.tool import demo, doctor, export, fetch_log, import_log, prove, report, runs, serve, show, sign
     from flighttest.api.verbs import (
         accept,
         check_validity,
         diagnose,
         fit,
-        fly,
         models,
         plan,
         read,
@@ -55,11 +66,13 @@ if TYPE_CHECKING:
     from flighttest.physics.core import Contribution, Param, Port, Signals, State, Term
     from flighttest.physics.model import Model
     from flighttest.physics.simulated import Simulated
+    from flighttest.pipeline.results import Progress, Status
     from flighttest.recording.model import Recording
     from flighttest.sim.simulation import Simulation
     from flighttest.version import __version__
 
 __all__ = [
+    "Answer",
     "Campaign",
     "Checks",
     "Compared",
@@ -82,6 +95,7 @@ __all__ = [
     "Planned",
     "Port",
     "PreflightError",
+    "Progress",
     "Proved",
     "Recording",
     "RecordingError",
@@ -93,12 +107,14 @@ __all__ = [
     "Simulated",
     "Simulation",
     "State",
+    "Status",
     "Term",
     "Terms",
     "Twin",
     "Validated",
     "Validity",
     "VehicleError",
+    "Written",
     "__version__",
     "accept",
     "against",
@@ -107,6 +123,7 @@ __all__ = [
     "demo",
     "diagnose",
     "doctor",
+    "export",
     "fetch_log",
     "fit",
     "fly",
@@ -121,6 +138,7 @@ __all__ = [
     "run",
     "runs",
     "segment",
+    "serve",
     "show",
     "sign",
     "simulate",
@@ -131,16 +149,19 @@ __all__ = [
 
 _WHERE = {
     "flighttest.api.answers": (
-        "Diagnosed", "Fitted", "Flown", "Models", "Planned", "Responses", "Validated", "Validity",
+        "Answer", "Diagnosed", "Fitted", "Flown", "Models", "Planned", "Responses", "Validated", "Validity", "Written",
     ),
     "flighttest.api.comparisons": ("Compared", "Opposed", "Replayed", "Twin"),
     "flighttest.api.campaigns": ("Campaign", "Checks", "Demonstrated", "Imported", "Proved", "Runs"),
     "flighttest.api.comparing": ("against", "compare", "replay", "twin"),
-    "flighttest.api.tool": ("demo", "doctor", "fetch_log", "import_log", "prove", "report", "run", "runs", "show", "sign",),
+    "flighttest.api.flights": ("fly", "run"),
+    "flighttest.api.tool": (
+        "demo", "doctor", "export", "fetch_log", "import_log", "prove", "report", "runs", "serve", "show", "sign",
+    ),
     "flighttest.api.catalogue": ("Terms", "terms"),
     "flighttest.api.fitted_model": ("FittedModel",),
     "flighttest.api.verbs": (
-        "accept", "check_validity", "diagnose", "fit", "fly", "models", "plan", "read", "read_model", "segment", "simulate",
+        "accept", "check_validity", "diagnose", "fit", "models", "plan", "read", "read_model", "segment", "simulate",
         "validate",
     ),
     "flighttest.errors": (
@@ -150,6 +171,7 @@ _WHERE = {
     "flighttest.physics.core": ("Contribution", "Param", "Port", "Signals", "State", "Term"),
     "flighttest.physics.model": ("Model",),
     "flighttest.physics.simulated": ("Simulated",),
+    "flighttest.pipeline.results": ("Progress", "Status"),
     "flighttest.recording.model": ("Recording",),
     "flighttest.sim.simulation": ("Simulation",),
     "flighttest.version": ("__version__",),
@@ -157,12 +179,14 @@ _WHERE = {
 _HOME = {name: module for module, names in _WHERE.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'flighttest' has no attribute {name!r}")
-    found = getattr(import_module(_HOME[name]), name)
-    globals()[name] = found
-    return found
+if not TYPE_CHECKING:  # a type checker is told every name above, and says which is not there
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            raise AttributeError(f"module 'flighttest' has no attribute {name!r}")
+        found = getattr(import_module(_HOME[name]), name)
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:

@@ -6,6 +6,7 @@ For files that people write see `documents`, which knows the line of every value
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -104,3 +105,16 @@ def _look_through(events: Iterable[Any]) -> None:
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+
+
+def check_writable(folder: Path | None) -> None:
+    """InputError before any work where nothing could be written after it into a folder, which may have to be made then."""
+    if folder is None:
+        return
+    nearest = next(p for p in (folder, *folder.parents) if p.exists())
+    try:
+        tempfile.TemporaryFile(dir=nearest).close()
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be written ({error.strerror})", "name a folder that can be written"
+        ) from error

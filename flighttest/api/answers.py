@@ -4,32 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flighttest.api.fitted_model import FittedModel, fitted_model
-from flighttest.currency.model import Currency
-from flighttest.currency.model import Verdict as ValidityVerdict
-from flighttest.diagnose.model import Diagnosis, Located, Verdict
 from flighttest.errors import InputError
-from flighttest.flight.outcome import LegOutcome
-from flighttest.flight.result import FlightResult
-from flighttest.identify.fit import Estimate, Fit
-from flighttest.identify.validation.validate import UNITS, Validation
 from flighttest.pipeline.results import Status
-from flighttest.pipeline.store.lineage import Lineage
-from flighttest.plan.check import CheckResult
-from flighttest.plan.model import Plan
-from flighttest.recording.model import Recording
 from flighttest.report.document import Document, Figure, Panel, Trace
-from flighttest.report.render import html
-from flighttest.report.render.plotly_figure import drawn, figures_of
-from flighttest.segments.model import Segment
 
 if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
+
+    from flighttest.api.fitted_model import FittedModel
+    from flighttest.currency.model import Currency
+    from flighttest.currency.model import Verdict as ValidityVerdict
+    from flighttest.diagnose.model import Diagnosis, Located, Verdict
+    from flighttest.flight.result import FlightResult
+    from flighttest.identify.fit import Estimate, Fit
+    from flighttest.identify.validation.validate import Validation
+    from flighttest.pipeline.store.lineage import Lineage
+    from flighttest.plan.check import CheckResult
+    from flighttest.plan.model import Plan
+    from flighttest.recording.model import Recording
+    from flighttest.segments.model import Segment
 
 STEPPED = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}
 PLAN_RATE_HZ = 50.0
@@ -53,10 +52,14 @@ class Answer:
         return self.sentence
 
     def _figures(self) -> dict[str, Figure]:
+        from flighttest.report.render.plotly_figure import figures_of
+
         return figures_of(self.document)
 
     def plot(self, *ids: str) -> go.Figure:
         """The figures of the page as one plotly figure: those of these ids, else all. InputError where there is none of an id."""
+        from flighttest.report.render.plotly_figure import drawn
+
         known = self._figures()
         for i in ids:
             if i not in known:
@@ -65,7 +68,19 @@ class Answer:
 
     def write_page(self, path: str | PathLike[str]) -> Path:
         """Write it as one self-contained HTML page and give its path."""
+        from flighttest.report.render import html
+
         return html.write(self.document, Path(path))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written(Answer):
+    """What verbs answer that write files: `report`, `show`, `fetch_log`, `export`. files: all of them; usable as the path of the first."""
+
+    files: tuple[Path, ...]
+
+    def __fspath__(self) -> str:
+        return str(self.files[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +147,8 @@ class Validated(Answer):
     def to_frame(self) -> pd.DataFrame:
         """One row per model, group of channels and horizon: horizon_s, rmse in `unit`, starts counted, separate stretches of flight."""
         import pandas as pd
+
+        from flighttest.identify.validation.validate import UNITS
 
         return pd.DataFrame(
             [
@@ -215,10 +232,16 @@ class Validity(Answer):
 
 @dataclass(frozen=True, kw_only=True)
 class Planned(Answer):
-    """`plan`: scripts compiled for a vehicle. plans: what would be flown; checks: what each asks of zone, time and battery."""
+    """`plan`: scripts compiled for a vehicle. plans: what would be flown."""
 
     plans: tuple[Plan, ...] = field(repr=False)
-    checks: tuple[CheckResult, ...] = field(repr=False)
+
+    @cached_property
+    def checks(self) -> tuple[CheckResult, ...]:
+        """What each plan asks of zone, time and battery."""
+        from flighttest.plan import check
+
+        return tuple(check(one) for one in self.plans)
 
     @property
     def ok(self) -> bool:
@@ -284,6 +307,8 @@ class Flown(Answer):
         """One row per step: run, leg, outcome, flown, why."""
         import pandas as pd
 
+        from flighttest.flight.outcome import LegOutcome
+
         return pd.DataFrame(
             [
                 {
@@ -312,6 +337,8 @@ class Models(Answer):
 
     def in_use(self, vehicle: str = "") -> FittedModel:
         """The model in use of a vehicle; of the only one where none is named. InputError where there is none."""
+        from flighttest.api.fitted_model import fitted_model
+
         found = [one for one in self.lineages if one.current is not None and vehicle in ("", one.vehicle)]
         if len(found) != 1 or found[0].current is None:
             known = ", ".join(one.vehicle for one in self.lineages) or "none: accept one"
@@ -337,6 +364,8 @@ class Models(Answer):
         return pd.DataFrame(rows, columns=columns)
 
     def _figures(self) -> dict[str, Figure]:
+        from flighttest.api.fitted_model import fitted_model
+
         figures = {}
         for one in self.lineages:
             held = {g.number: fitted_model(one.folder / g.file).parameters for g in one.generations}

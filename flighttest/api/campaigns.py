@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flighttest.api.answers import Answer
-from flighttest.api.fitted_model import FittedModel
-from flighttest.recording.model import Recording
 from flighttest.report.document import Figure, Panel, Trace
 
 if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
 
+    from flighttest.api.fitted_model import FittedModel
     from flighttest.pipeline.flights.after_landing import Analysis
     from flighttest.proof.outcome import Outcome
+    from flighttest.recording.model import Recording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,20 +112,21 @@ class Checks(Answer):
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstrated(Answer):
-    """`demo`: a concealed effect found, modelled, and a flight predicted that was not used. page: the report."""
+    """`demo`: a concealed effect found, modelled, and a flight predicted that was not used. page: the report. Where the flights were of no
+    use nothing was named or predicted, and `status` says so."""
 
     page: Path
 
     @property
     def findings(self) -> tuple[Mapping[str, object], ...]:
         """What was named, as in diagnosis.json."""
-        return tuple(self.data["findings"])
+        return tuple(self.data.get("findings", ()))
 
     def to_frame(self) -> pd.DataFrame:
         """One row per channel of the predicted flight: rmse before and after the improvement, and the noise floor, SI."""
         import pandas as pd
 
-        rows = [{"channel": c} | dict(v) for c, v in self.data["prediction"].items()]
+        rows = [{"channel": c} | dict(v) for c, v in self.data.get("prediction", {}).items()]
         return pd.DataFrame(rows, columns=["channel", "before", "after", "floor"]).set_index("channel")
 
 

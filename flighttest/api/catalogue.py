@@ -12,6 +12,8 @@ from flighttest.physics.core import Term
 if TYPE_CHECKING:
     import pandas as pd
 
+    from flighttest.api.answers import Answer
+
 
 class Terms(Mapping[str, Term]):
     """Every term there is, by id: `ft.terms.ground_effect` or `ft.terms["ground_effect"]`; add one to a model with `+`.
@@ -41,6 +43,14 @@ class Terms(Mapping[str, Term]):
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *catalogue()]
+
+    def describe(self, *ids: str) -> Answer:
+        """The catalogue as a table, or everything about the terms of these ids. InputError where there is none of an id."""
+        from flighttest.api.answers import Answer
+        from flighttest.pipeline.info import terms as table
+
+        result = table(ids)
+        return Answer(document=result.document, data=result.data, status=result.status)
 
     def to_frame(self) -> pd.DataFrame:
         """One row per term, indexed by id: family, title, equation, parameters with units, source, and the maneuver that shows it."""

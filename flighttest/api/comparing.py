@@ -5,21 +5,25 @@ Each calls the step of `pipeline` that the command of the same name calls, as th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from os import PathLike
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Unpack
 
-from flighttest.api.verbs import AnyPath, Source, Stages, Tell, as_path, as_sources
+from flighttest.api.inputs import (
+    AnyPath,
+    ReadingOptions,
+    Source,
+    Tell,
+    as_model,
+    as_path,
+    as_progress,
+    as_sources,
+    paths_in,
+)
 
 if TYPE_CHECKING:
     from flighttest.api.comparisons import Compared, Opposed, Replayed, Twin
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.identify.models.model_file import ModelFile
-
-
-def _model(model: FittedModel | AnyPath) -> Path | ModelFile:
-    return Path(model) if isinstance(model, str | PathLike) else model.stored
 
 
 def against(
@@ -31,21 +35,22 @@ def against(
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
     progress: Tell | None = None,
+    **options: Unpack[ReadingOptions],
 ) -> Opposed:
     """Say what a simulator lacks, has too much of or has with another value, from its recordings and real ones of the same vehicle.
 
     model: what both diagnoses start from, the paper's where none is given. output: folder for against.json, report.html and model.yaml
-    (of the real recordings). InputError where one recording is on both sides.
+    (of the real recordings). options: `flighttest.api.inputs.ReadingOptions`. InputError where one recording is on both sides.
     """
     from flighttest.api.comparisons import Opposed
-    from flighttest.api.verbs import model_of
+    from flighttest.api.fitted_model import model_of
     from flighttest.identify.models import model_file
     from flighttest.pipeline.diagnosis.against import against as oppose
     from flighttest.pipeline.recordings.sources import Reading
 
     result = oppose(
-        as_sources(real), as_sources(simulated), None if model is None else _model(model), as_path(output), as_path(vehicle),
-        Reading(as_path(columns)), Stages(progress),
+        as_sources(real), as_sources(simulated), None if model is None else as_model(model), as_path(output), as_path(vehicle),
+        Reading(as_path(columns), **paths_in(options)), as_progress(progress),
     )  # fmt: skip
     mine = result.value.real
     fitted = model_of(mine, model_file.as_data(mine))
@@ -73,12 +78,12 @@ def twin(
     from flighttest.pipeline.twin import Flying, verify
 
     result = verify(
-        _model(model),
+        as_model(model),
         as_sources(sources),
         as_path(output),
         flying=Flying(offline, backend == "sitl", seed),
         columns=as_path(columns),
-        progress=Stages(progress),
+        progress=as_progress(progress),
     )
     flown = tuple(Path(folder) for folder in result.data["flown"])
     return Twin(document=result.document, data=result.data, status=result.status, diagnosis=result.value, flown=flown)
@@ -87,22 +92,22 @@ def twin(
 def replay(
     model: FittedModel | AnyPath,
     *sources: Source,
-    changes: Mapping[str, str | float] | None = None,
+    changes: Mapping[str, str | float] | Sequence[str] = (),
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
     progress: Tell | None = None,
 ) -> Replayed:
     """Run recorded commands on the vehicle of a model with changes, beside the recording.
 
-    changes: payload (kg), battery (V, or '+1', '-1'), propeller (ratio), or a parameter: {"K": "+10%", "w_north": 3.0}. output: folder for
-    report.html. InputError for a change that the model does not know.
+    changes: payload (kg), battery (V, or '+1', '-1'), propeller (ratio), or a parameter: {"K": "+10%", "w_north": 3.0}, or as words:
+    ["K=+10%"]. output: folder for report.html. InputError for a change that the model does not know.
     """
     from flighttest.api.comparisons import Replayed
     from flighttest.pipeline.twin import replay as run_commands
 
-    words = [f"{name}={value}" for name, value in (changes or {}).items()]
+    words = [f"{k}={v}" for k, v in changes.items()] if isinstance(changes, Mapping) else list(changes)
     result = run_commands(
-        _model(model), as_sources(sources), words, as_path(output), as_path(columns), Stages(progress)
+        as_model(model), as_sources(sources), words, as_path(output), as_path(columns), as_progress(progress)
     )
     return Replayed(document=result.document, data=result.data, status=result.status, found=result.value)
 
@@ -112,5 +117,5 @@ def compare(first: AnyPath, second: AnyPath, *, progress: Tell | None = None) ->
     from flighttest.api.comparisons import Compared
     from flighttest.pipeline.identification.comparison import compare as compare_models
 
-    result = compare_models(Path(first), Path(second), Stages(progress))
+    result = compare_models(Path(first), Path(second), as_progress(progress))
     return Compared(document=result.document, data=result.data, status=result.status, differences=result.value)

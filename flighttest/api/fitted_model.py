@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
     from numpy.typing import ArrayLike
+
+    from flighttest.identify.fit import Fit
 
 
 @dataclass(frozen=True)
@@ -111,3 +113,10 @@ def fitted_model(source: FittedModel | str | PathLike[str]) -> FittedModel:
     stored = model_file.read(path)
     root = Document(str(path), read_text(path, ModelError, "model file")).root
     return FittedModel(stored, root.plain() if root is not None else {})
+
+
+def model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
+    """A fit as the model that later steps take. data: as model.yaml holds it."""
+    stored = replace(model_file.from_fit(found), fingerprint=data["fingerprint"], fit_quality=data["fit_quality"])
+    stored = replace(stored, vehicle=data.get("vehicle") or {})
+    return FittedModel(stored, data)

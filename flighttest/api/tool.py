@@ -1,52 +1,24 @@
-"""The verbs about runs and about the tool: a whole campaign, logs brought in, runs listed, pages written, checks, demonstration, proof.
+"""The verbs about runs and about the tool: logs brought in, runs listed, pages and exports written, vehicles served, checks, demonstration,
+proof.
 
 Each calls the step of `pipeline` that the command of the same name calls, as those in `verbs` do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, Unpack
 
-from flighttest.api.verbs import AnyPath, Stages, Tell, as_path, flight_request, model_of
+from flighttest.api.inputs import AnyPath, ProofOptions, ServeOptions, Tell, as_model, as_path, as_progress, paths_in
+from flighttest.errors import InputError
 
 if TYPE_CHECKING:
-    from flighttest.api.campaigns import Campaign, Checks, Demonstrated, Imported, Proved, Runs
-
-
-def run(
-    *scripts: AnyPath,
-    connect: str = "sim",
-    vehicle: AnyPath | None = None,
-    out: AnyPath = "runs",
-    arm: bool = False,
-    hide: Iterable[str] = (),
-    seed: int = 1,
-    progress: Tell | None = None,
-    **options: Any,
-) -> Campaign:
-    """Fly maneuver scripts, record, cut, fit, compare with the vehicle's model in use, diagnose and report.
-
-    As `fly`, which stops after recording. options: further fields of `pipeline.flights.run.FlightRequest`, as accept=True.
-    """
-    from flighttest.api.campaigns import Campaign
-    from flighttest.identify.models import model_file
-    from flighttest.pipeline.flights import run as flights
-    from flighttest.pipeline.flights.after_landing import Analysis
-
-    request = flights.FlightRequest(
-        tuple(str(script) for script in scripts), vehicle=as_path(vehicle), connect=connect, out=Path(out), hide=tuple(hide), seed=seed,
-        **options,
-    )  # fmt: skip
-    result = flights.run(flight_request(request, arm), Stages(progress))
-    found = result.value if isinstance(result.value, Analysis) else None
-    fitted = None if found is None else found.improved or found.fit
-    model = None if fitted is None else model_of(fitted, model_file.as_data(fitted))
-    folders = tuple(Path(folder) for folder in result.data["runs"])
-    return Campaign(
-        document=result.document, data=result.data, status=result.status, runs=folders, analysis=found, model=model
-    )
+    from flighttest.api.answers import Answer, Written
+    from flighttest.api.campaigns import Checks, Demonstrated, Imported, Proved, Runs
+    from flighttest.api.fitted_model import FittedModel
+    from flighttest.pipeline.results import Result
+    from flighttest.pipeline.vehicles.simulator import Serving
 
 
 def import_log(
@@ -64,17 +36,28 @@ def import_log(
     from flighttest.api.campaigns import Imported
     from flighttest.pipeline.recordings.sources import import_log as bring
 
-    result = bring(Path(log), Path(output), as_path(columns), as_path(vehicle), Stages(progress))
+    result = bring(Path(log), Path(output), as_path(columns), as_path(vehicle), as_progress(progress))
     return Imported(
         document=result.document, data=result.data, status=result.status, run=Path(output), recording=result.value
     )
 
 
-def fetch_log(connect: str, output: AnyPath, *, number: int | None = None, progress: Tell | None = None) -> Path:
-    """Download an onboard log over MAVLink, the newest where no number is given, into a run folder or a .bin file; gives the log's path."""
+def fetch_log(
+    connect: str,
+    output: AnyPath,
+    *,
+    number: int | None = None,
+    signing_key: AnyPath | None = None,
+    progress: Tell | None = None,
+) -> Written:
+    """Download an onboard log over MAVLink, the newest where no number is given, into a run folder or a .bin file.
+
+    Given again after a cut, it goes on where it stopped. signing_key: file with the key of MAVLink 2 signing.
+    """
     from flighttest.pipeline.flights.fetching import fetch_log as fetch
 
-    return Path(fetch(connect, Path(output), number, Stages(progress)).data["file"])
+    result = fetch(connect, Path(output), number, as_progress(progress), as_path(signing_key))
+    return _written(result, result.data["file"])
 
 
 def runs(folder: AnyPath = "runs", *, page: bool = False) -> Runs:
@@ -86,38 +69,96 @@ def runs(folder: AnyPath = "runs", *, page: bool = False) -> Runs:
     return Runs(document=result.document, data=result.data, status=result.status)
 
 
-def report(folder: AnyPath, output: AnyPath | None = None, *, progress: Tell | None = None) -> Path:
-    """Write one self-contained HTML page about a run, a log, or what `diagnose(output=...)` wrote; gives the page's path."""
+def report(
+    folder: AnyPath, output: AnyPath | None = None, *, figures: AnyPath | None = None, progress: Tell | None = None
+) -> Written:
+    """Write one self-contained HTML page about a run, a log, or what `diagnose(output=...)` wrote. figures: folder for every picture as SVG
+    with its numbers as CSV."""
+    from flighttest.datafiles import check_writable
     from flighttest.pipeline.identification.reporting import report as write
+    from flighttest.report.render.figure_files import write_figures
 
-    return Path(write(Path(folder), as_path(output), Stages(progress)).data["report"])
+    check_writable(as_path(figures))
+    told = as_progress(progress)
+    result = write(Path(folder), as_path(output), told)
+    pictures = [] if figures is None else write_figures(result.value, Path(figures))
+    if figures is not None:
+        told.stage(f"{len(pictures) // 2} pictures written to {figures}")
+    return _written(result, result.data["report"], *pictures)
 
 
 def show(
     log: AnyPath, output: AnyPath | None = None, *, columns: AnyPath | None = None, progress: Tell | None = None
-) -> Path:
-    """Write one HTML page about a log or run before anything is fitted: health, course, channels, map, what it can tell; gives its path."""
+) -> Written:
+    """Write one HTML page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
     from flighttest.pipeline.identification.showing import show as write
 
-    return Path(write(Path(log), as_path(output), as_path(columns), Stages(progress)).data["page"])
+    result = write(Path(log), as_path(output), as_path(columns), as_progress(progress))
+    return _written(result, result.data["page"])
 
 
-def sign(connect: str, key: AnyPath, *, remove: bool = False, progress: Tell | None = None) -> str:
-    """Give a vehicle the key in a file (made where there is none): from then on it takes only frames signed with it; gives a sentence.
+def export(
+    model: FittedModel | AnyPath | None,
+    kind: str,
+    output: AnyPath = "export",
+    *,
+    vehicle: AnyPath | None = None,
+    runs: AnyPath = "runs",
+) -> Written:
+    """Write a model for other programs: 'casadi', 'c', 'json', 'fmu', 'rotorpy' or 'ardupilot', into a folder.
+
+    model: with None the one in use in `runs` of the vehicle in vehicle.yaml. InputError for another kind.
+    """
+    from flighttest.pipeline.identification.exporting import KINDS
+    from flighttest.pipeline.identification.exporting import export as write
+    from flighttest.pipeline.store.models import named_or_in_use
+
+    if kind not in KINDS:
+        raise InputError(f"there is no export called {kind!r}", f"there are {', '.join(KINDS)}")
+    chosen = named_or_in_use(None, Path(runs), as_path(vehicle)) if model is None else as_model(model)
+    result = write(chosen, kind, Path(output))
+    return _written(result, *result.data["files"])
+
+
+def _written(result: Result, *files: AnyPath) -> Written:
+    from flighttest.api.answers import Written
+
+    paths = tuple(Path(file) for file in files)
+    return Written(document=result.document, data=result.data, status=result.status, files=paths)
+
+
+def serve(**options: Unpack[ServeOptions]) -> Iterator[str | Serving]:
+    """A MAVLink copter on this machine for any ground station, until it is interrupted: the built-in one or ArduPilot's SITL.
+
+    Yields sentences of what is going on and, once it can be connected to, where. options: `flighttest.api.inputs.ServeOptions`.
+    For tests of one's own program, `simulate` is the vehicle as a context manager.
+    """
+    from flighttest.pipeline.vehicles import simulator
+
+    return simulator.serve(simulator.Served(**paths_in(options, "model", "frame")))
+
+
+def sign(connect: str, key: AnyPath, *, remove: bool = False, progress: Tell | None = None) -> Answer:
+    """Give a vehicle the key in a file (made where there is none): from then on it takes only frames signed with it.
 
     remove: take it away again. The key crosses the link in the clear: use a cable. LinkError where the vehicle does not take it.
     """
+    from flighttest.api.answers import Answer
     from flighttest.pipeline.vehicles.signing import sign as give
 
-    return give(connect, Path(key), remove, Stages(progress)).document.verdict
+    result = give(connect, Path(key), remove, as_progress(progress))
+    return Answer(document=result.document, data=result.data, status=result.status)
 
 
-def doctor(connect: str | None = None) -> Checks:
-    """What is installed and reachable, and what to do about what is not. connect: URL of a vehicle to try as well; nothing is set."""
+def doctor(connect: str | None = None, *, signing_key: AnyPath | None = None) -> Checks:
+    """What is installed and reachable, and what to do about what is not. connect: URL of a vehicle to try as well; nothing is set.
+
+    signing_key: file with the key of MAVLink 2 signing.
+    """
     from flighttest.api.campaigns import Checks
     from flighttest.pipeline.info import doctor as look
 
-    result = look(connect)
+    result = look(connect, as_path(signing_key))
     return Checks(document=result.document, data=result.data, status=result.status)
 
 
@@ -131,16 +172,13 @@ def demo(
 ) -> Demonstrated:
     """A simulated vehicle conceals an effect (a slung load where none is given): find it, model it, and predict a flight that was not used.
 
-    out: new folder for the page and the runs. FitError where the flights were of no use.
+    out: new folder for the page and the runs.
     """
     from flighttest.api.campaigns import Demonstrated
-    from flighttest.errors import FitError
     from flighttest.pipeline import demo as workflow
 
     request = workflow.DemoRequest(Path(out), seed, tuple(hide) or workflow.HIDE, airframe)
-    result = workflow.demo(request, Stages(progress))
-    if result.data.get("format") != "demo/1":
-        raise FitError(result.document.verdict, "see the report in its run folder")
+    result = workflow.demo(request, as_progress(progress))
     page = Path(result.data["report"])
     return Demonstrated(document=result.document, data=result.data, status=result.status, page=page)
 
@@ -152,15 +190,16 @@ def prove(
     workers: int = 1,
     output: AnyPath | None = None,
     progress: Tell | None = None,
-    **options: Any,
+    **options: Unpack[ProofOptions],
 ) -> Proved:
     """Hide effects in simulated flights, diagnose them blind, and count what was found.
 
-    output: folder for the truths and the scoreboard. options: further fields of `proof.prove.Asked`, as kind="clean".
+    output: folder for the truths and the scoreboard. options: `flighttest.api.inputs.ProofOptions`, as
+    kind="clean".
     """
     from flighttest.api.campaigns import Proved
     from flighttest.proof.prove import Asked
     from flighttest.proof.proving import prove as proof
 
-    result = proof(Asked(trials, seed, workers=workers, **options), as_path(output), Stages(progress))
+    result = proof(Asked(trials, seed, workers=workers, **options), as_path(output), as_progress(progress))
     return Proved(document=result.document, data=result.data, status=result.status, outcomes=tuple(result.value))

@@ -7,58 +7,30 @@ where nothing can be estimated, LinkError and PreflightError for a vehicle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from os import PathLike
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from flighttest.errors import InputError
+from flighttest.api.inputs import (
+    AnyPath,
+    DiagnoseOptions,
+    FitOptions,
+    Source,
+    Tell,
+    as_model,
+    as_path,
+    as_progress,
+    as_sources,
+    paths_in,
+)  # fmt: skip
 from flighttest.recording.model import Recording
 
 if TYPE_CHECKING:
-    from flighttest.api.answers import Diagnosed, Fitted, Flown, Models, Planned, Responses, Validated, Validity
+    from flighttest.api.answers import Diagnosed, Fitted, Models, Planned, Responses, Validated, Validity
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.identify.fit import Fit
     from flighttest.physics.model import Model
-    from flighttest.pipeline.flights.run import FlightRequest
     from flighttest.pipeline.results import Result
     from flighttest.sim.simulation import Simulation
-
-AnyPath = str | PathLike[str]
-Source = str | PathLike[str] | Recording
-Tell = Callable[[str], object]
-
-
-class Stages:
-    """Progress that hands each stage's words to a function."""
-
-    def __init__(self, tell: Tell | None) -> None:
-        self._tell = tell
-
-    def stage(self, text: str) -> None:
-        """A new step begins."""
-        if self._tell is not None:
-            self._tell(text)
-
-    def part(self, done: float, of: float) -> None:
-        """So many pieces are done; a stage's words are all that is handed on."""
-
-    def flight(self, progress: Any) -> None:
-        """The flight went on; its words are in the stages."""
-
-
-def as_path(path: AnyPath | None) -> Path | None:
-    """A path, where one is given."""
-    return None if path is None else Path(path)
-
-
-def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
-    """One recording or several, as the pipeline takes them; InputError where there is none."""
-    given = [sources] if isinstance(sources, str | PathLike | Recording) else list(sources)
-    if not given:
-        raise InputError("no recording was given", "name a run folder, a log, or what `read` returned")
-    return [source if isinstance(source, Recording) else Path(source) for source in given]
 
 
 def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
@@ -72,12 +44,12 @@ def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
     return open_recording(Path(source), as_path(columns))
 
 
-def segment(*sources: Source, columns: AnyPath | None = None) -> Responses:
+def segment(*sources: Source, columns: AnyPath | None = None, progress: Tell | None = None) -> Responses:
     """Cut recordings into step responses and windows of free flight, each accepted, or rejected with its reason."""
     from flighttest.api.answers import Responses
     from flighttest.pipeline.identification import fitting as analysis
 
-    result = analysis.segment(as_sources(sources), as_path(columns))
+    result = analysis.segment(as_sources(sources), as_path(columns), as_progress(progress))
     return Responses(document=result.document, data=result.data, status=result.status, segments=tuple(result.value))
 
 
@@ -89,41 +61,36 @@ def fit(
     tie: Mapping[str, str] | None = None,
     columns: AnyPath | None = None,
     progress: Tell | None = None,
+    **options: Unpack[FitOptions],
 ) -> Fitted:
     """Estimate a model's parameters from one or several recordings, jointly.
 
     model: the paper's where none is given; add terms with `+`. vehicle: vehicle.yaml, for nominal voltage and components. freeze:
     parameters held at a value (T_d holds every delay); tie: parameter to the one it equals. progress: called with each stage's words.
-    FitError where no response can be used.
+    options: `flighttest.api.inputs.FitOptions`. FitError where no response can be used.
     """
     from flighttest.pipeline.identification import fitting as analysis
 
-    options = analysis.FitOptions(model=model, freeze=freeze or {}, tie=tie or {})
+    further = paths_in(options, "output")
+    output = further.pop("output", None)
+    asked = analysis.FitOptions(model=model, freeze=freeze or {}, tie=tie or {}, **further)
     result = analysis.fit(
         as_sources(sources),
+        output,
         columns=as_path(columns),
         vehicle=as_path(vehicle),
-        options=options,
-        progress=Stages(progress),
+        options=asked,
+        progress=as_progress(progress),
     )
     return _fitted(result)
 
 
 def _fitted(result: Result) -> Fitted:
     from flighttest.api.answers import Fitted
+    from flighttest.api.fitted_model import model_of
 
     model = model_of(result.value, {k: v for k, v in result.data.items() if k != "losses"})
     return Fitted(document=result.document, data=result.data, status=result.status, fit=result.value, model=model)
-
-
-def model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
-    """A fit as the model that later steps take. data: as model.yaml holds it."""
-    from flighttest.api.fitted_model import FittedModel
-    from flighttest.identify.models import model_file
-
-    stored = replace(model_file.from_fit(found), fingerprint=data["fingerprint"], fit_quality=data["fit_quality"])
-    stored = replace(stored, vehicle=data.get("vehicle") or {})
-    return FittedModel(stored, data)
 
 
 def read_model(path: AnyPath) -> FittedModel:
@@ -134,22 +101,30 @@ def read_model(path: AnyPath) -> FittedModel:
 
 
 def validate(
-    model: FittedModel | AnyPath,
+    model: FittedModel | AnyPath | None,
     *sources: Source,
     previous: FittedModel | AnyPath | None = None,
+    horizons_s: Sequence[float] = (),
+    output: AnyPath | None = None,
     columns: AnyPath | None = None,
+    runs: AnyPath = "runs",
+    progress: Tell | None = None,
 ) -> Validated:
     """Compare a model and its simplifications, run open loop on recorded commands, with flights it was not fitted to (paper, section 4).
 
-    previous: an earlier model to compare as well. FitError where no recording can be run open loop.
+    model: with None the first of several sources where that holds one, else the model in use in `runs` of the recorded vehicle. previous:
+    an earlier model to compare as well; horizons_s: times after each start at which errors are taken, s; output: HTML page to write.
+    FitError where no recording can be run open loop.
     """
     from flighttest.api.answers import Validated
-    from flighttest.api.fitted_model import fitted_model
     from flighttest.pipeline.identification.validation import Beside
     from flighttest.pipeline.identification.validation import validate as compare
 
-    earlier = None if previous is None else fitted_model(previous).stored
-    result = compare(fitted_model(model).stored, as_sources(sources), Beside(earlier), columns=as_path(columns))
+    beside = Beside(None if previous is None else as_model(previous), tuple(horizons_s))
+    result = compare(
+        None if model is None else as_model(model), as_sources(sources), beside, as_path(output), as_path(columns),
+        as_progress(progress), out=Path(runs),
+    )  # fmt: skip
     return Validated(document=result.document, data=result.data, status=result.status, validation=result.value)
 
 
@@ -159,23 +134,27 @@ def diagnose(
     vehicle: AnyPath | None = None,
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    weather: Sequence[str] = (),
     progress: Tell | None = None,
+    **options: Unpack[DiagnoseOptions],
 ) -> Diagnosed:
     """Say where simulation and recordings differ, what physics the model leaves out, and what to fly next.
 
     model: what to start from, one fitted to the recordings where none is given. output: folder for diagnosis.json, model.yaml,
-    report.html and, where one is due, next.yaml. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT.
+    report.html and, where one is due, next.yaml. options: `flighttest.api.inputs.DiagnoseOptions`, as weather=["still"].
     """
     from flighttest.api.answers import Diagnosed
-    from flighttest.api.fitted_model import fitted_model
+    from flighttest.api.fitted_model import model_of
     from flighttest.identify.models import model_file
     from flighttest.pipeline.diagnosis.diagnose import diagnose as search
     from flighttest.pipeline.recordings.sources import Reading
 
-    base = None if model is None else fitted_model(model).stored
-    reading = Reading(as_path(columns), weather=tuple(weather))
-    result = search(as_sources(sources), base, as_path(output), as_path(vehicle), reading, Stages(progress))
+    base = None if model is None else as_model(model)
+    further = paths_in(options)
+    accepting = further.pop("accept", False)
+    reading = Reading(as_path(columns), **further)
+    result = search(
+        as_sources(sources), base, as_path(output), as_path(vehicle), reading, as_progress(progress), accepting
+    )
     found = result.value.fit
     accepted = None if found is None else model_of(found, model_file.as_data(found))
     return Diagnosed(
@@ -189,21 +168,27 @@ def check_validity(
     vehicle: AnyPath | None = None,
     connect: str | None = None,
     runs: AnyPath = "runs",
+    output: AnyPath | None = None,
+    columns: AnyPath | None = None,
+    progress: Tell | None = None,
 ) -> Validity:
     """Does a stored model still hold for this vehicle: declared changes, its parameters today, and new recordings, possibly none.
 
     model: the vehicle's model in use in `runs` where none is given; vehicle: vehicle.yaml as it is today; connect: URL of the vehicle,
-    whose firmware and parameters are read, and nothing is set.
+    whose firmware and parameters are read, and nothing is set. output: folder for status.html and the scripts to fly.
     """
     from flighttest.api.answers import Validity
-    from flighttest.api.fitted_model import fitted_model
+    from flighttest.pipeline.recordings.sources import Reading, open_recordings
     from flighttest.pipeline.validity.status import status
     from flighttest.pipeline.vehicles.live import read as read_vehicle
 
-    stored = None if model is None else fitted_model(model).stored
-    present = None if connect is None else read_vehicle(connect)
-    given = as_sources(sources) if sources else []
-    result = status(given, as_path(vehicle), stored, Path(runs), present=present)
+    told = as_progress(progress)
+    present = None if connect is None else read_vehicle(connect, told)
+    given: Sequence[Path | Recording] = as_sources(sources) if sources else []
+    if columns is not None:
+        given = open_recordings(given, Reading(Path(columns)), told)
+    stored = None if model is None else as_model(model)
+    result = status(given, as_path(vehicle), stored, Path(runs), as_path(output), told, present)
     return Validity(document=result.document, data=result.data, status=result.status, currency=result.value)
 
 
@@ -234,62 +219,25 @@ def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "r
     )
 
 
-def plan(*scripts: AnyPath, vehicle: AnyPath | None = None, model: AnyPath | None = None) -> Planned:
+def plan(
+    *scripts: AnyPath,
+    vehicle: AnyPath | None = None,
+    model: AnyPath | None = None,
+    runs: AnyPath = "runs",
+    phases: bool = False,
+) -> Planned:
     """Compile maneuver scripts without a vehicle: steps, duration, battery, predicted envelope against the zone.
 
     scripts: paths, or names of shipped maneuvers; vehicle: vehicle.yaml, the built-in vehicle where none is given; model: model.yaml flown
-    through the scripts, else the paper's. ScriptError lists everything wrong with a script.
+    through the scripts, else the vehicle's in use in `runs`, else the paper's. phases: those of every leg, too. ScriptError lists
+    everything wrong with a script.
     """
     from flighttest.api.answers import Planned
     from flighttest.pipeline.planning.checking import check
-    from flighttest.plan import check as check_plan
 
-    result = check([str(script) for script in scripts], as_path(vehicle), as_path(model))
-    checks = tuple(check_plan(one) for one in result.value)
-    return Planned(
-        document=result.document, data=result.data, status=result.status, plans=tuple(result.value), checks=checks
-    )
-
-
-def fly(
-    *scripts: AnyPath,
-    connect: str = "sim",
-    vehicle: AnyPath | None = None,
-    out: AnyPath = "runs",
-    arm: bool = False,
-    hide: Iterable[str] = (),
-    seed: int = 1,
-    progress: Tell | None = None,
-    **options: Any,
-) -> Flown:
-    """Fly maneuver scripts and record them; nothing is fitted.
-
-    connect: URL of the vehicle; 'sim' is the built-in one. A real vehicle flies only with arm=True: set it when
-    the area is clear and a pilot is ready. hide: effects concealed in the built-in vehicle, as 'ground_effect:R2_m2=0.1'. options:
-    further fields of `pipeline.flights.run.FlightRequest`. LinkError, PreflightError; how a flight ended is an outcome, not an error.
-    """
-    from flighttest.api.answers import Flown
-    from flighttest.pipeline.flights import run as flights
-
-    request = flights.FlightRequest(
-        tuple(str(script) for script in scripts), vehicle=as_path(vehicle), connect=connect, out=Path(out), hide=tuple(hide), seed=seed,
-        fly_only=True, **options,
-    )  # fmt: skip
-    result = flights.run(flight_request(request, arm), Stages(progress))
-    folders = tuple(Path(run) for run in result.data["runs"])
-    return Flown(
-        document=result.document, data=result.data, status=result.status, runs=folders, flights=tuple(result.value)
-    )
-
-
-def flight_request(request: FlightRequest, arm: bool) -> FlightRequest:
-    """The request, with what a run that it resumes was flown with. InputError for a real vehicle that may not arm."""
-    from flighttest.pipeline.flights import run as flights
-
-    request = flights.as_before(request)
-    if flights.needs_consent(request) and not arm:
-        raise InputError(f"{request.connect} may be a real vehicle, which would arm and take off", "give arm=True")
-    return request
+    words = [str(script) for script in scripts]
+    result = check(words, as_path(vehicle), as_path(model), out=Path(runs), verbose=phases)
+    return Planned(document=result.document, data=result.data, status=result.status, plans=tuple(result.value))
 
 
 def simulate(

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
+import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.words import held, ties
-from flighttest.pipeline.results import check_writable
 
 RUNS = click.argument("runs", nargs=-1, required=True, type=ANY, metavar="RUN...")
 COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
@@ -22,11 +22,9 @@ COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for 
 @click.option("--vehicle", type=FILE, help="vehicle.yaml whose components and zone join the recording.")
 def import_(context: Context, log: Path, columns: Path | None, output: Path, vehicle: Path | None) -> int:
     """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap."""
-    from flighttest.pipeline.recordings import sources
-
     with LiveProgress(context.show) as progress:
-        result = sources.import_log(log, output, columns, vehicle, progress)
-    return context.finish(result)
+        answer = ft.import_log(log, output, columns=columns, vehicle=vehicle, progress=progress)
+    return context.finish(answer)
 
 
 @command("show")
@@ -41,11 +39,9 @@ def import_(context: Context, log: Path, columns: Path | None, output: Path, veh
 )
 def show(context: Context, log: Path, columns: Path | None, output: Path | None) -> int:
     """One page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
-    from flighttest.pipeline.identification import showing
-
     with LiveProgress(context.show) as progress:
-        result = showing.show(log, output, columns, progress)
-    return context.finish(result)
+        answer = ft.show(log, output, columns=columns, progress=progress)
+    return context.finish(answer)
 
 
 WEATHER = click.option(
@@ -61,11 +57,9 @@ WEATHER = click.option(
 @COLUMNS
 def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> int:
     """Cut recordings into step responses: each accepted, or rejected with its reason."""
-    from flighttest.pipeline.identification import fitting as analysis
-
     with LiveProgress(context.show) as progress:
-        result = analysis.segment(runs, columns, progress)
-    return context.finish(result)
+        answer = ft.segment(*runs, columns=columns, progress=progress)
+    return context.finish(answer)
 
 
 @command("fit")
@@ -97,14 +91,13 @@ def fit(
     scheduler: str | None,
 ) -> int:
     """Estimate the model's parameters from one or several recordings, jointly."""
-    from flighttest.pipeline.identification import fitting as analysis
-
-    options = analysis.FitOptions(
-        terms=terms, freeze=held(freeze), tie=ties(tie), weather=weather, workers=workers, scheduler=scheduler
-    )
+    held_at, tied = held(freeze), ties(tie)
     with LiveProgress(context.show) as progress:
-        result = analysis.fit(runs, output, columns, vehicle, options, progress)
-    return context.finish(result)
+        answer = ft.fit(
+            *runs, vehicle=vehicle, freeze=held_at, tie=tied, columns=columns, progress=progress, terms=terms, weather=weather,
+            workers=workers, scheduler=scheduler, output=output,
+        )  # fmt: skip
+    return context.finish(answer)
 
 
 @command("diagnose")
@@ -139,17 +132,18 @@ def diagnose(
     simulated: tuple[Path, ...],
 ) -> int:
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
-    from flighttest.pipeline.diagnosis import against
-    from flighttest.pipeline.diagnosis import diagnose as diagnosis
-    from flighttest.pipeline.recordings.sources import Reading
-
-    reading = Reading(columns, workers, weather=weather)
     with LiveProgress(context.show) as progress:
         if simulated:
-            result = against.against(runs, simulated, model, output, vehicle, reading, progress)
-            return context.finish(result)
-        result = diagnosis.diagnose(runs, model, output, vehicle, reading, progress, accept)
-    return context.finish(result)
+            opposed = ft.against(
+                runs, simulated, model=model, vehicle=vehicle, output=output, columns=columns, progress=progress, weather=weather,
+                workers=workers,
+            )  # fmt: skip
+            return context.finish(opposed)
+        answer = ft.diagnose(
+            *runs, model=model, vehicle=vehicle, output=output, columns=columns, progress=progress, weather=weather, workers=workers,
+            accept=accept,
+        )  # fmt: skip
+    return context.finish(answer)
 
 
 @command("report")
@@ -158,16 +152,9 @@ def diagnose(
 @click.option("--figures", type=FOLDER, metavar="DIR", help="Also write every picture as SVG with its numbers as CSV.")
 def report(context: Context, folder: Path, output: Path | None, figures: Path | None) -> int:
     """Write one self-contained HTML page about a run, or about what `diagnose -o` wrote."""
-    from flighttest.pipeline.identification import reporting
-    from flighttest.report.render.figure_files import write_figures
-
     with LiveProgress(context.show) as progress:
-        check_writable(figures)
-        result = reporting.report(folder, output, progress)
-        if figures is not None:
-            written = write_figures(result.value, figures)
-            progress.stage(f"{len(written) // 2} pictures written to {figures}")
-    return context.finish(result)
+        answer = ft.report(folder, output, figures=figures, progress=progress)
+    return context.finish(answer)
 
 
 COMMANDS: tuple[click.Command, ...] = (import_, show, segment, fit, diagnose, report)

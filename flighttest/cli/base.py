@@ -10,9 +10,9 @@ from typing import Any
 
 import click
 
+from flighttest import Answer, Status
 from flighttest.cli.show import Show
 from flighttest.errors import FlighttestError
-from flighttest.pipeline.results import Result, Status, check_writable
 from flighttest.report.tables import KINDS, write_tables
 
 EXIT = {Status.DONE: 0, Status.UNUSABLE: 1, Status.BAD_INPUT: 2, Status.UNEXPLAINED: 3, Status.STALE: 4}
@@ -41,8 +41,15 @@ class Context:
     show: Show
     tables: tuple[tuple[str, Path], ...] = ()  # kind of file, and the folder for the tables of the answer
 
-    def finish(self, result: Result) -> int:
-        """Show a result, write its tables where they were asked for, and give its exit code."""
+    def check_writable(self) -> None:
+        """InputError before any work where the tables could not be written after it."""
+        for _, folder in self.tables:
+            from flighttest.datafiles import check_writable  # a third of the time of what needs no YAML
+
+            check_writable(folder)
+
+    def finish(self, result: Answer) -> int:
+        """Show an answer, write its tables where they were asked for, and give its exit code."""
         self.show.result(result.document, result.data)
         for kind, folder in self.tables:
             written = write_tables(result.document, folder, kind)
@@ -84,8 +91,7 @@ def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
             asked = {kind: options.pop(kind) for kind in KINDS}
             context.tables = tuple((kind, folder) for kind, folder in asked.items() if folder is not None)
             try:
-                for _, folder in context.tables:
-                    check_writable(folder)
+                context.check_writable()
                 return function(context, **options)
             except FlighttestError as error:
                 error.hint = _as_typed(error.hint, options)

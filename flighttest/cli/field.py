@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import click
 
+import flighttest as ft
+from flighttest.api.flights import flight
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 
@@ -22,9 +24,7 @@ def check(
     context: Context, scripts: tuple[str, ...], vehicle: Path | None, model: Path | None, out: Path, verbose: bool
 ) -> int:
     """Compile scripts without a vehicle: plan, duration, battery, predicted envelope against the zone."""
-    from flighttest.pipeline.planning import checking
-
-    return context.finish(checking.check(scripts, vehicle, model, out=out, verbose=verbose))
+    return context.finish(ft.plan(*scripts, vehicle=vehicle, model=model, runs=out, phases=verbose))
 
 
 @command("run")
@@ -73,11 +73,11 @@ def run(
     out: Path,
     speed: float | None,
     seed: int,
-    airframe: str,
+    airframe: Literal["paper", "rotor"],
     hide: tuple[str, ...],
     model: Path | None,
     accept: bool,
-    only: str | None,
+    only: Literal["fly", "fit"] | None,
     resume: Path | None,
     set_params: bool,
     waive: tuple[str, ...],
@@ -92,39 +92,18 @@ def run(
     SCRIPT is a path or the name of a shipped maneuver. Without --vehicle or --connect it flies the built-in simulated
     copter; it never reaches for a real vehicle by default.
     """
-    from flighttest.pipeline.flights import run as flying
-
     if not scripts and resume is None:
         raise click.UsageError("nothing to fly: name a SCRIPT, or a run with --resume")
-    request = flying.FlightRequest(
-        scripts=scripts,
-        vehicle=vehicle,
-        connect=connect,
-        out=out,
-        speed=speed,
-        seed=seed,
-        airframe=airframe,
-        hide=hide,
-        model=model,
-        fly_only=only == "fly",
-        fit_only=only == "fit",
-        resume=resume,
-        set_params=set_params,
-        waive=waive,
-        weather=weather,
-        accept=accept,
-        signing_key=signing_key,
-        sysid=sysid,
-    )
-    request = flying.as_before(request)
-    context.show.say(flying.announce(request))
-    if not yes and flying.needs_consent(request):
-        if not sys.stdin.isatty():
-            raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
-        request = replace(request, confirm=context.show.ask)
+    asked = flight(
+        *scripts, connect=connect, vehicle=vehicle, out=out, hide=hide, seed=seed, speed=speed, airframe=airframe, model=model, only=only,
+        resume=resume, set_params=set_params, waive=waive, weather=weather, accept=accept, signing_key=signing_key, sysid=sysid,
+    )  # fmt: skip
+    context.show.say(asked.sentence)
+    if not yes and asked.real and not sys.stdin.isatty():
+        raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
     with LiveProgress(context.show, view=view) as progress:
-        result = flying.run(request, progress)
-    return context.finish(result)
+        answer = asked.fly(yes or context.show.ask, progress)
+    return context.finish(answer)
 
 
 @command("sim")
@@ -145,8 +124,8 @@ def run(
 )
 def sim(
     context: Context,
-    airframe: str,
-    backend: str,
+    airframe: Literal["paper", "rotor"],
+    backend: Literal["builtin", "sitl"],
     hide: tuple[str, ...],
     seed: int,
     port: int,
@@ -156,10 +135,18 @@ def sim(
     frame: Path | None,
 ) -> int:
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
-    from flighttest.pipeline.vehicles import simulator
-
-    asked = simulator.Served(airframe, backend, hide, seed, port, speed, lockstep, model, frame)
-    for said in simulator.serve(asked):
+    said_so_far = ft.serve(
+        airframe=airframe,
+        backend=backend,
+        hide=hide,
+        seed=seed,
+        port=port,
+        speed=speed,
+        lockstep=lockstep,
+        model=model,
+        frame=frame,
+    )
+    for said in said_so_far:
         if isinstance(said, str):
             context.show.say(said)
             continue
@@ -178,11 +165,9 @@ def sim(
 @click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
 def fetch_log(context: Context, connect: str, output: Path, log_id: int | None, signing_key: Path | None) -> int:
     """Download the onboard log over MAVLink into a run folder. Given again after a cut, it goes on where it stopped."""
-    from flighttest.pipeline.flights import fetching
-
     with LiveProgress(context.show) as progress:
-        result = fetching.fetch_log(connect, output, log_id, progress, signing_key)
-    return context.finish(result)
+        answer = ft.fetch_log(connect, output, number=log_id, signing_key=signing_key, progress=progress)
+    return context.finish(answer)
 
 
 @command("sign")
@@ -194,10 +179,8 @@ def sign(context: Context, key: Path, connect: str, remove: bool) -> int:
 
     The key crosses the link in the clear: use a cable.
     """
-    from flighttest.pipeline.vehicles import signing
-
     with LiveProgress(context.show) as progress:
-        return context.finish(signing.sign(connect, key, remove, progress))
+        return context.finish(ft.sign(connect, key, remove=remove, progress=progress))
 
 
 @command("demo")
@@ -207,16 +190,13 @@ def sign(context: Context, key: Path, connect: str, remove: bool) -> int:
 @click.option(
     "--out", type=FOLDER, default=Path("demo"), show_default=True, help="New folder for the page and the runs."
 )
-def demo(context: Context, hide: tuple[str, ...], seed: int, airframe: str, out: Path) -> int:
+def demo(context: Context, hide: tuple[str, ...], seed: int, airframe: Literal["paper", "rotor"], out: Path) -> int:
     """A simulated vehicle conceals an effect: find it, model it, and predict a flight that was not used.
 
     Two minutes, no vehicle needed. What was concealed is shown last.
     """
-    from flighttest.pipeline import demo as demos
-
-    request = demos.DemoRequest(out, seed, hide or demos.HIDE, airframe)
     with LiveProgress(context.show) as progress:
-        return context.finish(demos.demo(request, progress))
+        return context.finish(ft.demo(out, hide=hide, seed=seed, airframe=airframe, progress=progress))
 
 
 COMMANDS: tuple[click.Command, ...] = (demo, check, run, sim, fetch_log, sign)

@@ -32,7 +32,7 @@ _OUTPUT_CLOSED = (OSError, SystemExit)
 
 
 class LiveProgress:
-    """Implements `pipeline.results.Progress`. Use as a context manager, so that the terminal is left as it was.
+    """Implements `flighttest.Progress`. Use as a context manager, so that the terminal is left as it was.
 
     clock: seconds; durations: of earlier stages; both injected by tests. view: normal, or large to be read from afar.
     """

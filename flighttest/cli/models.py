@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.words import seconds
@@ -36,19 +37,18 @@ def validate(
     MODEL is a model file, or the first of several folders where it holds a model. Without one the model in use of the recorded vehicle is
     taken.
     """
-    from flighttest.pipeline.identification import validation
-
     with LiveProgress(context.show) as progress:
-        result = validation.validate(
+        answer = ft.validate(
             None,
-            paths,
-            validation.Beside(previous, seconds(horizons)),
-            output,
-            columns,
-            progress,
-            out=out,
+            *paths,
+            previous=previous,
+            horizons_s=seconds(horizons),
+            output=output,
+            columns=columns,
+            runs=out,
+            progress=progress,
         )
-    return context.finish(result)
+    return context.finish(answer)
 
 
 @command("accept")
@@ -57,18 +57,14 @@ def validate(
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where accepted models are kept.")
 def accept(context: Context, folder: Path, vehicle: Path | None, out: Path) -> int:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use."""
-    from flighttest.pipeline.store import models
-
-    return context.finish(models.accept(folder, out, vehicle))
+    return context.finish(ft.accept(folder, vehicle=vehicle, runs=out))
 
 
 @command("models")
 @click.argument("folder", type=FOLDER, default=Path("runs"), metavar="[DIR]")
 def models(context: Context, folder: Path) -> int:
     """The vehicles' models: which flights, which terms joined when, which change ended each."""
-    from flighttest.pipeline.store import models as lineage
-
-    return context.finish(lineage.models(folder))
+    return context.finish(ft.models(folder))
 
 
 @command("status")
@@ -92,15 +88,18 @@ def status(
     output: Path | None,
 ) -> int:
     """Current, stale or unknown: does the model still hold for this vehicle, and what must be flown again."""
-    from flighttest.pipeline.recordings.sources import Reading, open_recordings
-    from flighttest.pipeline.validity import status as validity
-    from flighttest.pipeline.vehicles import live
-
     with LiveProgress(context.show) as progress:
-        present = live.read(connect, progress) if connect is not None else None
-        recordings = open_recordings(runs, Reading(columns), progress) if columns is not None else runs
-        result = validity.status(recordings, vehicle, model, out, output, progress, present)
-    return context.finish(result)
+        answer = ft.check_validity(
+            *runs,
+            model=model,
+            vehicle=vehicle,
+            connect=connect,
+            runs=out,
+            output=output,
+            columns=columns,
+            progress=progress,
+        )
+    return context.finish(answer)
 
 
 @command("compare")
@@ -108,11 +107,9 @@ def status(
 @click.argument("second", type=ANY)
 def compare(context: Context, first: Path, second: Path) -> int:
     """Compare two models or two runs: z-scores per parameter, and which differ."""
-    from flighttest.pipeline.identification import comparison
-
     with LiveProgress(context.show) as progress:
-        result = comparison.compare(first, second, progress)
-    return context.finish(result)
+        answer = ft.compare(first, second, progress=progress)
+    return context.finish(answer)
 
 
 @command("export")
@@ -127,10 +124,7 @@ def export(context: Context, model: Path | None, kind: str, output: Path, vehicl
 
     MODEL is a model file or a folder that holds one; without it the vehicle's model in use is taken.
     """
-    from flighttest.pipeline.identification import exporting
-    from flighttest.pipeline.store.models import named_or_in_use
-
-    return context.finish(exporting.export(named_or_in_use(model, out, vehicle), kind, output))
+    return context.finish(ft.export(model, kind, output, vehicle=vehicle, runs=out))
 
 
 COMMANDS: tuple[click.Command, ...] = (validate, accept, models, status, compare, export)

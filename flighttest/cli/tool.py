@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import click
 
+import flighttest as ft
 from flighttest.cli.base import FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
-
-if TYPE_CHECKING:
-    from flighttest.proof.cases import Generator, Kind
 
 
 @command("prove")
@@ -34,8 +32,8 @@ if TYPE_CHECKING:
 def prove(
     context: Context,
     trials: int,
-    generator: Generator,
-    kind: Kind | None,
+    generator: Literal["rotor", "sitl"],
+    kind: Literal["clean", "single", "pair", "outside"] | None,
     clean: int,
     seed: int | None,
     workers: int,
@@ -43,22 +41,19 @@ def prove(
     output: Path | None,
 ) -> int:
     """Hide effects in simulated flights, diagnose them blind, and print the scoreboard."""
-    from flighttest.proof import proving
-    from flighttest.proof.prove import Asked
-
-    asked = Asked(trials, seed, generator, kind, clean, workers, scheduler)
     with LiveProgress(context.show) as progress:
-        result = proving.prove(asked, output, progress)
-    return context.finish(result)
+        answer = ft.prove(
+            trials, seed=seed, workers=workers, output=output, progress=progress, generator=generator, kind=kind, clean=clean,
+            scheduler=scheduler,
+        )  # fmt: skip
+    return context.finish(answer)
 
 
 @command("terms")
 @click.argument("ids", nargs=-1, metavar="[ID...]")
 def terms(context: Context, ids: tuple[str, ...]) -> int:
     """The catalogue of physics: what each term is, what it hides in, and which maneuver shows it."""
-    from flighttest.pipeline import info
-
-    return context.finish(info.terms(ids))
+    return context.finish(ft.terms.describe(*ids))
 
 
 @command("runs")
@@ -68,9 +63,7 @@ def terms(context: Context, ids: tuple[str, ...]) -> int:
 )
 def runs(context: Context, folder: Path, html: bool) -> int:
     """The runs on this machine: when, which script and vehicle, how they ended, what was fitted."""
-    from flighttest.pipeline.store import table
-
-    return context.finish(table.history(folder, page=html))
+    return context.finish(ft.runs(folder, page=html))
 
 
 @command("doctor")
@@ -78,9 +71,7 @@ def runs(context: Context, folder: Path, html: bool) -> int:
 @click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
 def doctor(context: Context, connect: str | None, signing_key: Path | None) -> int:
     """What is installed and reachable, and what to do about what is not."""
-    from flighttest.pipeline import info
-
-    return context.finish(info.doctor(connect, signing_key))
+    return context.finish(ft.doctor(connect, signing_key=signing_key))
 
 
 COMMANDS: tuple[click.Command, ...] = (prove, terms, runs, doctor)

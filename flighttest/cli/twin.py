@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
+import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 
@@ -53,7 +55,7 @@ def twin(
     replayed: tuple[Path, ...],
     changes: tuple[str, ...],
     offline: bool,
-    backend: str,
+    backend: Literal["builtin", "sitl"],
     seed: int,
     columns: Path | None,
     output: Path | None,
@@ -62,8 +64,6 @@ def twin(
 
     `flighttest sim --model MODEL` lets it fly for any ground station.
     """
-    from flighttest.pipeline import twin as twins
-
     if bool(verified) == bool(replayed):
         raise click.UsageError("give either --verify RUN... or --replay RUN...")
     if backend == "sitl" and replayed:
@@ -72,10 +72,19 @@ def twin(
         raise click.UsageError("--set changes the vehicle of a --replay")
     with LiveProgress(context.show) as progress:
         if replayed:
-            return context.finish(twins.replay(model, replayed, changes, output, columns, progress))
-        flying = twins.Flying(offline, backend == "sitl", seed)
-        result = twins.verify(model, verified, output, flying=flying, columns=columns, progress=progress)
-    return context.finish(result)
+            replay = ft.replay(model, *replayed, changes=changes, output=output, columns=columns, progress=progress)
+            return context.finish(replay)
+        answer = ft.twin(
+            model,
+            *verified,
+            offline=offline,
+            backend=backend,
+            seed=seed,
+            output=output,
+            columns=columns,
+            progress=progress,
+        )
+    return context.finish(answer)
 
 
 COMMANDS: tuple[click.Command, ...] = (twin,)

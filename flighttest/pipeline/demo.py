@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.datafiles import check_writable
 from flighttest.diagnose.against import predicted
 from flighttest.diagnose.model import short
 from flighttest.identify.models import model_file
@@ -22,7 +23,7 @@ from flighttest.pipeline.flights.run import FlightRequest, run
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.sources import open_recordings
-from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.history import FIT_NAME
 from flighttest.pipeline.vehicles.live import BUILTIN
 from flighttest.pipeline.vehicles.simulator import options

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
-from flighttest.errors import InputError
 from flighttest.report.document import Document
 
 
@@ -33,19 +30,7 @@ class Result:
     value: Any = field(default=None, repr=False)
 
 
-def check_writable(folder: Path | None) -> None:
-    """InputError before any work where nothing could be written after it into a folder, which may have to be made then."""
-    if folder is None:
-        return
-    nearest = next(p for p in (folder, *folder.parents) if p.exists())
-    try:
-        tempfile.TemporaryFile(dir=nearest).close()
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be written ({error.strerror})", "name a folder that can be written"
-        ) from error
-
-
+@runtime_checkable
 class Progress(Protocol):
     """Whoever wants to know how far it is: `cli` draws it, tests collect it, `SILENT` drops it."""
 

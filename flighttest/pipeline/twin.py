@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flighttest.datafiles import check_writable
 from flighttest.diagnose import Diagnosis
 from flighttest.diagnose.against import (
     Difference,
@@ -38,7 +39,7 @@ from flighttest.pipeline.planning.replanning import ScriptReplanner
 from flighttest.pipeline.recordings.consistency import once
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
-from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import VEHICLE_NAME, flown_with
 from flighttest.report.document import Document
 from flighttest.report.numbers import paths

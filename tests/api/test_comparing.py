@@ -2,6 +2,7 @@
 
 import copy
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_a_log_becomes_a_run_and_is_listed(log_file, tmp_path, capsys):
     found = ft.runs(tmp_path / "runs")
     assert list(found.to_frame().index) == [made.run.name]
     assert json.loads(json.dumps(found.data)) == printed(capsys, "runs", tmp_path / "runs")
-    page = ft.report(made.run)
+    page = Path(ft.report(made.run))
     assert page == made.run / "report.html"
     assert page.stat().st_size > 1_000_000
     assert len(ft.runs(tmp_path / "runs").plot().data) > 0

@@ -4,6 +4,8 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
+import venv
 import zipfile
 
 import pytest
@@ -54,3 +56,41 @@ def test_a_shipped_script_is_found_from_any_folder(unpacked, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(unpacked / "flighttest/data/maneuvers/thrust.yaml")
+
+
+@pytest.fixture(scope="module")
+def check_types(unpacked, tmp_path_factory):
+    """`mypy --strict` of a script in an environment where the wheel is installed, as text; "" where nothing is wrong."""
+    home = tmp_path_factory.mktemp("user")
+    venv.create(home / "venv", with_pip=False)
+    (site,) = (home / "venv").glob("lib/python*/site-packages")
+    shutil.copytree(unpacked / "flighttest", site / "flighttest")
+    (site / "the_rest.pth").write_text(sysconfig.get_path("purelib"))  # the libraries it needs
+
+    def check(script: str) -> str:
+        (home / "user_script.py").write_text(script)
+        python = home / "venv" / "bin" / "python"
+        command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--python-executable", str(python)]
+        clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "MYPYPATH")}
+        done = subprocess.run(
+            [*command, "user_script.py"], cwd=home, env=clean, capture_output=True, text=True, check=False
+        )
+        return "" if done.returncode == 0 else done.stdout + done.stderr
+
+    return check
+
+
+def test_a_users_script_passes_strict_type_checking_against_the_wheel(repository, check_types):
+    assert check_types((repository / "tests" / "conventions" / "user_script.py").read_text()) == ""
+
+
+def test_type_checking_sees_a_users_mistakes(check_types):
+    lines = {
+        "ft.fitt('flight.BIN')": 'has no attribute "fitt"',
+        "ft.fit('flight.BIN', trems=['ground_effect'])": 'Unexpected keyword argument "trems" for "fit"',
+        "ft.fly('thrust', sped=2.0)": 'Unexpected keyword argument "sped" for "fly"',
+        "ft.run('thrust', only='flight')": 'Argument "only" to "run" has incompatible type',
+        "ft.read('flight.BIN').nonsense()": '"Recording" has no attribute "nonsense"',
+    }
+    said = check_types("\n".join(["import flighttest as ft", "", *lines]))
+    assert [complaint for complaint in lines.values() if complaint not in said] == []

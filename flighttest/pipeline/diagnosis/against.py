@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from flighttest.datafiles import check_writable
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose.against import Against, Difference, Kind, compare, step_by_step
 from flighttest.errors import InputError
@@ -17,7 +18,7 @@ from flighttest.pipeline.identification.fitting import cut_all, model_data
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.consistency import once
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
-from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import paths

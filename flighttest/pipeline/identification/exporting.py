@@ -7,10 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from flighttest.datafiles import check_writable
 from flighttest.identify.models import model_file
 from flighttest.identify.models.export import export as write_export
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.pipeline.results import Result, check_writable
+from flighttest.pipeline.results import Result
 from flighttest.report.document import Bullets, Document, Section, Table
 from flighttest.report.numbers import join, number
 

@@ -10,6 +10,7 @@ from typing import Any
 from flighttest.currency import alike
 from flighttest.currency.discrepancy import measured
 from flighttest.currency.hover import hover
+from flighttest.datafiles import check_writable
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
 from flighttest.identify.fit import Fit, has_attitude_references
@@ -28,7 +29,7 @@ from flighttest.pipeline.recordings.consistency import doubts, once
 from flighttest.pipeline.recordings.fingerprints import of_recordings
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
-from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.identities import identity_of
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone

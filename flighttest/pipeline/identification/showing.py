@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.datafiles import check_writable
 from flighttest.errors import FlighttestError
 from flighttest.identify.dead_time import onset_delay, start_values
 from flighttest.identify.diagnostics.identifiability import allowance, maneuver_for, throttle_varies, voltage_varies
@@ -22,7 +23,7 @@ from flighttest.pipeline.identification.reporting import provenance
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.pipeline.recordings.sources import open_recording, untold
 from flighttest.pipeline.recordings.time_budget import time_section
-from flighttest.pipeline.results import SILENT, Progress, Result, check_writable
+from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import duration, join, number

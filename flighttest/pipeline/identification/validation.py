@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from flighttest.datafiles import check_writable
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
@@ -15,7 +16,7 @@ from flighttest.identify.validation.validate import validate as compare_models
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
-from flighttest.pipeline.results import SILENT, Progress, Result, Status, check_writable
+from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.history import DEFAULT_RUNS, check_runs
 from flighttest.pipeline.store.identities import whose
 from flighttest.pipeline.store.lineage import in_use

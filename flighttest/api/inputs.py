@@ -1,0 +1,139 @@
+"""What verbs take: paths, recordings, models as files or values, whoever is told how far it is, and the further options of each, typed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
+
+from flighttest.errors import InputError
+from flighttest.pipeline.results import Progress
+from flighttest.recording.model import Recording
+
+if TYPE_CHECKING:
+    from flighttest.api.fitted_model import FittedModel
+    from flighttest.identify.models.model_file import ModelFile
+
+AnyPath = str | PathLike[str]
+Source = str | PathLike[str] | Recording
+Tell = Callable[[str], object] | Progress
+
+
+class Stages:
+    """Progress that hands each stage's words to a function."""
+
+    def __init__(self, tell: Callable[[str], object] | None) -> None:
+        self._tell = tell
+
+    def stage(self, text: str) -> None:
+        """A new step begins."""
+        if self._tell is not None:
+            self._tell(text)
+
+    def part(self, done: float, of: float) -> None:
+        """So many pieces are done; a stage's words are all that is handed on."""
+
+    def flight(self, progress: Any) -> None:
+        """The flight went on; its words are in the stages."""
+
+
+def as_progress(tell: Tell | None) -> Progress:
+    """Whoever is told: a function gets each stage's words, an object of `Progress` everything."""
+    return tell if isinstance(tell, Progress) else Stages(tell)
+
+
+def as_path(path: AnyPath | None) -> Path | None:
+    """A path, where one is given."""
+    return None if path is None else Path(path)
+
+
+def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
+    """One recording or several, as the pipeline takes them; InputError where there is none."""
+    given = [sources] if isinstance(sources, str | PathLike | Recording) else list(sources)
+    if not given:
+        raise InputError("no recording was given", "name a run folder, a log, or what `read` returned")
+    return [source if isinstance(source, Recording) else Path(source) for source in given]
+
+
+def as_model(model: FittedModel | AnyPath) -> Path | ModelFile:
+    """A model as the pipeline takes it: its file, or what is in it."""
+    return Path(model) if isinstance(model, str | PathLike) else model.stored
+
+
+class ReadingOptions(TypedDict, total=False):
+    """How recordings are read. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT: a prior for their winds. workers:
+    processes of this machine."""
+
+    weather: Sequence[str]
+    workers: int
+
+
+class FitOptions(ReadingOptions, total=False):
+    """Further options of `fit`. terms: ids beside those of `model`; scheduler: an existing Dask cluster, tcp://...; output: model.yaml to
+    write."""
+
+    terms: Sequence[str]
+    scheduler: str | None
+    output: AnyPath | None
+
+
+class DiagnoseOptions(ReadingOptions, total=False):
+    """Further options of `diagnose`. accept: make the improved model the vehicle's in use."""
+
+    accept: bool
+
+
+class FlightOptions(TypedDict, total=False):
+    """Further options of `fly`. speed: of the built-in vehicle, times real time; airframe: the built-in vehicle's; resume: folder of an
+    interrupted run whose missing steps are flown; set_params: set what the preflight asks for, and restore it; waive: names of
+    preflight checks; weather: kept with the run; signing_key: file with the key of MAVLink 2 signing; sysid: our own MAVLink system id."""
+
+    speed: float | None
+    airframe: Literal["paper", "rotor"]
+    resume: AnyPath | None
+    set_params: bool
+    waive: Sequence[str]
+    weather: str
+    signing_key: AnyPath | None
+    sysid: int | None
+
+
+class CampaignOptions(FlightOptions, total=False):
+    """Further options of `run`. model: to compare with, else the vehicle's in use; accept: make the improved model the vehicle's in use;
+    only: 'fly' stops after recording, 'fit' after the fit."""
+
+    model: AnyPath | None
+    accept: bool
+    only: Literal["fly", "fit"] | None
+
+
+class ProofOptions(TypedDict, total=False):
+    """Further options of `prove`. generator: what flies; kind: only trials that hide nothing, one effect, two, or one that no term of the
+    catalogue describes; clean: draw on until so many trials hide nothing; scheduler: an existing Dask cluster, tcp://..."""
+
+    generator: Literal["rotor", "sitl"]
+    kind: Literal["clean", "single", "pair", "outside"] | None
+    clean: int
+    scheduler: str | None
+
+
+class ServeOptions(TypedDict, total=False):
+    """Further options of `serve`. backend: the built-in autopilot, or ArduPilot's SITL; model: flies instead of an airframe; frame: with
+    the SITL, the folder that an export to ArduPilot wrote; lockstep: wait for the client's clock."""
+
+    airframe: Literal["paper", "rotor"]
+    backend: Literal["builtin", "sitl"]
+    hide: Sequence[str]
+    seed: int
+    port: int
+    speed: float
+    lockstep: bool
+    model: AnyPath | None
+    frame: AnyPath | None
+
+
+def paths_in(options: Mapping[str, object], *names: str) -> Any:
+    """Options with those of these names, where they are given, as paths, and sequences as tuples."""
+    found: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
+    return found | {name: as_path(found[name]) for name in names if name in found}
