@@ -16,8 +16,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from flighttest.pipeline.identification import comparison as keeping
 from flighttest.pipeline.identification import fitting as analysis
+from flighttest.pipeline.validity.status import status
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 UNDAMAGED = "normal_flight"
@@ -56,7 +56,7 @@ def measured() -> str:
         analysis.fit(sorted((folder / UNDAMAGED).iterdir()), model)
         for one in sorted(p for p in folder.iterdir() if p.is_dir()):
             runs = tuple(sorted(one.iterdir()))
-            found = keeping.status(runs, None, model, Path(scratch) / "runs", None)
+            found = status(runs, None, model, Path(scratch) / "runs", None)
             lines.append(row(one.name, len(runs), dict(found.data)))
             print(lines[-1], file=sys.stderr)
     return "\n".join(lines) + "\n"

@@ -54,9 +54,9 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "flight/execution/supervisor.py": (*ABORT, *GATE),
     "currency/compare.py": ("tests/currency",),
     "currency/battery.py": ("tests/currency",),
-    "currency/sequence.py": ("tests/currency",),
-    "currency/discrepancy.py": ("tests/currency",),
-    "currency/alike.py": ("tests/currency",),
+    "currency/cusum.py": ("tests/currency",),
+    "currency/between_campaigns.py": ("tests/currency",),
+    "currency/matched_pair.py": ("tests/currency",),
 }
 # Of these a factor of two changes the time taken, a resolution far below what matters, or a picture, and no answer.
 NO_DECISION = {
@@ -70,7 +70,7 @@ NO_DECISION = {
     "estimation/weighing.py": ("LARGEST", "RIDGE", "NOISE_STEPS", "NOISE_TOLERANCE"),
     "flight/gate.py": ("EPSILON",),
     "currency/compare.py": ("MANY",),
-    "currency/alike.py": ("ROUNDS", "STILL"),
+    "currency/matched_pair.py": ("ROUNDS", "STILL"),
 }
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from flighttest.currency.battery import check
 from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
+from flighttest.currency.cusum import drifts
 from flighttest.currency.declared import declared_changes, same_parts, scripts_for
 from flighttest.currency.hover import NAME, Hover, hover_test
-from flighttest.currency.matters import matters
+from flighttest.currency.impact import impact_of
 from flighttest.currency.model import (
     ALL_SCRIPTS,
     SUBSETS,
@@ -21,7 +22,6 @@ from flighttest.currency.model import (
     SubsetTest,
     Verdict,
 )
-from flighttest.currency.sequence import drifts
 from flighttest.vehicle.fingerprint import FingerprintData
 
 SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
@@ -117,7 +117,7 @@ def assess(
         tests=tests,
         drifts=drift,
         battery=checked,
-        matters=matters(changes, alarms),
+        matters=impact_of(changes, alarms),
         fly=fly,
         fly_narrow=narrow,
         could_also_be=_rivals(alarms),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.currency.discrepancy import DELAY_STD_S, prior
+from flighttest.currency.between_campaigns import DELAY_STD_S, prior
 from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
 from flighttest.estimation.uncertainty.distributions import beyond, fisher_beyond, quantile
 from flighttest.identify import mass

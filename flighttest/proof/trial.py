@@ -17,7 +17,7 @@ from flighttest.identify.fit import fit
 from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from flighttest.proof import oracle
-from flighttest.proof.alike import ALIKE
+from flighttest.proof.aliased import ALIASED
 from flighttest.proof.cases import Case
 from flighttest.proof.flying import fly_campaign, options_of
 from flighttest.proof.outcome import Outcome, judged
@@ -74,7 +74,7 @@ def measure(case: Case, recorded: Sequence[Segment]) -> Measured:
     return Measured(
         {e: oracle.size_in_floors(left, noise) for e, left in effects.items()},
         {e: oracle.force_left(left) for e, left in effects.items()},
-        {e: ALIKE.get(e, (e,)) for e in effects},
+        {e: ALIASED.get(e, (e,)) for e in effects},
     )
 
 

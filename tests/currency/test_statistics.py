@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from flighttest.currency import battery, compare, sequence
+from flighttest.currency import battery, compare, cusum
 from flighttest.currency.assess import Evidence, assess
+from flighttest.currency.between_campaigns import measured, prior
 from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests
-from flighttest.currency.discrepancy import measured, prior
 from flighttest.currency.hover import hover, hover_test
 from flighttest.currency.model import Verdict
 from flighttest.estimation.weighing import Normal
@@ -91,16 +91,16 @@ def test_thrust_or_mass_is_one_answer_unless_drag_is_known():
 
 def test_run_length_is_the_textbooks():
     # Montgomery, Introduction to Statistical Quality Control: two-sided, k = 0.5, h = 5: 465; h = 4: 168.
-    assert sequence.mean_run_length(0.5, 5.0) == pytest.approx(465, rel=0.03)
-    assert sequence.mean_run_length(0.5, 4.0) == pytest.approx(168, rel=0.03)
+    assert cusum.mean_run_length(0.5, 5.0) == pytest.approx(465, rel=0.03)
+    assert cusum.mean_run_length(0.5, 4.0) == pytest.approx(168, rel=0.03)
 
 
 def test_slow_drift_is_caught_and_no_drift_is_not():
     rng = np.random.default_rng(5)
     still = [campaign(rng, f"run{i}") for i in range(20)]
-    assert sum(bool(d.crossed_at) for d in sequence.drifts(campaign(rng), still)) <= 1
+    assert sum(bool(d.crossed_at) for d in cusum.drifts(campaign(rng), still)) <= 1
     worn = [campaign(rng, f"run{i}", changed(K=1 - 0.005 * i)) for i in range(20)]
-    drift = next(d for d in sequence.drifts(campaign(rng), worn) if d.parameter == "K")
+    drift = next(d for d in cusum.drifts(campaign(rng), worn) if d.parameter == "K")
     assert drift.crossed_at
     assert drift.excursion < 0
 
@@ -136,7 +136,7 @@ def test_all_parameters_together_raise_as_few_false_alarms_as_stated():
     crossed = 0
     for _ in range(40):
         runs = [campaign(rng, f"run{i}") for i in range(20)]
-        crossed += any(d.crossed_at for d in sequence.drifts(campaign(rng), runs))
+        crossed += any(d.crossed_at for d in cusum.drifts(campaign(rng), runs))
     assert crossed <= 10, "stated: one in 200 runs, four in 800"
 
 

@@ -1,4 +1,4 @@
-"""Cross-checks of a fit: the paper's alternation, residual tests, expected errors of a script."""
+"""Cross-checks of a fit: the paper's block coordinate descent, residual tests, expected errors of a script."""
 
 import numpy as np
 import pytest
@@ -7,21 +7,21 @@ from flighttest.estimation.problem import Noise
 from flighttest.identify.diagnostics.residuals import residual_tests
 from flighttest.identify.expected_information import ASSUMED, expected_of
 from flighttest.identify.fit import fit
-from flighttest.identify.validation.block_coordinate_descent import alternation
+from flighttest.identify.validation.block_coordinate_descent import block_coordinate_descent
 from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from tests.identify.campaign import QUIET, TRUTH, campaign
 
 
-def test_the_papers_alternation_finds_the_same_thrust_and_drag(found):
-    result = alternation(found)
+def test_the_papers_descent_finds_the_same_thrust_and_drag(found):
+    result = block_coordinate_descent(found)
     assert result.settled
     for name, value in result.values.items():
         assert value == pytest.approx(TRUTH[name], rel=0.06), name
 
 
-def test_the_alternation_needs_both_halves(flown):
-    assert alternation(fit([s for s in flown if s.kind == "throttle_step"])) is None
+def test_the_descent_needs_both_halves(flown):
+    assert block_coordinate_descent(fit([s for s in flown if s.kind == "throttle_step"])) is None
 
 
 def test_residuals_of_the_right_model_do_not_follow_the_commands(found):
@@ -79,10 +79,10 @@ def few_of(segments, pick):
 
 
 @pytest.mark.parametrize("seed", [5, 9])
-def test_few_responses_of_the_right_model_do_not_make_the_alternation_differ(seed):
+def test_few_responses_of_the_right_model_do_not_make_the_descent_differ(seed):
     spot = few_of(campaign(seed), seed)
     assert len(spot) == 10
-    assert alternation(fit(spot)).differs == ()
+    assert block_coordinate_descent(fit(spot)).differs == ()
 
 
 def test_throttle_and_tilt_steps_of_different_vehicles_are_told_apart():
@@ -92,6 +92,6 @@ def test_throttle_and_tilt_steps_of_different_vehicles_are_told_apart():
         for s in campaign(2, truth={**TRUTH, "sigma_t": 12.0, "d_x": 0.7, "d_y": 0.7, "K": 80.0})
         if s.kind != "throttle_step"
     ]
-    result = alternation(fit([*throttle, *tilt]))
+    result = block_coordinate_descent(fit([*throttle, *tilt]))
     assert "K" in result.differs or "d_z" in result.differs, result.z
     assert "do not agree on one model" in result.sentence

@@ -10,7 +10,7 @@ from flighttest.errors import InputError
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline.store import history, lineage
-from flighttest.pipeline.store.history import Campaign, campaigns, standing, watched
+from flighttest.pipeline.store.history import Campaign, campaigns, reference_model, watched
 
 NAMES = ("omega_phi", "sigma_r", "K", "alpha")
 VALUES = {"omega_phi": 25.0, "sigma_r": 21.0, "K": 54.0, "alpha": 1.7}
@@ -46,12 +46,12 @@ def campaign(name, **options):
     ],
 )
 def test_what_takes_the_place_of_a_model(second, kept):
-    found = standing([campaign("first"), campaign("second", runs=("b",), **second)])
+    found = reference_model([campaign("first"), campaign("second", runs=("b",), **second)])
     assert found.folder.name == kept
 
 
 def test_nothing_flown_nothing_stands():
-    assert standing([]) is None
+    assert reference_model([]) is None
 
 
 def test_what_came_out_sharply_is_compared_though_two_responses_cannot_say_how_sharply():
@@ -80,7 +80,7 @@ def test_unidentified_parameters_do_not_count():
     first = campaign("first")
     weak = {**first.model.parameters, "alpha": replace(first.model.parameters["alpha"], identifiable=False)}
     second = Campaign(Path("second"), replace(first.model, parameters=weak, runs=("b",)))
-    assert standing([first, second]).folder.name == "first"
+    assert reference_model([first, second]).folder.name == "first"
 
 
 def test_of_several_vehicles_in_a_folder_the_model_is_of_the_one_asked_about(tmp_path, monkeypatch):

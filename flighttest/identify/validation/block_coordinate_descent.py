@@ -21,13 +21,13 @@ PI_3 = ("sigma_t", "K", "alpha")
 PI_4 = ("d_x", "d_y", "d_z")
 ROUNDS = 12
 TOLERANCE = 1e-3
-# The two estimates differ for a reason when beyond both. The alternation takes noisy initial states at their word and errs more.
+# The two estimates differ for a reason when beyond both. The descent takes noisy initial states at their word and errs more.
 FAR_STDS, FAR_SHARE = 4.0, 0.05
 
 
 @dataclass(frozen=True)
-class Alternation:
-    """values: Pi_3 and Pi_4 as the alternation ends; rounds; z: distance from the joint estimate in standard errors of both together;
+class BlockDescent:
+    """values: Pi_3 and Pi_4 as the descent ends; rounds; z: distance from the joint estimate in standard errors of both together;
     differs: names that do."""
 
     values: Mapping[str, float]
@@ -38,7 +38,7 @@ class Alternation:
     sentence: str
 
 
-def alternation(found: Fit) -> Alternation | None:
+def block_coordinate_descent(found: Fit) -> BlockDescent | None:
     """Run it from the joint estimate's delays; None where either half has no responses, the model has no drag, or a half of it
     diverges."""
     problem = found.problem
@@ -79,19 +79,19 @@ def alternation(found: Fit) -> Alternation | None:
     if far:
         numbers = ", ".join(f"{n} = {values[n]:.3g} (joint {found.values[n]:.3g})" for n in far)
         sentence = (
-            f"the paper's alternation gives {numbers}: throttle steps and tilt steps do not agree on one model, so that it misses "
-            "something they do not share; `flighttest diagnose` says what"
+            f"the paper's block coordinate descent gives {numbers}: throttle steps and tilt steps do not agree on one model, so that it "
+            "misses something they do not share; `flighttest diagnose` says what"
         )
     else:
-        sentence = f"the paper's alternation {ended} and agrees with the joint estimate"
-    return Alternation({n: values[n] for n in names}, rounds, settled, z, tuple(far), sentence)
+        sentence = f"the paper's block coordinate descent {ended} and agrees with the joint estimate"
+    return BlockDescent({n: values[n] for n in names}, rounds, settled, z, tuple(far), sentence)
 
 
 def cross_checked(found: Fit) -> Fit:
-    """The fit with the alternation beside it: in its checks, and in its notes where the two differ."""
+    """The fit with the descent beside it: in its checks, and in its notes where the two differ."""
     if not found.status.good:
         return found
-    check = alternation(found)
+    check = block_coordinate_descent(found)
     if check is None:
         return found
     data = {

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.currency import alike
-from flighttest.currency.discrepancy import measured
+from flighttest.currency import matched_pair
+from flighttest.currency.between_campaigns import measured
 from flighttest.currency.hover import hover
 from flighttest.datafiles import check_writable
 from flighttest.documents import nearest
@@ -230,7 +230,7 @@ def for_currency(found: Fit) -> dict[str, Any]:
     made = measured(normal, found.covariance.names, found.values, segments)
     return {
         "discrepancy": {name: round(value, 5) for name, value in made.items()},
-        "steps": alike.as_data(alike.steps_flown(normal, segments, found.model.nominal_voltage_v)),
+        "steps": matched_pair.as_data(matched_pair.steps_flown(normal, segments, found.model.nominal_voltage_v)),
     }
 
 

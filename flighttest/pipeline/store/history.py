@@ -139,7 +139,7 @@ def _known(model: ModelFile) -> dict[str, float]:
     return {n: std for n, std in sure.items() if std is not None}
 
 
-def standing(known: Sequence[Campaign]) -> Campaign | None:
+def reference_model(known: Sequence[Campaign]) -> Campaign | None:
     """The campaign whose model is in use: the last one that is as good as the one before it, or flown after a declared change."""
     kept: Campaign | None = None
     for campaign in known:

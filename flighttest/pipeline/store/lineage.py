@@ -20,7 +20,7 @@ from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.model import PAPER_TERMS
 from flighttest.pipeline.recordings.fingerprints import fingerprint_of_run
-from flighttest.pipeline.store.history import AS_GOOD, campaigns, standing
+from flighttest.pipeline.store.history import AS_GOOD, campaigns, reference_model
 from flighttest.pipeline.store.identities import (
     LINEAGE_NAME,
     LINEAGE_REPAIR,
@@ -124,7 +124,7 @@ def model_of(out: Path, vehicle: str) -> ModelFile | None:
     accepted = lineage_of(out, vehicle).current
     if accepted is not None:
         return model_file.read(accepted)
-    found = standing(campaigns(out, vehicle))
+    found = reference_model(campaigns(out, vehicle))
     return found.model if found is not None else None
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from flighttest.currency import alike
-from flighttest.currency.alike import DELAY_S
+from flighttest.currency import matched_pair
 from flighttest.currency.assess import Evidence, assess
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.hover import Hover, hover
+from flighttest.currency.matched_pair import DELAY_S
 from flighttest.currency.model import Currency, Verdict
 from flighttest.diagnose import Diagnosis
 from flighttest.errors import FitError, InputError
@@ -227,12 +227,12 @@ def reestimate_segments(
 
 def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> Alike | None:
     """The new steps against those that a model's own flights had too; None where it kept none, or too few are alike."""
-    kept = alike.from_data(stored.fit_quality.get("steps"))
+    kept = matched_pair.from_data(stored.fit_quality.get("steps"))
     if not kept:
         return None
     problem = problem_of(segments, stored.model, values=stored.values)
     noise = stored_noise(stored, problem)
-    return alike.compare(kept, base, stored.values, noise, problem) if noise is not None else None
+    return matched_pair.compare(kept, base, stored.values, noise, problem) if noise is not None else None
 
 
 def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:

@@ -91,7 +91,7 @@ def picture(facts: FlightFacts) -> RenderableType:
         f"step {facts.leg} of {facts.legs}, {_clock(facts.time_left_s)} left",
     )
     grid.add_row("flight", bar)
-    grid.add_row("room", _room(facts))
+    grid.add_row("clearance", _clearance(facts))
     grid.add_row("battery", _battery(facts))
     grid.add_row("link", _link(facts))
     if facts.alarm:
@@ -109,7 +109,7 @@ def picture(facts: FlightFacts) -> RenderableType:
     )
 
 
-def _room(facts: Any) -> Text:
+def _clearance(facts: Any) -> Text:
     text = Text()
     near = math.isfinite(facts.zone_margin_m) and facts.zone_margin_m < ZONE_NEAR_M
     text.append(f"{_number(facts.zone_margin_m)} m to the wall", style="bold red" if near else "green")

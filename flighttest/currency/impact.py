@@ -9,7 +9,7 @@ from flighttest.currency.model import SUBSETS, WORDS, Change, SubsetTest
 from flighttest.frames import G_M_S2
 
 
-def matters(changes: Sequence[Change], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
+def impact_of(changes: Sequence[Change], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
     """One sentence per subset that moved; what a declared change puts in doubt where no flight has told yet."""
     found = [sentence for test in alarms if (sentence := _of_test(test))]
     told = {test.subset for test in alarms}

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from flighttest.currency.between_campaigns import prior
 from flighttest.currency.compare import Estimates
-from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import Drift
 
 SLACK = 0.5  # half the shift, in standard deviations, that is to be found fastest

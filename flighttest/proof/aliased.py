@@ -5,5 +5,5 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-# Cosine above `oracle.CONFUSABLE`, as `python -m benchmarks.alike` finds it on quiet flights of one vehicle, every effect of usual size.
-ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+# Cosine above `oracle.CONFUSABLE`, as `python -m benchmarks.aliased` finds it on quiet flights of one vehicle, every effect of usual size.
+ALIASED: Mapping[str, tuple[str, ...]] = MappingProxyType({})

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from flighttest.currency.between_campaigns import prior
 from flighttest.currency.compare import Alike, Estimates
-from flighttest.currency.discrepancy import prior
 from flighttest.currency.model import FloatArray
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, variance_inflation_of

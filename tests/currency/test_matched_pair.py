@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from flighttest.currency import alike, compare
-from flighttest.currency.discrepancy import prior
+from flighttest.currency import compare, matched_pair
+from flighttest.currency.between_campaigns import prior
 from flighttest.identify.fit import fit
 from flighttest.identify.models.model_file import from_fit
 from flighttest.identify.selection import problem_of
@@ -46,13 +46,13 @@ def made():
 @pytest.fixture(scope="module")
 def stored(made):
     found = fit(made(1, repeats=2))
-    kept = alike.steps_flown(found.solution.normal, found.problem.segments, found.model.nominal_voltage_v)
-    return found, from_fit(found), alike.from_data(yaml.safe_load(yaml.safe_dump(alike.as_data(kept))))
+    kept = matched_pair.steps_flown(found.solution.normal, found.problem.segments, found.model.nominal_voltage_v)
+    return found, from_fit(found), matched_pair.from_data(yaml.safe_load(yaml.safe_dump(matched_pair.as_data(kept))))
 
 
 def compared(stored, segments):
     found, model, kept = stored
-    return alike.compare(
+    return matched_pair.compare(
         kept,
         watched(model, "model"),
         found.values,
@@ -105,4 +105,4 @@ def test_no_like_steps_no_comparison(stored, made):
     "data", [None, [], {"order": ["K"]}, {"order": ["K"], "flown": [{"kind": "x"}]}, ["roll_step"]]
 )
 def test_a_model_without_steps_keeps_none(data):
-    assert alike.from_data(data) == ()
+    assert matched_pair.from_data(data) == ()
