@@ -10,14 +10,14 @@ from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.cases import Case
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.prove import Asked, commit_of, read, run_trials, write
-from flighttest.proof.scoreboard import code_of, markdown, rates, score, share
+from flighttest.proof.scoreboard import SEALS, code_of, markdown, rates, score, seals, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl.launcher import find_arducopter
 
 
 def prove(asked: Asked, output: Path | None = None, progress: Progress = SILENT) -> Result:
-    """Sealed trials and their scoreboard; with `output` the truths are written there before the first flight (truths.jsonl), and proof.json
-    and proof.md anew with every trial.
+    """Sealed trials and their scoreboard; with `output` the truths are written there before the first flight (truths.jsonl), and
+    proof.json, proof.md and seals.csv anew with every trial.
 
     A proof of the same seed that is there already is continued; InputError for one of another, which would be lost.
     """
@@ -35,6 +35,7 @@ def prove(asked: Asked, output: Path | None = None, progress: Progress = SILENT)
             write(done, drawn_from, output)
             page = markdown(done, drawn_from, asked.generator, asked.kind)
             (output / "proof.md").write_text(page, encoding="utf-8")
+            (output / SEALS).write_text(seals(done), encoding="utf-8")
 
     def seal(cases: Sequence[Case]) -> None:
         if output is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -228,6 +230,10 @@ def _misses(outcome: Outcome) -> Iterator[dict[str, Any]]:
         yield {"index": outcome.index, "hidden": effect, "size": size, "why": why, "class": alike}
 
 
+SEALS = "seals.csv"
+"""Name of the file of `seals`, beside proof.json."""
+
+
 def markdown(outcomes: Sequence[Outcome], seed: int, generator: Generator = "rotor", kind: Kind | None = None) -> str:
     """docs/proof.md; kind: the only one of the trials."""
     s = score(outcomes)
@@ -247,22 +253,22 @@ def markdown(outcomes: Sequence[Outcome], seed: int, generator: Generator = "rot
         "",
         *(misses or ["None."]),
         "",
-        *_table(
-            "Seals",
-            ("trial", "SHA-256 of the truth", "hidden", "size, floors", "named"),
-            [
-                (
-                    o.index,
-                    f"`{o.sha256[:16]}`",
-                    ", ".join(o.hide) or "nothing",
-                    ", ".join(f"{v:.1f}" for v in o.sizes.values()) or "-",
-                    ", ".join(o.named) or o.error or "nothing",
-                )
-                for o in outcomes
-            ],
-        ),
+        f"The SHA-256 of every trial's truth, what was hidden and what was named: `{SEALS}` beside proof.json.",
+        "",
     ]
     return "\n".join(lines)
+
+
+def seals(outcomes: Sequence[Outcome]) -> str:
+    """A table (CSV) of one row per trial: its number, the SHA-256 of its truth, what was hidden of which size (noise floors, after the
+    refit of the base model), what was named, and the error that ended it."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("trial", "sha256", "hidden", "size_floors", "named", "error"))
+    for o in outcomes:
+        sizes = " ".join(f"{v:.1f}" for v in o.sizes.values())
+        writer.writerow((o.index, o.sha256, " ".join(o.hide), sizes, " ".join(o.named), o.error))
+    return text.getvalue()
 
 
 def code_of(outcomes: Sequence[Outcome]) -> str:

@@ -1,5 +1,6 @@
 """Sealed cases and their scoreboard: drawn from a seed, hashed before, counted right."""
 
+import csv
 import hashlib
 import json
 from dataclasses import replace
@@ -160,6 +161,8 @@ def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
     kept = json.loads((tmp_path / "proof.json").read_text())
     assert [o["index"] for o in kept["outcomes"]] == [0, 1]
     assert "seed 7; 2 trials" in (tmp_path / "proof.md").read_text()
+    rows = list(csv.DictReader((tmp_path / "seals.csv").open()))
+    assert [(r["trial"], r["sha256"]) for r in rows] == [(str(o["index"]), o["sha256"]) for o in kept["outcomes"]]
 
 
 def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
