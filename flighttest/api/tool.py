@@ -72,8 +72,8 @@ def runs(folder: AnyPath = "runs", *, page: bool = False) -> Runs:
 def report(
     folder: AnyPath, output: AnyPath | None = None, *, figures: AnyPath | None = None, progress: Tell | None = None
 ) -> Written:
-    """Write one self-contained HTML page about a run, a log, or what `diagnose(output=...)` wrote. figures: folder for every picture as SVG
-    with its numbers as CSV."""
+    """Write one self-contained HTML page about a run, a log, or what `diagnose(output=...)` wrote. figures: folder for every figure as SVG,
+    PNG and CSV (its numbers)."""
     from flighttest.datafiles import check_writable
     from flighttest.pipeline.identification.reporting import report as write
     from flighttest.report.render.figure_files import write_figures
@@ -81,10 +81,12 @@ def report(
     check_writable(as_path(figures))
     told = as_progress(progress)
     result = write(Path(folder), as_path(output), told)
-    pictures = [] if figures is None else write_figures(result.value, Path(figures))
+    files: tuple[Path, ...] = ()
     if figures is not None:
-        told.stage(f"{len(pictures) // 2} pictures written to {figures}")
-    return _written(result, result.data["report"], *pictures)
+        written = write_figures(result.value, Path(figures))
+        files = written.files
+        told.stage(written.sentence(Path(figures)))
+    return _written(result, result.data["report"], *files)
 
 
 def show(

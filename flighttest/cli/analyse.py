@@ -149,7 +149,9 @@ def diagnose(
 @command("report")
 @click.argument("folder", type=ANY, metavar="RUN|DIR")
 @click.option("-o", "--output", type=FILE, metavar="HTML", help="File to write; otherwise report.html in the folder.")
-@click.option("--figures", type=FOLDER, metavar="DIR", help="Also write every picture as SVG with its numbers as CSV.")
+@click.option(
+    "--figures", type=FOLDER, metavar="DIR", help="Also write every figure as SVG, PNG and CSV (its numbers)."
+)
 def report(context: Context, folder: Path, output: Path | None, figures: Path | None) -> int:
     """Write one self-contained HTML page about a run, or about what `diagnose -o` wrote."""
     with LiveProgress(context.show) as progress:

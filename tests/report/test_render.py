@@ -4,6 +4,9 @@ import csv
 import io
 import json
 import re
+import struct
+import sys
+import zlib
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -99,6 +102,21 @@ def test_a_page_without_figures_carries_no_script():
     assert len(page) < 20_000
 
 
+def _chunks(png):
+    at = 8
+    while at < len(png):
+        (size,) = struct.unpack(">I", png[at : at + 4])
+        yield png[at + 4 : at + 8], png[at + 8 : at + 8 + size]
+        at += size + 12
+
+
+def test_without_what_draws_png_the_rest_is_written_and_said(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "resvg_py", None)
+    written = write_figures(document(), tmp_path)
+    assert [p.suffix for p in written.files] == [".svg", ".csv"]
+    assert "pip install 'flighttest[png]'" in written.sentence(tmp_path)
+
+
 def test_text_is_escaped_and_specs_survive_the_script_element():
     page = html.page_of(document())
     assert "&lt;b&gt;" in page
@@ -125,9 +143,20 @@ def test_figures_hold_their_numbers_to_a_screens_accuracy():
     assert np.allclose(last["y"], tiny, rtol=1e-4, atol=0.0), "twelve decades"
 
 
-def test_every_picture_is_written_as_svg_with_its_numbers(tmp_path):
+def test_every_figure_is_written_as_svg_and_png_with_its_numbers(tmp_path):
+    pytest.importorskip("resvg_py", reason="draws PNG (extra `png`)")
     shown = document()
-    (picture, numbers) = write_figures(shown, tmp_path / "new")
+    written = write_figures(shown, tmp_path / "new")
+    (picture, image, numbers) = written.files
+    assert written.figures == 1
+    assert written.sentence(Path("new")) == "1 figures written to new as SVG, PNG and CSV"
+    png = image.read_bytes()
+    assert png[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", png[16:24])
+    assert width == 2 * 2 * WIDTH, "two pixels per px"
+    assert height > 2 * 2 * 100
+    raw = zlib.decompress(b"".join(data for kind, data in _chunks(png) if kind == b"IDAT"))
+    assert len(set(raw)) > 50, "an empty picture holds few values"
     svg = ElementTree.parse(picture).getroot()
     assert float(svg.get("width")) == 2 * WIDTH, "three panels, two in a row"
     rows = list(csv.reader(numbers.open()))
@@ -138,7 +167,7 @@ def test_every_picture_is_written_as_svg_with_its_numbers(tmp_path):
         "response", "response", (("a/b r1", shown.sections[0].blocks[-1]), ("c", shown.sections[0].blocks[-1]))
     )
     both = Document("t", "v", sections=(Section("s", "S", (two,)),))
-    assert [p.name for p in write_figures(both, tmp_path)][::2] == ["response-a_b_r1.svg", "response-c.svg"]
+    assert [p.name for p in write_figures(both, tmp_path).files][::3] == ["response-a_b_r1.svg", "response-c.svg"]
     page = html.page_of(both)
     assert page.count("<option>") == page.count("<figure data-figure") == 2
 

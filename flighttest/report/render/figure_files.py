@@ -1,10 +1,11 @@
-"""Every figure of a document as files: SVG for papers and slides, CSV for other programs."""
+"""Every figure of a document as files: SVG and PNG for papers and slides, CSV for other programs."""
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,23 @@ import numpy as np
 
 from flighttest.report.document import Choice, Document, Figure
 from flighttest.report.render.svg import as_svg
+
+PNG_PIXELS_PER_PX = 2.0  # a picture of 800 px is 1600 pixels wide: sharp on a slide and in print
+
+
+@dataclass(frozen=True)
+class Written:
+    """What `write_figures` wrote. figures: how many; files: their paths, SVG, PNG (where it could be drawn) and CSV of each in turn."""
+
+    figures: int
+    files: tuple[Path, ...]
+    without_png: bool = False  # the package that draws PNG (extra `png`) is not installed
+
+    def sentence(self, folder: Path) -> str:
+        """How many figures of which formats were written, and what PNG needs where there is none."""
+        kinds = "SVG and CSV" if self.without_png else "SVG, PNG and CSV"
+        need = "; PNG needs resvg-py: pip install 'flighttest[png]'" if self.without_png else ""
+        return f"{self.figures} figures written to {folder} as {kinds}{need}"
 
 
 def named_figures(document: Document) -> Iterator[tuple[str, Figure]]:
@@ -25,13 +43,24 @@ def named_figures(document: Document) -> Iterator[tuple[str, Figure]]:
                     yield f"{block.id}-{re.sub(r'[^A-Za-z0-9.+-]+', '_', name)}", figure
 
 
-def write_figures(document: Document, folder: Path) -> list[Path]:
-    """NAME.svg and NAME.csv of every figure (panel, trace, x, y, z per row); the paths written."""
+def write_figures(document: Document, folder: Path) -> Written:
+    """NAME.svg, NAME.png and NAME.csv of every figure (CSV: panel, trace, x, y, z per row).
+
+    PNG has PNG_PIXELS_PER_PX pixels per px of the SVG and is left out where resvg-py is not installed.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
+    rasterise = _rasteriser()
+    written, count = [], 0
     for name, figure in named_figures(document):
+        count += 1
         picture, numbers = folder / f"{name}.svg", folder / f"{name}.csv"
-        picture.write_text(as_svg(figure), encoding="utf-8")
+        svg = as_svg(figure)
+        picture.write_text(svg, encoding="utf-8")
+        written.append(picture)
+        if rasterise is not None:
+            image = folder / f"{name}.png"
+            image.write_bytes(rasterise(svg))
+            written.append(image)
         with numbers.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["panel", "x_label", "y_label", "trace", "x", "y", "z"])
@@ -39,8 +68,17 @@ def write_figures(document: Document, folder: Path) -> list[Path]:
                 for trace in panel.traces:
                     head = [panel.title, panel.x_label, panel.y_label, trace.name]
                     writer.writerows([*head, *row] for row in _rows(trace.x, trace.y, trace.z, trace.mode == "heat"))
-        written += [picture, numbers]
-    return written
+        written.append(numbers)
+    return Written(count, tuple(written), rasterise is None)
+
+
+def _rasteriser() -> Callable[[str], bytes] | None:
+    """SVG text to the bytes of a PNG, by resvg; None where it is not installed."""
+    try:
+        import resvg_py
+    except ImportError:
+        return None
+    return lambda svg: bytes(resvg_py.svg_to_bytes(svg_string=svg, zoom=PNG_PIXELS_PER_PX))
 
 
 def _rows(x: Any, y: Any, z: Any, heat: bool) -> Iterator[list[Any]]:
