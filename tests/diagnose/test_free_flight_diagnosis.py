@@ -8,6 +8,7 @@ import pytest
 from flighttest.diagnose import Verdict
 from flighttest.diagnose.free_flight import diagnose_free_flight, in_still_air, is_free_flight
 from flighttest.diagnose.free_flight.equation_search import find_terms
+from flighttest.diagnose.free_flight.prediction import held_out_table
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
 from flighttest.physics.catalogue import catalogue
@@ -98,3 +99,9 @@ def test_what_is_written_and_shown_has_the_winds():
     assert [w["flight"] for w in looked_for(found)["winds"]] == ["calm", "windy"]
     titles = [s.title for s in diagnosis_sections(found.to_json())]
     assert "Wind of each flight" in titles
+
+
+def test_flights_left_out_in_turn_keep_their_own_wind():
+    third = tuple(flight(60.0, 24, (-4.0, 0.0), run="third"))
+    held = held_out_table(find_terms(stretches((*calm(), *windy(), *third)), ALONE, POOL))
+    assert held["f_x"]["all"]["rmse_after"] < held["f_x"]["all"]["rmse_before"]
