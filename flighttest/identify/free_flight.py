@@ -163,7 +163,7 @@ class _Descent:
 
     def __init__(self, equations: Equations, asked: _Asked, values: Mapping[str, float]) -> None:
         self.equations, self.asked = equations, asked
-        self.names = [n for n in equations.block.params if asked.free is None or n in asked.free]
+        self.names = [n for n in equations.params if asked.free is None or n in asked.free]
         self.values = dict(values)
         own = [n for n in asked.per_flight if n in self.names]
         self.values |= {f"{n}@{f}": values.get(f"{n}@{f}", values[n]) for f in equations.flights for n in own}

@@ -28,6 +28,9 @@ JOIN_PERIODS = 2.5  # windows this near to each other are one stretch
 SHORTEST_S = 4.0
 CHUNK_S = 10.0  # of a stretch, integrated side by side
 LEAD_S = 1.0  # before each, in which the initial thrust is forgotten: five time constants of slow motors
+# The same where a term has states of unknown start, a swinging load: 95 % of a swing with a damping ratio of 0.05 on a cable of 1 m.
+MEMORY_S, MEMORY_CHUNK_S = 20.0, 40.0
+LATENCY = "velocity_latency"  # a term and its parameter
 BLEND_S = 0.5  # of the complementary filter of velocity and accelerometer
 LINE_S = 0.25  # of velocity alone: drag of what is quicker is below 1 % of its acceleration
 
@@ -128,8 +131,15 @@ class Equations:
 
     @property
     def block(self) -> Block:
-        """The equations of motion at the measured velocity."""
-        return self.model.measured_velocity
+        """The equations of motion at the measured velocity, without the latency of that (`params`)."""
+        model = self.model.without_terms(LATENCY) if LATENCY in self.model.terms else self.model
+        return model.measured_velocity
+
+    @property
+    def params(self) -> tuple[str, ...]:
+        """Names of what the equations depend on: those of `block`, and the latency of the velocity where the model has it, since increments
+        of velocity are then those of the modelled acceleration so much earlier."""
+        return (*self.block.params, LATENCY) if LATENCY in self.model.terms else self.block.params
 
     def streams(
         self, values: Mapping[str, float], names: Sequence[str], per_flight: Sequence[str] = ()
@@ -140,7 +150,7 @@ class Equations:
         columns = (*shared, *(f"{n}@{flight}" for flight in self.flights for n in own))
         found: list[Stream] = []
         for g, flight in enumerate(self.flights):
-            mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.block.params}
+            mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.params}
             for channel, residual, jacobian in self._of(flight).evaluated(self, mine, [*shared, *own]):
                 placed = np.zeros((residual.size, len(columns)))
                 placed[:, : len(shared)] = jacobian[:, : len(shared)]
@@ -172,12 +182,14 @@ class _Prepared:
         force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
         chunks, kept, stretch = [], [], []
         measured, times = [], []
+        swings = any(n != "a_t_m_s2" for n in block.free_states)
+        lead_s, length_s = (MEMORY_S, MEMORY_CHUNK_S) if swings else (LEAD_S, CHUNK_S)
         for k, s in enumerate(flown):
             period = float(np.median(np.diff(s.t_s)))
             smooth = _velocity(s)
-            starts = np.arange(s.t_s[0] + LEAD_S, s.t_s[-1], CHUNK_S)
+            starts = np.arange(s.t_s[0] + LEAD_S, s.t_s[-1], length_s)
             for start, end in pairwise([*starts, s.t_s[-1] + period]):
-                a = int(np.searchsorted(s.t_s, start - LEAD_S - 1e-9))
+                a = int(np.searchsorted(s.t_s, start - lead_s - 1e-9))
                 first, b = int(np.searchsorted(s.t_s, start - 1e-9)), int(np.searchsorted(s.t_s, end - 1e-9))
                 if b - first < 3:
                     continue
@@ -220,6 +232,10 @@ class _Prepared:
             slopes[..., [list(names).index(n) for n in free]] = np.concatenate(
                 [dy[j, self.kept[j], :, : len(free)] for j in here]
             )
+            if self.outputs == ACCELERATION and LATENCY in values:
+                told, slopes = _late(
+                    t, told, slopes, values[LATENCY], names.index(LATENCY) if LATENCY in names else None
+                )
             if self.outputs == ACCELERATION:
                 h = np.diff(t)[:, None]
                 seen = np.diff(seen, axis=0) / h
@@ -234,6 +250,29 @@ class _Prepared:
     def _filter(self, channel: str) -> float:
         known = self.chunks[0].context.get("filters", {}) if self.chunks else {}
         return float(known.get(CHANNELS[channel].group, 0.0))
+
+
+def _late(
+    t: FloatArray, told: FloatArray, slopes: FloatArray, latency_s: float, column: int | None
+) -> tuple[FloatArray, FloatArray]:
+    """Values (n, c) and derivatives (n, c, q) of a latency ago; `column` becomes the derivative by the latency.
+
+    The velocity that drag acts on stays the one of then, of a latency before: of the effect of a latency, drag's share of it, d over the
+    frequency of the motion, is left out.
+    """
+    then = t - latency_s
+
+    def earlier(values: FloatArray) -> FloatArray:
+        flat = values.reshape(t.size, -1)
+        return (
+            np.stack([np.interp(then, t, one) for one in flat.T], axis=1).reshape(values.shape) if flat.size else values
+        )
+
+    rate = -np.gradient(told, t, axis=0) if t.size > 2 else np.zeros_like(told)
+    made = earlier(slopes) if latency_s else slopes.copy()
+    if column is not None:
+        made[..., column] = earlier(rate)
+    return (earlier(told) if latency_s else told), made
 
 
 def chunk(s: Segment, smooth: Mapping[str, FloatArray], a: int, b: int) -> Segment:

@@ -1,10 +1,12 @@
 """Score tests on free flight: a term that is there is found, and none where none is."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from flighttest.diagnose.free_flight.equation_screen import screen, seen_by_equations
+from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -37,7 +39,24 @@ def test_where_nothing_is_missing_no_term_stands_out():
     assert np.median([s.p_value for s in found.values()]) > 0.1
 
 
-def test_terms_with_states_of_unknown_start_are_left_to_output_error():
+def test_every_term_of_the_translation_is_looked_at():
     seen = {t.id for t in POOL if seen_by_equations(t)}
-    assert "quadratic_drag" in seen
-    assert not seen & {"slung_payload", "velocity_latency", "rate_limit"}
+    assert {"quadratic_drag", "slung_payload", "velocity_latency", "motor_saturation", "thrust_extra_lag"} <= seen
+    assert "rate_limit" not in seen
+    assert {"slung_payload", "motor_saturation", "thrust_extra_lag"} <= set(screened(0.0))
+
+
+def late(seconds, seed, samples):
+    """A flight without accelerometer whose velocity is recorded so many samples late."""
+    whole = stretches(flight(seconds, seed, gust=0.2, accelerometer=False))[0]
+    y = {
+        n: np.concatenate([v[:samples], v[: v.size - samples]]) if n.startswith("v_") else v for n, v in whole.y.items()
+    }
+    return [replace(whole, y=y)]
+
+
+def test_a_late_velocity_is_named_with_its_latency():
+    found = find_terms(late(60.0, 31, 5), Model(attitude_loops=False), POOL)
+    assert "velocity_latency" in found.named
+    assert abs(found.final.values["velocity_latency"] - 0.1) < 0.02
+    assert not set(find_terms(late(60.0, 31, 0), Model(attitude_loops=False), POOL).named)

@@ -32,6 +32,7 @@ from flighttest.diagnose.residuals.locate import locate, regime_curves, residual
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.run import UNMOVED, compensated_voltage, moved_parameters, sentence_of, verdict_of
 from flighttest.diagnose.selection.candidates import usual_size
+from flighttest.diagnose.selection.comparison import probability_of
 from flighttest.diagnose.selection.detectability import PLAUSIBLE, POWER, UNSEEN, missing_channels
 from flighttest.diagnose.selection.held_out import excess, held_out_groups
 from flighttest.estimation.estimator import Estimator
@@ -51,9 +52,7 @@ from flighttest.segments.model import Segment
 SHORTEST_S = 30.0  # of stretches: below, 30 blocks of a second do not carry a sandwich over a dozen parameters
 ATTITUDE_WINDOWS = 40  # that the attitude loops are searched on: 100 s of windows
 FROM_EQUATIONS = "what is left beside every variable recorded: gusts and noise of the free flight itself"
-NO_COLUMN = (
-    "free flight by equation error does not show it: its state has an unknown start, or it has no linear coefficient"
-)
+NO_COLUMN = "the accelerometer shows forces without the velocity, whose latency is then in the drag alone"
 
 
 def is_free_flight(segments: Sequence[Segment]) -> bool:
@@ -91,7 +90,7 @@ def diagnose_free_flight(
     start = {k: v[0] for k, v in (previous or {}).items()}
     alone = replace(model, attitude_loops=False)
     found = find_terms(flown, alone, translation, weather=weather, start=start, progress=progress)
-    answers, asked = _attitude(usable, model, pool, found, previous or {}, progress)
+    answers, asked = _attitude(usable, model, pool, found, previous or {}, progress) if found.complete else ([], None)
     return _Assembly(usable, model, pool, found, answers, asked, progress).made(previous or {})
 
 
@@ -172,7 +171,7 @@ class _Assembly:
         self.segments, self.model, self.pool, self.found, self.progress = segments, model, pool, found, progress
         self.answers, self.asked = answers, asked
         self.searches = [a.search for a in answers if a.search is not None]
-        self.complete = all(a.complete for a in answers)
+        self.complete = found.complete and all(a.complete for a in answers)
         own = [t for t in found.final.model.terms if t not in model.terms and t != WIND_TERM]
         self.loops = [t for s in self.searches for t in s.evidence]
         self.final = model.with_terms(*own, *self.loops)
@@ -296,7 +295,7 @@ class _Assembly:
             evidence={
                 "delta_bic": -2.0 * named.nats,
                 "log_evidence": named.nats,
-                "probability": 1.0 / (1.0 + float(np.exp(-min(named.nats, 700.0)))) / (1 + len(rivals)),
+                "probability": probability_of(named.nats, len(self.found.offered)) / (1 + len(rivals)),
                 "floors": float(scale.get(channel, 0.0)),
                 "where": {"channel": short(channel), "kind": "free"},
                 "heldout_gain": share_gained(held.get(short(channel), {}).get("all")),
@@ -351,7 +350,8 @@ class _Assembly:
         for n in self.found.named.values():
             size = max(n.size.values(), default=0.0)
             rows.append(CandidateRow(
-                term=n.term, verdict=TermVerdict.SUPPORTED, delta_bic=-2.0 * n.nats, probability=1.0, floors=None,
+                term=n.term, verdict=TermVerdict.SUPPORTED, delta_bic=-2.0 * n.nats, floors=None,
+                probability=probability_of(n.nats, len(self.found.offered)) / (1 + len(n.rivals)),
                 why=f"{size:.2g} m/s^2 RMS, p {n.p_value:.1g}",
             ))  # fmt: skip
         for term, (nats, why) in self.found.refused.items():

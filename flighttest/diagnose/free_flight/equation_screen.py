@@ -2,14 +2,13 @@
 
 At the optimum of the base model the whitened equations are linear in a candidate's coefficients. Its columns beside the base's give
 the score test (Rao 1948) with a covariance by blocks of 1 to 5 s, so that a spectrum that the noise model missed does not name a term.
-Terms whose states have unknown initial values (slung load, latency of the velocity) and those without a linear coefficient are not
-seen here.
+A term without a linear coefficient (a limit, a second lag) has what each of its settings changes in the equations for a column.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +18,23 @@ from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.estimation.equation_error import Stream, Whitened, block_rows, whiten
 from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.identify.free_flight import FreeFlight
-from flighttest.identify.motion_equations import Equations
+from flighttest.identify.motion_equations import LATENCY, Equations
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
+WHOLE = "share"  # of the effect of a term without a linear coefficient
+LIMITS_AT = (0.5, 0.75, 0.9, 0.97)  # quantiles of the throttle flown, that its limit is screened at
 FEWEST_BLOCKS = 8  # beside the parameters: below, a covariance by blocks is none
 
 
 @dataclass(frozen=True)
 class Screened:
     """A candidate's score test. shape: its nonlinear parameters; coefficients: one-step estimates by name, from their null values; p_value;
-    size: root mean square of its effect beside the base model, m/s^2; std: of the coefficients, by blocks."""
+    size: root mean square of its effect beside the base model, m/s^2; std: of the coefficients, by blocks; nats: of log likelihood that
+    one step gains."""
 
     term: str
     shape: Mapping[str, float]
@@ -40,15 +42,32 @@ class Screened:
     p_value: float
     size: float
     std: Mapping[str, float] = field(default_factory=dict)
+    nats: float = 0.0
 
 
 def seen_by_equations(term: Term) -> bool:
-    """Whether a term has a linear coefficient in the translation and no state of unknown initial value."""
-    return block_of(term) == "translation" and bool(term.amplitudes) and not any(s.free for s in term.states)
+    """Whether a term acts in the translation."""
+    return block_of(term) == "translation"
+
+
+def settings(term: Term, flown: Sequence[Segment]) -> list[dict[str, float]]:
+    """Values of the nonlinear parameters that a term is screened at: declared ones; of a limit on the throttle, quantiles of what was
+    flown."""
+    if not term.shapes:
+        return [{}]
+    found = grid(term)
+    for p in term.shapes:
+        if p.limits == "throttle":
+            every = np.concatenate([s.u["throttle"][1] for s in flown])
+            levels = np.quantile(every[np.isfinite(every)], LIMITS_AT) if np.isfinite(every).any() else np.zeros(0)
+            found = [
+                {**one, p.name: float(level)} for one in found[:1] for level in levels if p.lower < level < p.upper
+            ]
+    return found
 
 
 def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> tuple[Screened, ...]:
-    """Score tests of the terms that the equations see, most significant first; of each the best of its declared shapes.
+    """Score tests of the terms that the equations see, most significant first; of each the best of its settings.
 
     flown: stretches that `base` was estimated from. A term whose columns are not finite is left out.
     """
@@ -57,15 +76,35 @@ def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> 
         for t in pool
         if seen_by_equations(t) and t.id not in base.model.terms and not missing_channels(t, tuple(flown))
     ]
-    if not terms:
-        return ()
-    equations = Equations(base.model.with_terms(*terms), flown)
-    own_of_flights = tuple(dict.fromkeys(n.split("@")[0] for n in base.names if "@" in n))
-    names = [*(n for n in base.names if "@" not in n), *own_of_flights]
     period = float(np.median(np.concatenate([np.diff(s.t_s) for s in flown])))
     rows = block_rows(sum(float(np.ptp(s.t_s)) for s in flown), period)
-    grids: dict[str, list[dict[str, float]]] = {t.id: grid(t) if t.shapes else [{}] for t in terms}
+    linear = [t for t in terms if t.amplitudes]
+    # A state of unknown start needs a long lead (`motion_equations`), which the others are not to pay for.
+    alone = [t for t in linear if any(s.free for s in t.states) and t.id != LATENCY]
+    together = [t for t in linear if t not in alone]
     best: dict[str, Screened] = {}
+    for some in ([together] if together else []) + [[t] for t in alone]:
+        for found in _linear(flown, base, some, rows):
+            if found.term not in best or found.p_value < best[found.term].p_value:
+                best[found.term] = found
+    for found in _nonlinear(flown, base, [t for t in terms if not t.amplitudes], rows):
+        if found.term not in best or found.p_value < best[found.term].p_value:
+            best[found.term] = found
+    return tuple(sorted(best.values(), key=lambda s: s.p_value))
+
+
+def _names(base: FreeFlight) -> tuple[list[str], tuple[str, ...]]:
+    """Parameters of an estimate without their flights, and those that have a value per flight."""
+    own = tuple(dict.fromkeys(n.split("@")[0] for n in base.names if "@" in n))
+    return [*(n for n in base.names if "@" not in n), *own], own
+
+
+def _linear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], rows: int) -> Iterator[Screened]:
+    """Score tests of terms with linear coefficients, which at their null values do not change each other: one Jacobian for a setting of
+    all."""
+    equations = Equations(base.model.with_terms(*terms), flown)
+    names, own_of_flights = _names(base)
+    grids = {t.id: settings(t, flown) for t in terms}
     for k in range(max(len(g) for g in grids.values())):
         asked = [t for t in terms if k < len(grids[t.id])]
         values = dict(equations.model.start()) | {
@@ -79,10 +118,36 @@ def screen(flown: Sequence[Segment], base: FreeFlight, pool: Sequence[Term]) -> 
         others = [columns.index(n) for n in base.names if n in columns]
         for t in asked:
             own = [columns.index(p.name) for p in t.amplitudes if p.name in columns]
-            found = _tested(streams, base, t, grids[t.id][k], own, others, rows)
-            if found is not None and (t.id not in best or found.p_value < best[t.id].p_value):
-                best[t.id] = found
-    return tuple(sorted(best.values(), key=lambda s: s.p_value))
+            only = [replace(s, columns=s.columns[:, [*others, *own]]) for s in streams]
+            found = _tested(only, base, t, grids[t.id][k], len(others), rows)
+            if found is not None:
+                yield found
+
+
+def _nonlinear(flown: Sequence[Segment], base: FreeFlight, terms: Sequence[Term], rows: int) -> Iterator[Screened]:
+    """Score tests of terms without a linear coefficient: what each setting changes in the equations is the column, its whole effect 1.
+    A setting whose effect would have to be negative is left out."""
+    if not terms:
+        return
+    names, own_of_flights = _names(base)
+    with np.errstate(all="ignore"):
+        plain, columns = Equations(base.model, flown).streams(base.values, names, own_of_flights)
+    others = [columns.index(n) for n in base.names]
+    for t in terms:
+        equations = Equations(base.model.with_terms(t), flown)
+        for setting in settings(t, flown):
+            values = {**equations.model.start(), **base.values, **setting}
+            with np.errstate(all="ignore"):
+                changed, _ = equations.streams(values, [], own_of_flights)
+            if [s.residual.size for s in changed] != [s.residual.size for s in plain]:
+                continue  # not finite somewhere
+            only = [
+                replace(s, columns=np.column_stack([s.columns[:, others], s.residual - c.residual]))
+                for s, c in zip(plain, changed, strict=True)
+            ]
+            found = _tested(only, base, t, setting, len(others), rows)
+            if found is not None and found.coefficients.get(WHOLE, 0.0) > 0.0:
+                yield found
 
 
 def _tested(
@@ -90,13 +155,12 @@ def _tested(
     base: FreeFlight,
     term: Term,
     shape: Mapping[str, float],
-    own: list[int],
-    others: list[int],
+    others: int,
     rows: int,
 ) -> Screened | None:
-    only = [Stream(s.channel, s.group, s.residual, s.columns[:, [*others, *own]]) for s in streams]
-    whitened: Whitened = whiten(only, dict(base.noise), rows)
-    c, b = whitened.columns[:, len(others) :], whitened.columns[:, : len(others)]
+    """streams: with the columns of the base, `others`, and behind them the term's own."""
+    whitened: Whitened = whiten(streams, dict(base.noise), rows)
+    c, b = whitened.columns[:, others:], whitened.columns[:, :others]
     if not np.isfinite(c).all() or not np.any(c):
         return None
     left = c - b @ np.linalg.lstsq(b, c, rcond=None)[0]
@@ -106,23 +170,23 @@ def _tested(
         return None
     left, information = left[:, told], information[np.ix_(told, told)]
     count = int(whitened.block.max(initial=-1)) + 1
-    if count < FEWEST_BLOCKS + len(others):
+    if count < FEWEST_BLOCKS + others:
         return None
     scores = np.zeros((count, left.shape[1]))
     np.add.at(scores, whitened.block, left * whitened.residual[:, None])
     total = scores.sum(axis=0)
     meat = scores.T @ scores * (count / (count - 1))
     q = left.shape[1]
-    dof = count - len(others) - q + 1
+    dof = count - others - q + 1
     statistic = float(total @ np.linalg.pinv(meat) @ total) * dof / (q * count)
     inverse = np.linalg.pinv(information)
     delta, error = inverse @ total, np.sqrt(np.diag(inverse @ meat @ inverse))
-    raw = np.concatenate([s.columns for s in only])
-    base_columns, columns = raw[:, : len(others)], raw[:, len(others) :][:, told]
+    raw = np.concatenate([s.columns for s in streams])
+    base_columns, columns = raw[:, :others], raw[:, others:][:, told]
     beside = columns - base_columns @ np.linalg.lstsq(base_columns, columns, rcond=None)[0]
     size = float(np.sqrt(np.mean((beside @ delta) ** 2) * len(base.rms)))
-    named = [p.name for p, keep in zip(term.amplitudes, told, strict=False) if keep]
+    named = [n for n, keep in zip([p.name for p in term.amplitudes] or [WHOLE], told, strict=False) if keep]
     return Screened(
         term.id, dict(shape), dict(zip(named, delta.tolist(), strict=False)), fisher_beyond(statistic, q, dof), size,
-        dict(zip(named, error.tolist(), strict=False)),
+        dict(zip(named, error.tolist(), strict=False)), 0.5 * float(total @ inverse @ total),
     )  # fmt: skip

@@ -16,17 +16,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flighttest.channels import CHANNELS
-from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations
+from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.residuals.lack_of_fit import DRIFT
 from flighttest.diagnose.selection.candidates import null_value
+from flighttest.diagnose.selection.comparison import PROBABILITY, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.diagnose.selection.search import CHANCE_NATS
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import Stream
-from flighttest.estimation.uncertainty.distributions import fisher_beyond
+from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight import FreeFlight, estimate
-from flighttest.identify.motion_equations import Equations
+from flighttest.identify.motion_equations import LATENCY, Equations
 from flighttest.identify.winds import BESIDE_WIND, CHANCE, WIND, WIND_TERM, FlightWind, still_air, turned, winds_of
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
@@ -55,7 +56,7 @@ class NamedByEquations:
 class EquationSearch:
     """What was found. base, final: estimates without and with what is named; offered: terms that were looked at; refused: those estimated
     anew and not taken, with the reason; screened: the last score tests; winds: of each flight, empty where none is in the model; turned:
-    whether headings differ enough to part a wind from an attitude offset."""
+    whether headings differ enough to part a wind from an attitude offset; complete: False where an interrupt ended the search."""
 
     flown: Sequence[Segment]
     base: FreeFlight
@@ -67,6 +68,7 @@ class EquationSearch:
     winds: tuple[FlightWind, ...] = ()
     declared: frozenset[str] = frozenset()
     turned: bool = True
+    complete: bool = True
 
     @property
     def beside_wind(self) -> tuple[str, ...]:
@@ -93,13 +95,18 @@ def find_terms(
     progress("estimating the base model by equation error")
     base = asked.estimate(model, {k: v for k, v in (start or {}).items() if k in model.names})
     known = {t.id: t for t in pool if seen_by_equations(t) and not missing_channels(t, tuple(flown))}
+    if any(np.isfinite(s.y.get("f_x_m_s2", np.nan)).any() for s in flown):
+        known.pop(LATENCY, None)  # an accelerometer shows forces without the velocity
     if set(base.flights) <= declared:
         known.pop(WIND_TERM, None)
     found = EquationSearch(flown, base, base, offered=tuple(known), declared=declared, turned=turned(flown))
     level = CHANCE / max(len(known), 1)
-    _wind_first(found, asked, known, level)
-    while len(found.named) < MOST_NAMED and _step(found, asked, known, level, progress):
-        _drop_what_left(found, asked, level)
+    try:
+        _wind_first(found, asked, known, level)
+        while len(found.named) < MOST_NAMED and _step(found, asked, known, level, progress):
+            _drop_what_left(found, asked, level)
+    except KeyboardInterrupt:
+        found.complete = False
     if WIND_TERM in found.final.model.terms:
         found.winds = tuple(winds_of(found.final, declared))
     return found
@@ -131,10 +138,12 @@ def coefficients_of(found: FreeFlight, term: Term) -> list[int]:
 
 
 def wald(found: FreeFlight, term: Term) -> float:
-    """p-value of a term's linear coefficients against their null values, by the robust covariance.
+    """p-value of a term's linear coefficients against their null values, by the robust covariance; 1 where it has none.
 
     Degrees of freedom: blocks less parameters; flights less one where what flights differ by decides the error.
     """
+    if not term.amplitudes:
+        return 1.0
     at = coefficients_of(found, term)
     null = {p.name: null_value(p) for p in term.amplitudes}
     off = np.array([found.values[found.names[i]] - null[found.names[i].split("@")[0]] for i in at])
@@ -161,6 +170,15 @@ def effect_sizes(before: Sequence[Stream], after: Sequence[Stream]) -> dict[str,
     return {c: float(np.sqrt(total / max(count, 1.0))) for c, (total, count) in squares.items()}
 
 
+def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, flown: Sequence[Segment]) -> float:
+    """p-value of a term: of its linear coefficients (`wald`); where it has none, of the quasi-likelihood ratio times the number of settings
+    that the best was chosen from (Bonferroni), since a nonlinear parameter means nothing where its term is not (Davies 1977)."""
+    if term.amplitudes:
+        return wald(richer, term)
+    ratio = 2.0 * max(richer.log_likelihood - poorer.log_likelihood, 0.0) / richer.inflation
+    return min(1.0, len(settings(term, flown)) * chi2_beyond(ratio, len(term.params)))
+
+
 def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
     """Quasi-log-likelihood that `richer` gains, less the penalty of its further parameters."""
     more = len(richer.names) - len(poorer.names)
@@ -183,7 +201,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     streams = asked.streams(tried)
     without = asked.estimate(base.model.with_terms(*beside), base.values) if beside else base
     nats = _nats(tried, without)
-    if nats <= 0.0:
+    if probability_of(nats, len(known)) < PROBABILITY:
         return
     size = effect_sizes(asked.streams(without), streams)
     rivals = (OFFSET_TERM,) if OFFSET_TERM in beside and not found.turned and nats < CHANCE_NATS else ()
@@ -197,7 +215,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
             tried.model.without_terms(one), {n: v for n, v in tried.values.items() if "@" not in n}
         )
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
-        if not _against(nats, p, level, size, tried, known[one]):
+        if not _against(nats, p, level, size, tried, known[one], len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
 
 
@@ -223,9 +241,9 @@ def _step(
     before = asked.streams(now) if tried else []
     for k, (nats, s, one) in enumerate(tried):
         term = known[s.term]
-        size, p_value = effect_sizes(before, asked.streams(one)), wald(one, term)
+        size, p_value = effect_sizes(before, asked.streams(one)), significance(one, now, term, asked.flown)
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
-        why = NOT_BESIDE if s.term == WIND_TERM else _against(nats, p_value, level, size, one, term)
+        why = NOT_BESIDE if s.term == WIND_TERM else _against(nats, p_value, level, size, one, term, len(known))
         if why:
             found.refused[s.term] = (nats, why)
             continue
@@ -242,11 +260,13 @@ def _step(
 
 
 def _against(
-    nats: float, p_value: float, level: float, size: Mapping[str, float], found: FreeFlight, term: Term
+    nats: float, p_value: float, level: float, size: Mapping[str, float], found: FreeFlight, term: Term, candidates: int
 ) -> str:
     """Why a term is not taken; empty where it is."""
     if not np.isfinite(nats) or nats <= 0.0:
         return f"it predicts no better than its parameters cost ({nats:.1f} nats)"
+    if (probability := probability_of(nats, candidates)) < PROBABILITY:
+        return f"evidence of {nats:.1f} nats: the probability that it is needed is {probability:.2g}"
     if p_value >= level:
         return f"its coefficients are not significant (p {p_value:.2g}, asked {level:.2g})"
     if all(value < DRIFT.get(c, 0.0) for c, value in size.items()):
@@ -257,7 +277,7 @@ def _against(
         for p in term.params
         if p.name in found.names and not p.lower + 1e-6 < found.values[p.name] < p.upper - 1e-6
     ]
-    if bound and set(bound) & {p.name for p in term.amplitudes}:
+    if bound and set(bound) & {p.name for p in term.amplitudes or term.params}:
         return f"{bound[0]} is at its bound"
     return ""
 
@@ -272,7 +292,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
-            gone = [name] if wald(found.final, known[name]) > STAYS else []
+            gone = [name] if known[name].amplitudes and wald(found.final, known[name]) > STAYS else []
         if not gone:
             continue
         smaller = found.final.model.without_terms(*gone)
