@@ -15,6 +15,8 @@ from flighttest.report.render.plotly_figure import LIGHT
 
 WIDTH, PANEL_HEIGHT, TOP = 400, 260, 34  # px: of a panel, and of a row of names above all of them
 NAME_WIDTH = 150  # px, of a name in that row
+# By name before the generic family, which a drawing library without the system's font settings does not resolve (PNG had no text).
+FONTS = "DejaVu Sans, Liberation Sans, Arial, Helvetica, Noto Sans, sans-serif"
 _LEFT, _RIGHT, _ABOVE, _BELOW = 56, 14, 26, 42  # px: margins of the axes in a panel
 _MARGIN = 0.05  # above and below what is drawn, of its height
 _DASHED = {"before": "6 3", "limit": "2 3", "reference": "2 3"}
@@ -45,7 +47,7 @@ def as_svg(figure: Figure) -> str:
         )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
-        f'font-family="sans-serif" font-size="11" fill="{LIGHT["ink"]}"><title>{escape(figure.caption)}</title>'
+        f'font-family="{FONTS}" font-size="11" fill="{LIGHT["ink"]}"><title>{escape(figure.caption)}</title>'
         f'<rect width="{width}" height="{height}" fill="white"/>{"".join(parts)}</svg>\n'
     )
 
