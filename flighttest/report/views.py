@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from flighttest.identify.response_analysis.comparison import FittedResponse, Overlay, ThrustPoint
 from flighttest.identify.response_analysis.frequency_response import FrequencyResponse, ResidualCorrelation
+from flighttest.identify.validation.accumulation import Accumulation
 
 
 @dataclass(frozen=True)
@@ -72,3 +73,4 @@ class FitView:
     responses: tuple[FittedResponse, ...] = ()
     residual_correlations: tuple[ResidualCorrelation, ...] = ()
     loops: tuple[FrequencyResponse, ...] = ()
+    trajectories: tuple[Accumulation, ...] = ()

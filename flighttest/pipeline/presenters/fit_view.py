@@ -11,6 +11,7 @@ from flighttest.identify.diagnostics.identifiability import correlated_parameter
 from flighttest.identify.fit import Estimate, Fit
 from flighttest.identify.response_analysis.comparison import fitted_responses, overlays, thrust_points
 from flighttest.identify.response_analysis.frequency_response import frequency_responses, residual_correlations
+from flighttest.identify.validation.accumulation import accumulations
 from flighttest.physics.model import Model
 from flighttest.report.numbers import join, number, percent
 from flighttest.report.views import FitView, ParameterView, QualityView, SegmentView
@@ -54,6 +55,7 @@ def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
         responses=fitted_responses(found),
         residual_correlations=residual_correlations(found),
         loops=frequency_responses(found),
+        trajectories=accumulations(found),
     )
 
 

@@ -1,13 +1,15 @@
-"""Sections about single responses and about what is left of all: one response by itself, correlations, frequency responses."""
+"""Sections about single responses and about what is left of all: one response, correlations, frequency responses, trajectories."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.identify.response_analysis.comparison import FittedResponse
 from flighttest.identify.response_analysis.frequency_response import FrequencyResponse, ResidualCorrelation
-from flighttest.report.document import Choice, Figure, Panel, Section, Trace
+from flighttest.identify.validation.accumulation import Accumulation
+from flighttest.report.document import Choice, Figure, Panel, Role, Section, Trace
 from flighttest.report.numbers import unit
 from flighttest.report.packing import coarse
 from flighttest.report.sections.show import word
@@ -15,6 +17,9 @@ from flighttest.report.views import FitView
 
 POINTS = 80  # of a trace
 MOST_CORRELATED = 9
+TRAJECTORY_POINTS = 40
+
+FloatArray = NDArray[np.float64]
 
 
 def one_by_one(view: FitView) -> Section | None:
@@ -126,6 +131,31 @@ def _bode(loop: FrequencyResponse) -> tuple[Panel, ...]:
     )
 
 
+def trajectories(view: FitView) -> Section | None:
+    """Every parameter's estimate and 95 % interval as responses are added in the order flown."""
+    panels = tuple(_trajectory(t) for t in view.trajectories)
+    if not panels:
+        return None
+    caption = (
+        "Estimate and 95 % interval by the responses flown so far, by one linear step from the final estimate (no refit); a curve "
+        "begins where the responses determine the parameter. An estimate that leaves its earlier interval, or drifts on while the "
+        "interval narrows, changed in flight or stands for something that the model lacks."
+    )
+    figure = Figure("trajectories", panels, caption, 3, 220)
+    return Section("trajectories", "Estimates as responses are added", (figure,), detail=True)
+
+
+def _trajectory(t: Accumulation) -> Panel:
+    def line(y: FloatArray, name: str, role: Role) -> Trace:
+        return Trace(*coarse(t.count.astype(float), y, TRAJECTORY_POINTS), name, role, group=name)
+
+    final = Trace([t.count[0], t.count[-1]], [t.value[-1]] * 2, "final estimate", "reference", group="final estimate")
+    low, high = (line(t.value + sign * t.half_width, "95 % interval", "limit") for sign in (-1.0, 1.0))
+    value = line(t.value, "estimate", "measured")
+    label = f"{t.name}, {unit(t.unit)}" if unit(t.unit) else t.name
+    return Panel(t.name, "responses so far", label, (low, high, final, value))
+
+
 def response_sections(view: FitView) -> tuple[Section, ...]:
     """All of them that there is something to show of."""
-    return tuple(s for s in (one_by_one(view), bode(view), correlation(view)) if s is not None)
+    return tuple(s for s in (one_by_one(view), bode(view), correlation(view), trajectories(view)) if s is not None)
