@@ -8,7 +8,7 @@ late and (1 + kappa) large, specific force read tau_f late (its known low-pass f
     v(t) = v_0 + b t + int (R f - g e_z) dt - tau_v a(t) + tau_f int R df/dt dt + kappa int (a_x, a_y, 0) dt
 
 holds in every stretch, three axes with one triple of unknowns; v_0, b (what attitude and accelerometer are biased by) are each stretch's
-own. Linear least squares after one zero-phase low-pass filter of all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
+own. Linear least squares after one low-pass filter without phase over all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
 motion says of them moves them little, and without tilting only the difference of the offsets is known, which is all that matters there.
 Standard errors cluster by stretch. Klein & Morelli, Aircraft System Identification, chapter 10. No vehicle model is involved.
 """
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy.ndimage import gaussian_filter1d
 
 from flighttest.channels import names
 from flighttest.frames import G_M_S2, rotation_from_euler
@@ -107,7 +107,8 @@ def _equations(
     jerk = np.einsum("nij,nj->ni", rotation, np.gradient(force, t, axis=0))
     moved = _integral(acceleration, t)
     terms = np.stack([velocity - moved, acceleration, -_integral(jerk, t), moved * [1.0, 1.0, 0.0]])
-    smooth = signal.sosfiltfilt(signal.butter(2, _CUTOFF_HZ, fs=_RATE_HZ, output="sos"), terms, axis=1)
+    halved = np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * _CUTOFF_HZ)  # s: this Gaussian halves the cut-off frequency
+    smooth = gaussian_filter1d(terms, halved * _RATE_HZ, axis=1, mode="nearest")
     still = np.linalg.qr(np.stack([np.ones(t.size), t - t[0]], axis=-1))[0]
     inside = slice(20, -20)  # filters settle at the ends
     y, *regressors = ((x - still @ (still.T @ x))[inside].ravel() for x in smooth)
