@@ -69,6 +69,7 @@ class Table:
     caption: str = ""
     fold: bool = False  # long: folded away in HTML, shortened on a terminal unless everything is asked for
     detail: tuple[int, ...] = ()  # columns (by position) that a terminal shows only where everything is asked for
+    brief: str = ""  # the sentence that stands for it on a terminal unless everything is asked for
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class Code:
 
     text: str
     caption: str = ""
+    brief: str = ""  # as of a table
 
 
 @dataclass(frozen=True)

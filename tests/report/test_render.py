@@ -229,6 +229,20 @@ def test_a_heading_that_is_cut_is_seen(monkeypatch):
     assert any("cut" in words for words in troubles(wide, 80))
 
 
+def test_a_sentence_stands_for_a_long_block_unless_everything_is_asked_for():
+    table = Table(("effect", "why"), (("wind", "still air"),), brief="One effect could not be seen: wind.")
+    code = Code("format: maneuver/1\nname: next", "the script", "--all shows the script.")
+    made = Document("d", "v", sections=(Section("s", "Limits", (table, code)),))
+    short, whole = (drawn(made, 80, everything=e) for e in (False, True))
+    assert "One effect could not be seen: wind." in short
+    assert "--all shows the script." in short
+    assert "still air" not in short
+    assert "maneuver/1" not in short
+    assert "still air" in whole
+    assert "maneuver/1" in whole
+    assert "could not be seen" not in whole
+
+
 def test_every_table_is_written_whole_as_csv_and_parquet(tmp_path):
     table = Table(
         ("name", "value", ""), (("K", Cell("54.6", "good", "m/s^2"), "yes"), ("a,b", "-", "")), detail=(2,), fold=True

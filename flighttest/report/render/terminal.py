@@ -85,6 +85,8 @@ def _block(block: Block, everything: bool) -> RenderableType | None:
         return grid
     if isinstance(block, Facts):
         return _facts(block)
+    if isinstance(block, Table | Code) and block.brief and not everything:
+        return Text(block.brief)
     if isinstance(block, Table):
         return _Sized(block, everything)
     if isinstance(block, Code):

@@ -239,14 +239,24 @@ def _limits(data: Data) -> Section:
         align: tuple[Align, ...] = ("left", "right", "right", "left")
         caption = "Candidates that were tried and not taken."
         blocks.append(
-            Table(("candidate", "-2 log evidence", "probability", "why not"), rows, align, caption, fold=True)
+            Table(
+                ("candidate", "-2 log evidence", "probability", "why not"),
+                rows,
+                align,
+                caption,
+                fold=True,
+                brief="--all says why not.",
+            )
         )
     unseen = tuple(
         (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
     )
     if unseen:
         caption = "This data could not have shown them: not seen is not the same as absent."
-        blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption))
+        brief = (
+            f"Could not be seen in these flights, which is not the same as absent: {', '.join(u[0] for u in unseen)}."
+        )
+        blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption, brief=brief))
     smallest = data.get("smallest_detectable") or {}
     if smallest:
         units = data.get("smallest_units") or {}
@@ -255,7 +265,10 @@ def _limits(data: Data) -> Section:
             for k, v in smallest.items()
         )
         caption = "The smallest effect that would have been noticed."
-        blocks.append(Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True))
+        brief = "--all lists the smallest effect of each kind that would have been noticed."
+        blocks.append(
+            Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True, brief=brief)
+        )
     left = (data.get("unexplained") or {}).get("excess_share")
     if left is not None:
         blocks.append(Paragraph(f"Left unexplained: {percent(float(left))} of the error above the noise floor."))
@@ -279,5 +292,5 @@ def _next(data: Data, script: str) -> Section | None:
     if reason.get("zone"):
         blocks.append(Paragraph(str(reason["zone"]), "plain" if reason.get("fits_zone") else "warn"))
     if script:
-        blocks.append(Code(script, "the script"))
+        blocks.append(Code(script, "the script", "--all shows the script."))
     return Section("next", "Fly this next", tuple(blocks))
