@@ -8,15 +8,16 @@ import pytest
 from made_rows import autoregressive, responses, rows_of
 
 from flighttest.diagnose.residuals.lack_of_fit import floor_of
+from flighttest.diagnose.selection.candidates import redundant
 from flighttest.diagnose.selection.comparison import (
     Evidence,
     Fitted,
+    evidence_of,
     inadmissible,
     log_evidence,
     log_odds_asked,
     probability_of,
     standard_errors,
-    unfelt,
 )
 from flighttest.diagnose.selection.held_out import cross_validated
 from flighttest.estimation.linearisation import Optimum
@@ -76,27 +77,40 @@ def test_what_is_there_has_half_its_chi_square(rng, rho, size):
     assert np.mean(found) == pytest.approx(0.5 * np.mean(chi), rel=0.2)
 
 
-FELT = {"f_x_m_s2": 3.0, "f_y_m_s2": 2.0, "f_z_m_s2": 4.0, "v_x_m_s": 400.0, "v_y_m_s": 300.0, "v_z_m_s": 9.0, "": -5.0}
+RECORDED = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s", "a_d_x_m_s2")
 
 
 @pytest.mark.parametrize(
-    ("changes", "aside"),
+    ("term", "missing", "aside"),
     [
-        ({}, set()),
-        ({"f_x_m_s2": -9.0, "f_y_m_s2": -7.0}, {"v_x_m_s", "v_y_m_s"}),
-        ({"f_x_m_s2": -9.0, "f_y_m_s2": 13.0}, set()),  # one side of a force is enough: body axes turn
-        ({"f_x_m_s2": 1.4, "f_y_m_s2": 2.0}, {"v_x_m_s", "v_y_m_s"}),
-        ({"f_x_m_s2": 1.6, "f_y_m_s2": 2.0}, set()),
-        ({"f_z_m_s2": 3.4}, {"v_z_m_s"}),
+        ("slung_payload", (), {"v_x_m_s", "v_y_m_s", "v_z_m_s"}),
+        ("slung_payload", ("f_x_m_s2",), {"v_z_m_s"}),  # body axes turn: one axis says nothing of a side
+        ("slung_payload", ("f_z_m_s2",), {"v_x_m_s", "v_y_m_s"}),
+        ("slung_payload", ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), set()),
+        ("velocity_latency", (), set()),
+        ("accelerometer_bias", (), set()),
+        ("channel_delay", (), set()),
     ],
 )
-def test_a_velocity_is_no_evidence_of_a_force_that_the_accelerometer_does_not_feel(changes, aside):
-    """33 candidates: 3.5 nats."""
-    assert unfelt(FELT | changes, 33) == aside
+def test_beside_the_specific_force_a_velocity_is_no_evidence_of_a_force(term, missing, aside):
+    assert redundant(catalogue()[term], [s for s in RECORDED if s not in missing]) == aside
 
 
-def test_without_an_accelerometer_the_velocity_counts():
-    assert unfelt({"v_x_m_s": 400.0, "v_y_m_s": 300.0, "v_z_m_s": 9.0}, 33) == frozenset()
+@pytest.mark.parametrize(("term", "named"), [("axial_inflow", False), ("velocity_latency", True)])
+def test_what_only_the_velocity_shows_beside_a_recorded_specific_force_is_an_instrument(rng, term, named):
+    """500 nats of the velocity in half of the responses, whose other half is specific force."""
+    column = np.repeat([0.0, 1.0], SEGMENTS // 2 * EACH)[:, None] * rng.normal(size=(SEGMENTS * EACH, 1))
+    y = column[:, 0] + rng.normal(size=column.shape[0])
+    names = tuple(p.name for p in catalogue()[term].params)
+    channel = np.repeat([0, 1], SEGMENTS // 2 * EACH)
+    larger, smaller = fitted(y, column, names, Model((term,))), fitted(y, column[:, :0], (), Model(()))
+    larger, smaller = (replace(m, rows=replace(m.rows, stratum=channel)) for m in (larger, smaller))
+    segments = responses(SEGMENTS, EACH, REPEATS)
+    estimator = SimpleNamespace(segments=segments, covariance=lambda *_: SimpleNamespace(names=()))
+    floor = floor_of(smaller.rows, segments, {})
+    e = evidence_of(catalogue()[term], larger, smaller, estimator, GROUPS, floor, 30)
+    assert (e.nats > 100.0) is named
+    assert (e.probability > 0.99) is named
 
 
 def test_models_are_compared_in_the_noise_of_the_larger(rng):

@@ -22,10 +22,10 @@ def param(name, nominal=1.0, one_sided=False):
     return SimpleNamespace(name=name, nominal=nominal, off=0.0, one_sided=one_sided)
 
 
-def candidate(name, columns, shape=None, **how):
+def candidate(name, columns, shape=None, family="propulsion", **how):
     columns = np.asarray(columns, dtype=float).reshape(len(columns), -1)
     names = tuple(f"{name}{k}" for k in range(columns.shape[1]))
-    term = SimpleNamespace(id=name, params=tuple(param(n, **how) for n in names))
+    term = SimpleNamespace(id=name, family=family, params=tuple(param(n, **how) for n in names))
     return Candidate(term, shape or {}, names, columns, columns)
 
 
@@ -81,6 +81,22 @@ def test_a_free_variance_is_profiled(rng):
     gain = 0.5 * n * np.log((residual @ residual) / (left @ left))
     occam = 0.5 * np.log(1 + 9.0 * (a[:, 0] @ a[:, 0]) / (left @ left / n))
     assert scored.log_odds == pytest.approx(gain - occam - 0.5 * (0.5 / 3.0) ** 2, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("families", "counts"), [(("propulsion",), False), (("sensor",), True), (("propulsion", "sensor"), True)]
+)
+def test_what_only_the_velocity_shows_is_proposed_for_an_instrument_alone(rng, families, counts):
+    """Specific force is recorded: the first half of the rows."""
+    n = 400
+    channel = np.repeat([0, 1], n // 2)
+    a = rng.normal(size=(n, len(families))) * channel[:, None]
+    rows = rows_of(a.sum(axis=1) + 0.3 * rng.normal(size=n), np.zeros((n, 0)), segments=1, channel=channel)
+    known = Discrepancy(np.ones(2), np.zeros(2), np.ones(2), np.array([n / 2, n / 2]))
+    of = [candidate(f"c{j}", a[:, [j]], family=family) for j, family in enumerate(families)]
+    found = Subsets.at(rows, rows.names, of, known, NoiseFloor(dict.fromkeys(rows.channels, 0.1), frozenset(), {}))
+    (scored,) = found.score([tuple(range(len(of)))])
+    assert (scored.log_odds > 0.0) is counts
 
 
 @pytest.mark.parametrize("size", [0.6, 0.1, -0.1, -0.6])
@@ -177,7 +193,7 @@ def test_a_column_of_which_a_thousandth_is_left_is_a_candidate(rng, left, tried)
 def test_a_difference_without_a_coefficient_is_there_about_once(rng):
     """A term without a linear coefficient: multiple one of its whole change is expected, none is not it."""
     effect = rng.normal(size=(N, 1))
-    term = SimpleNamespace(id="limit", params=())
+    term = SimpleNamespace(id="limit", family="propulsion", params=())
     scored = []
     for multiple in (1.0, 0.0):
         residual = multiple * effect[:, 0] + 0.5 * rng.normal(size=N)
@@ -191,7 +207,7 @@ def test_a_difference_without_a_coefficient_is_there_about_once(rng):
 def test_the_multiple_of_a_difference_is_known_to_two_fifths(rng):
     a = rng.normal(size=(N, 1))
     residual = 0.3 * a[:, 0] + rng.normal(size=N)
-    term = SimpleNamespace(id="a", params=())
+    term = SimpleNamespace(id="a", family="propulsion", params=())
     found = subsets(residual, np.zeros((N, 0)), [Candidate(term, {}, (), a, a)], floor=1.0)
     found.now[:], found.least[:], found.size[:] = 1.0, 1.0, 0.0
     (scored,) = found.score([(0,)])

@@ -3,7 +3,7 @@ of the present model, its nonlinear parameters on their declared grids. The test
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,8 @@ from flighttest.physics.model import Model
 PRIOR_SIZES = (
     3.0  # prior standard deviation of a linear coefficient, in usual sizes: effects of a tenth to three sizes fly
 )
+_FORCES, _VELOCITIES = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+_OF_INSTRUMENTS = ("sensor", "link")  # families of terms that are no forces
 DIFFERENCE_STD = 0.4  # of the multiple of a finite difference, about 1: grid values are up to half an octave off
 
 
@@ -68,6 +70,16 @@ def null_value(p: Param) -> float:
 def usual_size(p: Param) -> float:
     """Nominal value of a linear coefficient, from its null value."""
     return float(p.nominal) - null_value(p)
+
+
+def redundant(term: Term, strata: Collection[str]) -> frozenset[str]:
+    """Velocities that say nothing of a term, since their specific force is recorded: p(f, v) = p(f) p(v | f), and given specific force and
+    attitude kinematics alone make the velocity, whatever the force; what a force explains of it beyond that is the velocity estimator's
+    own error. None for terms of instruments. strata: what is recorded."""
+    if term.family in _OF_INSTRUMENTS:
+        return frozenset()
+    sides = (_FORCES[:2], _VELOCITIES[:2]), (_FORCES[2:], _VELOCITIES[2:])
+    return frozenset(v for forces, velocities in sides if {*forces} <= {*strata} for v in velocities)
 
 
 def grid(term: Term) -> list[dict[str, float]]:

@@ -8,14 +8,14 @@ where its probability, prior odds included, is above `PROBABILITY`, its effect h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.candidates import null_value, usual_size
+from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import cross_validated, gains_held_out, held_out, places, size_in_floors
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
@@ -27,8 +27,6 @@ from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
-_FORCE, _VELOCITY = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), ("v_x_m_s", "v_y_m_s", "v_z_m_s")
-_OF_INSTRUMENTS = ("sensor", "link")  # families of terms that are no forces
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
 
 
@@ -131,17 +129,6 @@ def log_evidence(
     return found
 
 
-def unfelt(nats: Mapping[str, float], candidates: int) -> frozenset[str]:
-    """Velocities that say nothing of a force, since the accelerometer does not feel it: a force moves both, and where the specific force
-    alone makes it no likelier than not (prior odds one to the number of candidates), what it explains of the velocity may be the velocity
-    estimator's own error. nats: by stratum."""
-    sides = (_FORCE[:2], _VELOCITY[:2]), (_FORCE[2:], _VELOCITY[2:])
-    asked = math.log(max(candidates, 1))
-    return frozenset(
-        v for force, velocity in sides if {*force} <= {*nats} and sum(nats[f] for f in force) <= asked for v in velocity
-    )
-
-
 def evidence_of(
     term: Term,
     fitted: Fitted,
@@ -154,10 +141,10 @@ def evidence_of(
     """One term of a fitted model against the model without it. floor: of the base model, in which sizes are counted."""
     segments = estimator.segments
     by_stratum = log_evidence(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
-    aside = unfelt(by_stratum, candidates) if term.family not in _OF_INSTRUMENTS else frozenset()
+    aside = redundant(term, by_stratum)
     nats = sum(value for stratum, value in by_stratum.items() if stratum not in aside)
     effect = _change(fitted.rows, without.rows.unprofiled_residual, fitted.rows.unprofiled_residual)
-    floors, place = size_in_floors(fitted.rows, effect, segments, floor, aside)
+    floors, place = size_in_floors(fitted.rows, effect, segments, floor)
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,14 +175,10 @@ def size_in_floors(
     effect: FloatArray,
     segments: Sequence[Segment],
     floor: NoiseFloor,
-    aside: Collection[str] = (),
 ) -> tuple[float, tuple[str, str]]:
-    """Largest RMS of an effect ((n,), in the channel's unit) over a place, in noise floors, and the place. aside: channels that do not
-    count."""
+    """Largest RMS of an effect ((n,), in the channel's unit) over a place, in noise floors, and the place."""
     best, where = 0.0, ("", "")
     for place, at in places(rows, segments).items():
-        if place[0] in aside:
-            continue
         size = float(np.sqrt(np.mean(effect[at] ** 2))) / floor.of(place[0])
         if size > best:
             best, where = size, place

@@ -8,7 +8,8 @@ N(m, P) of its linear coefficients x (half-normal where physics allows one side 
 
 at the maximum x, v_k the residual variance under S, no less than the pure error (Laplace approximation; n_k, Q_k in effective samples).
 Prior of a subset: each term is missing with odds of one to the number of candidate terms, so that one is expected, and its grid values
-are alike. All subsets of up to three terms are scored, larger ones step by step (`search`).
+are alike. The sum over k leaves out what says nothing of any member (`candidates.redundant`). All subsets of up to three terms are scored,
+larger ones step by step (`search`).
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from flighttest.diagnose.residuals.discrepancy import Discrepancy
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
-from flighttest.diagnose.selection.candidates import Candidate
+from flighttest.diagnose.selection.candidates import Candidate, redundant
 from flighttest.estimation.linearisation import RANK, FloatArray, Linearisation
 
 LARGEST = 3  # terms in the exhaustive search
@@ -45,7 +47,7 @@ class Scored:
 class Subsets:
     """Gram matrices of candidates beside the present model. gram (K, p, p), moment (K, p), square (K,), size (K,) effective samples: per
     stratum, the last that of priors of initial states, whose variance is known; least (K,): variance of the pure error; left (c,): of each
-    candidate's column lengths what the base cannot copy."""
+    candidate's column lengths what the base cannot copy; counts (K, c): whether a stratum says anything of a candidate."""
 
     candidates: Sequence[Candidate]
     gram: FloatArray
@@ -56,6 +58,7 @@ class Subsets:
     now: FloatArray
     left: FloatArray
     first: FloatArray
+    counts: NDArray[np.bool_]
     settings: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -92,9 +95,10 @@ class Subsets:
         # In units of the present variance of the stratum.
         least = np.append(noise / discrepancy.variance, 1.0)
         first = np.cumsum([0, *(c.columns.shape[1] for c in candidates)])
-        counts: dict[str, int] = {}
+        settings: dict[str, int] = {}
         for c in candidates:
-            counts[c.term.id] = counts.get(c.term.id, 0) + 1
+            settings[c.term.id] = settings.get(c.term.id, 0) + 1
+        aside = [redundant(c.term, rows.strata) for c in candidates]
         return cls(
             candidates=candidates,
             gram=np.array([one[:-1, :-1] for one in products]),
@@ -105,7 +109,8 @@ class Subsets:
             now=np.where(size > 0, np.maximum(square / np.maximum(size, 1e-9), least), 1.0),
             left=np.array([left[first[j] : first[j + 1]].max(initial=0.0) for j in range(len(candidates))]),
             first=first,
-            settings=counts,
+            counts=np.array([[name not in one for one in aside] for name in (*rows.strata, "")]),
+            settings=settings,
         )
 
     def ranked(self, largest: int = LARGEST) -> list[Scored]:
@@ -168,7 +173,8 @@ class Subsets:
             variance = np.where(size > 0, np.maximum(square / np.maximum(size, 1e-9), least), 1.0)
         before = self.now[:, None]
         gain = size * np.log(before / variance) + self.square[:, None] / before - square / variance
-        value = 0.5 * gain.sum(axis=0) - 0.5 * np.sum(((x - mean) / std) ** 2, axis=1)
+        counts = np.array([self.counts[:, list(m)].any(axis=1) for m in members]).T
+        value = 0.5 * np.sum(gain, axis=0, where=counts) - 0.5 * np.sum(((x - mean) / std) ** 2, axis=1)
         value -= 0.5 * np.linalg.slogdet(h)[1]
         error = np.sqrt(np.einsum("nii->ni", np.linalg.inv(h))) * std
         value += np.sum(np.where(side != 0, np.log(2.0) + log_ndtr(x * side / error), 0.0), axis=1)
