@@ -84,7 +84,7 @@ def test_a_free_variance_is_profiled(rng):
 
 
 @pytest.mark.parametrize(
-    ("families", "counts"), [(("propulsion",), False), (("sensor",), True), (("propulsion", "sensor"), True)]
+    ("families", "counts"), [(("propulsion",), False), (("sensor",), True), (("propulsion", "sensor"), False)]
 )
 def test_what_only_the_velocity_shows_is_proposed_for_an_instrument_alone(rng, families, counts):
     """Specific force is recorded: the first half of the rows."""

@@ -8,8 +8,8 @@ N(m, P) of its linear coefficients x (half-normal where physics allows one side 
 
 at the maximum x, v_k the residual variance under S, no less than the pure error (Laplace approximation; n_k, Q_k in effective samples).
 Prior of a subset: each term is missing with odds of one to the number of candidate terms, so that one is expected, and its grid values
-are alike. The sum over k leaves out what says nothing of any member (`candidates.redundant`). All subsets of up to three terms are scored,
-larger ones step by step (`search`).
+are alike. The sum over k leaves out what says nothing of a member (`candidates.redundant`), so that an instrument is found first and a
+force beside it. All subsets of up to three terms are scored, larger ones step by step (`search`).
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class Subsets:
             variance = np.where(size > 0, np.maximum(square / np.maximum(size, 1e-9), least), 1.0)
         before = self.now[:, None]
         gain = size * np.log(before / variance) + self.square[:, None] / before - square / variance
-        counts = np.array([self.counts[:, list(m)].any(axis=1) for m in members]).T
+        counts = np.array([self.counts[:, list(m)].all(axis=1) for m in members]).T
         value = 0.5 * np.sum(gain, axis=0, where=counts) - 0.5 * np.sum(((x - mean) / std) ** 2, axis=1)
         value -= 0.5 * np.linalg.slogdet(h)[1]
         error = np.sqrt(np.einsum("nii->ni", np.linalg.inv(h))) * std
