@@ -16,7 +16,7 @@ import numpy as np
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
-from flighttest.diagnose.selection.held_out import cross_validated, gains_held_out, held_out, places, size_in_floors
+from flighttest.diagnose.selection.held_out import Predicted, cross_validated, gains, places, size_in_floors
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import kinds_of
@@ -112,21 +112,29 @@ def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, fl
     return dict(zip(fitted.names, (np.sqrt(np.maximum(np.diag(inverse), 0.0)) / length).tolist(), strict=True))
 
 
-def log_evidence(
+def predicted(
     larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
-) -> dict[str, float]:
-    """Stratum (channel, disturbance; '' for initial states) to the difference of cross-validated log predictive densities, nats, in the
-    noise and discrepancy of the larger model; their sum is the log evidence."""
+) -> tuple[Predicted, Predicted]:
+    """Larger and smaller model cross-validated over groups, in the noise and discrepancy of the larger."""
     weights = weights_of(larger, estimator.segments, floor)
     at = replace(smaller.at, noise=larger.at.noise)
     rows = smaller.rows if at.noise == smaller.at.noise else estimator.linearise(smaller.model, at, smaller.names)
-    found: dict[str, float] = {}
-    for sign, r, names in ((0.5, rows, smaller.names), (-0.5, larger.rows, larger.names)):
-        squares = cross_validated(r, names, groups, weights(r))
-        # -1, of initial states, comes first
-        for name, total in zip(("", *r.strata), np.bincount(r.stratum + 1, squares, len(r.strata) + 1), strict=True):
-            found[name] = found.get(name, 0.0) + sign * float(total)
-    return found
+    both = (larger.rows, larger.names), (rows, smaller.names)
+    first, second = (Predicted(r, cross_validated(r, names, groups, weights(r))) for r, names in both)
+    return first, second
+
+
+def log_evidence(
+    larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
+) -> dict[str, float]:
+    """Stratum (channel, disturbance; '' for initial states) to the difference of cross-validated log predictive densities, nats; their sum
+    is the log evidence."""
+    return _difference(*predicted(larger, smaller, estimator, groups, floor))
+
+
+def _difference(larger: Predicted, smaller: Predicted) -> dict[str, float]:
+    after = larger.by_stratum()
+    return {name: 0.5 * (before - after[name]) for name, before in smaller.by_stratum().items()}
 
 
 def evidence_of(
@@ -140,7 +148,8 @@ def evidence_of(
 ) -> Evidence:
     """One term of a fitted model against the model without it. floor: of the base model, in which sizes are counted."""
     segments = estimator.segments
-    by_stratum = log_evidence(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
+    after, before = predicted(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
+    by_stratum = _difference(after, before)
     aside = redundant(term, by_stratum)
     nats = sum(value for stratum, value in by_stratum.items() if stratum not in aside)
     effect = _change(fitted.rows, without.rows.unprofiled_residual, fitted.rows.unprofiled_residual)
@@ -148,8 +157,7 @@ def evidence_of(
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
-    held = [held_out(f.rows, f.names, groups) for f in (without, fitted)]
-    gains = gains_held_out(without.rows, held[0], fitted.rows, held[1], groups, floor)
+    intervals = {name: interval for name, interval in gains(before, after, groups).items() if name not in aside}
     return Evidence(
         term=term.id,
         nats=nats,
@@ -161,8 +169,8 @@ def evidence_of(
         inadmissible=inadmissible(term, fitted, segments, candidates),
         without=without,
         nothing=_nothing(term, fitted, estimator) if floor.repeated(*place) else "",
-        improved=tuple(name for name, h in gains.items() if h.gain_95[0] > 0.0),
-        worsened=tuple(name for name, h in gains.items() if h.gain_95[1] < 0.0),
+        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
+        worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
 
 
