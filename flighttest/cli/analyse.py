@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
@@ -10,6 +11,13 @@ import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.words import held, ties
+
+if TYPE_CHECKING:
+    from flighttest.api.inputs import DiagnoseOptions, FitOptions
+
+    class _DiagnoseOptions(DiagnoseOptions):
+        columns: Path | None
+
 
 RUNS = click.argument("runs", nargs=-1, required=True, type=ANY, metavar="RUN...")
 COLUMNS = click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
@@ -80,23 +88,16 @@ def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> i
 def fit(
     context: Context,
     runs: tuple[Path, ...],
-    output: Path | None,
     columns: Path | None,
     vehicle: Path | None,
-    terms: tuple[str, ...],
     freeze: tuple[str, ...],
     tie: tuple[str, ...],
-    weather: tuple[str, ...],
-    workers: int,
-    scheduler: str | None,
+    **options: Unpack[FitOptions],
 ) -> int:
     """Estimate the model's parameters from one or several recordings, jointly."""
     held_at, tied = held(freeze), ties(tie)
     with LiveProgress(context.show) as progress:
-        answer = ft.fit(
-            *runs, vehicle=vehicle, freeze=held_at, tie=tied, columns=columns, progress=progress, terms=terms, weather=weather,
-            workers=workers, scheduler=scheduler, output=output,
-        )  # fmt: skip
+        answer = ft.fit(*runs, vehicle=vehicle, freeze=held_at, tie=tied, columns=columns, progress=progress, **options)
     return context.finish(answer)
 
 
@@ -122,28 +123,22 @@ def fit(
 def diagnose(
     context: Context,
     runs: tuple[Path, ...],
+    simulated: tuple[Path, ...],
     model: Path | None,
     output: Path | None,
-    columns: Path | None,
     vehicle: Path | None,
-    weather: tuple[str, ...],
-    workers: int,
-    accept: bool,
-    simulated: tuple[Path, ...],
+    **options: Unpack[_DiagnoseOptions],
 ) -> int:
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
     with LiveProgress(context.show) as progress:
-        if simulated:
-            opposed = ft.against(
-                runs, simulated, model=model, vehicle=vehicle, output=output, columns=columns, progress=progress, weather=weather,
-                workers=workers,
-            )  # fmt: skip
-            return context.finish(opposed)
-        answer = ft.diagnose(
-            *runs, model=model, vehicle=vehicle, output=output, columns=columns, progress=progress, weather=weather, workers=workers,
-            accept=accept,
+        if not simulated:
+            answer = ft.diagnose(*runs, model=model, vehicle=vehicle, output=output, progress=progress, **options)
+            return context.finish(answer)
+        opposed = ft.against(
+            runs, simulated, model=model, vehicle=vehicle, output=output, columns=options["columns"], progress=progress,
+            weather=options["weather"], workers=options["workers"],
         )  # fmt: skip
-    return context.finish(answer)
+    return context.finish(opposed)
 
 
 @command("report")

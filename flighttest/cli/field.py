@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, Unpack
 
 import click
 
@@ -12,6 +12,16 @@ import flighttest as ft
 from flighttest.api.flights import flight
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
+
+if TYPE_CHECKING:
+    from flighttest.api.inputs import CampaignOptions, ServeOptions
+
+    class _RunOptions(CampaignOptions):
+        connect: str | None
+        vehicle: Path | None
+        out: Path
+        hide: tuple[str, ...]
+        seed: int
 
 
 @command("check")
@@ -65,39 +75,15 @@ def check(
     help="The live picture; large is read from two metres and in the sun.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask before arming.")
-def run(
-    context: Context,
-    scripts: tuple[str, ...],
-    vehicle: Path | None,
-    connect: str | None,
-    out: Path,
-    speed: float | None,
-    seed: int,
-    airframe: Literal["paper", "rotor"],
-    hide: tuple[str, ...],
-    model: Path | None,
-    accept: bool,
-    only: Literal["fly", "fit"] | None,
-    resume: Path | None,
-    set_params: bool,
-    waive: tuple[str, ...],
-    weather: str,
-    signing_key: Path | None,
-    sysid: int | None,
-    view: str,
-    yes: bool,
-) -> int:
+def run(context: Context, scripts: tuple[str, ...], view: str, yes: bool, **options: Unpack[_RunOptions]) -> int:
     """Fly maneuver scripts, record, cut, fit, diagnose and report.
 
     SCRIPT is a path or the name of a shipped maneuver. Without --vehicle or --connect it flies the built-in simulated
     copter; it never reaches for a real vehicle by default.
     """
-    if not scripts and resume is None:
+    if not scripts and options["resume"] is None:
         raise click.UsageError("nothing to fly: name a SCRIPT, or a run with --resume")
-    asked = flight(
-        *scripts, connect=connect, vehicle=vehicle, out=out, hide=hide, seed=seed, speed=speed, airframe=airframe, model=model, only=only,
-        resume=resume, set_params=set_params, waive=waive, weather=weather, accept=accept, signing_key=signing_key, sysid=sysid,
-    )  # fmt: skip
+    asked = flight(*scripts, **options)
     context.show.say(asked.sentence)
     if not yes and asked.real and not sys.stdin.isatty():
         raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
@@ -122,31 +108,9 @@ def run(
 @click.option(
     "--frame", type=FOLDER, metavar="DIR", help="With --backend sitl: fly what `export --to ardupilot` wrote."
 )
-def sim(
-    context: Context,
-    airframe: Literal["paper", "rotor"],
-    backend: Literal["builtin", "sitl"],
-    hide: tuple[str, ...],
-    seed: int,
-    port: int,
-    speed: float,
-    lockstep: bool,
-    model: Path | None,
-    frame: Path | None,
-) -> int:
+def sim(context: Context, **options: Unpack[ServeOptions]) -> int:
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
-    said_so_far = ft.serve(
-        airframe=airframe,
-        backend=backend,
-        hide=hide,
-        seed=seed,
-        port=port,
-        speed=speed,
-        lockstep=lockstep,
-        model=model,
-        frame=frame,
-    )
-    for said in said_so_far:
+    for said in ft.serve(**options):
         if isinstance(said, str):
             context.show.say(said)
             continue

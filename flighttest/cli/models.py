@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import click
 
@@ -10,6 +11,14 @@ import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.words import seconds
+
+
+class _StatusOptions(TypedDict):
+    vehicle: Path | None
+    model: Path | None
+    connect: str | None
+    columns: Path | None
+    output: Path | None
 
 
 @command("validate")
@@ -77,28 +86,10 @@ def models(context: Context, folder: Path) -> int:
 @click.option("--columns", type=FILE, help="Column map (columns/1) for foreign tables.")
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders and models are.")
 @click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for status.html and the scripts to fly.")
-def status(
-    context: Context,
-    runs: tuple[Path, ...],
-    vehicle: Path | None,
-    model: Path | None,
-    connect: str | None,
-    columns: Path | None,
-    out: Path,
-    output: Path | None,
-) -> int:
+def status(context: Context, runs: tuple[Path, ...], out: Path, **options: Unpack[_StatusOptions]) -> int:
     """Current, stale or unknown: does the model still hold for this vehicle, and what must be flown again."""
     with LiveProgress(context.show) as progress:
-        answer = ft.check_validity(
-            *runs,
-            model=model,
-            vehicle=vehicle,
-            connect=connect,
-            runs=out,
-            output=output,
-            columns=columns,
-            progress=progress,
-        )
+        answer = ft.check_validity(*runs, runs=out, progress=progress, **options)
     return context.finish(answer)
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
 import flighttest as ft
 from flighttest.cli.base import FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
+
+if TYPE_CHECKING:
+    from flighttest.api.inputs import ProofOptions
 
 
 @command("prove")
@@ -32,20 +35,14 @@ from flighttest.cli.live import LiveProgress
 def prove(
     context: Context,
     trials: int,
-    generator: Literal["rotor", "sitl"],
-    kind: Literal["clean", "single", "pair", "outside"] | None,
-    clean: int,
     seed: int | None,
     workers: int,
-    scheduler: str | None,
     output: Path | None,
+    **options: Unpack[ProofOptions],
 ) -> int:
     """Hide effects in simulated flights, diagnose them blind, and print the scoreboard."""
     with LiveProgress(context.show) as progress:
-        answer = ft.prove(
-            trials, seed=seed, workers=workers, output=output, progress=progress, generator=generator, kind=kind, clean=clean,
-            scheduler=scheduler,
-        )  # fmt: skip
+        answer = ft.prove(trials, seed=seed, workers=workers, output=output, progress=progress, **options)
     return context.finish(answer)
 
 

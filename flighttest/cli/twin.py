@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict, Unpack
 
 import click
 
 import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
+
+
+class _TwinOptions(TypedDict):
+    offline: bool
+    backend: Literal["builtin", "sitl"]
+    seed: int
+    columns: Path | None
+    output: Path | None
 
 
 @command("twin")
@@ -54,11 +62,7 @@ def twin(
     verified: tuple[Path, ...],
     replayed: tuple[Path, ...],
     changes: tuple[str, ...],
-    offline: bool,
-    backend: Literal["builtin", "sitl"],
-    seed: int,
-    columns: Path | None,
-    output: Path | None,
+    **options: Unpack[_TwinOptions],
 ) -> int:
     """The twin, an identified model as a vehicle: compare it with recordings, or ask what if.
 
@@ -66,24 +70,22 @@ def twin(
     """
     if bool(verified) == bool(replayed):
         raise click.UsageError("give either --verify RUN... or --replay RUN...")
-    if backend == "sitl" and replayed:
+    if options["backend"] == "sitl" and replayed:
         raise click.UsageError("--backend is of --verify: a replay flies nothing")
     if changes and not replayed:
         raise click.UsageError("--set changes the vehicle of a --replay")
     with LiveProgress(context.show) as progress:
         if replayed:
-            replay = ft.replay(model, *replayed, changes=changes, output=output, columns=columns, progress=progress)
+            replay = ft.replay(
+                model,
+                *replayed,
+                changes=changes,
+                output=options["output"],
+                columns=options["columns"],
+                progress=progress,
+            )
             return context.finish(replay)
-        answer = ft.twin(
-            model,
-            *verified,
-            offline=offline,
-            backend=backend,
-            seed=seed,
-            output=output,
-            columns=columns,
-            progress=progress,
-        )
+        answer = ft.twin(model, *verified, progress=progress, **options)
     return context.finish(answer)
 
 
