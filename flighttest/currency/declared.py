@@ -144,6 +144,7 @@ def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
                 scripts_for(subsets),
                 because,
                 str(new.get("installed", "")),
+                bool(new.get("installed")),
             )
         )
     return found

@@ -60,7 +60,7 @@ class Change:
     """Something declared that differs between the model's vehicle and today's.
 
     kind: component, mass, firmware, parameter, voltage or frame. touches: subsets of `SUBSETS`; scripts: the paper's rule (all of
-    them); narrower: scripts that would do, with the reason in `because`.
+    them); narrower: scripts that would do, with the reason in `because`. since: the declared date where `dated`, else after which flight.
     """
 
     kind: str
@@ -72,6 +72,7 @@ class Change:
     narrower: tuple[str, ...]
     because: str
     since: str = ""
+    dated: bool = False
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.identify.free_flight import FreeFlight, estimate, stretches
+from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -26,10 +28,17 @@ WIND_TERM = "steady_wind"
 BESIDE_WIND = ("attitude_offset", "thrust_scaled_drag")
 
 
+class WindVerdict(Enum):
+    """What is said of the air in one flight; the value is what model.yaml and diagnosis.json carry."""
+
+    WIND = "wind"
+    NONE_SEEN = "none seen"
+    STILL = "still"  # declared, and nothing speaks against it
+
+
 @dataclass(frozen=True)
 class FlightWind:
-    """Velocity of the air in one flight, m/s, world; std of each; chi2: of both against none; verdict: 'wind', 'none seen' or 'still'
-    (declared)."""
+    """Velocity of the air in one flight, m/s, world; std of each; chi2: of both against none."""
 
     flight: str
     north: float
@@ -37,7 +46,7 @@ class FlightWind:
     north_std: float
     west_std: float
     chi2: float
-    verdict: str
+    verdict: WindVerdict
 
     @property
     def speed(self) -> float:
@@ -96,9 +105,29 @@ def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[
         covariance = found.covariance[np.ix_(at, at)]
         std = np.sqrt(np.diag(covariance))
         chi2 = float(w @ np.linalg.pinv(covariance) @ w) if np.isfinite(std).all() else 0.0
-        verdict = "wind" if chi2_beyond(chi2, 2) < CHANCE else "still" if flight in declared else "none seen"
+        calm = WindVerdict.STILL if flight in declared else WindVerdict.NONE_SEEN
+        verdict = WindVerdict.WIND if chi2_beyond(chi2, 2) < CHANCE else calm
         made.append(FlightWind(flight, float(w[0]), float(w[1]), float(std[0]), float(std[1]), chi2, verdict))
     return made
+
+
+def wind_rows(flights: Sequence[FlightWind], declared: frozenset[str]) -> list[FlightWindRow]:
+    """The wind of each flight as model.yaml and diagnosis.json have it. declared: flights said to be in still air."""
+    return [
+        FlightWindRow(
+            flight=w.flight,
+            w_north=w.north,
+            w_west=w.west,
+            w_north_std=w.north_std,
+            w_west_std=w.west_std,
+            speed_m_s=w.speed,
+            speed_std=w.speed_std,
+            from_deg=w.from_deg,
+            verdict=w.verdict.value,
+            declared="still" if w.flight in declared else "unknown",
+        )
+        for w in flights
+    ]
 
 
 def still_air(weather: Mapping[str, str] | None) -> tuple[frozenset[str], dict[str, tuple[float, float]]]:

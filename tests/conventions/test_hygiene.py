@@ -143,6 +143,31 @@ def test_the_search_for_dictionaries_of_anything_sees_them():
     assert untyped(source) == ["A.x", "A.f(y)", "g()"]
 
 
+def compared_sentences(source: str) -> list[str]:
+    """Comparisons with a text of several words, and of a verdict, status or tone with any text: enumerations and typed fields decide."""
+    found = []
+    for node in ast.walk(parsed(source)):
+        if isinstance(node, ast.Compare):
+            texts = [c.value for c in ast.walk(node) if isinstance(c, ast.Constant) and isinstance(c.value, str)]
+            outcome = [n for n in (node.left, *node.comparators) if isinstance(n, ast.Attribute) and n.attr in OUTCOMES]
+            if any(re.search(r"[a-z] [a-z]", text) for text in texts) or (outcome and any(texts)):
+                found.append(ast.unparse(node))
+    return found
+
+
+OUTCOMES = {"verdict", "status", "sentence", "reason", "why", "message"}
+
+
+def test_no_sentence_decides(repository):
+    found = {p.relative_to(repository).as_posix(): compared_sentences(p.read_text()) for p in modules(repository)}
+    assert not {path: lines for path, lines in found.items() if lines}, "compare a member of an enumeration"
+
+
+@pytest.mark.parametrize("source", ["x == 'not identifiable'", "'did you mean' in line", "w.verdict == 'wind'"])
+def test_the_search_for_compared_sentences_sees_each_way(source):
+    assert compared_sentences(source) == [source]
+
+
 PRIVATE = re.compile(r"_(?!_)\w+")
 # Names with an underscore of other libraries: pymavlink's time of a message, ctypes' and namedtuples' methods.
 FOREIGN = {"_timestamp", "_fields_", "_replace", "_asdict"}

@@ -11,6 +11,7 @@ from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import held_out_table
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
+from flighttest.identify.winds import WindVerdict
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis.diagnose import looked_for
@@ -46,7 +47,7 @@ def test_a_wind_is_named_with_its_size_and_nothing_else_is():
     found = find_terms(stretches(windy()), ALONE, POOL)
     assert list(found.named) == ["steady_wind"]
     (wind,) = found.winds
-    assert wind.verdict == "wind"
+    assert wind.verdict is WindVerdict.WIND
     assert abs(wind.north + 7.0) < 3.0 * wind.north_std < 4.0
 
 

@@ -9,7 +9,7 @@ from flighttest.errors import FitError
 from flighttest.frames import rotation_from_euler
 from flighttest.identify.free_flight import estimate, stretches
 from flighttest.identify.motion_equations import predicted
-from flighttest.identify.winds import winds
+from flighttest.identify.winds import WindVerdict, winds
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -117,7 +117,7 @@ def test_each_flight_has_its_own_wind_and_drag_is_shared():
     )
     found = winds(segments, Model(), {"calm": "still"})
     calm, windy = found.flights
-    assert (calm.verdict, windy.verdict) == ("still", "wind")
+    assert (calm.verdict, windy.verdict) == (WindVerdict.STILL, WindVerdict.WIND)
     assert abs(windy.north + 4.0) < 3.0 * windy.north_std < 4.0
     assert abs(windy.west - 2.0) < 3.0 * windy.west_std < 4.0
     assert windy.from_deg == pytest.approx(27.0, abs=25.0)

@@ -23,7 +23,6 @@ from flighttest.diagnose.free_flight.tables import (
     sampling_rate,
     table_of,
     what_separates,
-    wind_rows,
 )
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, Finding, Rival, TermVerdict, Untestable, short
@@ -42,7 +41,7 @@ from flighttest.identify.equation_fit import with_equation_error
 from flighttest.identify.fit import Fit, fit, has_attitude_references
 from flighttest.identify.free_flight import FreeFlight, stretches
 from flighttest.identify.selection import able
-from flighttest.identify.winds import CHANCE, WIND_TERM
+from flighttest.identify.winds import CHANCE, WIND_TERM, wind_rows
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -244,7 +243,7 @@ class _Assembly:
             notes=(*(n for a in self.answers for n in a.notes), *self._notes(), *compensated_voltage(after)),
             complete=self.complete,
             runs=tuple(dict.fromkeys(s.run for s in self.segments)),
-            winds=tuple(wind_rows(found)),
+            winds=tuple(wind_rows(found.winds, found.declared)),
         )  # fmt: skip
 
     def _fit(self) -> Fit:

@@ -28,7 +28,17 @@ from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.motion_equations import LATENCY, Equations
-from flighttest.identify.winds import BESIDE_WIND, CHANCE, WIND, WIND_TERM, FlightWind, still_air, turned, winds_of
+from flighttest.identify.winds import (
+    BESIDE_WIND,
+    CHANCE,
+    WIND,
+    WIND_TERM,
+    FlightWind,
+    WindVerdict,
+    still_air,
+    turned,
+    winds_of,
+)
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -194,7 +204,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     beside = [t for t in BESIDE_WIND if t in known]
     tried = asked.estimate(base.model.with_terms(WIND_TERM, *beside), base.values)
     drag = [n for n in ("d_x", "d_y", "k_x", "k_y", "c_h") if n in tried.std and tried.values[n] > 2.0 * tried.std[n]]
-    windy = [w for w in winds_of(tried, found.declared) if w.verdict == "wind"]
+    windy = [w for w in winds_of(tried, found.declared) if w.verdict is WindVerdict.WIND]
     p_value = wald(tried, known[WIND_TERM])
     if not drag or not windy or p_value >= level:
         return
@@ -287,7 +297,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
     known = {t.id: t for t in found.final.model.built_terms}
     for name in list(found.named)[:-1]:
         if name == WIND_TERM:
-            seen = any(w.verdict == "wind" for w in winds_of(found.final, found.declared))
+            seen = any(w.verdict is WindVerdict.WIND for w in winds_of(found.final, found.declared))
             gone = [] if seen else [name, *found.beside_wind]
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []

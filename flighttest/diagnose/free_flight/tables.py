@@ -13,7 +13,6 @@ from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, fl
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.identify.free_flight import FreeFlight
-from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.identify.winds import CHANCE, WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
@@ -66,17 +65,6 @@ def what_separates(rival: str, term: str) -> str:
     if {rival, term} == {WIND_TERM, OFFSET_TERM}:
         return "fly a second heading, or declare a flight in still air"
     return f"fly {catalogue()[rival].reveals}"
-
-
-def wind_rows(found: EquationSearch) -> list[FlightWindRow]:
-    """The wind of each flight as diagnosis.json has it."""
-    return [
-        FlightWindRow(
-            flight=w.flight, w_north=w.north, w_west=w.west, w_north_std=w.north_std, w_west_std=w.west_std, speed_m_s=w.speed,
-            speed_std=w.speed_std, from_deg=w.from_deg, verdict=w.verdict, declared="still" if w.flight in found.declared else "unknown",
-        )
-        for w in found.winds
-    ]  # fmt: skip
 
 
 def free_flight_floor(rows: Linearisation, segments: Sequence[Segment]) -> NoiseFloor:

@@ -54,6 +54,7 @@ class Scheduler:
     _ages_s: list[float] = field(default_factory=list)
     _hover: tuple[float, float] | None = None
     _plans: int = 0
+    _doubted_hover: bool = False
 
     def fly(self) -> FlightOutcome:
         """The whole flight, down to the ground. FlightEnded where it ended by something else than the plan or the operator."""
@@ -329,9 +330,8 @@ class Scheduler:
         control.gate = replace(control.gate, reaction_s=self.plan.reaction_s)
         control.recorder.save_plan(self.plan)
         seen = "" if learnt.thrust_age_s is None else f", thrust {1e3 * learnt.thrust_age_s:.0f} ms after its command"
-        text = f"planned again for what was seen: hover throttle {learnt.hover_throttle:.3f} at {learnt.voltage_v:.1f} V{seen}"
-        self.notes.append(text)
-        control.recorder.event("note", text, control.session.now_s())
+        found = f"hover throttle {learnt.hover_throttle:.3f} at {learnt.voltage_v:.1f} V{seen}"
+        self._note(f"planned again for what was seen: {found}")
 
     def _reset(self, leg: Leg) -> reset.Arrived:
         world = self.control.gate.zone.to_world(leg.start_m)
@@ -353,7 +353,9 @@ class Scheduler:
             return
         nominal = self.plan.vehicle.nominal_voltage_v
         voltage = self.control.state.voltage_v
-        if abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.03:
+        differs = abs(measured / stated - 1.0) > HOVER_WARNING and voltage and abs(voltage / nominal - 1.0) < 0.03
+        if differs and not self._doubted_hover:
+            self._doubted_hover = True
             self._note(
                 f"hover throttle measured {measured:.3f}, stated {stated:.3f}: more than 10 % off; correct vehicle.yaml"
             )
@@ -362,8 +364,7 @@ class Scheduler:
             self._hover = (measured, voltage)
 
     def _note(self, text: str) -> None:
-        key = text.split(" measured")[0]
-        if not any(note.startswith(key) for note in self.notes):
+        if text not in self.notes:
             self.notes.append(text)
             self.control.recorder.event("note", text, self.control.session.now_s())
 

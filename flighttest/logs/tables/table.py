@@ -63,16 +63,16 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
         given = crazyflie_map(sheet.names)
     plan = given or plain_map(sheet.names)
     losses = sheet.losses
+    unread = _unread(sheet.names, plan) if given is None else {}
+    guesses = [_not_read(name, guess) for name, guess in unread.items() if guess]
     if given is None:
-        unread = _unread(sheet.names, plan)
         if not [n for n in plan.columns if n in CHANNELS]:
             shown = ", ".join(sheet.names[:12])
-            guesses = [line for line in unread if "did you mean" in line]
             raise RecordingError(
                 f"{path}: no column of this table is a channel ({shown})",
                 "; ".join([*guesses, "describe it with --columns map.yaml (docs/formats.md)"]),
             )
-        losses += unread
+        losses += [_not_read(name, guess) for name, guess in unread.items()]
     t_s, pieces = _one_after_another(_tame(_time(path, sheet, plan), losses), losses)
     derived: dict[str, str] = {}
     found = _channels(sheet, plan, derived, path)
@@ -85,7 +85,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
         remedy = "a thrust stand is no flight; name the columns of motion in the column map"
         raise RecordingError(
             f"{path}: neither attitude nor acceleration nor velocity nor position is in the table (found {have})",
-            "; ".join([*(line for line in losses if "did you mean" in line), remedy]),
+            "; ".join([*guesses, remedy]),
         )
     if "throttle" in found:
         _check_throttle(path, found["throttle"])
@@ -111,14 +111,14 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     )
 
 
-def _unread(columns: Sequence[str], plan: ColumnMap) -> list[str]:
-    """A sentence for each column that is no channel, with the channel that may have been meant."""
+def _unread(columns: Sequence[str], plan: ColumnMap) -> dict[str, str]:
+    """Columns that are no channel, each with the channel that may have been meant, '' where none is near."""
     unread = [n for n in columns if n not in plan.columns and n and not n.startswith("Unnamed")]
-    found = []
-    for name in unread:
-        guess = nearest(name, (*CHANNELS, TIME, STEP))
-        found.append(f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else ""))
-    return found
+    return {name: nearest(name, (*CHANNELS, TIME, STEP)) or "" for name in unread}
+
+
+def _not_read(name: str, guess: str) -> str:
+    return f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else "")
 
 
 def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from flighttest.errors import FlighttestError, InputError
-from flighttest.identify.winds import STILL_STD_M_S, Winds, winds
+from flighttest.identify.winds import STILL_STD_M_S, Winds, wind_rows, winds
 from flighttest.physics.model import Model
 from flighttest.recording import Recording
 from flighttest.report.document import Paragraph, Section
@@ -75,21 +75,7 @@ def _section(found: Winds) -> Section:
 def _data(found: Winds) -> dict[str, Any]:
     fit = found.fit
     return {
-        "winds": [
-            {
-                "flight": w.flight,
-                "w_north": w.north,
-                "w_west": w.west,
-                "w_north_std": w.north_std,
-                "w_west_std": w.west_std,
-                "speed_m_s": w.speed,
-                "speed_std": w.speed_std,
-                "from_deg": w.from_deg,
-                "verdict": w.verdict,
-                "declared": "still" if w.flight in found.declared else "unknown",
-            }
-            for w in found.flights
-        ],
+        "winds": wind_rows(found.flights, found.declared),
         "winds_drag": plain(
             {
                 n: {"value": fit.values[n], "std": fit.std[n], "between_flights": fit.spread.get(n, 0.0)}

@@ -25,7 +25,7 @@ TOLD_R2 = 0.05
 def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
     """A fit as it is shown. segments: all of them, rejected ones too."""
     parameters = tuple(_parameter(found.model, e) for e in found.estimates.values())
-    unknown = [p.name for p in parameters if p.word in ("weak", "not identifiable")]
+    unknown = [e.name for e in found.estimates.values() if not e.identifiable and e.source != "frozen"]
     quality = tuple(
         QualityView(
             WORDS.get(c, c),

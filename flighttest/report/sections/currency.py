@@ -93,8 +93,9 @@ def _changes(found: Currency, brief: bool) -> Section:
     said = tuple(dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in reasons))
     if said:
         blocks.append(Bullets(said))
-    title = f"What changed {since[0]}" if len(since) == 1 and since[0].startswith("after") else "What changed"
-    if len(since) > 1 or (since and title == "What changed"):
+    one_flight = len(since) == 1 and not any(c.dated for c in ordered)
+    title = f"What changed {since[0]}" if one_flight else "What changed"
+    if since and not one_flight:
         when = {c.since: [d.name for d in ordered if d.since == c.since] for c in ordered if c.since}
         blocks.append(Paragraph("; ".join(f"{join(names)}: {s}" for s, names in when.items()), "quiet"))
     return Section("declared", title, tuple(blocks))
