@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import Any
+from typing import Any, TypeAlias
 
 import yaml
 
@@ -54,6 +54,10 @@ def kind_of(value: object) -> str:
     if isinstance(value, dict):
         return "a block of keys"
     return f"text ({str(value)[:30]!r})"
+
+
+# What YAML and JSON carry: the type of blocks whose keys nobody but the user knows.
+PlainData: TypeAlias = "bool | int | float | str | Sequence[PlainData] | Mapping[str, PlainData] | None"
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -331,6 +335,6 @@ class _Plain(yaml.SafeDumper):
 _Plain.add_representer(str, _Plain.represent_str)
 
 
-def write_text(data: Mapping[str, Any]) -> str:
+def write_text(data: Mapping[str, object]) -> str:
     """YAML that `Document` reads back, keys in the order given."""
     return str(yaml.dump(dict(data), Dumper=_Plain, sort_keys=False, width=120, allow_unicode=True))

@@ -136,16 +136,16 @@ class _Flight:
             state = self._left(scheduler)
         if why:
             self.notes.append(why)
-        self.recorder.manifest.update(
-            outcome=outcome.value,
-            outcome_name=outcome.name,
-            vehicle_left=state.name,
-            legs=[
+        self.recorder.manifest |= {
+            "outcome": outcome.value,
+            "outcome_name": outcome.name,
+            "vehicle_left": state.name,
+            "legs": [
                 {"id": r.leg, "outcome": r.outcome.name, "why": list(r.why)}
                 for r in (scheduler.results if scheduler else [])
             ],
-            notes=[*self.notes, *(scheduler.notes if scheduler else []), *self._external_changes.changed],
-        )
+            "notes": [*self.notes, *(scheduler.notes if scheduler else []), *self._external_changes.changed],
+        }
         self.recorder.save_manifest()
         self._say("writing the channels")
         self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
@@ -190,11 +190,11 @@ class _Flight:
         if self._real_clock and not session.lock_step and session.clock.pace == 1.0:
             self.held.callback(session.port.send_on_time())
         firmware = vehicle.firmware()
-        self.recorder.manifest.update(
-            firmware=f"ArduCopter {firmware}" if firmware else "",
-            autopilot=vehicle.hardware,
-            parameters=self._parameters,
-        )
+        self.recorder.manifest |= {
+            "firmware": f"ArduCopter {firmware}" if firmware else "",
+            "autopilot": vehicle.hardware,
+            "parameters": self._parameters,
+        }
         self.recorder.save_manifest()
         self._say("asking for telemetry")
         telemetry = Telemetry(vehicle, self.plan, self.recorder.manifest["connect"])

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from flighttest.errors import RecordingError
 from flighttest.link.session import Session
@@ -25,6 +25,7 @@ from flighttest.mavlink.dialect import Message
 from flighttest.mavlink.tlog_frames import decoder_of, split
 from flighttest.plan import Plan
 from flighttest.recording import Marker, Provenance, Recording
+from flighttest.recording.manifest import EventData, Manifest, ZoneData
 from flighttest.recording.store import (
     EVENTS_NAME,
     RAW_NAME,
@@ -96,7 +97,7 @@ class Recorder:
         self,
         run_dir: Path,
         ground_s: Callable[[], float],
-        manifest: Mapping[str, Any],
+        manifest: Manifest,
         plan: Plan,
         host_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -112,7 +113,7 @@ class Recorder:
         self._flushed_s = host_s()
         self._last_us = 0
         self.markers: list[Marker] = []
-        self.manifest: dict[str, Any] = dict(manifest)
+        self.manifest: Manifest = manifest.copy()
         self._events.add(events_header())
         self._written(self._events.flush)
         self._written(lambda: (run_dir / "script.yaml").write_text(plan.script.text, encoding="utf-8"))
@@ -149,9 +150,9 @@ class Recorder:
         if self._host_s() - self._flushed_s >= FLUSH_EVERY_S:
             self.flush(force=True)
 
-    def event(self, kind: str, label: str, t_s: float, data: Mapping[str, Any] | None = None) -> None:
+    def event(self, kind: str, label: str, t_s: float, data: EventData | None = None) -> None:
         """Write one event; its kinds are those of `Marker`."""
-        marker = Marker(t_s, kind, label, dict(data or {}))
+        marker = Marker(t_s, kind, label, data.copy() if data else EventData())
         self.markers.append(marker)
         line = {"t_s": round(t_s, 6), "kind": kind, "label": label, **({"data": marker.data} if marker.data else {})}
         self._events.add((json.dumps(line, default=str) + "\n").encode())
@@ -225,7 +226,7 @@ class Recorder:
         )
 
 
-def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> dict[str, Any]:
+def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> Manifest:
     """The manifest of a flight before it begins; its outcome is what stays where the program dies."""
     vehicle = plan.vehicle
     return {
@@ -241,7 +242,7 @@ def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> d
             "hover_throttle": vehicle.hover_throttle,
             "mass_kg": vehicle.mass_kg,
             "rotor_height_m": vehicle.rotor_height_m,
-            "zone": asdict(vehicle.zone),
+            "zone": cast(ZoneData, asdict(vehicle.zone)),
         },
         "components": {name: dict(fields) for name, fields in vehicle.components.items()},
         "parameters": {},

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from flighttest.mavlink.clock import ClockEstimate
 from flighttest.mavlink.dialect import Message, book
 from flighttest.recording import Marker
+from flighttest.recording.manifest import EventData
 
 PREFIX = "FT"
 TEXT_MAX = 50  # bytes of one STATUSTEXT
@@ -62,7 +63,11 @@ def markers_from_texts(texts: Sequence[Text], vehicle_system: int, clock: ClockE
         t_s = float(clock.to_vehicle(text.ground_s))
         mark = parse_mark(text.text)
         if mark is None:
-            data = {"system": text.system, "severity": text.severity, "from_vehicle": text.system == vehicle_system}
+            data: EventData = {
+                "system": text.system,
+                "severity": text.severity,
+                "from_vehicle": text.system == vehicle_system,
+            }
             markers.append(Marker(t_s, "note", text.text, data))
             continue
         if text.system == vehicle_system:

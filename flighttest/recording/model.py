@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.errors import RecordingError
+from flighttest.recording.manifest import ClockData, Components, EventData, VehicleData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +64,7 @@ class Marker:
     t_s: float
     kind: str
     label: str
-    data: Mapping[str, Any] = field(default_factory=dict)
+    data: EventData = field(default_factory=EventData)
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,9 @@ class Provenance:
     sha256: str = ""
     firmware: str = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
-    components: Mapping[str, Any] = field(default_factory=dict)
-    vehicle: Mapping[str, Any] = field(default_factory=dict)
-    clock: Mapping[str, Any] = field(default_factory=dict)
+    components: Components = field(default_factory=dict)
+    vehicle: VehicleData = field(default_factory=VehicleData)
+    clock: ClockData = field(default_factory=ClockData)
     losses: tuple[str, ...] = ()
     filters: Mapping[str, float] = field(default_factory=dict)
     derived: Mapping[str, str] = field(default_factory=dict)

@@ -11,7 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +21,7 @@ import yaml
 from flighttest.channels import CHANNELS, GROUPS
 from flighttest.datafiles import MOST_VALUES, parse_json, read_bytes, read_yaml
 from flighttest.errors import RecordingError
+from flighttest.recording.manifest import EventData, Manifest
 from flighttest.recording.model import Marker, Provenance, Recording, Series
 
 RAW_NAME = "raw.tlog"
@@ -45,7 +46,7 @@ _BLOCKS = (
 _REBUILD = "rebuild the run from its raw file with `flighttest import`"
 
 
-def write_manifest(run_dir: Path, manifest: Mapping[str, Any]) -> None:
+def write_manifest(run_dir: Path, manifest: Manifest) -> None:
     """Write manifest.yaml whole or not at all: a killed program leaves the last good one."""
     text = yaml.safe_dump({"format": FORMAT, **_plain(dict(manifest))}, sort_keys=False, allow_unicode=True)
     part = run_dir / (MANIFEST_NAME + ".part")
@@ -53,7 +54,7 @@ def write_manifest(run_dir: Path, manifest: Mapping[str, Any]) -> None:
     os.replace(part, run_dir / MANIFEST_NAME)
 
 
-def read_manifest(run_dir: Path) -> dict[str, Any]:
+def read_manifest(run_dir: Path) -> Manifest:
     """The manifest, without its format. RecordingError when it is missing or no run's."""
     path = run_dir / MANIFEST_NAME
     if not path.is_file():
@@ -86,7 +87,7 @@ def read_manifest(run_dir: Path) -> dict[str, Any]:
     for name in ("offset_s", "error_s"):
         if clock.get(name) is not None:
             _number(clock[name], f"{path}: clock.{name}")
-    return manifest
+    return cast(Manifest, manifest)
 
 
 def _number(value: Any, where: str) -> None:
@@ -112,10 +113,10 @@ def read_events(run_dir: Path) -> tuple[tuple[Marker, ...], tuple[str, ...]]:
             event = parse_json(line)
             if "format" in event:
                 continue
-            marker = Marker(float(event["t_s"]), event["kind"], event["label"], event.get("data") or {})
+            marker = Marker(float(event["t_s"]), event["kind"], event["label"], event.get("data") or EventData())
             if not (math.isfinite(marker.t_s) and isinstance(marker.kind, str) and isinstance(marker.label, str)):
                 raise ValueError
-            markers.append(replace(marker, data=dict(marker.data)))
+            markers.append(replace(marker, data=cast(EventData, dict(marker.data))))
         except (ValueError, KeyError, TypeError):
             losses.append(f"{EVENTS_NAME}:{number}: not an event (cut off?)")
     return tuple(sorted(markers, key=lambda m: m.t_s)), tuple(losses)
@@ -154,24 +155,24 @@ def _write_recording(run_dir: Path, recording: Recording) -> None:
                 json.dumps({**line, **({"data": dict(marker.data)} if marker.data else {})}, default=str) + "\n"
             )
     os.replace(run_dir / (EVENTS_NAME + ".part"), run_dir / EVENTS_NAME)
-    manifest = read_manifest(run_dir) if (run_dir / MANIFEST_NAME).exists() else {}
+    manifest = read_manifest(run_dir) if (run_dir / MANIFEST_NAME).exists() else Manifest()
     p = recording.provenance
-    manifest.update(
-        name=recording.name,
-        source=p.source,
-        importer=p.importer,
-        sha256=p.sha256,
-        firmware=p.firmware,
-        parameters=dict(p.parameters),
-        components=dict(p.components),
-        vehicle=dict(p.vehicle),
-        clock=dict(p.clock),
-        losses=list(p.losses),
-        filters=dict(p.filters),
-        derived=dict(p.derived),
-        reference_clock=p.reference_clock,
-        autopilot=p.autopilot,
-    )
+    manifest |= {
+        "name": recording.name,
+        "source": p.source,
+        "importer": p.importer,
+        "sha256": p.sha256,
+        "firmware": p.firmware,
+        "parameters": dict(p.parameters),
+        "components": dict(p.components),
+        "vehicle": p.vehicle,
+        "clock": p.clock,
+        "losses": list(p.losses),
+        "filters": dict(p.filters),
+        "derived": dict(p.derived),
+        "reference_clock": p.reference_clock,
+        "autopilot": p.autopilot,
+    }
     write_manifest(run_dir, manifest)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any, TypedDict, cast
 
+from flighttest.recording.manifest import Components
 from flighttest.vehicle.model import Vehicle
 
 # ArduCopter, old and new names (source of 4.3 to 4.7). Attitude first, then thrust, then both.
@@ -58,7 +59,7 @@ HARMLESS: frozenset[str] = frozenset(
 class FingerprintData(TypedDict, total=False):
     """A `Fingerprint` as model.yaml and the manifest carry it; what is not known is left out."""
 
-    components: dict[str, dict[str, Any]]
+    components: Components
     firmware: str
     frame: str
     nominal_voltage_v: float
@@ -76,7 +77,7 @@ class Fingerprint:
     shape the response, under the names it reports; parameters_sha256: of them, in the single precision a vehicle keeps them in.
     """
 
-    components: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    components: Components = field(default_factory=dict)
     firmware: str = ""
     frame: str = ""
     nominal_voltage_v: float | None = None

@@ -7,13 +7,24 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import TypedDict, cast
+
+from flighttest.recording.manifest import VehicleData
 
 # Results of an accelerometer calibration (ArduPilot, PX4): no two boards have the same. Others, as a compass' offsets, change in flight.
 CALIBRATION = ("INS_ACC*OFFS_?", "INS_ACC*SCAL_?", "CAL_ACC*_?OFF", "CAL_ACC*_?SCALE")
 SYSTEM_IDS = ("MAV_SYSID", "SYSID_THISMAV", "MAV_SYS_ID")
 LEAST_CALIBRATION = 3  # numbers: of one sensor
 ROUND_DIGITS = 3  # decimals of a number that somebody typed, or of a default
+
+
+class IdentityData(TypedDict, total=False):
+    """An `Identity` as model.yaml and the lineage of a vehicle carry it; what is not known is left out."""
+
+    name: str | None
+    autopilot: str
+    sysid: int
+    calibration: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -46,13 +57,14 @@ class Identity:
         alike = all(abs(self.calibration[n] - other.calibration[n]) < 1e-6 for n in shared)
         return alike and (self.sysid == other.sysid or None in (self.sysid, other.sysid))
 
-    def as_data(self) -> dict[str, Any]:
+    def as_data(self) -> IdentityData:
         """For model.yaml."""
         board = {"autopilot": self.autopilot or None, "sysid": self.sysid, "calibration": dict(self.calibration)}
-        return {"name": self.name or None, **{k: v for k, v in board.items() if v not in (None, {})}}
+        known = {"name": self.name or None, **{k: v for k, v in board.items() if v not in (None, {})}}
+        return cast(IdentityData, known)
 
 
-def from_data(data: Mapping[str, Any]) -> Identity:
+def from_data(data: Mapping[str, object]) -> Identity:
     """What `as_data` gave, as it was read back; what is not of its kind is left out."""
     sysid, calibration = data.get("sysid"), data.get("calibration")
     numbers = calibration.items() if isinstance(calibration, Mapping) else ()
@@ -61,7 +73,7 @@ def from_data(data: Mapping[str, Any]) -> Identity:
     return Identity(*named, sysid if isinstance(sysid, int) else None, measured)
 
 
-def identity(vehicle: Mapping[str, Any], parameters: Mapping[str, Any], autopilot: str = "") -> Identity:
+def identity(vehicle: VehicleData, parameters: Mapping[str, float], autopilot: str = "") -> Identity:
     """Of what a recording or a manifest carries: the block `vehicle`, all parameters, and the autopilot's own number."""
     numbers = {str(n): float(v) for n, v in parameters.items() if isinstance(v, int | float)}
     sysid = next((int(numbers[n]) for n in SYSTEM_IDS if n in numbers), None)

@@ -11,6 +11,7 @@ from flighttest.datafiles import parse_json, read_text
 from flighttest.documents import Document, Node, kind_of, require
 from flighttest.errors import VehicleError
 from flighttest.frames import yaw_from_compass
+from flighttest.recording.manifest import Component
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.model import Vehicle, Zone
 
@@ -144,7 +145,7 @@ def _zone(document: Document, node: Node) -> Zone:
     return zone
 
 
-def _components(document: Document, node: Node, folder: Path) -> dict[str, dict[str, Any]]:
+def _components(document: Document, node: Node, folder: Path) -> dict[str, Component]:
     if isinstance(node.value, str):
         try:
             return load_components(folder / node.value)
@@ -154,7 +155,7 @@ def _components(document: Document, node: Node, folder: Path) -> dict[str, dict[
     if not isinstance(node.value, dict):
         document.wrong(node, "expected a block of components, or the path of a vehicle_components.json")
         return {}
-    components: dict[str, dict[str, Any]] = {}
+    components: dict[str, Component] = {}
     for name, child in node.value.items():
         if isinstance(child.value, dict):
             components[name] = {key: field.plain() for key, field in child.value.items()}
@@ -165,7 +166,7 @@ def _components(document: Document, node: Node, folder: Path) -> dict[str, dict[
     return components
 
 
-def load_components(path: str | Path) -> dict[str, dict[str, Any]]:
+def load_components(path: str | Path) -> dict[str, Component]:
     """Components of MethodicConfigurator's vehicle_components.json: part name to its fields, in snake case.
 
     Fields keep their place as dotted names (`specifications.diameter_inches`). Links, notes and parts that cannot change the
@@ -183,7 +184,7 @@ def load_components(path: str | Path) -> dict[str, dict[str, Any]]:
             f"{path}: there is no block `Components`",
             "name the vehicle_components.json that MethodicConfigurator wrote",
         )
-    components: dict[str, dict[str, Any]] = {}
+    components: dict[str, Component] = {}
     for title, part in parts.items():
         name = _snake(str(title))
         if name in _HARMLESS_COMPONENTS or not isinstance(part, dict):

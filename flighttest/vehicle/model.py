@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from flighttest.recording.manifest import Components
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Vehicle:
     zone: Zone = field(default_factory=Zone)
     mass_kg: float | None = None
     rotor_height_m: float = 0.2
-    components: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    components: Components = field(default_factory=dict)
     path: str = ""
     signing_key: str | None = None
     flies: bool = True

@@ -10,6 +10,7 @@ from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import book
+from flighttest.recording.manifest import EventData
 
 ASK_EVERY_S = 0.2
 NEXT_MODE_AFTER_S = 1.5
@@ -51,7 +52,7 @@ def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
     control.release()
     state = control.state
     modes = abort_modes(state)
-    situation = {
+    situation: EventData = {
         "modes": [m.name for m in modes],
         "height_m": state.height_m,
         "climb_m_s": state.climb_m_s,

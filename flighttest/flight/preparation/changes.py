@@ -7,12 +7,12 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from flighttest.errors import LinkError
 from flighttest.flight.preparation.preflight import figure
 from flighttest.link import parameters as params
 from flighttest.link.session import Session
+from flighttest.recording.manifest import ParametersSet
 
 _GONE_S = 5.0  # of silence, either way
 _THEIR_OWN = ("STAT_", "SIM_")  # an autopilot's counters, a simulator's world
@@ -68,7 +68,7 @@ class Left:
     hardware: str = ""
 
 
-def record_of(run: str, entries: Mapping[str, Left]) -> dict[str, Any]:
+def record_of(run: str, entries: Mapping[str, Left]) -> ParametersSet:
     """The manifest's word of what was given to which autopilot in which run: without it no later flight puts anything back."""
     return {
         "run": run,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from flighttest.logs.timing import ordered
 from flighttest.mavlink import offset_m
 from flighttest.mavlink.telemetry import LEAST_BATTERY_V, NO_BATTERY
 from flighttest.recording import Provenance, Recording, Series
+from flighttest.recording.manifest import ClockData
 
 FloatArray = NDArray[np.float64]
 Stamped = tuple[Table, FloatArray]
@@ -142,7 +144,7 @@ class _Importer:
                 sha256=self.file.sha256,
                 firmware=firmware(self.tables),
                 parameters=self.parameters,
-                clock={"method": "vehicle", "offset_s": 0.0, "error_s": 0.0, **self.choices},
+                clock=cast(ClockData, {"method": "vehicle", "offset_s": 0.0, "error_s": 0.0, **self.choices}),
                 losses=tuple(self.losses),
                 filters=known_filters(self.parameters),
                 derived=self.derived,

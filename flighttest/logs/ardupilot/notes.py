@@ -12,6 +12,7 @@ from flighttest.logs.ardupilot.dataflash import Table
 from flighttest.mavlink import ClockEstimate, in_force, mode_name
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.recording import Marker, Series
+from flighttest.recording.manifest import EventData
 
 FloatArray = NDArray[np.float64]
 Stamped = tuple[Table, FloatArray]
@@ -45,7 +46,7 @@ def parameter_changes(parm: Stamped | None) -> list[Marker]:
     for t_s, name, value in zip(parm[1], parm[0].text("Name"), parm[0].get("Value"), strict=True):
         before = seen.get(name)
         if before is not None and before != value and not name.startswith("STAT_"):
-            data = {"parameter": name, "before": before, "after": float(value)}
+            data: EventData = {"parameter": name, "before": before, "after": float(value)}
             notes.append(Marker(float(t_s), "note", f"parameter {name} changed from {before:g} to {value:g}", data))
         seen[name] = float(value)
     return notes
@@ -143,6 +144,6 @@ def markers(tables: Mapping[str, Stamped]) -> list[Marker]:
     if "ERR" in tables and {"Subsys", "ECode"} <= set(tables["ERR"][0].raw):
         table, t_s = tables["ERR"]
         for t, subsystem, code in zip(t_s, table.raw["Subsys"], table.raw["ECode"], strict=True):
-            data = {"subsystem": int(subsystem), "code": int(code)}
+            data: EventData = {"subsystem": int(subsystem), "code": int(code)}
             found.append(Marker(float(t), "note", f"autopilot error {int(subsystem)}/{int(code)}", data))
     return sorted(found, key=lambda m: m.t_s)

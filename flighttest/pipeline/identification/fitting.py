@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 from flighttest.currency import matched_pair
 from flighttest.currency.between_campaigns import measured
@@ -32,6 +32,7 @@ from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.identities import identity_of
 from flighttest.recording import Recording
+from flighttest.recording.manifest import VehicleData
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import join, paths
 from flighttest.report.render.plain import plain
@@ -121,12 +122,11 @@ def base_model(
     """The paper's model, or the one given, and further terms, with U_n and the height of the rotors: the vehicle file's, else what the
     recordings carry, else the model's own."""
     base = model or Model()
-    stated = [r.provenance.vehicle for r in recordings] if vehicle is None else [asdict(vehicle)]
+    stated = [r.provenance.vehicle for r in recordings] if vehicle is None else [cast(VehicleData, asdict(vehicle))]
 
-    def said(key: str, least: float, otherwise: float) -> float:
-        return next(
-            (float(s[key]) for s in stated if isinstance(s.get(key), int | float) and s[key] >= least), otherwise
-        )
+    def said(key: Literal["nominal_voltage_v", "rotor_height_m"], least: float, otherwise: float) -> float:
+        values = [s.get(key) for s in stated]
+        return next((float(v) for v in values if isinstance(v, int | float) and v >= least), otherwise)
 
     return replace(
         base,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from flighttest.currency.declared import declared_changes
 from flighttest.recording import Recording
+from flighttest.recording.manifest import Components, Manifest
 from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.model import Vehicle
 
@@ -17,7 +17,7 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> F
     voltage as the vehicle file has it, since the fit takes it from there."""
     firmware = ""
     parameters: dict[str, float] = {}
-    components: dict[str, Any] = {}
+    components: Components = {}
     voltage: float | None = None
     mass: float | None = None
     for recording in recordings:
@@ -39,7 +39,7 @@ def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> F
     return replace(made, components=components, nominal_voltage_v=voltage, mass_kg=mass).as_data()
 
 
-def fingerprint_of_run(manifest: Mapping[str, Any]) -> FingerprintData:
+def fingerprint_of_run(manifest: Manifest) -> FingerprintData:
     """Of a run, by its manifest alone."""
     vehicle = manifest.get("vehicle") or {}
     made = fingerprint(None, str(manifest.get("firmware") or ""), manifest.get("parameters") or {})

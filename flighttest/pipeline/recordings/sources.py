@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from flighttest.errors import InputError, LinkError, RecordingError
 from flighttest.logs import import_log as read_log
@@ -16,6 +16,7 @@ from flighttest.logs.tables.columns import load_columns
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
+from flighttest.recording.manifest import Manifest, VehicleData
 from flighttest.recording.store import (
     CHANNELS_DIR,
     MANIFEST_NAME,
@@ -54,7 +55,7 @@ def open_recording(path: Path, columns: Path | None = None) -> Recording:
     return open_run(path)
 
 
-def _rebuilt(folder: Path, manifest: Mapping[str, Any], raw: Path) -> Recording:
+def _rebuilt(folder: Path, manifest: Manifest, raw: Path) -> Recording:
     """A run whose program was killed: channels from raw.tlog, marks from events.jsonl, what was declared from the manifest."""
     recording = read_log(raw)
     markers, unread = read_events(folder)
@@ -174,16 +175,14 @@ def import_log(
                 "name a folder that does not exist yet",
             )
     if declared is not None:
-        provenance = replace(provenance, components=dict(declared.components), vehicle=_vehicle_data(declared))
+        provenance = replace(
+            provenance, components=dict(declared.components), vehicle=cast(VehicleData, plain(declared))
+        )
     recording = Recording(output.name, recording.series, recording.markers, provenance)
     progress.stage(f"writing {output}")
     output.mkdir(parents=True, exist_ok=True)
     write_recording(output, recording)
     return describe(recording, output)
-
-
-def _vehicle_data(vehicle: object) -> dict[str, object]:
-    return dict(plain(vehicle))
 
 
 def describe(recording: Recording, folder: Path) -> Result:

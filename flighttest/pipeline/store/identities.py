@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from flighttest.datafiles import read_yaml
 from flighttest.errors import FlighttestError, InputError, ModelError
 from flighttest.recording import Recording
+from flighttest.recording.manifest import Manifest
 from flighttest.recording.store import MANIFEST_NAME, read_manifest
 from flighttest.report.numbers import join
 from flighttest.vehicle.identity import Identity, from_data, identity
@@ -28,7 +28,7 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if (p / MANIFEST_NAME).is_file())
 
 
-def of_manifest(manifest: Mapping[str, Any]) -> Identity:
+def of_manifest(manifest: Manifest) -> Identity:
     """Of a run, by its manifest."""
     vehicle = manifest.get("vehicle") or {}
     block = vehicle if isinstance(vehicle, Mapping) else {"name": vehicle}

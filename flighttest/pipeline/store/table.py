@@ -14,6 +14,7 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.results import Result
 from flighttest.pipeline.store.history import FIT_NAME, check_runs, when
 from flighttest.pipeline.store.identities import known_in, of_manifest, recognised, run_folders
+from flighttest.recording.manifest import Manifest
 from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest
 from flighttest.report.document import Document
 from flighttest.report.render import html
@@ -74,7 +75,7 @@ def _written(document: Document, path: Path) -> Document:
     return replace(document, footer=f"page: {path}")
 
 
-def _point(run: Path, manifest: Mapping[str, Any], stored: ModelFile | None, vehicle: str) -> HistoryPoint:
+def _point(run: Path, manifest: Manifest, stored: ModelFile | None, vehicle: str) -> HistoryPoint:
     parameters = {}
     if stored is not None:
         for name, p in stored.parameters.items():
