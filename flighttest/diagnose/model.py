@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum, StrEnum
-from typing import Any
+from typing import Any, cast
 
 from flighttest.diagnose.records import (
     CandidateRow,
     Cost,
     Description,
+    DiagnosisData,
     EvidenceRow,
     FloorRow,
     HeldOutRow,
@@ -22,13 +23,13 @@ from flighttest.diagnose.records import (
     ParameterRow,
     Regime,
     RegimeCurve,
-    ScriptData,
     SetAside,
     Unexplained,
 )
 from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
+from flighttest.script.model import ScriptData
 
 
 class Verdict(Enum):
@@ -166,19 +167,15 @@ class Diagnosis:
     winds: tuple[FlightWindRow, ...] = ()
     fit: Fit | None = field(default=None, repr=False)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DiagnosisData:
         """As in diagnosis.json (format diagnosis/1): plain JSON types only, null for what is not a number."""
         data = {
             k: getattr(self, k)
             for k in self.__dataclass_fields__
             if k not in ("model", "values", "verdict", "next_script", "fit")
         }
-        return {
-            "format": "diagnosis/1",
-            "verdict": self.verdict.name,
-            "terms": list(self.model.terms),
-            **_plain(data),
-        }  # fmt: skip
+        head = {"format": "diagnosis/1", "verdict": self.verdict.name, "terms": list(self.model.terms)}
+        return cast(DiagnosisData, head | _plain(data))
 
 
 def _plain(value: Any) -> Any:

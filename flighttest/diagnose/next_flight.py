@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from flighttest.diagnose.model import brief
-from flighttest.diagnose.records import NextReason, ScriptData
+from flighttest.diagnose.records import NextReason
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import Fitted
 from flighttest.diagnose.selection.search import Search
@@ -32,7 +32,7 @@ from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 from flighttest.physics.simulate import Edges, Run, simulate_many
 from flighttest.script.load import parse_script
-from flighttest.script.model import Script
+from flighttest.script.model import Script, ScriptData
 from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
 from flighttest.script.shipped import resolve, shipped_names
 from flighttest.segments.model import Segment
@@ -101,7 +101,7 @@ def _proposal(
     to_one = math.exp(min(odds, 23.0))
     worth = f"{brief(to_one)} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
     how = name if size == 1.0 else f"{name} at {100 * size:.0f} % of its size, to fit the zone"
-    script = {**made, "name": "next", "doc": f"{how}, {aim}; odds now 1 to 1, expected after it {worth}"}
+    script: ScriptData = {**made, "name": "next", "doc": f"{how}, {aim}; odds now 1 to 1, expected after it {worth}"}
     reason: NextReason = {
         "maneuver": name,
         "separates": [question.term.id, *([rival] if rival else [])],

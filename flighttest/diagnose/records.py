@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NotRequired, Required, TypedDict
+from typing import NotRequired, Required, TypedDict
 
-ScriptData = dict[str, Any]  # a maneuver script as data, as `script.load` reads it
+from flighttest.identify.models.model_blocks import FlightWindRow
 
 
 class Regime(TypedDict, total=False):
@@ -170,3 +170,101 @@ class Cost(TypedDict, total=False):
 
     added_parameters: int
     held_out_groups: str
+
+
+class LocatedRow(TypedDict):
+    """A `Located` as diagnosis.json has it."""
+
+    channel: str
+    maneuver: str
+    kind: str
+    regime: Regime
+    excess_share: float
+    sample_share: float
+    sentence: str
+    rmse: float
+    floor: float
+    unit: str
+    peak: float
+    explained: float
+    p_value: float
+
+
+class RivalRow(TypedDict):
+    """A `Rival` as diagnosis.json has it."""
+
+    term: str
+    verdict: str
+    cosine: float
+    separated_by: str
+
+
+class FindingRow(TypedDict):
+    """A `Finding` as diagnosis.json has it."""
+
+    term: str
+    title: str
+    family: str
+    verdict: str
+    equation: str
+    plain: str
+    parameters: dict[str, ParameterRow]
+    heldout: dict[str, HeldOutRow]
+    evidence: EvidenceRow
+    rivals: list[RivalRow]
+    sentence: str
+    source: str
+    doubt: str
+
+
+class UntestableRow(TypedDict):
+    """An `Untestable` as diagnosis.json has it."""
+
+    term: str
+    why: str
+    fly: str
+    recorded: bool
+
+
+class DiagnosisData(TypedDict, total=False):
+    """diagnosis.json (format diagnosis/1): a `Diagnosis` in plain JSON types, null for what is not a number. Older files lack keys.
+
+    What an answer adds: next_path, next_options of the script of the next flight as a command names it; losses of the recordings;
+    another_vehicle: what else differs from the model's.
+    """
+
+    format: str
+    verdict: str
+    sentence: str
+    terms: list[str]
+    located: list[LocatedRow]
+    findings: list[FindingRow]
+    not_needed: list[str]
+    untestable: list[UntestableRow]
+    unexplained: Unexplained
+    smallest_detectable: dict[str, float]
+    smallest_units: dict[str, str]
+    accepted: list[str]
+    before: dict[str, ParameterRow]
+    after: dict[str, ParameterRow]
+    heldout: dict[str, dict[str, HeldOutRow]]
+    noise_floor: dict[str, FloorRow]
+    baselines: dict[str, dict[str, float]]
+    residual_map: list[MapCell]
+    regimes: list[RegimeCurve]
+    overlays: list[Overlay]
+    candidates: list[CandidateRow]
+    cost: Cost
+    unknown: list[Description]
+    mass: MassChange
+    next_flight: str | None
+    next_reason: NextReason
+    next_path: str
+    next_options: str
+    losses: list[str]
+    another_vehicle: str
+    set_aside: SetAside
+    notes: list[str]
+    complete: bool
+    runs: list[str]
+    winds: list[FlightWindRow]

@@ -13,7 +13,7 @@ from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
-from flighttest.diagnose.records import CandidateRow, Description, NextReason, ParameterRow, ScriptData
+from flighttest.diagnose.records import CandidateRow, Description, NextReason, ParameterRow
 from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.residuals.outlying import set_aside
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
@@ -31,6 +31,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
+from flighttest.script.model import ScriptData
 from flighttest.segments.model import Segment
 
 LEAST_SEGMENTS = 4

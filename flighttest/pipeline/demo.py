@@ -14,6 +14,7 @@ import numpy as np
 from flighttest.datafiles import check_writable
 from flighttest.diagnose.against import predicted
 from flighttest.diagnose.model import short
+from flighttest.diagnose.records import DiagnosisData
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.identify.validation.ablations import measured_channels, open_loop, voltage_for
@@ -90,7 +91,7 @@ def composed(
     unused: Path,
     out: Path,
     hidden: Mapping[str, Mapping[str, float]],
-    diagnosis: Mapping[str, Any],
+    diagnosis: DiagnosisData,
     progress: Progress = SILENT,
 ) -> Result:
     """The page of a diagnosed campaign, by its last run folder, and of a recorded flight that was not used. hidden: shown in its last

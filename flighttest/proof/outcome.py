@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from flighttest.diagnose.model import TermVerdict, Verdict
+from flighttest.diagnose.records import DiagnosisData, ParameterRow
 from flighttest.frames import G_M_S2
 from flighttest.physics.catalogue import catalogue
 from flighttest.proof.cases import Case
@@ -65,7 +66,7 @@ class Outcome:
         return cls(**{**data, **lists, **maps, "values": values})
 
 
-def judged(case: Case, found: Mapping[str, Any]) -> Outcome:
+def judged(case: Case, found: DiagnosisData) -> Outcome:
     """A case whose seal is opened beside its diagnosis (diagnosis.json); nothing that an oracle measures is in it."""
     findings = sorted(found["findings"], key=lambda f: f["evidence"].get("delta_bic") or 0.0)
     ranked = [f["term"] for f in findings]
@@ -109,7 +110,7 @@ def shared_truth(case: Case) -> dict[str, dict[str, float]]:
     return truth
 
 
-def _values(case: Case, found: Mapping[str, Any]) -> dict[str, dict[str, tuple[float, float, float, float]]]:
+def _values(case: Case, found: DiagnosisData) -> dict[str, dict[str, tuple[float, float, float, float]]]:
     tables = {f["term"]: f["parameters"] for f in found["findings"]} | {BASE: found["after"]}
     return {
         term: {k: (true, *_interval(tables[term][k])) for k, true in truth.items() if k in tables[term]}
@@ -118,7 +119,7 @@ def _values(case: Case, found: Mapping[str, Any]) -> dict[str, dict[str, tuple[f
     }
 
 
-def _interval(parameter: Mapping[str, Any]) -> tuple[float, float, float]:
+def _interval(parameter: ParameterRow) -> tuple[float, float, float]:
     """Value and 95 % interval; not a number where the diagnosis knows none."""
     value, std, ends = float(parameter["value"]), parameter["std"], parameter.get("interval_95")
     if ends is None:
@@ -138,7 +139,7 @@ def closed_loop_pole_s(vehicle: RotorVehicle, lag_s: float) -> float:
     return float(np.mean(poles))
 
 
-def _gain(found: Mapping[str, Any]) -> float:
+def _gain(found: DiagnosisData) -> float:
     """Of the mean square above the noise floor on steps not used, the share that is gone: mean over the channels that were located."""
     channels = {p["channel"] for p in found["located"]} & set(found["heldout"])
     held = [found["heldout"][channel]["all"] for channel in sorted(channels)]
@@ -147,7 +148,7 @@ def _gain(found: Mapping[str, Any]) -> float:
     return float(np.mean(shares)) if shares else float("nan")
 
 
-def _r2(found: Mapping[str, Any]) -> float:
+def _r2(found: DiagnosisData) -> float:
     """Of the base fit alone, the median over channels of 1 - (RMSE / RMS about the first value)^2, over what moves."""
     pairs = [(e.get("hold the first value"), e.get("base model, refitted")) for e in found["baselines"].values()]
     values = [1.0 - (base / hold) ** 2 for hold, base in pairs if hold and base is not None]

@@ -7,11 +7,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from flighttest.diagnose import Diagnosis, diagnose
+from flighttest.diagnose.records import DiagnosisData
 from flighttest.errors import FitError, FlighttestError, RecordingError
 from flighttest.identify.fit import fit
 from flighttest.identify.validation.prediction import coverage
@@ -52,7 +52,7 @@ def run(case: Case) -> Outcome:
     return replace(outcome, coverage=_coverage(segments, found), cpu_s=cpu, wall_s=wall)
 
 
-def opened(case: Case, found: Mapping[str, Any], measured: Measured) -> Outcome:
+def opened(case: Case, found: DiagnosisData, measured: Measured) -> Outcome:
     """A diagnosis (diagnosis.json) beside the truth and what the oracle says of it."""
     claimed = {f["term"]: f["evidence"].get("rms_force_left_m_s2") or 0.0 for f in found["findings"]}
     forces = {

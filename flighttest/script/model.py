@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
+
+from flighttest.documents import PlainData
 
 ResetBy = Literal["guided", "attitude", "pilot"]
 ThrottleUnit = Literal["absolute", "hover"]
@@ -76,4 +78,28 @@ class Script:
     text: str = field(repr=False)
     sha256: str = ""
     path: str = ""
-    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+class ResetData(TypedDict, total=False):
+    """The block `reset` of a script as it is written."""
+
+    to: list[float]
+    heading_deg: list[float]
+    by: str
+    settle_s: float
+
+
+class ScriptData(TypedDict, total=False):
+    """A maneuver script as it is written (format maneuver/1), before it is checked. steps: each a profile's name to its settings."""
+
+    format: str
+    name: str
+    doc: str
+    identifies: list[str]
+    mode: str
+    rate_hz: float
+    throttle_unit: str
+    limits: dict[str, PlainData]
+    reset: ResetData
+    steps: list[dict[str, PlainData]]
+    repeat: dict[str, PlainData]

@@ -7,12 +7,12 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from flighttest.datafiles import check_writable
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
 from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
+from flighttest.diagnose.records import DiagnosisData
 from flighttest.documents import write_text
 from flighttest.errors import InputError
 from flighttest.estimation.solver import Start
@@ -171,7 +171,7 @@ def write_diagnosis(
     base: ModelFile | None,
     folder: Path,
     progress: Progress = SILENT,
-) -> tuple[dict[str, Any], Fit]:
+) -> tuple[DiagnosisData, Fit]:
     """diagnosis.json, model.yaml, report.html and, where one is due, next.yaml; gives the data written, and the fit of the improved model.
     base: the model given."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 from flighttest.diagnose import Diagnosis
 from flighttest.diagnose.next_flight import Flyable, as_shipped
 from flighttest.diagnose.records import NextReason
-from flighttest.documents import write_text
+from flighttest.documents import PlainData, write_text
 from flighttest.errors import FlighttestError
 from flighttest.physics.model import Model
 from flighttest.pipeline.planning.checking import hovers, predictor_for
 from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.plan import compile_plan
 from flighttest.recording import Recording
+from flighttest.recording.manifest import VehicleData, ZoneData
 from flighttest.script.load import parse_script
-from flighttest.script.model import Script
+from flighttest.script.model import ResetData, Script, ScriptData
 from flighttest.vehicle.model import Vehicle, Zone
 
 SIZES = (
@@ -38,9 +39,7 @@ def flyable_in(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Flya
         return as_shipped
     zone_of = where
 
-    def fitted(
-        script: dict[str, Any], model: Model, values: Mapping[str, float]
-    ) -> tuple[dict[str, Any], float] | None:
+    def fitted(script: ScriptData, model: Model, values: Mapping[str, float]) -> tuple[ScriptData, float] | None:
         prior = _prior(model, values, zone_of)
         for size in SIZES:
             made = sized(script, size, zone_of)
@@ -51,7 +50,7 @@ def flyable_in(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Flya
     return fitted
 
 
-def sized(script: Mapping[str, Any], size: float, vehicle: Vehicle) -> dict[str, Any]:
+def sized(script: ScriptData, size: float, vehicle: Vehicle) -> ScriptData:
     """A script's data at another size, its start inside the zone."""
     zone = vehicle.zone
     hover = 1.0 if script.get("throttle_unit") == "hover" else vehicle.hover_throttle
@@ -67,20 +66,21 @@ def sized(script: Mapping[str, Any], size: float, vehicle: Vehicle) -> dict[str,
         made = [round(least + size * (v - least), 4) for v in each] if moves else each
         return made if isinstance(value, list) else made[0]
 
-    steps = [
+    steps: list[dict[str, PlainData]] = [
         {p: {k: scaled(k, v) for k, v in s.items()} if isinstance(s, Mapping) else s for p, s in step.items()}
         for step in script["steps"]
     ]
-    reset = dict(script.get("reset") or {})
+    reset = script.get("reset", ResetData()).copy()
     if "to" in reset:
         spans = (zone.x_m, zone.y_m, zone.z_m)
         inside = [lo + zone.margin_m <= v <= hi - zone.margin_m for v, (lo, hi) in zip(reset["to"], spans, strict=True)]
         reset["to"] = [v if ok else sum(s) / 2.0 for v, ok, s in zip(reset["to"], inside, spans, strict=True)]
-    return (
-        {**script, "steps": steps, **({"reset": reset} if reset else {})}
-        if size < 1.0 or reset != script.get("reset")
-        else dict(script)
-    )
+    made = script.copy()
+    if size < 1.0 or reset != script.get("reset"):
+        made["steps"] = steps
+        if reset:
+            made["reset"] = reset
+    return made
 
 
 def larger_zone(script: Script, vehicle: Vehicle, prior: ModelPredictor) -> str:
@@ -143,8 +143,8 @@ def flown_vehicle(recordings: Sequence[Recording]) -> Vehicle | None:
     return None
 
 
-def _vehicle(kept: Mapping[str, Any], zone: Mapping[str, Any]) -> Vehicle:
-    def span(name: str) -> tuple[float, float]:
+def _vehicle(kept: VehicleData, zone: ZoneData) -> Vehicle:
+    def span(name: Literal["x_m", "y_m", "z_m"]) -> tuple[float, float]:
         low, high = (float(v) for v in zone[name])
         return low, high
 

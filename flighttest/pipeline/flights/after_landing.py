@@ -10,6 +10,7 @@ from typing import Any
 
 from flighttest.currency.model import Currency, Verdict
 from flighttest.diagnose import Diagnosis
+from flighttest.diagnose.records import DiagnosisData
 from flighttest.errors import FitError
 from flighttest.identify.fit import Fit
 from flighttest.identify.models import model_file
@@ -47,7 +48,7 @@ class Analysis:
     fit: Fit | None
     reason: str = ""
     currency: Currency | None = None
-    diagnosis: dict[str, Any] | None = None
+    diagnosis: DiagnosisData | None = None
     explained: bool = True
     previous: ModelFile | None = None
     improved: Fit | None = None

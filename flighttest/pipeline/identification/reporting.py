@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from flighttest.datafiles import read_json, read_text
+from flighttest.diagnose.records import DiagnosisData
 from flighttest.errors import FitError, InputError, RecordingError, ScriptError
 from flighttest.identify.fit import Fit
 from flighttest.identify.models import model_file
@@ -99,7 +100,7 @@ def run_document(
     view: FitView | None,
     segments: Sequence[Segment],
     extra: Sequence[Section] = (),
-    diagnosis: Mapping[str, Any] | None = None,
+    diagnosis: DiagnosisData | None = None,
     next_script: str = "",
     said: tuple[str, Tone | None] = ("", None),
 ) -> Document:
@@ -177,19 +178,19 @@ def written(document: Document, target: Path, status: Status = Status.DONE) -> R
     return Result(short, {"report": str(target), "verdict": document.verdict}, status, document)
 
 
-def read_diagnosis(path: Path) -> dict[str, Any] | None:
+def read_diagnosis(path: Path) -> DiagnosisData | None:
     """diagnosis.json, None where there is none."""
     if not path.is_file():
         return None
     data = read_json(path, RecordingError, "diagnosis", "run `flighttest diagnose` again")
     if not isinstance(data, dict) or data.get("format") != "diagnosis/1":
         raise RecordingError(f"{path} is not a diagnosis/1 file", "run `flighttest diagnose` again")
-    return data
+    return cast(DiagnosisData, data)
 
 
 def _report_diagnosis(folder: Path, output: Path | None) -> Result:
     """The page of a diagnosis, from its files alone."""
-    data = read_diagnosis(folder / DIAGNOSIS_NAME) or {}
+    data = read_diagnosis(folder / DIAGNOSIS_NAME) or DiagnosisData()
     script = ""
     if (folder / "next.yaml").is_file():
         script = read_text(folder / "next.yaml", ScriptError, "script")

@@ -67,7 +67,7 @@ def _section(found: Winds) -> Section:
             else "declare flights in still air with --weather FLIGHT=still, or fly two headings"
         )
         notes.append(f"At a single heading a wind and an attitude offset tilt the vehicle alike: {known}.")
-    section = winds_table(_data(found))
+    section = winds_table(wind_rows(found.flights, found.declared))
     assert section is not None
     return replace(section, blocks=(*section.blocks, *(Paragraph(n, "quiet") for n in notes)))
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import cast
 
+from flighttest.diagnose.records import DiagnosisData, HeldOutRow, ParameterRow, RivalRow
+from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.report.document import Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, heat_map, regimes
@@ -23,20 +25,18 @@ TERM_WORDS = {
     "UNTESTABLE": "could not be seen",
 }
 
-Data = Mapping[str, Any]
 
-
-def verdict_tone(data: Data, otherwise: Tone = "plain") -> Tone:
+def verdict_tone(data: DiagnosisData, otherwise: Tone = "plain") -> Tone:
     """The tone of a diagnosis' verdict: what was interrupted is none to rely on."""
     return "warn" if data.get("complete") is False else _VERDICT_TONES.get(str(data.get("verdict")), otherwise)
 
 
-def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]:
+def diagnosis_sections(data: DiagnosisData, next_script: str = "") -> tuple[Section, ...]:
     """data: diagnosis/1 with whatever it holds of the optional parts; next_script: the text of next.yaml."""
     found = [
         _located(data),
         _findings(data),
-        winds_table(data),
+        winds_table(data.get("winds", ())),
         _improvement(data),
         _limits(data),
         _next(data, next_script),
@@ -44,7 +44,7 @@ def diagnosis_sections(data: Data, next_script: str = "") -> tuple[Section, ...]
     return tuple(s for s in found if s is not None)
 
 
-def missing_sections(data: Data) -> tuple[Section, ...]:
+def missing_sections(data: DiagnosisData) -> tuple[Section, ...]:
     """For one screen: what the model lacks, with values and intervals, and the prediction error without and with it."""
     findings = data.get("findings") or ()
     if not findings:
@@ -66,7 +66,7 @@ def missing_sections(data: Data) -> tuple[Section, ...]:
     return (Section("missing", "What the model lacked", tuple(blocks)),)
 
 
-def _located(data: Data) -> Section:
+def _located(data: DiagnosisData) -> Section:
     located = data.get("located") or ()
     blocks: list[Block] = []
     if not located:
@@ -89,7 +89,7 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
 
 
-def _findings(data: Data) -> Section:
+def _findings(data: DiagnosisData) -> Section:
     findings = data.get("findings") or ()
     blocks: list[Block] = []
     for item in findings:
@@ -108,10 +108,10 @@ def _findings(data: Data) -> Section:
             lines.append(f"doubt: {item['doubt']}")
         if lines:
             blocks.append(Bullets(tuple(lines)))
-    for item in data.get("unknown") or ():
-        blocks.append(Paragraph(_sentence(str(item.get("sentence") or "something without a name")), "warn"))
-        if item.get("formula"):
-            blocks.append(Code(str(item["formula"]), "a description of the residual, not a physical law"))
+    for shape in data.get("unknown") or ():
+        blocks.append(Paragraph(_sentence(str(shape.get("sentence") or "something without a name")), "warn"))
+        if shape.get("formula"):
+            blocks.append(Code(str(shape["formula"]), "a description of the residual, not a physical law"))
     if data.get("mass"):
         blocks.append(Paragraph(_sentence(str(data["mass"].get("sentence", ""))), "warn"))
     if not blocks:
@@ -120,10 +120,10 @@ def _findings(data: Data) -> Section:
     return Section("findings", "What physics was left out", tuple(blocks))
 
 
-def winds_table(data: Data) -> Section | None:
+def winds_table(winds: Sequence[FlightWindRow]) -> Section | None:
     """The wind of each flight, where free flight shows one."""
     rows = []
-    for w in data.get("winds") or ():
+    for w in winds:
         seen = w["verdict"] == "wind"
         rows.append(
             (
@@ -138,13 +138,13 @@ def winds_table(data: Data) -> Section | None:
     if not rows:
         return None
     columns = ("flight", "to north, m/s", "to west, m/s", "speed, m/s", "from", "")
-    windy = sum(w["verdict"] == "wind" for w in data["winds"])
+    windy = sum(w["verdict"] == "wind" for w in winds)
     lead = f"Wind is seen in {windy} of {len(rows)} flight{'s' if len(rows) > 1 else ''}."
     table = Table(columns, tuple(rows), ("left", "right", "right", "right", "right", "left"))
     return Section("winds", "Wind of each flight", (table,), lead)
 
 
-def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> Table:
+def _parameters(parameters: Mapping[str, ParameterRow]) -> Table:
     rows = []
     for name, value in parameters.items():
         low, high = (value.get("interval_95") or (None, None))[:2]
@@ -155,7 +155,7 @@ def _parameters(parameters: Mapping[str, Mapping[str, Any]]) -> Table:
     return Table(("parameter", "value", "unit", "95 % interval"), tuple(rows), align)
 
 
-def _rival(rival: Data) -> str:
+def _rival(rival: RivalRow) -> str:
     text = f"rival: {rival.get('term', '?')}"
     if rival.get("verdict"):
         text += f", {TERM_WORDS.get(str(rival['verdict']), str(rival['verdict']).lower())}"
@@ -164,7 +164,7 @@ def _rival(rival: Data) -> str:
     return text
 
 
-def _improvement(data: Data) -> Section | None:
+def _improvement(data: DiagnosisData) -> Section | None:
     blocks: list[Block] = []
     rows = _heldout_rows(data)
     if rows:
@@ -185,10 +185,10 @@ def _improvement(data: Data) -> Section | None:
     return Section("improvement", "Does it fit better?", tuple(blocks))
 
 
-def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
-    held = {name: h.get("all", h) for name, h in (data.get("heldout") or {}).items()}
+def _heldout_rows(data: DiagnosisData) -> list[tuple[Cell | str, ...]]:
+    held = {name: h.get("all") or cast(HeldOutRow, h) for name, h in data.get("heldout", {}).items()}
     if not held:
-        held = {name: h for item in data.get("findings") or () for name, h in (item.get("heldout") or {}).items()}
+        held = {name: h for item in data.get("findings") or () for name, h in item.get("heldout", {}).items()}
     rows: list[tuple[Cell | str, ...]] = []
     for channel, h in held.items():
         low, high = (h.get("gain_95") or (None, None))[:2]
@@ -199,7 +199,7 @@ def _heldout_rows(data: Data) -> list[tuple[Cell | str, ...]]:
     return rows
 
 
-def _moved(data: Data) -> Table | None:
+def _moved(data: DiagnosisData) -> Table | None:
     """Base parameters before and after: they move when they no longer absorb what was missing."""
     before, after = data.get("before") or {}, data.get("after") or {}
     rows = []
@@ -215,7 +215,7 @@ def _moved(data: Data) -> Table | None:
     )
 
 
-def _baselines(data: Data) -> Table | None:
+def _baselines(data: DiagnosisData) -> Table | None:
     table = data.get("baselines") or {}
     names = list(dict.fromkeys(n for entry in table.values() for n in entry))
     if not names:
@@ -225,7 +225,7 @@ def _baselines(data: Data) -> Table | None:
     return Table(("channel", *names), rows, ("left", *numbers), "RMSE of simpler predictions beside it.", fold=True)
 
 
-def _limits(data: Data) -> Section:
+def _limits(data: DiagnosisData) -> Section:
     blocks: list[Block] = []
     candidates = [c for c in data.get("candidates") or () if c.get("verdict") == "NOT_NEEDED"]
     not_needed = [str(t) for t in data.get("not_needed") or ()]
@@ -259,7 +259,7 @@ def _limits(data: Data) -> Section:
         blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption, brief=brief))
     smallest = data.get("smallest_detectable") or {}
     if smallest:
-        units = data.get("smallest_units") or {}
+        units = data.get("smallest_units", {})
         lines = tuple(
             (str(k), number(v, 2) if isinstance(v, int | float) else str(v), unit(str(units.get(k, ""))))
             for k, v in smallest.items()
@@ -269,16 +269,18 @@ def _limits(data: Data) -> Section:
         blocks.append(
             Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True, brief=brief)
         )
-    left = (data.get("unexplained") or {}).get("excess_share")
-    if left is not None:
-        blocks.append(Paragraph(f"Left unexplained: {percent(float(left))} of the error above the noise floor."))
+    left = data.get("unexplained")
+    if left:
+        blocks.append(
+            Paragraph(f"Left unexplained: {percent(left['excess_share'])} of the error above the noise floor.")
+        )
     notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
     if notes:
         blocks.append(Bullets(notes))
     return Section("limits", "What was ruled out, and what cannot be told", tuple(blocks))
 
 
-def _next(data: Data, script: str) -> Section | None:
+def _next(data: DiagnosisData, script: str) -> Section | None:
     name = data.get("next_flight")
     if not name:
         return None

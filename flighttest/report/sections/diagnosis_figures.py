@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from flighttest.diagnose.records import DiagnosisData, MapCell, Overlay
 from flighttest.report.document import Figure, Panel, Role, Trace
 from flighttest.report.numbers import unit
 from flighttest.report.sections.fit import KIND_WORDS
 
 MAX_OVERLAYS = 6
-Data = Mapping[str, Any]
+_Curve = Literal["measured", "before", "after"]
 
 
-def heat_map(data: Data) -> Figure | None:
+def heat_map(data: DiagnosisData) -> Figure | None:
     """RMS error in noise floors by kind of step, phase and channel, before and after; one colour scale."""
     cells = [c for c in data.get("residual_map") or () if c.get("phase") != "before"]
     if not cells:
@@ -36,7 +36,7 @@ def heat_map(data: Data) -> Figure | None:
     return Figure("where", tuple(panels), caption, 2, max(280, 190 + 24 * len(channels)))
 
 
-def _column(cell: Data) -> str:
+def _column(cell: MapCell) -> str:
     kind = KIND_WORDS.get(str(cell.get("kind")), str(cell.get("kind")))
     phase = str(cell.get("phase", ""))
     return kind if phase == "flight" else f"{kind}, {phase}".rstrip(", ")
@@ -46,7 +46,7 @@ def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else float("nan")
 
 
-def regimes(data: Data) -> Figure | None:
+def regimes(data: DiagnosisData) -> Figure | None:
     """Mean residual over the variable that explains it, before and after."""
     panels = []
     for curve in data.get("regimes") or ():
@@ -68,10 +68,10 @@ def regimes(data: Data) -> Figure | None:
     return Figure("regimes", tuple(panels), "Mean error over the variable that explains it best.", 2, 260)
 
 
-def before_after(data: Data) -> Figure | None:
+def before_after(data: DiagnosisData) -> Figure | None:
     """The worst responses, in noise floors of their channels: measured, before, and after where something was found."""
     found = bool(data.get("findings"))
-    lines: list[tuple[str, str, Role]] = [("before", "before" if found else "simulated", "before")]
+    lines: list[tuple[_Curve, str, Role]] = [("before", "before" if found else "simulated", "before")]
     lines += [("after", "after", "after")] if found else []
     lines += [("measured", "measured", "measured")]
     panels = []
@@ -86,9 +86,9 @@ def before_after(data: Data) -> Figure | None:
     return Figure("before-after", tuple(panels), caption, 2, 270)
 
 
-def _floors(overlay: Data, data: Data) -> float:
+def _floors(overlay: Overlay, data: DiagnosisData) -> float:
     """RMS error before, in noise floors of its channel."""
     error = np.asarray(overlay["before"], dtype=float) - np.asarray(overlay["measured"], dtype=float)
-    floor = (data.get("noise_floor") or {}).get(overlay.get("channel")) or {}
-    made = float(np.sqrt(np.nanmean(error**2))) / (_number(floor.get("value")) or float("nan"))
+    floor = data.get("noise_floor", {}).get(overlay["channel"])
+    made = float(np.sqrt(np.nanmean(error**2))) / (_number(floor and floor.get("value")) or float("nan"))
     return made if np.isfinite(made) else 0.0
