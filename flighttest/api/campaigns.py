@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from flighttest.api.fitted_model import FittedModel
+    from flighttest.diagnose.records import FindingRow
     from flighttest.pipeline.flights.after_landing import Analysis
     from flighttest.proof.outcome import Outcome
     from flighttest.recording.model import Recording
@@ -118,7 +118,7 @@ class Demonstrated(Answer):
     page: Path
 
     @property
-    def findings(self) -> tuple[Mapping[str, object], ...]:
+    def findings(self) -> tuple[FindingRow, ...]:
         """What was named, as in diagnosis.json."""
         return tuple(self.data.get("findings", ()))
 

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from flighttest.datafiles import read_text
 from flighttest.documents import Document
 from flighttest.errors import InputError, ModelError
 from flighttest.identify.models import model_file
+from flighttest.identify.models.model_blocks import ModelData
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.equations import Equations
 from flighttest.physics.model import Model
@@ -33,7 +34,7 @@ class FittedModel:
     fingerprint, noise); data: the same as plain data, as it is written."""
 
     stored: ModelFile
-    data: Mapping[str, Any] = field(repr=False)
+    data: ModelData = field(repr=False)
 
     @property
     def physics(self) -> Model:
@@ -115,7 +116,7 @@ def fitted_model(source: FittedModel | str | PathLike[str]) -> FittedModel:
     return FittedModel(stored, root.plain() if root is not None else {})
 
 
-def model_of(found: Fit, data: Mapping[str, Any]) -> FittedModel:
+def model_of(found: Fit, data: ModelData) -> FittedModel:
     """A fit as the model that later steps take. data: as model.yaml holds it."""
     stored = replace(model_file.from_fit(found), fingerprint=data["fingerprint"], fit_quality=data["fit_quality"])
     stored = replace(stored, vehicle=data.get("vehicle") or {})

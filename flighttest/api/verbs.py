@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 
 from flighttest.api.inputs import (
     AnyPath,
@@ -28,6 +28,7 @@ from flighttest.recording.model import Recording
 if TYPE_CHECKING:
     from flighttest.api.answers import Diagnosed, Fitted, Models, Planned, Responses, Validated, Validity
     from flighttest.api.fitted_model import FittedModel
+    from flighttest.identify.models.model_blocks import ModelData
     from flighttest.physics.model import Model
     from flighttest.pipeline.results import Result
     from flighttest.sim.simulation import Simulation
@@ -89,7 +90,7 @@ def _fitted(result: Result) -> Fitted:
     from flighttest.api.answers import Fitted
     from flighttest.api.fitted_model import model_of
 
-    model = model_of(result.value, {k: v for k, v in result.data.items() if k != "losses"})
+    model = model_of(result.value, cast("ModelData", {k: v for k, v in result.data.items() if k != "losses"}))
     return Fitted(document=result.document, data=result.data, status=result.status, fit=result.value, model=model)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
-from typing import Any, TextIO
+from typing import Any, TextIO, TypedDict
 
 from rich.console import Console, RenderableType
 from rich.text import Text
@@ -91,7 +91,7 @@ class Show:
         """Any rich renderable, beside the results."""
         self.side.print(renderable)
 
-    def result(self, document: Document, data: Mapping[str, Any]) -> None:
+    def result(self, document: Document, data: Mapping[str, object]) -> None:
         """A finished result: the document for a person, or the data for a program."""
         if self.as_json:
             self.json(data)
@@ -100,11 +100,11 @@ class Show:
                 self.out.print(render(document, self.everything))
             self.out.file.write("".join(line.rstrip() + "\n" for line in drawn.get().splitlines()))
 
-    def json(self, data: Mapping[str, Any]) -> None:
+    def json(self, data: Mapping[str, object]) -> None:
         """One JSON document; numbers that are not finite become null."""
         self.out.file.write(json.dumps(plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
-    def line(self, data: Mapping[str, Any]) -> None:
+    def line(self, data: Mapping[str, object]) -> None:
         """With --json one line, sent at once: what a program needs of something that goes on. Otherwise nothing."""
         if self.as_json:
             self.lines += 1
@@ -132,9 +132,43 @@ class Show:
         self.out.file.write(text)
 
 
-def error_data(error: FlighttestError) -> dict[str, Any]:
+class ProblemData(TypedDict):
+    """One of the problems of a file."""
+
+    file: str
+    line: int
+    path: str
+    what: str
+    hint: str
+
+
+class RefusalData(TypedDict):
+    """One of the preflight checks that refuse."""
+
+    what: str
+    remedy: str
+
+
+class ErrorFields(TypedDict, total=False):
+    """What is known of an error."""
+
+    kind: str
+    message: str
+    hint: str
+    exit_code: int
+    problems: list[ProblemData]
+    refusals: list[RefusalData]
+
+
+class ErrorData(TypedDict):
+    """What --json prints of an error."""
+
+    error: ErrorFields
+
+
+def error_data(error: FlighttestError) -> ErrorData:
     """The error as data: kind, message, hint, exit_code, and all problems or refusals where there are several."""
-    data: dict[str, Any] = {
+    data: ErrorFields = {
         "kind": type(error).__name__,
         "message": error.message,
         "hint": error.hint,

@@ -18,10 +18,12 @@ import numpy as np
 from flighttest.currency.between_campaigns import prior
 from flighttest.currency.compare import Alike, Estimates
 from flighttest.currency.model import FloatArray
+from flighttest.documents import PlainData
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, variance_inflation_of
 from flighttest.estimation.weighing import Normal
 from flighttest.identify.fixed_parameters import normal_at
+from flighttest.identify.models.model_blocks import StepsBlock
 from flighttest.segments import Segment
 
 MIN_STEPS = 2  # kinds of step that must tell of a parameter
@@ -65,10 +67,10 @@ def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: 
     return tuple(found)
 
 
-def as_data(steps: Sequence[Step]) -> dict[str, Any]:
+def as_data(steps: Sequence[Step]) -> StepsBlock:
     """For model.yaml: parameters in order, and one line per kind of step."""
     order = list(steps[0].score) if steps else []
-    rows = [
+    rows: list[dict[str, PlainData]] = [
         {
             "kind": s.kind,
             **{k: float(f"{v:.6g}") for k, v in s.cell.items()},

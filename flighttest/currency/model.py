@@ -9,6 +9,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.documents import PlainData
+
 FloatArray = NDArray[np.float64]
 
 # Parameter subsets of the paper (section 3) and the shipped script that identifies each.
@@ -162,4 +164,4 @@ class Currency:
     appeared: tuple[Appeared, ...] = ()
     untested: tuple[Untested, ...] = ()
     minutes: float | None = None
-    evidence: Mapping[str, object] = field(default_factory=dict)
+    evidence: Mapping[str, PlainData] = field(default_factory=dict)

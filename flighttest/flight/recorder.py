@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, TypedDict, cast
 
 from flighttest.errors import RecordingError
 from flighttest.link.session import Session
@@ -260,7 +260,46 @@ def known_filters(parameters: Mapping[str, float]) -> dict[str, float]:
     return {"specific_force": cutoff} if cutoff > 0 else {}
 
 
-def plan_as_data(plan: Plan) -> dict[str, Any]:
+class PhaseData(TypedDict):
+    """A phase of a leg; record: whether it is cut from the recording."""
+
+    name: str
+    start_s: float
+    end_s: float
+    record: bool
+
+
+class LegPlan(TypedDict):
+    """A `Leg` as plan.json has it; mark: its id as it fits into a mark."""
+
+    id: str
+    mark: str
+    maneuver: str
+    kind: str
+    cell: dict[str, float]
+    repeat: int
+    start_m: list[float]
+    heading_rad: float
+    duration_s: float
+    t_step_s: float
+    phases: list[PhaseData]
+    voltage_v: float | None
+    motors_off: bool
+
+
+class PlanData(TypedDict):
+    """plan.json (format plan/1)."""
+
+    format: str
+    script: str
+    script_sha256: str
+    rate_hz: float
+    legs: list[LegPlan]
+    refusals: list[list[str]]
+    notes: list[str]
+
+
+def plan_as_data(plan: Plan) -> PlanData:
     """The plan as plain JSON types: what was going to be flown, leg by leg."""
     return {
         "format": "plan/1",

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from flighttest.estimation.uncertainty.covariance import Covariance, covariance_
 from flighttest.estimation.weighing import start_noise
 from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
 from flighttest.identify.diagnostics.closed_loop import answered
-from flighttest.identify.diagnostics.doubts import differing_notes, doubts_of, step_sizes
+from flighttest.identify.diagnostics.doubts import FitChecks, differing_notes, doubts_of, step_sizes
 from flighttest.identify.diagnostics.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
@@ -104,7 +103,7 @@ class Fit:
     problem: Problem = field(repr=False)
     solution: Solution = field(repr=False)
     voltage_spread_v: float | None = None
-    checks: Mapping[str, Any] = field(default_factory=dict)
+    checks: FitChecks = field(default_factory=FitChecks)
 
     @property
     def values(self) -> dict[str, float]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ _WHOLE_MS_S = 2e-6  # times this near to whole ms all along come from a clock th
 _BESIDE_S = 0.5  # a message without a stamp goes by the stamp of one that came this short before it
 
 
-def stamped_rules(raw: Mapping[str, Any]) -> list[Rule]:
+def stamped_rules(raw: Collection[str]) -> list[Rule]:
     """The rules of messages that came and carry the vehicle's time, one a message."""
     seen = {rule.message: rule for rule in RULES if rule.stamp and rule.message in raw}
     return list(seen.values())

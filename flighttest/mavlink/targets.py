@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,7 +53,7 @@ def target_message(
     )
 
 
-def reference_columns(raw: dict[str, Any]) -> dict[str, FloatArray]:
+def reference_columns(raw: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
     """Reference channels (n,) from the fields `REFERENCE_FIELDS` of n SET_ATTITUDE_TARGET messages.
 
     Parts that the mask tells the vehicle to ignore are NaN, except the yaw rate: attitude alone means a heading held, so it is 0.

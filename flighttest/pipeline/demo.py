@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 
@@ -31,7 +31,8 @@ from flighttest.pipeline.vehicles.simulator import options
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.render.svg import as_svg
-from flighttest.report.sections.demo import demo_document, figure_of
+from flighttest.report.sections.demo import DemoData, ErrorRow, ShownStretch, demo_document, figure_of
+from flighttest.report.sections.twin import TwinData
 from flighttest.segments import Segment
 from flighttest.sim import parse_hide
 from flighttest.sim.build import build_plant
@@ -101,20 +102,20 @@ def composed(
     segments = [s for s in cut_all(open_recordings([unused], progress=progress), progress) if s.usable]
     before = predicted(segments, base.model, base.values, verified.value.fit.noise)
     floors = diagnosis["noise_floor"]  # of the campaign, whose steps were repeated
-    prediction = {
+    prediction: dict[str, ErrorRow] = {
         c: {"before": before[c].rmse, "after": v["rmse"], "floor": floors[short(c)]["value"]}
         for c, v in verified.data["channels"].items()
         if c in before and short(c) in floors
     }
     findings = diagnosis["findings"]
-    data = {
+    data: DemoData = {
         "format": "demo/1",
         "hidden": {term: dict(values) for term, values in hidden.items()},
         "findings": findings,
         "as_hidden": {f["term"] for f in findings} == set(hidden),
         "prediction": prediction,
         "shown": plain(predicted_stretch(segments, base, improved, {c: v["floor"] for c, v in prediction.items()})),
-        "twin": verified.data,
+        "twin": cast(TwinData, verified.data),
         "twin_report": str(out / "twin" / REPORT_NAME),
         "unused": unused.name,
         "runs": [str(folder), str(unused)],
@@ -148,12 +149,13 @@ def _new_folder(wanted: Path) -> Path:
 
 def predicted_stretch(
     segments: Sequence[Segment], base: ModelFile, improved: ModelFile, floors: Mapping[str, float]
-) -> dict[str, Any] | None:
+) -> ShownStretch | None:
     """The stretch and channel in which the improved model's open-loop error falls furthest below the base model's, in noise floors."""
     pieces = runnable(segments)
     starts = starts_in(pieces, _HORIZON_S)
     made = [open_loop(m.model, m.values, [voltage_for(m, s) for s in pieces], starts) for m in (base, improved)]
-    best, found = 0.0, None
+    best = 0.0
+    found: ShownStretch | None = None
     for start, before, after in zip(starts, *made, strict=True):
         segment, here = pieces[start.segment], slice(start.first, start.last + 1)
         for channel, y in measured_channels(segment).items():
@@ -164,6 +166,9 @@ def predicted_stretch(
             gain = (errors[0] - errors[1]) / floors[channel]
             if gain > best:
                 t_s = segment.t_s[here] - segment.t_s[start.first]
-                curves = {"t_s": t_s, "measured": measured, "before": before[channel], "after": after[channel]}
-                best, found = gain, {"segment": segment.name, "channel": channel, **curves}
+                best = gain
+                found = {
+                    "segment": segment.name, "channel": channel, "t_s": t_s, "measured": measured, "before": before[channel],
+                    "after": after[channel],
+                }  # fmt: skip
     return found

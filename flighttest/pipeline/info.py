@@ -8,7 +8,7 @@ import shutil
 import socket
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from serial.tools import list_ports
 
@@ -66,7 +66,48 @@ def terms(ids: Sequence[str]) -> Result:
     return Result(Document("physics catalogue", verdict, sections=(Section("terms", "", (table,)),)), data)
 
 
-def term_data(term: Term) -> dict[str, Any]:
+class ParamData(TypedDict):
+    """One parameter of a term; bounds: lower and upper."""
+
+    name: str
+    symbol: str
+    unit: str
+    kind: str
+    nominal: float
+    bounds: list[float]
+    doc: str
+    source: str
+
+
+class TermData(TypedDict):
+    """A term of the catalogue as `flighttest terms --json` has it; fields as of `physics.core.Term`."""
+
+    id: str
+    title: str
+    family: str
+    port: str
+    equation: str
+    plain: str
+    source: str
+    doubt: str
+    hides_in: list[str]
+    told_apart_by: str
+    reveals: str
+    needs: list[str]
+    parameters: list[ParamData]
+
+
+class CheckData(TypedDict):
+    """One line of `flighttest doctor`."""
+
+    what: str
+    ok: bool
+    needed: bool
+    found: str
+    remedy: str
+
+
+def term_data(term: Term) -> TermData:
     """A term as plain data."""
     return {
         "id": term.id,
@@ -123,7 +164,7 @@ def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
     """What is installed and reachable. `connect`: also try this vehicle, with this key."""
     key = read_key(signing_key) if signing_key is not None else None
     rows: list[tuple[Cell | str, ...]] = []
-    data: list[dict[str, Any]] = []
+    data: list[CheckData] = []
 
     def note(what: str, found: str, good: bool, remedy: str = "", needed: bool = True) -> None:
         word = "ok" if good else ("missing" if needed else "absent")

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from flighttest.datafiles import check_writable
 from flighttest.diagnose import Diagnosis
@@ -29,7 +28,7 @@ from flighttest.flight import FlightOptions, fly
 from flighttest.identify.fit import fit
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.pipeline.diagnosis.against import difference_data, of_one_vehicle
+from flighttest.pipeline.diagnosis.against import difference_row, of_one_vehicle
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.identification.reporting import REPORT_NAME
@@ -45,7 +44,14 @@ from flighttest.report.document import Document
 from flighttest.report.numbers import paths
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
-from flighttest.report.sections.twin import replay_sections, replay_sentence, verify_sections, verify_sentence
+from flighttest.report.sections.twin import (
+    ReplayData,
+    TwinData,
+    replay_sections,
+    replay_sentence,
+    verify_sections,
+    verify_sentence,
+)
 from flighttest.segments import Segment
 from flighttest.sim import Simulation, start_simulator
 from flighttest.sim.sitl.launcher import find_arducopter
@@ -167,7 +173,7 @@ def replay(
     segments = cut_all(recordings, progress)
     progress.stage("running the recorded commands on the twin")
     found = run_commands(stored, segments, change)
-    data: dict[str, Any] = {
+    data: ReplayData = {
         "format": "replay/1",
         "changes": list(change.sentences),
         "effects": plain(found.effects),
@@ -234,7 +240,7 @@ def _fly(stored: ModelFile, run: Path, folder: Path, launched: _Launched, progre
 
 def compare_with_recordings(
     stored: ModelFile, segments: Sequence[Segment], found: Diagnosis, flown: Sequence[Segment], firmware: bool = False
-) -> dict[str, Any]:
+) -> TwinData:
     """twin/1: parameters, error by channel in noise floors, steps, and the verdict. firmware: the attitude loops that flew are the
     firmware's, not the model's: the channels of the steps are judged by the flown responses."""
     assert found.fit is not None
@@ -273,7 +279,7 @@ def compare_with_recordings(
         "channels": plain(channels),
         "flown_channels": plain(steps_flown),
         "above": above,
-        "parameters": plain([difference_data(d) for d in rows]),
+        "parameters": [difference_row(d) for d in rows],
         "notes": list(notes_of(rows, real, twin)),
         "steps": plain(step_by_step(segments, flown)) if flown else [],
         "diagnosis": {"verdict": found.verdict.name, "sentence": found.sentence},

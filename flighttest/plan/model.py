@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +107,6 @@ class Plan:
     rate_hz: float
     refusals: tuple[tuple[str, str, str], ...] = ()
     notes: tuple[str, ...] = ()
-    data: Mapping[str, Any] = field(default_factory=dict)
     cells: tuple[CellPlan, ...] = ()
     reaction_s: float = 0.25
     fenced: int = 0

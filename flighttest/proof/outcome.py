@@ -53,7 +53,7 @@ class Outcome:
     truth: str = ""
     code: str = ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Plain types."""
         return asdict(self)
 

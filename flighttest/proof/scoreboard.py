@@ -15,6 +15,7 @@ from scipy import stats
 
 from flighttest.proof.cases import Generator, Kind
 from flighttest.proof.outcome import BASE, Outcome
+from flighttest.proof.records import Calibration, ConfusionRow, Counted, Magnitudes, Miss, NameRates, PowerRow, Scores
 
 COUNTS = 2.0  # noise floors an effect must have to count; below it is in the power curve only
 ABSENT = 0.5  # below this it is not there
@@ -24,7 +25,6 @@ HIGH_R2 = 0.95
 LEAST_COVERED, MOST_COVERED = 0.90, 0.99
 LEAST_FORCE_M_S2 = 0.02  # a true force below it is no measure of a magnitude
 NONE_FLOWN = "none flown"
-Counted = tuple[int, int]
 
 
 def interval(k: int, n: int) -> tuple[float, float]:
@@ -96,7 +96,7 @@ def _count(outcomes: Sequence[Outcome], holds: Any) -> Counted:
     return sum(bool(holds(o)) for o in outcomes), len(outcomes)
 
 
-def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def score(outcomes: Sequence[Outcome]) -> Scores:
     """Every number of the scoreboard, as plain data."""
     groups = Groups.of(outcomes)
     return {
@@ -112,7 +112,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
-def _names(groups: Groups) -> dict[str, Any]:
+def _names(groups: Groups) -> NameRates:
     seen = [o for o in groups.outside if o.located is not None]
     return {
         "first": _count(groups.single, first_right),
@@ -127,7 +127,7 @@ def _names(groups: Groups) -> dict[str, Any]:
     }
 
 
-def _magnitudes(groups: Groups) -> dict[str, Any]:
+def _magnitudes(groups: Groups) -> Magnitudes:
     counted = [*groups.single, *groups.pairs]
     forces = [(true, found) for o in groups.single for e, (true, found) in o.forces.items() if right(o, e)]
     ratios = [abs(found / true - 1.0) for true, found in forces if true > LEAST_FORCE_M_S2 and found > 0]
@@ -144,7 +144,7 @@ def _magnitudes(groups: Groups) -> dict[str, Any]:
     }
 
 
-def _calibration(groups: Groups) -> dict[str, Any]:
+def _calibration(groups: Groups) -> Calibration:
     """Do intervals hold what they say, and are names as often right as they say?"""
     counted = (*groups.single, *groups.pairs)
     named = [(e, k, v) for o in counted for e, table in o.values.items() for k, v in table.items()]
@@ -203,20 +203,20 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if len(values) else None
 
 
-def _power(hiding: Sequence[Outcome]) -> list[dict[str, Any]]:
-    power = []
+def _power(hiding: Sequence[Outcome]) -> list[PowerRow]:
+    power: list[PowerRow] = []
     for low, high in pairwise(BINS):
         inside = [(o, e) for o in hiding for e, s in o.sizes.items() if low <= s < high]
         power.append({"from": low, "to": high, "n": len(inside), "named": sum(right(o, e) for o, e in inside)})
     return power
 
 
-def _confusion(single: Sequence[Outcome]) -> list[dict[str, Any]]:
+def _confusion(single: Sequence[Outcome]) -> list[ConfusionRow]:
     table = Counter((next(iter(o.hide)), o.named[0] if o.named else "nothing") for o in single)
     return [{"hidden": h, "named": n, "count": c} for (h, n), c in sorted(table.items())]
 
 
-def _misses(outcome: Outcome) -> Iterator[dict[str, Any]]:
+def _misses(outcome: Outcome) -> Iterator[Miss]:
     """What should have been named and was not; what should not have been and was."""
     why = f"named {', '.join(outcome.named) or 'nothing'}"
     if outcome.kind in ("single", "pair"):
@@ -277,7 +277,7 @@ def code_of(outcomes: Sequence[Outcome]) -> str:
     return next(iter(counts), "") if len(counts) < 2 else ", ".join(f"{c} ({n} trials)" for c, n in counts.items())
 
 
-def rates(s: Mapping[str, Any]) -> list[tuple[str, str]]:
+def rates(s: Scores) -> list[tuple[str, str]]:
     """What `score` found, in words; only what there is."""
     first = f"right class first (effect at least {COUNTS:g} noise floors after the refit)"
     clean = f"false alarms on clean trials (nothing hidden in {s['nothing_hidden']}, else less than {ABSENT:g} noise floors)"
@@ -328,7 +328,7 @@ def rates(s: Mapping[str, Any]) -> list[tuple[str, str]]:
     return told + [(what, text) for what, known, text in medians if known is not None]
 
 
-def _tables(s: Mapping[str, Any]) -> Iterator[str]:
+def _tables(s: Scores) -> Iterator[str]:
     power = [(f"{p['from']:g} to {p['to']:g}", p["n"], share(p["named"], p["n"])) for p in s["power"]]
     yield from _table("Power", ("effect size, noise floors", "hidden", "named"), power)
     if s["reliability"]:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import plotly
@@ -38,7 +38,55 @@ def packed_json(data: Any, key: str) -> str:
     return packed(json.dumps(data, separators=(",", ":")).encode(), key)
 
 
-def packed_figures(specs: Sequence[Mapping[str, Any]], key: str) -> str:
+class PanelSpec(TypedDict):
+    """What Plotly.newPlot takes: traces and layout as of plotly.js, whose keys are its own."""
+
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+    title: str
+
+
+class LegendEntry(TypedDict):
+    """One name of a figure's legend."""
+
+    name: str
+    role: str
+    dash: str
+    shown: bool
+
+
+class FigureSpec(TypedDict):
+    """A figure as a page holds it; heights in px."""
+
+    id: str
+    caption: str
+    columns: int
+    height: int
+    legend: list[LegendEntry]
+    panels: list[PanelSpec]
+
+
+class PackedChannel(TypedDict):
+    """Where a channel's 16-bit numbers begin, and what they mean: value = low + (number + MIDDLE) * step."""
+
+    name: str
+    at: int
+    low: float
+    step: float
+
+
+class PackedGroup(TypedDict):
+    """Channels over one time base: where its steps of 10 us begin, their number, the first time, s, and how many samples there were."""
+
+    group: str
+    t: int
+    n: int
+    t0: float
+    of: int
+    channels: list[PackedChannel]
+
+
+def packed_figures(specs: Sequence[FigureSpec], key: str) -> str:
     """Specifications of figures, their long columns of numbers apart as binary, each once: a time axis is shared by many traces.
 
     A column becomes {"at", "n"} and, of 16 bits, {"low", "step"}; on logarithmic axes it keeps 32-bit floats.
@@ -82,7 +130,7 @@ def packed_figures(specs: Sequence[Mapping[str, Any]], key: str) -> str:
     return packed_json(thin, key) + packed(b"".join(parts), f"{key}-data")
 
 
-def figures_in(page: str, key: str) -> list[dict[str, Any]]:
+def figures_in(page: str, key: str) -> list[FigureSpec]:
     """The specifications that a page holds, whole again."""
     data = unpacked(page, f"{key}-data")
 
@@ -94,7 +142,7 @@ def figures_in(page: str, key: str) -> list[dict[str, Any]]:
         coded = np.frombuffer(data, "<i2", value["n"], value["at"])
         return [None if c == MISSING else value["low"] + (int(c) + MIDDLE) * value["step"] for c in coded]
 
-    specs: list[dict[str, Any]] = json.loads(unpacked(page, key))
+    specs: list[FigureSpec] = json.loads(unpacked(page, key))
     for spec in specs:
         for panel in spec["panels"]:
             panel["data"] = [{k: whole(v) for k, v in trace.items()} for trace in panel["data"]]
@@ -155,9 +203,9 @@ def coarse(t_s: FloatArray, values: FloatArray, most: int) -> tuple[FloatArray, 
 
 def pack_series(
     groups: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]], most: int
-) -> tuple[list[dict[str, Any]], bytes]:
+) -> tuple[list[PackedGroup], bytes]:
     """Channels as 16-bit numbers over 10-microsecond steps of time: where each lies, and the bytes. most: samples per channel."""
-    described: list[dict[str, Any]] = []
+    described: list[PackedGroup] = []
     parts: list[bytes] = []
     size = 0
 
@@ -175,14 +223,14 @@ def pack_series(
             times, thin[name] = coarse(t_s, values, most)
         ticks = np.round((times - times[0]) * 1e5).astype(np.int64)
         deltas = np.diff(ticks, prepend=0).astype("<u4")
-        entry: dict[str, Any] = {
+        entry: PackedGroup = {
             "group": group,
             "t": add(deltas),
             "n": int(times.size),
             "t0": float(times[0]),
             "of": int(t_s.size),
+            "channels": [],
         }
-        entry["channels"] = []
         for name, values in thin.items():
             coded, low, step = _coded(values)
             entry["channels"].append({"name": name, "at": add(coded), "low": low, "step": step})

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from flighttest.recording import Marker, Recording
+from flighttest.recording.manifest import EventData
 
 _STEP = re.compile(r"^STEP\s+(\w+)\b(.*)$", re.IGNORECASE)
 _FREE = re.compile(r"^FREE(\s+\w+)?$", re.IGNORECASE)
@@ -45,7 +44,7 @@ class Marked:
     repeat: int = 0
     numbered: bool = False
     outcome: str = ""
-    data: Mapping[str, Any] = field(default_factory=dict)
+    data: EventData = field(default_factory=EventData)
 
 
 def marked(recording: Recording) -> list[Marked]:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from typing import Any
 
 from flighttest.sim.autopilot.copter import Autopilot
 from flighttest.sim.autopilot.safety import MODE_SWITCH_S, Boot
 from flighttest.sim.noise import Noise
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
-from flighttest.sim.plants.plant import Plant
+from flighttest.sim.plants.plant import IdentifiedVehicle, Plant
 from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
 from flighttest.sim.plants.plant_rotor import RotorPlant
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
@@ -43,7 +41,7 @@ def build_plant(options: SimOptions) -> Plant:
     return plant_terms.TermsPlant(*plant_terms.concealing(*plant_terms.of_paper(parameters), beyond), battery, air)
 
 
-def _identified(options: SimOptions, described: Mapping[str, Any], air: Air | None) -> Plant:
+def _identified(options: SimOptions, described: IdentifiedVehicle, air: Air | None) -> Plant:
     """An identified model, with whatever is hidden in it besides."""
     from flighttest.sim.plants import plant_terms
 
@@ -65,7 +63,7 @@ def build_vehicle(options: SimOptions) -> Autopilot:
     vehicle = Autopilot(
         plant,
         seed=options.seed,
-        noise=SensorNoise(**(options.model or {}).get("noise", {})).scaled(options.noise),
+        noise=SensorNoise(**(options.model.get("noise", {}) if options.model else {})).scaled(options.noise),
         boot=Boot(options.ready_s, options.gps_s, min(MODE_SWITCH_S, options.ready_s)),
         parameters=options.parameters,
         capacity_ah=plant.battery.capacity_ah,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from flighttest.errors import InputError
-from flighttest.sim.plants.plant import Hidden
+from flighttest.sim.plants.plant import Hidden, IdentifiedVehicle
 
 Airframe = Literal["paper", "rotor"]
 AIRFRAMES: tuple[Airframe, ...] = ("paper", "rotor")
@@ -45,7 +45,7 @@ class SimOptions:
     voltage_v: float | None = None
     capacity_ah: float | None = None
     signing_key: str = ""
-    model: Mapping[str, Any] | None = None
+    model: IdentifiedVehicle | None = None
 
     def __post_init__(self) -> None:
         if self.airframe not in AIRFRAMES:

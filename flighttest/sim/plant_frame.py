@@ -7,11 +7,11 @@ attitude that comes of it; the mean motor command is its throttle.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import cos, exp, sin
-from typing import Any
 
 from flighttest.sim.plants.battery import Battery
+from flighttest.sim.plants.plant import IdentifiedVehicle
 from flighttest.sim.plants.plant_terms import TermsPlant, of_description
 from flighttest.sim.plants.weather import Air
 
@@ -29,7 +29,7 @@ class FramePlant(TermsPlant):
 
     motors = 4
 
-    def __init__(self, described: Mapping[str, Any], battery: Battery | None = None, air: Air | None = None) -> None:
+    def __init__(self, described: IdentifiedVehicle, battery: Battery | None = None, air: Air | None = None) -> None:
         super().__init__(*of_description(described), battery, air)
         frame = described["frame"]
         self._gains = [float(frame[f"gain_{n}"]) for n in AXES]

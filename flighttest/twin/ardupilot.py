@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ class Exported:
     """frame: of SIM_Frame's file; parameters: of the firmware; loops: what was fitted; lacking: terms that it has not; thrust_share: most
     that thrust is off over the valid voltages; velocity_m_s: most that velocity is off on the test maneuver at nominal voltage."""
 
-    frame: dict[str, Any]
+    frame: Mapping[str, float | list[float]]
     parameters: dict[str, float]
     loops: Frame
     lacking: tuple[str, ...]
@@ -80,7 +81,7 @@ def exported(stored: ModelFile) -> Exported:
     )  # N, at full throttle and nominal voltage
     side = 0.5 * DIAGONAL_M * math.sqrt(0.5) * top  # N m of a full output in roll
     twist = 0.05 * DIAGONAL_M * top * at_middle  # of a small one in yaw, as a full one
-    frame = {
+    frame: dict[str, float | list[float]] = {
         "mass": mass, "diagonal_size": DIAGONAL_M, "num_motors": 4,
         "moment_inertia": [side / loops.axes["roll"].gain, side / loops.axes["pitch"].gain, twist / loops.axes["yaw"].gain],
         "refSpd": _speed(mass, g, coefficient, square), "refAngle": REFERENCE_DEG, "mdrag_coef": coefficient, "disc_area": DISC_M2,

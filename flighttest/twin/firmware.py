@@ -23,6 +23,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.simulate import simulate
 from flighttest.sim import SimOptions
+from flighttest.sim.plants.plant import IdentifiedVehicle
 from flighttest.twin import firmware_loops
 from flighttest.twin.firmware_loops import AXES, LOOP_S, Loop, loop_of
 from flighttest.twin.vehicle import options_of
@@ -99,7 +100,7 @@ def firmware_options(
     frame = frame_of(stored)
     assert made.model is not None
     terms = [t for t in stored.model.terms if t == "body" or not _firmwares(t, frame.not_represented)]
-    described = {
+    described: IdentifiedVehicle = {
         **made.model,
         "terms": terms,
         "frame": {

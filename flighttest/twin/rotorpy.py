@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pprint
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.documents import PlainData
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.core import Contribution, Param, Port, Signals, Term
@@ -47,7 +49,7 @@ def write_vehicle(stored: ModelFile, folder: Path) -> Path:
     return path
 
 
-def vehicle(stored: ModelFile) -> tuple[dict[str, Any], dict[str, Any]]:
+def vehicle(stored: ModelFile) -> tuple[dict[str, PlainData], dict[str, PlainData]]:
     """(IDENTIFIED, quad_params)."""
     v, model = stored.values, stored.model
     weighed = stored.fingerprint.get("mass_kg")
@@ -57,7 +59,7 @@ def vehicle(stored: ModelFile) -> tuple[dict[str, Any], dict[str, Any]]:
     inertia = 0.25 * mass * model.g_m_s2 * ARM_M / fastest
     hover = mass * model.g_m_s2 / 4.0
     eta = hover / ROTOR_RAD_S**2
-    identified: dict[str, Any] = {
+    identified: dict[str, PlainData] = {
         n: float(v[n])
         for n in ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "alpha")
     }
@@ -75,7 +77,7 @@ def vehicle(stored: ModelFile) -> tuple[dict[str, Any], dict[str, Any]]:
     k = [v.get(p.name, 0.0) for p in catalogue()["quadratic_drag"].params]
     place = ARM_M / math.sqrt(2.0)
     corners = ((1, 1), (1, -1), (-1, -1), (-1, 1))
-    parameters = {
+    parameters: dict[str, PlainData] = {
         "mass": mass, "Ixx": inertia, "Iyy": inertia, "Izz": inertia, "Ixy": 0.0, "Iyz": 0.0, "Ixz": 0.0,
         "num_rotors": 4,
         "rotor_pos": {f"r{i + 1}": [place * x, place * y, 0.0] for i, (x, y) in enumerate(corners)},
@@ -86,16 +88,18 @@ def vehicle(stored: ModelFile) -> tuple[dict[str, Any], dict[str, Any]]:
         "k_d": mass * level / (4.0 * ROTOR_RAD_S), "k_z": mass * d[2] / (4.0 * ROTOR_RAD_S),
         "k_h": 0.0, "k_flap": 0.0,
         "tau_m": MOTOR_S, "rotor_speed_min": 0.0, "rotor_speed_max": 5.0 * ROTOR_RAD_S, "motor_noise_std": 0.0,
-        "k_w": 1.0, "k_v": 10.0, "kp_att": identified["omega_phi"] ** 2, "kd_att": 2 * v["zeta_phi"] * v["omega_phi"],
+        "k_w": 1.0, "k_v": 10.0, "kp_att": v["omega_phi"] ** 2, "kd_att": 2 * v["zeta_phi"] * v["omega_phi"],
     }  # fmt: skip
     return identified, parameters
 
 
-def _formatted(parameters: dict[str, Any]) -> str:
+def _formatted(parameters: Mapping[str, PlainData]) -> str:
     text = pprint.pformat(parameters, width=110, sort_dicts=False)
     for key in ("rotor_directions", "rI"):
         text = text.replace(f"'{key}': {parameters[key]}", f"'{key}': np.array({parameters[key]})")
-    for name, place in parameters["rotor_pos"].items():
+    places = parameters["rotor_pos"]
+    assert isinstance(places, Mapping)
+    for name, place in places.items():
         text = text.replace(f"'{name}': {place}", f"'{name}': np.array({place})")
     return text
 
@@ -121,8 +125,8 @@ def left_error(stored: ModelFile) -> dict[str, float]:
     }
 
 
-def test_maneuver(model: Model, values: Any) -> dict[str, Any]:
-    """States of a model on the test maneuver, every 10 ms for 3 s; `references` holds its commands."""
+def test_maneuver(model: Model, values: Mapping[str, float]) -> dict[str, FloatArray]:
+    """States and outputs (301,) of a model on the test maneuver, every 10 ms for 3 s."""
     t: FloatArray = 0.01 * np.arange(301, dtype=float)
     references = maneuver(float(model.hover_throttle(values, model.nominal_voltage_v)))
     volts = {"voltage_v": (t, np.full(t.size, model.nominal_voltage_v))}

@@ -12,6 +12,7 @@ from typing import Any
 from flighttest.errors import ModelError
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.sim import SimOptions
+from flighttest.sim.plants.plant import BatteryFields, IdentifiedVehicle
 
 CELL_V = 3.7  # nominal, of lithium polymer
 _ACCEL_FILTER_HZ = 20.0  # ArduPilot's default
@@ -34,7 +35,7 @@ def options_of(stored: ModelFile, hide: Mapping[str, Mapping[str, float]] | None
     values = dict(stored.values)
     if not stored.valid.get("voltage_v"):
         values["alpha"] = 0.0  # K is the gain at whatever voltage was flown
-    described = {
+    described: IdentifiedVehicle = {
         "terms": list(model.terms),
         "values": {n: float(values[n]) for n in model.names},
         "constants": {
@@ -65,7 +66,7 @@ def assumed(stored: ModelFile) -> tuple[str, ...]:
     return tuple(n for n, p in stored.parameters.items() if p.source == "assumed" and n in stored.model.names)
 
 
-def battery_of(stored: ModelFile) -> dict[str, float]:
+def battery_of(stored: ModelFile) -> BatteryFields:
     """Cells by the nominal voltage; the resistance where the model's flights told it."""
     cells = max(round(stored.model.nominal_voltage_v / CELL_V), 1)
     kept = stored.fit_quality.get("battery")

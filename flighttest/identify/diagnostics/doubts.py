@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Protocol, TypedDict
 
 import numpy as np
 
@@ -18,6 +18,43 @@ from flighttest.physics.model import Model
 
 MEETS = 0.1  # correlation of two parameters that are told by the same samples
 WORTH_A_NOTE = 0.3  # of how wide a parameter may be and still be called known
+
+
+class StepSizes(TypedDict):
+    """The values of a parameter that lie furthest apart, and the steps that they were found in."""
+
+    low: float
+    low_in: str
+    high: float
+    high_in: str
+
+
+class DescentBlock(TypedDict):
+    """What the paper's block coordinate descent gives beside the joint estimate."""
+
+    values: dict[str, float]
+    rounds: int
+    differs: list[str]
+    sentence: str
+
+
+class FitChecks(TypedDict, total=False):
+    """Cross-checks of a fit, as fit_quality of model.yaml has them. step_sizes: parameters that differ between sizes of steps."""
+
+    step_sizes: dict[str, StepSizes]
+    alternation: DescentBlock
+
+
+class Identifiable(Protocol):
+    """An estimate: its value, and whether it is known."""
+
+    @property
+    def value(self) -> float:
+        """In the parameter's unit."""
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the recordings make it known."""
 
 
 def doubts_of(
@@ -54,9 +91,9 @@ def doubts_of(
     }
 
 
-def step_sizes(doubts: Mapping[str, Doubts]) -> dict[str, Any]:
+def step_sizes(doubts: Mapping[str, Doubts]) -> FitChecks:
     """For model.yaml's fit_quality: parameters that differ between sizes of steps, by name, whether or not they are known."""
-    found = {
+    found: dict[str, StepSizes] = {
         n: {"low": s.low, "low_in": s.low_in, "high": s.high, "high_in": s.high_in}
         for n, d in doubts.items()
         if (s := d.spread) is not None
@@ -64,7 +101,7 @@ def step_sizes(doubts: Mapping[str, Doubts]) -> dict[str, Any]:
     return {"step_sizes": found} if found else {}
 
 
-def differing_notes(known: Mapping[str, Any], doubts: Mapping[str, Doubts], model: Model) -> list[str]:
+def differing_notes(known: Mapping[str, Identifiable], doubts: Mapping[str, Doubts], model: Model) -> list[str]:
     """Sentences on parameters that are known, and yet differ between sizes of steps by a good part of what they may."""
     notes = []
     for name, doubt in doubts.items():

@@ -7,11 +7,12 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import casadi as ca
 import numpy as np
 
+from flighttest.identify.models.model_blocks import ValidBlock
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.simulate import rk4
 from flighttest.version import __version__
@@ -53,11 +54,61 @@ def known_order(stored: ModelFile) -> list[str]:
     return [n for n in stored.order if n in stored.model.system.params and not n.startswith("T_d")]
 
 
-def description(stored: ModelFile) -> dict[str, Any]:
+class Quantity(TypedDict):
+    """One entry of a vector."""
+
+    name: str
+    unit: str
+
+
+class ExportedParameter(TypedDict):
+    """One parameter, SI."""
+
+    value: float
+    unit: str
+    std: float | None
+    interval_95: list[float] | None
+    source: str
+    identifiable: bool
+
+
+class ExportedCovariance(TypedDict):
+    """Covariance of the parameters in this order."""
+
+    order: list[str]
+    matrix: list[list[float]]
+
+
+class Hovering(TypedDict):
+    """A state at rest and the inputs that hold it."""
+
+    x: list[float]
+    u: list[float]
+
+
+class ExportData(TypedDict):
+    """model.json (format export/1): what the functions' vectors mean."""
+
+    format: str
+    generator: str
+    terms: list[str]
+    states: list[Quantity]
+    inputs: list[Quantity]
+    parameters: dict[str, ExportedParameter]
+    covariance: ExportedCovariance
+    sensitivity_order: list[str]
+    delays_s: dict[str, float]
+    valid: ValidBlock
+    constants: dict[str, float]
+    frames: dict[str, str]
+    hover: Hovering
+
+
+def description(stored: ModelFile) -> ExportData:
     """model.json: what the functions' vectors mean."""
     system = stored.model.system
     delays = stored.delays_s
-    parameters = {
+    parameters: dict[str, ExportedParameter] = {
         n: {
             "value": p.value, "unit": p.unit, "std": p.std,
             "interval_95": None if p.interval_95 is None else list(p.interval_95),
@@ -75,7 +126,7 @@ def description(stored: ModelFile) -> dict[str, Any]:
         "covariance": {"order": list(stored.order), "matrix": stored.covariance.tolist()},
         "sensitivity_order": known_order(stored),
         "delays_s": {n: delays.get(c, 0.0) for n, c in system.input_delay.items()},
-        "valid": dict(stored.valid),
+        "valid": stored.valid,
         "constants": dict(stored.model.constants),
         "frames": {"world": "NWU", "body": "FLU"},
         "hover": {"x": hover_state(stored).tolist(), "u": hover_input(stored).tolist()},

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from flighttest.identify.fit import Fit
+from flighttest.identify.models.model_blocks import ModelData
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.body import DELAY_PARAM
 
@@ -25,10 +25,10 @@ def known_before(found: Fit, base: ModelFile | None) -> dict[str, float]:
     }
 
 
-def carry_over(data: Mapping[str, Any], base: ModelFile, names: Sequence[str]) -> dict[str, Any]:
+def carry_over(data: ModelData, base: ModelFile, names: Sequence[str]) -> ModelData:
     """The data of model.yaml (see `model_file.as_data`) with these parameters as the earlier model has them: value, error and covariance
     among themselves."""
-    parameters = {k: dict(v) for k, v in data["parameters"].items()}
+    parameters = {k: v.copy() for k, v in data["parameters"].items()}
     order = [n for n in data["covariance"]["order"] if n not in (*names, MEAN_DELAY)]
     at = [data["covariance"]["order"].index(n) for n in order]
     old = [n for n in names if n in base.order]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict, cast
 
 import yaml
 
-from flighttest.documents import Document, Node, kind_of
+from flighttest.documents import Document, Node, PlainData, kind_of
+from flighttest.identify.diagnostics.doubts import FitChecks
 from flighttest.physics.catalogue import catalogue
+from flighttest.vehicle.fingerprint import FingerprintData
+from flighttest.vehicle.identity import IdentityData
 
 _CONSTANTS = {"g": (0.1, 100.0, "m/s^2"), "nominal_voltage_v": (0.1, 2000.0, "V"), "rotor_height_m": (0.0, 5.0, "m")}
 _VALID = {"voltage_v": (0.1, 2000.0)}
@@ -57,6 +60,115 @@ class DiagnosedBlock(TypedDict, total=False):
     untestable: list[str]
     smallest_detectable: dict[str, float]
     winds: list[FlightWindRow]
+
+
+class ParameterBlock(TypedDict, total=False):
+    """One parameter of model.yaml; std: with what the equations may err; scatter: of like flights alone; fly: what would make it known."""
+
+    value: float | None
+    unit: str
+    std: float | None
+    interval_95: list[float | None] | None
+    scatter: float | None
+    source: str
+    identifiable: bool
+    why: str
+    fly: str
+
+
+class DelayBlock(TypedDict):
+    """The delay of one channel, s."""
+
+    value: float | None
+    unit: str
+    std: float | None
+
+
+class OnsetBlock(TypedDict):
+    """The paper's estimate of the delay, s: mean and standard deviation over `count` steps, and by channel."""
+
+    mean_s: float | None
+    std_s: float | None
+    count: int
+    channels_s: dict[str, float | None]
+
+
+class CovarianceBlock(TypedDict):
+    """Covariance of the estimates in this order."""
+
+    order: list[str]
+    matrix: Sequence[Sequence[float | None]]
+
+
+class ChannelBlock(TypedDict):
+    """How well one channel is described, in its unit; residual: in words."""
+
+    rmse: float | None
+    noise_floor: float | None
+    r2: float | None
+    residual: str
+
+
+class HoverBlock(TypedDict):
+    """The throttle that held height: its standard error with degrees of freedom, and ln(U / U_n)."""
+
+    throttle: float
+    std: float
+    dof: float
+    log_voltage: float | None
+
+
+class BatteryBlock(TypedDict):
+    """The internal resistance of the battery and its standard error, Ohm."""
+
+    resistance_ohm: float
+    std: float
+
+
+class StepsBlock(TypedDict):
+    """Mean scores of each kind of step by the parameters in `order`; a row holds kind, responses, log_voltage, score and its cell."""
+
+    order: list[str]
+    flown: list[dict[str, PlainData]]
+
+
+class QualityBlock(FitChecks, total=False):
+    """The block fit_quality: how good the fit is, and what later flights are compared with (discrepancy, steps, hover, battery)."""
+
+    status: str
+    iterations: int
+    responses: int
+    channels: dict[str, ChannelBlock]
+    outliers: list[str]
+    bootstrap_std: dict[str, float | None]
+    ties: list[str]
+    voltage_spread_at_equal_throttle_v: float | None
+    discrepancy: dict[str, float]
+    steps: StepsBlock
+    hover: HoverBlock
+    battery: BatteryBlock
+
+
+class ModelData(TypedDict, total=False):
+    """model.yaml (format model/1) as plain data."""
+
+    format: str
+    vehicle: IdentityData
+    terms: list[str]
+    parameters: dict[str, ParameterBlock]
+    constants: dict[str, float]
+    attitude_loops: bool
+    channel_delays: bool
+    delays: dict[str, DelayBlock]
+    onset_delay: OnsetBlock
+    covariance: CovarianceBlock
+    valid: ValidBlock
+    fingerprint: FingerprintData
+    runs: list[str]
+    noise: NoiseBlock
+    fit_quality: QualityBlock
+    notes: list[str]
+    diagnosed: DiagnosedBlock
 
 
 def constants_of(document: Document, node: Node | None) -> dict[str, float]:
@@ -109,7 +221,7 @@ def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
     return node.value
 
 
-def plain_block(document: Document, node: Node | None) -> dict[str, Any]:
+def plain_block(document: Document, node: Node | None) -> dict[str, PlainData]:
     """A block of any keys and values as plain data."""
     return {name: child.plain() for name, child in children_of(document, node).items()}
 

@@ -15,15 +15,19 @@ import yaml
 from numpy.typing import NDArray
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Node, kind_of
+from flighttest.documents import Document, Node, PlainData, kind_of
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
 from flighttest.identify.fit import Fit
 from flighttest.identify.models.model_blocks import (
+    CovarianceBlock,
     DiagnosedBlock,
+    ModelData,
     ModelDumper,
     NoiseBlock,
+    ParameterBlock,
+    QualityBlock,
     ValidBlock,
     check_fingerprint,
     check_valid,
@@ -36,6 +40,7 @@ from flighttest.identify.models.model_blocks import (
 from flighttest.physics.body import ATTITUDE_PARAMS, CHANNEL_DELAYS, DELAY, DELAY_PARAM
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, ROTOR_HEIGHT_M, Model
 from flighttest.vehicle.fingerprint import FingerprintData
+from flighttest.vehicle.identity import IdentityData
 
 FloatArray = NDArray[np.float64]
 
@@ -80,10 +85,10 @@ class ModelFile:
     fingerprint: FingerprintData = field(default_factory=FingerprintData)
     runs: tuple[Any, ...] = ()
     noise: NoiseBlock = field(default_factory=NoiseBlock)
-    fit_quality: Mapping[str, Any] = field(default_factory=dict)
+    fit_quality: QualityBlock = field(default_factory=QualityBlock)
     notes: tuple[str, ...] = ()
     path: str = ""
-    vehicle: Mapping[str, Any] = field(default_factory=dict)
+    vehicle: IdentityData = field(default_factory=IdentityData)
     diagnosed: DiagnosedBlock = field(default_factory=DiagnosedBlock)
 
     @property
@@ -104,12 +109,12 @@ def as_data(
     *,
     fingerprint: FingerprintData | None = None,
     runs: Sequence[Any] | None = None,
-    extra_quality: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
+    extra_quality: QualityBlock | None = None,
+) -> ModelData:
     """A fit as the plain data of model.yaml."""
-    parameters = {}
+    parameters: dict[str, ParameterBlock] = {}
     for name, e in found.estimates.items():
-        entry: dict[str, Any] = {"value": _number(e.value), "unit": e.unit, "std": _number(e.std)}
+        entry: ParameterBlock = {"value": _number(e.value), "unit": e.unit, "std": _number(e.std)}
         entry["interval_95"] = None if e.interval_95 is None else [_number(v) for v in e.interval_95]
         if e.scatter is not None:
             entry["scatter"] = _number(e.scatter)
@@ -121,7 +126,7 @@ def as_data(
         parameters[name] = entry
     order, matrix = covariance_with_mean_delay(found)
     valid = {k: list(v) if isinstance(v, tuple) else v for k, v in vars(found.valid).items() if v is not None}
-    quality: dict[str, Any] = {
+    quality: QualityBlock = {
         "status": found.status.value,
         "iterations": found.solution.iterations,
         "responses": len(found.problem.segments),
@@ -138,7 +143,7 @@ def as_data(
         **found.checks,
         **(extra_quality or {}),
     }
-    data: dict[str, Any] = {
+    data: ModelData = {
         "format": "model/1",
         "terms": list(found.model.terms),
         "parameters": parameters,
@@ -154,12 +159,12 @@ def as_data(
         }  # fmt: skip
     data |= {
         "covariance": {"order": list(order), "matrix": [[_number(v) for v in row] for row in matrix]},
-        "valid": valid,
-        "fingerprint": dict(fingerprint or {}),
+        "valid": cast(ValidBlock, valid),
+        "fingerprint": fingerprint or FingerprintData(),
         "runs": list(runs if runs is not None else found.runs),
         "noise": {
-            "channels": {c: _number(v) for c, v in found.noise.channel.items()},
-            "disturbances": {c: _number(v) for c, v in found.noise.disturbance.items()},
+            "channels": {c: n for c, v in found.noise.channel.items() if (n := _number(v)) is not None},
+            "disturbances": {c: n for c, v in found.noise.disturbance.items() if (n := _number(v)) is not None},
         },
         "fit_quality": quality,
         "notes": list(found.notes),
@@ -178,7 +183,7 @@ def covariance_with_mean_delay(found: Fit) -> tuple[tuple[str, ...], FloatArray]
     return (*names, "T_d"), expand @ matrix @ expand.T
 
 
-def write(path: Path, data: Mapping[str, Any]) -> None:
+def write(path: Path, data: ModelData) -> None:
     """Write model.yaml from `as_data`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     text = yaml.dump(dict(data), Dumper=ModelDumper, sort_keys=False, allow_unicode=True, width=120)
@@ -262,10 +267,10 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
         fingerprint=cast(FingerprintData, plain.get("fingerprint") or {}),
         runs=tuple(plain.get("runs") or ()),
         noise=noise,
-        fit_quality=plain.get("fit_quality") or {},
+        fit_quality=cast(QualityBlock, plain.get("fit_quality") or {}),
         notes=tuple(plain.get("notes") or ()),
         path=str(path),
-        vehicle=plain.get("vehicle") or {},
+        vehicle=cast(IdentityData, plain.get("vehicle") or {}),
         diagnosed=cast(DiagnosedBlock, plain.get("diagnosed") or {}),
     )
 
@@ -365,15 +370,16 @@ def _plain_unit(unit: str) -> str:
 
 
 def _covariance(
-    document: Document, node: Node | None, plain: Mapping[str, Any], parameters: Mapping[str, StoredParameter]
+    document: Document, node: Node | None, plain: Mapping[str, PlainData], parameters: Mapping[str, StoredParameter]
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Order and matrix; from the standard errors alone where the file has no covariance."""
     if node is None or not plain:
         names = tuple(n for n, p in parameters.items() if p.std is not None)
         return names, np.diag([float(parameters[n].std or 0.0) ** 2 for n in names])
-    names = tuple(str(n) for n in plain.get("order") or ())
+    given = cast(CovarianceBlock, plain)
     try:
-        matrix = np.array(plain.get("matrix") or [], dtype=float).reshape(len(names), len(names))
+        names = tuple(str(n) for n in given.get("order") or ())
+        matrix = np.array(given.get("matrix") or [], dtype=float).reshape(len(names), len(names))
     except (ValueError, TypeError):
         document.wrong(node, f"the matrix is not {len(names)} x {len(names)} numbers, as `order` says")
         return (), np.zeros((0, 0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,13 +29,16 @@ def cell_of(name: str) -> tuple[str, tuple[int, ...]]:
     return match["name"], tuple(int(i) for i in re.findall(r"\[(\d+)\]", match["indices"]))
 
 
+Column = NDArray[Any] | pd.Series  # as read: numbers, or text
+
+
 @dataclass
 class Sheet:
     """A table: column name to raw values (numbers, or text as read). losses: what could not be read. crazyflie: the columns are
     the log variables of a Crazyflie."""
 
     path: str
-    raw: dict[str, Any]
+    raw: Mapping[str, Column]
     losses: list[str] = field(default_factory=list)
     crazyflie: bool = False
     _cells: dict[str, list[Any]] = field(default_factory=dict)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,10 @@ from flighttest.logs.tables.sheet import TIME
 FloatArray = NDArray[np.float64]
 
 
-def joined(tables: Sequence[tuple[FloatArray, Mapping[str, FloatArray]]]) -> dict[str, Any]:
+def joined(tables: Sequence[tuple[FloatArray, Mapping[str, FloatArray]]]) -> dict[str, FloatArray]:
     """Columns of all tables, each (t_s (n,), name to (n,)), under `t_s`; times that are not finite are left out."""
     every = np.unique(np.concatenate([t[np.isfinite(t)] for t, _ in tables]))
-    raw: dict[str, Any] = {TIME: every}
+    raw: dict[str, FloatArray] = {TIME: every}
     for t, columns in tables:
         known = np.isfinite(t)
         at = np.searchsorted(every, t[known])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from flighttest.datafiles import check_writable
 from flighttest.diagnose import Diagnosis, Verdict
@@ -24,7 +24,7 @@ from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import paths
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
-from flighttest.report.sections.against import against_sections, sentence
+from flighttest.report.sections.against import AgainstData, DifferenceRow, SideData, against_sections, sentence
 from flighttest.vehicle.load import load_vehicle
 
 AGAINST_NAME = "against.json"
@@ -60,10 +60,9 @@ def against(
         diagnoses.append(run_diagnosis(some, recordings, stored, declared, progress))
     progress.stage("comparing")
     found = compare(segments[0], segments[1], *diagnoses)
-    data = as_data(found, *diagnoses) | {
-        "steps": plain(step_by_step(*segments)),
-        "losses": losses_of((*sides[0], *sides[1])),
-    }
+    data = as_data(found, *diagnoses)
+    data["steps"] = plain(step_by_step(*segments))
+    data["losses"] = losses_of((*sides[0], *sides[1]))
     facts = {
         "real": paths([named(r) for r in runs]),
         "simulated": paths([named(r) for r in simulated]),
@@ -100,7 +99,7 @@ def tone(found: Against) -> Tone:
     return "warn" if found.differing else "good"
 
 
-def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> dict[str, Any]:
+def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> AgainstData:
     """against/1: plain data."""
     named: dict[str, list[str]] = {
         kind.value: list(dict.fromkeys(d.term for d in found.differences if d.kind is kind and d.term != "body"))
@@ -114,7 +113,7 @@ def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> dict
         "lacks": named["LACKS"],
         "too_much": named["TOO_MUCH"],
         "other_value": [d.name for d in found.differences if d.kind is Kind.OTHER_VALUE],
-        "parameters": plain([difference_data(d) for d in found.differences]),
+        "parameters": [difference_row(d) for d in found.differences],
         "prediction": plain(found.prediction),
         "held_out": found.held_out,
         "corrected": plain(found.corrected),
@@ -124,10 +123,10 @@ def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> dict
     }
 
 
-def difference_data(d: Difference) -> dict[str, object]:
+def difference_row(d: Difference) -> DifferenceRow:
     """One parameter of both sides as plain data."""
-    return {**vars(d), "kind": d.kind.value, "differs": d.differs}
+    return cast(DifferenceRow, plain({**vars(d), "kind": d.kind.value, "differs": d.differs}))
 
 
-def _side(found: Diagnosis) -> dict[str, Any]:
+def _side(found: Diagnosis) -> SideData:
     return {"verdict": found.verdict.name, "sentence": found.sentence, "accepted": list(found.accepted)}

@@ -16,6 +16,7 @@ from flighttest.errors import FitError, InputError
 from flighttest.identify.fit import Fit, has_attitude_references
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.models import model_file
+from flighttest.identify.models.model_blocks import ModelData, QualityBlock
 from flighttest.identify.validation.block_coordinate_descent import cross_checked
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
@@ -209,21 +210,21 @@ def _ties(asked: Mapping[str, str]) -> dict[str, str]:
     return dict(asked)
 
 
-def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> dict[str, Any]:
+def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> ModelData:
     """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
     battery = battery_data(recordings)
-    extra: dict[str, Any] = for_currency(found)
+    extra = for_currency(found)
     level = hover(found.problem.segments, found.model.nominal_voltage_v)
     if level is not None:
         extra["hover"] = plain(level)
     if battery:
-        extra["battery"] = dict(battery)
+        extra["battery"] = battery
     data = model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
     whose = identity_of(recordings, vehicle)
-    return {"format": data.pop("format"), "vehicle": whose.as_data(), **data}
+    return {"format": data["format"], "vehicle": whose.as_data(), **data}
 
 
-def for_currency(found: Fit) -> dict[str, Any]:
+def for_currency(found: Fit) -> QualityBlock:
     """What later flights are compared with: what this campaign's conditions differ by beyond their errors, relative, per parameter; and
     what the model gets wrong about each kind of step."""
     normal, segments = found.solution.normal, found.problem.segments

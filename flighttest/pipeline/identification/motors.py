@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypedDict
 
 from flighttest.identify.motor_shares import FEWEST, REPEATS, SHOWS, motor_shares
 from flighttest.report.document import Cell, Paragraph, Section, Table
@@ -11,7 +11,22 @@ from flighttest.report.numbers import join
 from flighttest.segments import Segment
 
 
-def motor_section(segments: Sequence[Segment]) -> tuple[Section | None, dict[str, Any]]:
+class MotorRow(TypedDict):
+    """Share of each motor in one flight, and its standard error; apart: numbers of motors that work harder than in the other flights."""
+
+    flight: str
+    shares: list[float]
+    std: list[float]
+    apart: list[int]
+
+
+class MotorsData(TypedDict, total=False):
+    """How the load is shared; empty where the commands were not recorded."""
+
+    motors: list[MotorRow]
+
+
+def motor_section(segments: Sequence[Segment]) -> tuple[Section | None, MotorsData]:
     """Table of every motor's share in every flight and the same as data; neither where the commands were not recorded."""
     found = motor_shares(segments)
     if not found:
@@ -30,7 +45,7 @@ def motor_section(segments: Sequence[Segment]) -> tuple[Section | None, dict[str
     else:
         lead = "No motor of a flight works harder than in the others."
     least = f"A share {SHOWS * REPEATS:.3f} above the other flights' median shows; undamaged vehicles repeat theirs to {REPEATS:g}."
-    data = [
+    data: list[MotorRow] = [
         {"flight": f.flight, "shares": f.shares.tolist(), "std": f.std.tolist(), "apart": list(f.apart)} for f in found
     ]
     return Section("motors", "Load of the motors", (table, Paragraph(least, "quiet")), lead), {"motors": data}

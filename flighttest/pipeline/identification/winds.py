@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TypedDict
 
 from flighttest.errors import FlighttestError, InputError
+from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.identify.winds import STILL_STD_M_S, Winds, wind_rows, winds
 from flighttest.physics.model import Model
 from flighttest.recording import Recording
@@ -15,6 +16,22 @@ from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.diagnosis import winds_table
 from flighttest.segments import Segment
+
+
+class DragRow(TypedDict):
+    """A drag coefficient shared by all flights, 1/s."""
+
+    value: float
+    std: float
+    between_flights: float
+
+
+class WindsData(TypedDict, total=False):
+    """The wind of each flight; empty where no free flight shows it."""
+
+    winds: list[FlightWindRow]
+    winds_drag: dict[str, DragRow]
+
 
 WEATHERS = ("still", "unknown")
 
@@ -40,7 +57,7 @@ def declared_weather(said: Sequence[str], recordings: Sequence[Recording], vehic
 
 def wind_section(
     segments: Sequence[Segment], model: Model, weather: Mapping[str, str]
-) -> tuple[Section | None, dict[str, Any]]:
+) -> tuple[Section | None, WindsData]:
     """Table of the wind in every flight and the same as data; neither where no free flight tells of it."""
     if not any(s.usable and s.kind == "free" for s in segments):
         return None, {}
@@ -72,7 +89,7 @@ def _section(found: Winds) -> Section:
     return replace(section, blocks=(*section.blocks, *(Paragraph(n, "quiet") for n in notes)))
 
 
-def _data(found: Winds) -> dict[str, Any]:
+def _data(found: Winds) -> WindsData:
     fit = found.fit
     return {
         "winds": wind_rows(found.flights, found.declared),

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flighttest.currency.battery import resistance
+from flighttest.identify.models.model_blocks import BatteryBlock
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.recording import Recording
 
@@ -40,7 +41,7 @@ def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:
     return mean, math.sqrt(max(between, 1.0) / total)
 
 
-def battery_data(recordings: Sequence[Recording]) -> dict[str, float] | None:
+def battery_data(recordings: Sequence[Recording]) -> BatteryBlock | None:
     """What model.yaml keeps of the battery."""
     found = battery_of(recordings)
     return None if isinstance(found, str) else {"resistance_ohm": found[0], "std": found[1]}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypedDict, cast
 
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
@@ -20,6 +21,21 @@ _BOOT_S = 45  # until the firmware's position estimate stands
 SYSTEM_ID = 1  # of the built-in vehicle and of ArduPilot alike
 
 
+class ServingData(TypedDict):
+    """What a program needs to connect, as `flighttest sim --json` prints it."""
+
+    url: str
+    airframe: str
+    backend: str
+    seed: int
+    speed: float
+    lockstep: bool
+    hide: tuple[str, ...]
+    model: str
+    port: int
+    system_id: int
+
+
 @dataclass(frozen=True)
 class Serving:
     """A vehicle that can be connected to, as a program needs it. hide: as typed; speed: times real time."""
@@ -33,9 +49,10 @@ class Serving:
     hide: tuple[str, ...]
     model: str = ""
 
-    def data(self) -> dict[str, object]:
+    def data(self) -> ServingData:
         """Its fields, with the port and the MAVLink system id."""
-        return asdict(self) | {"port": int(self.url.rsplit(":", 1)[1]), "system_id": SYSTEM_ID}
+        found = asdict(self) | {"port": int(self.url.rsplit(":", 1)[1]), "system_id": SYSTEM_ID}
+        return cast(ServingData, found)
 
     @property
     def sentences(self) -> tuple[str, str]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from flighttest.report.document import Figure, Panel, Role, Trace
+from flighttest.report.packing import FigureSpec, LegendEntry, PanelSpec
 from flighttest.report.render.plain import plain
 
 # "@role" is replaced by the page's palette (see figures.js), so that one file serves light, dark and print.
@@ -31,7 +32,7 @@ SIGNIFICANT_DIGITS = 5  # more than a screen can show; keeps the file small
 LEAST_HEAT = 4.0  # noise floors: the deepest colour means no less, so that noise alone, a quarter of it, is pale
 
 
-def specification(figure: Figure) -> dict[str, Any]:
+def specification(figure: Figure) -> FigureSpec:
     """The figure as {id, caption, columns, height, legend, panels}; each panel is {data, layout} for Plotly.newPlot."""
     return {
         "id": figure.id,
@@ -51,8 +52,8 @@ def _heat_top(figure: Figure) -> float | None:
     return None if top is None else max(top, LEAST_HEAT)
 
 
-def _legend(figure: Figure) -> list[dict[str, Any]]:
-    entries: dict[str, dict[str, Any]] = {}
+def _legend(figure: Figure) -> list[LegendEntry]:
+    entries: dict[str, LegendEntry] = {}
     for panel in figure.panels:
         for trace in panel.traces:
             label = trace.group or trace.name
@@ -64,7 +65,7 @@ def _legend(figure: Figure) -> list[dict[str, Any]]:
     return list(entries.values())
 
 
-def _panel(panel: Panel, heat_top: float | None = None) -> dict[str, Any]:
+def _panel(panel: Panel, heat_top: float | None = None) -> PanelSpec:
     axis = {"gridcolor": "@grid", "linecolor": "@grid", "zerolinecolor": "@grid", "automargin": True}
     layout: dict[str, Any] = {
         "title": {"text": panel.title, "font": {"size": 13}, "x": 0.02, "xanchor": "left", "y": 0.97},

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypedDict
 
 from flighttest.channels import WORDS
 from flighttest.report.document import Align, Block, Bullets, Cell, Section, Table, Tone
 from flighttest.report.numbers import join, number, percent, to_error, unit
 
-Data = Mapping[str, Any]
 _KINDS: dict[str, tuple[str, Tone]] = {
     "LACKS": ("lacking", "bad"),
     "TOO_MUCH": ("not in reality", "bad"),
@@ -20,7 +19,76 @@ _KINDS: dict[str, tuple[str, Tone]] = {
 _STEPS_SHOWN = 40
 
 
-def sentence(data: Data) -> str:
+class DifferenceRow(TypedDict):
+    """One parameter on both sides (`diagnose.against.Difference`)."""
+
+    name: str
+    term: str
+    unit: str
+    kind: str
+    real: float | None
+    real_std: float | None
+    simulated: float | None
+    simulated_std: float | None
+    difference: float | None
+    std: float | None
+    interval_95: list[float] | None
+    p_value: float | None
+    why: str
+    detectable: float | None
+    differs: bool
+
+
+class PredictionRow(TypedDict):
+    """RMS errors of one channel on the real responses (`diagnose.against.Prediction`)."""
+
+    before: float
+    after: float
+    fitted: float
+    floor: float
+
+
+class StepRow(TypedDict):
+    """One step that both sides flew (`diagnose.against.StepDifference`)."""
+
+    kind: str
+    cell: dict[str, float]
+    channel: str
+    unit: str
+    repeats: list[int]
+    rms: float
+    scatter: float | None
+
+
+class SideData(TypedDict):
+    """What one side's diagnosis said."""
+
+    verdict: str
+    sentence: str
+    accepted: list[str]
+
+
+class AgainstData(TypedDict, total=False):
+    """against.json (format against/1). titles: term to its title; corrected: parameters of the corrected simulator."""
+
+    format: str
+    terms: list[str]
+    titles: dict[str, str]
+    lacks: list[str]
+    too_much: list[str]
+    other_value: list[str]
+    parameters: list[DifferenceRow]
+    prediction: dict[str, PredictionRow]
+    held_out: bool
+    corrected: dict[str, float]
+    notes: list[str]
+    real: SideData
+    simulated: SideData
+    steps: list[StepRow]
+    losses: list[str]
+
+
+def sentence(data: AgainstData) -> str:
     """The answer in one sentence."""
     titles = data["titles"]
     parts = []
@@ -43,19 +111,23 @@ def titled(titles: Mapping[str, str], term: str) -> str:
     return f"{title[:1].lower()}{title[1:]} ({term})"
 
 
-def against_sections(data: Data) -> tuple[Section, ...]:
+def against_sections(data: AgainstData) -> tuple[Section, ...]:
     """Parameters, prediction errors, steps, and what each side's diagnosis said."""
-    return tuple(s for s in (_parameters(data), _prediction(data), steps_section(data), _sides(data)) if s is not None)
+    return tuple(
+        s
+        for s in (_parameters(data), _prediction(data), steps_section(data.get("steps", ())), _sides(data))
+        if s is not None
+    )
 
 
-def _parameters(data: Data) -> Section:
+def _parameters(data: AgainstData) -> Section:
     blocks: list[Block] = [parameter_table(data["parameters"], "real", "simulated")]
     if data["notes"]:
         blocks.insert(0, Bullets(tuple(data["notes"])))
     return Section("parameters", "What the simulator has otherwise", tuple(blocks))
 
 
-def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Table:
+def parameter_table(parameters: Sequence[DifferenceRow], first: str, second: str) -> Table:
     """Every parameter on both sides, under these heads."""
     rows: list[tuple[Cell | str, ...]] = []
     for r in parameters:
@@ -83,7 +155,7 @@ def parameter_table(parameters: Sequence[Data], first: str, second: str) -> Tabl
     )
 
 
-def _to(r: Data) -> str:
+def _to(r: DifferenceRow) -> str:
     """Of a parameter that is the same: to which difference."""
     least, size = r.get("detectable"), abs(r["simulated"] or 0.0)
     if r["kind"] != "SAME" or not least:
@@ -91,10 +163,10 @@ def _to(r: Data) -> str:
     return f" to {percent(least / size)}" if size > least else f" to {number(least, 2)}"
 
 
-def _prediction(data: Data) -> Section | None:
+def _prediction(data: AgainstData) -> Section | None:
     rows: list[tuple[Cell | str, ...]] = []
     for channel, p in data["prediction"].items():
-        ratio = [p[k] / p["floor"] if p["floor"] else None for k in ("before", "after", "fitted")]
+        ratio = [v / p["floor"] if p["floor"] else None for v in (p["before"], p["after"], p["fitted"])]
         tones: list[Tone] = ["good" if r is not None and r <= 1.2 else "plain" for r in ratio]
         rows.append(
             (
@@ -119,9 +191,8 @@ def _prediction(data: Data) -> Section | None:
     )
 
 
-def steps_section(data: Data) -> Section | None:
+def steps_section(steps: Sequence[StepRow]) -> Section | None:
     """The steps that both sides flew, side by side."""
-    steps: Sequence[Data] = data.get("steps") or ()
     rows: list[tuple[Cell | str, ...]] = []
     for s in steps[:_STEPS_SHOWN]:
         cell = ", ".join(f"{k.rsplit('_rad', 1)[0]} {number(v, 3)}" for k, v in s["cell"].items())
@@ -141,6 +212,6 @@ def steps_section(data: Data) -> Section | None:
     return Section("steps", f"Step by step ({len(steps)} steps flown on both sides)", (table,))
 
 
-def _sides(data: Data) -> Section:
-    lines = tuple(f"{what}: {data[key]['sentence']}" for what, key in (("real", "real"), ("simulated", "simulated")))
+def _sides(data: AgainstData) -> Section:
+    lines = (f"real: {data['real']['sentence']}", f"simulated: {data['simulated']['sentence']}")
     return Section("sides", "Each side by itself", (Bullets(lines),), "What the base model misses in each.")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from flighttest.channels import CHANNELS, WORDS
+from flighttest.diagnose.records import FindingRow
 from flighttest.report.document import (
     Block,
     Cell,
@@ -23,12 +25,45 @@ from flighttest.report.document import (
 )
 from flighttest.report.numbers import join, number, to_error, unit
 from flighttest.report.sections.diagnosis import TERM_WORDS
-from flighttest.report.sections.twin import verify_sentence
-
-Data = Mapping[str, Any]
+from flighttest.report.sections.twin import TwinData, verify_sentence
 
 
-def demo_document(data: Data, commands: Sequence[str], report: str) -> Document:
+class ErrorRow(TypedDict):
+    """RMS errors of one channel on the flight that was not used, in its unit."""
+
+    before: float
+    after: float
+    floor: float
+
+
+class ShownStretch(TypedDict):
+    """The stretch where the improvement shows most, over time since its start: measured, and both predictions (n,)."""
+
+    segment: str
+    channel: str
+    t_s: ArrayLike
+    measured: ArrayLike
+    before: ArrayLike
+    after: ArrayLike
+
+
+class DemoData(TypedDict):
+    """What the page of a demonstration shows (format demo/1)."""
+
+    format: str
+    hidden: dict[str, dict[str, float]]
+    findings: list[FindingRow]
+    as_hidden: bool
+    prediction: dict[str, ErrorRow]
+    shown: ShownStretch | None
+    twin: TwinData
+    twin_report: str
+    unused: str
+    runs: list[str]
+    report: str
+
+
+def demo_document(data: DemoData, commands: Sequence[str], report: str) -> Document:
     """data: demo/1. The commands are the last lines, on the page and on a terminal."""
     found = bool(data["findings"])
     tone: Tone = "good" if found and data["as_hidden"] else "warn"
@@ -36,7 +71,7 @@ def demo_document(data: Data, commands: Sequence[str], report: str) -> Document:
     return Document("demo", sentences(data), tone, tuple(s for s in sections if s is not None))
 
 
-def sentences(data: Data) -> str:
+def sentences(data: DemoData) -> str:
     """What was found; what that is worth on a flight that was not used."""
     if not data["findings"]:
         return (
@@ -58,7 +93,7 @@ def sentences(data: Data) -> str:
     )
 
 
-def _named(finding: Data) -> str:
+def _named(finding: FindingRow) -> str:
     values = [
         f"{name} {to_error(p.get('value'), p.get('std'))} {unit(str(p.get('unit', '')))}".strip()
         for name, p in finding["parameters"].items()
@@ -70,13 +105,13 @@ def _size(channel: str, value: float) -> str:
     return f"{number(value, 2)} {unit(CHANNELS[channel].unit)}"
 
 
-def figure_of(data: Data) -> Figure | None:
+def figure_of(data: DemoData) -> Figure | None:
     """The stretch of the unused flight where the improvement shows most: the responses, and both prediction errors."""
     s = data["shown"]
     if s is None:
         return None
     t = np.asarray(s["t_s"], dtype=float)
-    measured, before, after = (np.asarray(s[k], dtype=float) for k in ("measured", "before", "after"))
+    measured, before, after = (np.asarray(y, dtype=float) for y in (s["measured"], s["before"], s["after"]))
     name, size = WORDS.get(s["channel"], s["channel"]), unit(CHANNELS[s["channel"]].unit)
     responses = (
         Trace(t, measured, "measured", "measured"),
@@ -95,12 +130,12 @@ def figure_of(data: Data) -> Figure | None:
     return Figure("response", panels, caption, 2, 320)
 
 
-def _picture(data: Data) -> Section | None:
+def _picture(data: DemoData) -> Section | None:
     figure = figure_of(data)
     return None if figure is None else Section("picture", "", (figure,))
 
 
-def _prediction(data: Data) -> Section:
+def _prediction(data: DemoData) -> Section:
     rows = tuple(
         (
             WORDS.get(c, c),
@@ -120,7 +155,7 @@ def _prediction(data: Data) -> Section:
     return Section("prediction", "Prediction error on a flight that was not used", (table,))
 
 
-def _twin(data: Data) -> Section:
+def _twin(data: DemoData) -> Section:
     lead = (
         "The improved model flew the same script as a vehicle of its own, its twin, behind the same autopilot; channels, parameters and "
         f"steps side by side are in {data['twin_report']}."
@@ -129,21 +164,20 @@ def _twin(data: Data) -> Section:
     return Section("twin", "The twin beside that flight", (Paragraph(verify_sentence(data["twin"]), tone),), lead)
 
 
-def _truth(data: Data) -> Section:
+def _truth(data: DemoData) -> Section:
     """The only place where what was concealed is shown."""
     rows: list[tuple[Cell | str, ...]] = []
     findings = {f["term"]: f for f in data["findings"]}
-    for term, given in data["hidden"].items():
-        found = findings.get(term)
-        if found is None:
-            rows.append((term, _given(given), Cell("not found", "bad"), "-", "-"))
+    for term, values in data["hidden"].items():
+        if term not in findings:
+            rows.append((term, _given(values), Cell("not found", "bad"), "-", "-"))
     for term, finding in findings.items():
         given = data["hidden"].get(term)
         for name, p in finding["parameters"].items():
             low, high = (p.get("interval_95") or (None, None))[:2]
             span = "-" if low is None else f"{to_error(low, p['std'])} to {to_error(high, p['std'])}"
             truth = (given or {}).get(name)
-            inside = truth is not None and low is not None and low <= truth <= high
+            inside = truth is not None and low is not None and high is not None and low <= truth <= high
             hidden = number(truth, 3) if truth is not None else "nothing" if given is None else "its default"
             value = f"{to_error(p.get('value'), p.get('std'))} {unit(str(p.get('unit', '')))}".strip()
             rows.append((f"{term} {name}", hidden, Cell(value, "good" if inside else "plain"), span, _sure(finding)))
@@ -165,7 +199,7 @@ def _given(values: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {number(value, 3)}" for name, value in values.items())
 
 
-def _sure(finding: Data) -> str:
+def _sure(finding: FindingRow) -> str:
     p = finding["evidence"].get("probability")
     said = "-" if p is None else "above 99.9 %" if p > 0.999 else f"{100 * p:.1f} %"
     return said if finding["verdict"] == "SUPPORTED" else f"{said}, {TERM_WORDS.get(finding['verdict'], '')}"

@@ -3,21 +3,104 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.report.document import Block, Bullets, Cell, Figure, Panel, Section, Table, Trace
 from flighttest.report.numbers import join, number, unit
-from flighttest.report.sections.against import parameter_table, steps_section, titled
+from flighttest.report.sections.against import DifferenceRow, StepRow, parameter_table, steps_section, titled
 
-Data = Mapping[str, Any]
 _WORDS = WORDS | {"p_z_m": "height"}
 _PANELS = 3  # channels drawn of each stretch
 
 
-def verify_sentence(data: Data) -> str:
+class ChannelRow(TypedDict):
+    """Error of the twin in one channel, in its unit; ratio: in noise floors; fitted: what fitting these recordings would leave."""
+
+    rmse: float
+    floor: float
+    ratio: float
+    fitted: float
+
+
+class FlownRow(TypedDict):
+    """Steps that both flew, by the channel they drive (`twin.flown.flown_errors`)."""
+
+    rmse: float
+    floor: float
+    ratio: float
+    later_s: float
+    later_std_s: float
+    steps: float
+
+
+class TwinData(TypedDict, total=False):
+    """A twin beside recordings (format twin/1). near_floor: ratio up to which it flies as recorded; above: channels beyond it; assumed:
+    parameters that no flight told."""
+
+    format: str
+    verdict: str
+    near_floor: float
+    terms: list[str]
+    titles: dict[str, str]
+    lacks: list[str]
+    differing: list[str]
+    channels: dict[str, ChannelRow]
+    flown_channels: dict[str, FlownRow]
+    above: list[str]
+    parameters: list[DifferenceRow]
+    notes: list[str]
+    steps: list[StepRow]
+    diagnosis: SideVerdict
+    backend: str
+    flown: list[str]
+    flights: int
+    assumed: list[str]
+    losses: list[str]
+
+
+class SideVerdict(TypedDict):
+    """What the diagnosis of the recordings said."""
+
+    verdict: str
+    sentence: str
+
+
+class EffectRow(TypedDict):
+    """What a change does in one channel, in its unit (`twin.replay.Effect`); every number is null where nothing of it was recorded."""
+
+    error: float
+    shift: float
+    size: float
+    uncertainty: float
+
+
+class ReplayData(TypedDict):
+    """Recorded commands on a twin (format replay/1)."""
+
+    format: str
+    changes: list[str]
+    effects: dict[str, EffectRow]
+    starts: int
+    horizon_s: float
+    terms: list[str]
+    losses: list[str]
+
+
+class Stretch(TypedDict):
+    """One stretch of a replay over time since its start; by channel (n,)."""
+
+    segment: str
+    t_s: list[float]
+    measured: dict[str, list[float]]
+    twin: dict[str, list[float]]
+    changed: dict[str, list[float]]
+    half: dict[str, list[float]]
+
+
+def verify_sentence(data: TwinData) -> str:
     """The answer in one sentence."""
     channels = judged(data)
     worst = max(channels, key=lambda c: channels[c]["ratio"], default=None)
@@ -39,13 +122,13 @@ def verify_sentence(data: Data) -> str:
     return f"The twin does not fly as recorded: {'; '.join(parts)}."
 
 
-def judged(data: Data) -> dict[str, Mapping[str, float]]:
+def judged(data: TwinData) -> dict[str, ChannelRow | FlownRow]:
     """Errors that the verdict is of: under the real firmware the steps' own channels as flown, the rest by the model."""
-    flown = data.get("flown_channels") or {} if data.get("backend") == "sitl" else {}
+    flown = data.get("flown_channels", {}) if data.get("backend") == "sitl" else {}
     return {**data["channels"], **flown}
 
 
-def verify_sections(data: Data) -> tuple[Section, ...]:
+def verify_sections(data: TwinData) -> tuple[Section, ...]:
     """Error by channel, parameters, steps."""
     rows = tuple(
         (
@@ -68,7 +151,7 @@ def verify_sections(data: Data) -> tuple[Section, ...]:
         caption,
     )
     tables = [table]
-    flown = data.get("flown_channels") or {}
+    flown = data.get("flown_channels", {})
     if flown:
         tables.append(_flown_table(data, flown))
     lines = [*data["notes"]]
@@ -87,11 +170,11 @@ def verify_sections(data: Data) -> tuple[Section, ...]:
         Section("channels", "Twin against recordings", tuple(tables), f"Compared: {how}."),
         Section("parameters", "Parameters", tuple(blocks)),
     ]
-    steps = steps_section(data)
+    steps = steps_section(data.get("steps", ()))
     return (*found, steps) if steps is not None else tuple(found)
 
 
-def _flown_table(data: Data, flown: Mapping[str, Mapping[str, float]]) -> Table:
+def _flown_table(data: TwinData, flown: Mapping[str, FlownRow]) -> Table:
     """Steps that recording and twin both flew, by the channel they drive."""
     rows = tuple(
         (
@@ -117,7 +200,7 @@ def _flown_table(data: Data, flown: Mapping[str, Mapping[str, float]]) -> Table:
     )
 
 
-def replay_sentence(data: Data) -> str:
+def replay_sentence(data: ReplayData) -> str:
     """What the change does, where it shows most."""
     effects = {c: e for c, e in data["effects"].items() if e["error"] is not None}
     if not effects:
@@ -142,7 +225,7 @@ def _off(channel: str, value: float) -> str:
     return f"{_WORDS.get(channel, channel)} is {_value(channel, value)}"
 
 
-def replay_sections(data: Data, shown: Sequence[Data]) -> tuple[Section, ...]:
+def replay_sections(data: ReplayData, shown: Sequence[Stretch]) -> tuple[Section, ...]:
     """Effects by channel, and the stretches where they show most."""
     rows: list[tuple[Cell | str, ...]] = []
     for c, e in data["effects"].items():
@@ -173,7 +256,7 @@ def replay_sections(data: Data, shown: Sequence[Data]) -> tuple[Section, ...]:
     return (*found, Section("stretches", "Where it shows most", (figure,))) if figure is not None else tuple(found)
 
 
-def _stretches(data: Data, shown: Sequence[Data]) -> Figure | None:
+def _stretches(data: ReplayData, shown: Sequence[Stretch]) -> Figure | None:
     ranked = sorted(
         (c for c, e in data["effects"].items() if e["size"] is not None),
         key=lambda c: -data["effects"][c]["size"] / max(data["effects"][c]["error"], 1e-9),

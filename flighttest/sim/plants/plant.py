@@ -8,12 +8,43 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Required, TypedDict
 
 from flighttest.frames import G_M_S2
 from flighttest.sim.plants.battery import Battery
 
 Hidden = Mapping[str, Mapping[str, float]]
+
+
+class IdentifiedVehicle(TypedDict, total=False):
+    """A model to fly: its terms, the value of every parameter, constants of `physics.Model`, fields of `Battery` and `SensorNoise`; frame:
+    of a vehicle flown motor by motor (`plant_frame.FramePlant`)."""
+
+    terms: Required[list[str]]
+    values: Required[dict[str, float]]
+    constants: Required[ModelConstants]
+    battery: BatteryFields
+    noise: dict[str, float]
+    frame: dict[str, float]
+
+
+class ModelConstants(TypedDict, total=False):
+    """Fields of `physics.Model`."""
+
+    nominal_voltage_v: float
+    g_m_s2: float
+    channel_delays: bool
+    attitude_loops: bool
+    rotor_height_m: float
+
+
+class BatteryFields(TypedDict, total=False):
+    """Fields of `Battery`."""
+
+    cells: int
+    resistance_ohm: float
+
+
 """Concealed physics: catalogue id to its values, by key; keys left out take the plant's default magnitude."""
 
 

@@ -20,7 +20,7 @@ from flighttest.errors import InputError
 from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.sim.plants.battery import Battery
-from flighttest.sim.plants.plant import Command, Delays, Hidden, Motion
+from flighttest.sim.plants.plant import Command, Delays, Hidden, IdentifiedVehicle, Motion
 from flighttest.sim.plants.plant_paper import HARD_LANDING_M_S, HOVER_CURRENT_A, TICK_S, PaperParameters
 from flighttest.sim.plants.weather import Air
 
@@ -37,7 +37,7 @@ def of_paper(parameters: PaperParameters) -> tuple[Model, dict[str, float]]:
     return model, {p.name: own.get(p.name, p.nominal) for p in model.params} | delays
 
 
-def of_description(described: Mapping[str, Any]) -> tuple[Model, dict[str, float]]:
+def of_description(described: IdentifiedVehicle) -> tuple[Model, dict[str, float]]:
     """The model of `SimOptions.model`, and its values."""
     return Model(tuple(described["terms"]), **described["constants"]), dict(described["values"])
 

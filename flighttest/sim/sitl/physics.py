@@ -180,7 +180,7 @@ def stop_physics(process: subprocess.Popen[bytes]) -> None:
 def serve_physics(descriptor: int, options: SimOptions) -> None:
     """The child's part: serve until the parent's end of our standard input closes."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, fileno=descriptor)
-    noise = SensorNoise(**(options.model or {}).get("noise", {})).scaled(options.noise)
+    noise = SensorNoise(**(options.model.get("noise", {}) if options.model else {})).scaled(options.noise)
     plant = build_motor_plant(options)
     backend = JsonBackend(plant, sock=sock, noise=noise, seed=options.seed, rested_v=options.voltage_v)
 
