@@ -52,11 +52,11 @@ CONSTANTS: dict[str, tuple[str, ...]] = {
     "estimation/uncertainty/discrepancy.py": ("tests/estimation",),
     "flight/gate.py": GATE,
     "flight/execution/supervisor.py": (*ABORT, *GATE),
-    "currency/compare.py": ("tests/currency",),
-    "currency/battery.py": ("tests/currency",),
-    "currency/cusum.py": ("tests/currency",),
-    "currency/between_campaigns.py": ("tests/currency",),
-    "currency/matched_pair.py": ("tests/currency",),
+    "validity/compare.py": ("tests/validity",),
+    "validity/battery.py": ("tests/validity",),
+    "validity/cusum.py": ("tests/validity",),
+    "validity/between_campaigns.py": ("tests/validity",),
+    "validity/matched_pair.py": ("tests/validity",),
 }
 # Of these a factor of two changes the time taken, a resolution far below what matters, or a picture, and no answer.
 NO_DECISION = {
@@ -69,8 +69,8 @@ NO_DECISION = {
     "estimation/gauss_newton.py": ("MAX_ITERATIONS", "MAX_REJECTIONS"),
     "estimation/weighing.py": ("LARGEST", "RIDGE", "NOISE_STEPS", "NOISE_TOLERANCE"),
     "flight/gate.py": ("EPSILON",),
-    "currency/compare.py": ("MANY",),
-    "currency/matched_pair.py": ("ROUNDS", "STILL"),
+    "validity/compare.py": ("MANY",),
+    "validity/matched_pair.py": ("ROUNDS", "STILL"),
 }
 
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from flighttest.api.fitted_model import FittedModel
-    from flighttest.currency.model import Currency
-    from flighttest.currency.model import Verdict as ValidityVerdict
     from flighttest.diagnose.model import Diagnosis, Located, Verdict
     from flighttest.flight.result import FlightResult
     from flighttest.identify.fit import Estimate, Fit
@@ -29,6 +27,8 @@ if TYPE_CHECKING:
     from flighttest.plan.model import Plan
     from flighttest.recording.model import Recording
     from flighttest.segments.model import Segment
+    from flighttest.validity.model import Assessment
+    from flighttest.validity.model import Verdict as ValidityVerdict
 
 STEPPED = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}
 PLAN_RATE_HZ = 50.0
@@ -203,29 +203,29 @@ class Diagnosed(Answer):
 
 @dataclass(frozen=True, kw_only=True)
 class Validity(Answer):
-    """`check_validity`: does the stored model still hold for this vehicle. currency: all the evidence, typed."""
+    """`check_validity`: does the stored model still hold for this vehicle. assessment: all the evidence, typed."""
 
-    currency: Currency = field(repr=False)
+    assessment: Assessment = field(repr=False)
 
     @property
     def verdict(self) -> ValidityVerdict:
         """CURRENT, STALE or UNKNOWN; its value is a sentence."""
-        return self.currency.verdict
+        return self.assessment.verdict
 
     @property
     def fly(self) -> tuple[str, ...]:
         """Scripts that must be flown again, in order."""
-        return self.currency.fly
+        return self.assessment.fly
 
     def to_frame(self) -> pd.DataFrame:
         """One row per tested subset of parameters: subset, statistic, dof, p_value, level, alarm, sentence."""
         import pandas as pd
 
         names = ["subset", "statistic", "dof", "p_value", "level", "alarm", "sentence"]
-        return pd.DataFrame([{n: getattr(t, n) for n in names} for t in self.currency.tests], columns=names)
+        return pd.DataFrame([{n: getattr(t, n) for n in names} for t in self.assessment.tests], columns=names)
 
     def _figures(self) -> dict[str, Figure]:
-        shifts = {n: s for t in self.currency.tests for n, s in t.shifts.items()}
+        shifts = {n: s for t in self.assessment.tests for n, s in t.shifts.items()}
         z = Trace(list(shifts), [s[1] for s in shifts.values()], "z", "model", "markers")
         return {"shifts": Figure("shifts", (Panel("Change of each parameter", "", "z-score", (z,)),), "", 1, 300)}
 

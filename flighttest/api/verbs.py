@@ -190,7 +190,7 @@ def check_validity(
         given = open_recordings(given, Reading(Path(columns)), told)
     stored = None if model is None else as_model(model)
     result = status(given, as_path(vehicle), stored, Path(runs), as_path(output), told, present)
-    return Validity(document=result.document, data=result.data, status=result.status, currency=result.value)
+    return Validity(document=result.document, data=result.data, status=result.status, assessment=result.value)
 
 
 def models(runs: AnyPath = "runs") -> Models:

@@ -25,7 +25,6 @@ from flighttest.estimation.uncertainty.covariance import Covariance, covariance_
 from flighttest.estimation.weighing import start_noise
 from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
 from flighttest.identify.diagnostics.closed_loop import answered
-from flighttest.identify.diagnostics.doubts import FitChecks, differing_notes, doubts_of, step_sizes
 from flighttest.identify.diagnostics.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
@@ -40,6 +39,7 @@ from flighttest.identify.diagnostics.identifiability import (
     voltage_varies,
 )
 from flighttest.identify.diagnostics.local_optima import best_of_starts, rivals
+from flighttest.identify.diagnostics.parameter_diagnostics import FitChecks, differing_notes, doubts_of, step_sizes
 from flighttest.identify.diagnostics.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.equality_constraints import TieTest, tie_tests
 from flighttest.identify.selection import Select, moves, problem_of

@@ -72,7 +72,7 @@ def test_a_model_is_valid_for_the_flight_it_was_fitted_to(log, fitted):
     found = ft.check_validity(log, model=fitted.model)
     assert found.verdict.name == "CURRENT"
     assert found.fly == ()
-    assert set(found.to_frame()["subset"]) == {t.subset for t in found.currency.tests}
+    assert set(found.to_frame()["subset"]) == {t.subset for t in found.assessment.tests}
     assert len(found.plot().data) == 1
 
 

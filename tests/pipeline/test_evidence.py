@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flighttest.currency.assess import Evidence, assess
-from flighttest.currency.compare import Estimates, subset_tests
-from flighttest.currency.model import Appeared, Verdict
 from flighttest.diagnose import Verdict as Found
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline.validity.evidence import appeared, in_words, subsets_of, untested
-from flighttest.report.sections.currency import status_document
+from flighttest.report.sections.validity import status_document
+from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.compare import Estimates, subset_tests
+from flighttest.validity.model import Appeared, Verdict
 
 TERMS = ("body", "linear_drag", "quadratic_drag")
 

@@ -8,7 +8,7 @@ from typing import Any, TypedDict, cast
 import yaml
 
 from flighttest.documents import Document, Node, PlainData, kind_of
-from flighttest.identify.diagnostics.doubts import FitChecks
+from flighttest.identify.diagnostics.parameter_diagnostics import FitChecks
 from flighttest.physics.catalogue import catalogue
 from flighttest.vehicle.fingerprint import FingerprintData
 from flighttest.vehicle.identity import IdentityData

@@ -15,7 +15,7 @@ from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Part, Problem
 from flighttest.estimation.solver import Start, solve
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, std_of
-from flighttest.identify.diagnostics.doubts import DescentBlock
+from flighttest.identify.diagnostics.parameter_diagnostics import DescentBlock
 from flighttest.identify.fit import Fit
 
 PI_3 = ("sigma_t", "K", "alpha")

@@ -1,4 +1,4 @@
-"""After landing: recordings of one campaign to fit, diagnosis, currency and page, in the run folders."""
+"""After landing: recordings of one campaign to fit, diagnosis, validity and page, in the run folders."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.currency.model import Currency, Verdict
 from flighttest.diagnose import Diagnosis
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.errors import FitError
@@ -32,10 +31,11 @@ from flighttest.recording import Recording
 from flighttest.report.document import Bullets, Document, Section, Tone
 from flighttest.report.render import html
 from flighttest.report.sections import fit as fit_sections
-from flighttest.report.sections.currency import TONES, status_document
 from flighttest.report.sections.diagnosis import missing_sections
+from flighttest.report.sections.validity import TONES, status_document
 from flighttest.report.views import FitView
 from flighttest.segments import Segment
+from flighttest.validity.model import Assessment, Verdict
 from flighttest.vehicle.model import Vehicle
 
 
@@ -47,7 +47,7 @@ class Analysis:
     segments: tuple[Segment, ...]
     fit: Fit | None
     reason: str = ""
-    currency: Currency | None = None
+    validity: Assessment | None = None
     diagnosis: DiagnosisData | None = None
     explained: bool = True
     previous: ModelFile | None = None
@@ -95,8 +95,9 @@ def analyse(
         html.write(page, folder / REPORT_NAME)
     data["report"] = str(folders[-1] / REPORT_NAME)
     data["segments"] = {"used": sum(s.usable for s in found.segments), "of": len(found.segments)}
-    if found.currency is not None:
-        data["currency"] = {"verdict": found.currency.verdict.name, "sentence": found.currency.sentence}
+    if found.validity is not None:
+        answer = {"verdict": found.validity.verdict.name, "sentence": found.validity.sentence}
+        data |= {"validity": answer, "currency": answer}  # the second is what programs may read yet
     if found.diagnosis is not None:
         data["diagnosis"] = found.diagnosis
     status = _status(found, landed.usable)
@@ -111,7 +112,7 @@ def _out_words(out: Path) -> str:
 
 def _changed(found: Analysis) -> bool:
     """Whether what is declared of the vehicle has changed since the model in use: flights of both are not to be fitted together."""
-    return found.currency is not None and bool(found.currency.changes)
+    return found.validity is not None and bool(found.validity.changes)
 
 
 def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out: Path, keep: bool) -> str:
@@ -155,10 +156,10 @@ def _analysis(
             explained = result.verdict not in UNFINISHED
         except FitError as error:
             progress.stage(f"no diagnosis: {error.message}")
-    currency = None
+    validity = None
     if previous is not None and fitted is not None:
-        currency = judge(previous, Today(recordings, vehicle, name, landed.out), progress, diagnosed=result)
-    return Analysis(tuple(recordings), segments, fitted, reason, currency, diagnosis, explained, previous, improved)
+        validity = judge(previous, Today(recordings, vehicle, name, landed.out), progress, diagnosed=result)
+    return Analysis(tuple(recordings), segments, fitted, reason, validity, diagnosis, explained, previous, improved)
 
 
 def renewed(found: Analysis) -> bool:
@@ -176,13 +177,13 @@ def _status(found: Analysis, usable: bool) -> Status:
         return Status.UNUSABLE if not any(s.usable for s in found.segments) else Status.UNEXPLAINED
     if not found.fit.status.good:
         return Status.UNEXPLAINED
-    if found.currency is not None and found.currency.verdict is Verdict.STALE and not renewed(found):
+    if found.validity is not None and found.validity.verdict is Verdict.STALE and not renewed(found):
         return Status.STALE
     return Status.DONE if found.explained else Status.UNEXPLAINED
 
 
 def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
-    """The sentence on top: the currency first where this flight does not make a model of its own (a spot check)."""
+    """The sentence on top: the validity first where this flight does not make a model of its own (a spot check)."""
     if view is None:
         return f"No model could be fitted: {found.reason}.", "bad"
     tone: Tone = "bad" if not view.good else "good" if all(p.known for p in view.parameters) else "warn"
@@ -190,15 +191,15 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
     if found.diagnosis is not None:
         parts.append(str(found.diagnosis.get("sentence", "")))
         tone = tone if found.explained else "warn"
-    if found.currency is not None:
-        stale = found.currency.verdict is Verdict.STALE
+    if found.validity is not None:
+        stale = found.validity.verdict is Verdict.STALE
         if not renewed(found):
             # A few steps make no model: what was asked is whether the one in use still holds.
-            parts = [found.currency.sentence, *parts[1:]]
-            tone = TONES[found.currency.verdict]
+            parts = [found.validity.sentence, *parts[1:]]
+            tone = TONES[found.validity.verdict]
             tone = tone if found.explained or tone != "good" else "warn"
         elif stale:
-            parts.append("The earlier model was stale: " + found.currency.sentence.removeprefix("Stale: "))
+            parts.append("The earlier model was stale: " + found.validity.sentence.removeprefix("Stale: "))
             tone = "warn"
     return " ".join(p for p in parts if p).strip(), tone
 
@@ -208,8 +209,8 @@ def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Docume
     extra: list[Section] = []
     if notes:
         extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(notes)),)))
-    if found.currency is not None:
-        extra += status_document(found.currency, {}, ()).sections
+    if found.validity is not None:
+        extra += status_document(found.validity, {}, ()).sections
     return run_document(found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, said=(verdict, tone))
 
 
@@ -218,9 +219,9 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
     everything is."""
     folders, notes = landed.folders, landed.notes
     sections: list[Section] = list(missing_sections(found.diagnosis)) if found.diagnosis is not None else []
-    if found.currency is not None and found.previous is not None and not renewed(found):
-        rows, _, _ = reflights(found.currency, found.previous, landed.vehicle)
-        sections += status_document(found.currency, {}, rows, brief=True).sections
+    if found.validity is not None and found.previous is not None and not renewed(found):
+        rows, _, _ = reflights(found.validity, found.previous, landed.vehicle)
+        sections += status_document(found.validity, {}, rows, brief=True).sections
     elif view is not None:
         better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
         shown = fit_view(found.improved, found.segments) if found.improved is not None and better else view

@@ -11,8 +11,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flighttest.currency.declared import declared_changes, scripts_for
-from flighttest.currency.model import ALL_SCRIPTS, SUBSETS
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
 from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOutcome, fly
@@ -38,6 +36,8 @@ from flighttest.report.document import Block, Bullets, Document, Section
 from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
 from flighttest.sim import start_simulator
+from flighttest.validity.declared import declared_changes, scripts_for
+from flighttest.validity.model import ALL_SCRIPTS, SUBSETS
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.fingerprint import FingerprintData
 from flighttest.vehicle.load import load_vehicle

@@ -7,9 +7,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from flighttest.currency import matched_pair
-from flighttest.currency.between_campaigns import measured
-from flighttest.currency.hover import hover
 from flighttest.datafiles import check_writable
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
@@ -39,6 +36,9 @@ from flighttest.report.numbers import join, paths
 from flighttest.report.render.plain import plain
 from flighttest.report.sections import fit as fit_sections
 from flighttest.segments import Segment, cut
+from flighttest.validity import matched_pair
+from flighttest.validity.between_campaigns import measured
+from flighttest.validity.hover import hover
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
@@ -213,7 +213,7 @@ def _ties(asked: Mapping[str, str]) -> dict[str, str]:
 def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | None) -> ModelData:
     """The fit as model.yaml, with the fingerprint of the vehicle that was flown and what is known of its battery."""
     battery = battery_data(recordings)
-    extra = for_currency(found)
+    extra = for_later_flights(found)
     level = hover(found.problem.segments, found.model.nominal_voltage_v)
     if level is not None:
         extra["hover"] = plain(level)
@@ -224,7 +224,7 @@ def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | N
     return {"format": data["format"], "vehicle": whose.as_data(), **data}
 
 
-def for_currency(found: Fit) -> QualityBlock:
+def for_later_flights(found: Fit) -> QualityBlock:
     """What later flights are compared with: what this campaign's conditions differ by beyond their errors, relative, per parameter; and
     what the model gets wrong about each kind of step."""
     normal, segments = found.solution.normal, found.problem.segments

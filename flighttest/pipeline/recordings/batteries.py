@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flighttest.currency.battery import resistance
 from flighttest.identify.models.model_blocks import BatteryBlock
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.recording import Recording
+from flighttest.validity.battery import resistance
 
 
 def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:

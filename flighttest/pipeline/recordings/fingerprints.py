@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from flighttest.currency.declared import declared_changes
 from flighttest.recording import Recording
 from flighttest.recording.manifest import Components, Manifest
+from flighttest.validity.declared import declared_changes
 from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.model import Vehicle
 

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from flighttest.currency.compare import MANY, TOLD, Estimates
-from flighttest.currency.declared import declared_changes
-from flighttest.currency.model import SUBSETS
 from flighttest.errors import FlighttestError, InputError
 from flighttest.estimation.uncertainty.distributions import quantile
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.pipeline.store.identities import known_in, of_manifest, recognised, run_folders
 from flighttest.recording.store import read_manifest
+from flighttest.validity.compare import MANY, TOLD, Estimates
+from flighttest.validity.declared import declared_changes
+from flighttest.validity.model import SUBSETS
 
 FIT_NAME = "fit.yaml"
 DEFAULT_RUNS = Path("runs")  # where runs go unless told otherwise; not there before the first

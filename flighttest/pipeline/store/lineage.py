@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.currency.declared import declared_changes
 from flighttest.datafiles import read_yaml
 from flighttest.documents import write_text
 from flighttest.errors import FlighttestError, InputError, ModelError
@@ -33,6 +32,7 @@ from flighttest.pipeline.store.identities import (
 )
 from flighttest.recording.store import read_manifest
 from flighttest.report.numbers import join
+from flighttest.validity.declared import declared_changes
 from flighttest.vehicle.identity import from_data
 from flighttest.vehicle.load import load_vehicle
 

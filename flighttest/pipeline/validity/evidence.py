@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flighttest.currency.compare import FALSE_ALARM, discrepancy
-from flighttest.currency.model import SCRIPTS, SUBSETS, Appeared, SubsetTest, Untested
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.errors import FitError
 from flighttest.estimation.uncertainty.distributions import quantile
@@ -19,6 +17,8 @@ from flighttest.pipeline.results import SILENT, Progress
 from flighttest.recording import Recording
 from flighttest.report.numbers import join, percent
 from flighttest.segments import Segment
+from flighttest.validity.compare import FALSE_ALARM, discrepancy
+from flighttest.validity.model import SCRIPTS, SUBSETS, Appeared, SubsetTest, Untested
 from flighttest.vehicle.model import Vehicle
 
 # Conditions of a day, not of a vehicle: the wind, and what an accelerometer is off by each time it is switched on.

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import yaml
 
-from flighttest.currency.model import Currency
-from flighttest.currency.reflight import Need, needs
 from flighttest.documents import write_text
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.plan import check as check_plan
 from flighttest.plan import compile_plan
-from flighttest.report.sections.currency import Reflight
+from flighttest.report.sections.validity import Reflight
 from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
+from flighttest.validity.model import Assessment
+from flighttest.validity.reflight import Need, needs
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.model import Vehicle
 
@@ -51,7 +51,7 @@ def thrust_script(stored: ModelFile, vehicle: Vehicle | None) -> str:
 
 
 def reflights(
-    found: Currency, stored: ModelFile, vehicle: Vehicle | None, output: Path | None = None
+    found: Assessment, stored: ModelFile, vehicle: Vehicle | None, output: Path | None = None
 ) -> tuple[tuple[Reflight, ...], dict[str, float], dict[str, Need]]:
     """What to fly, minutes per script, and how often each step where it is stale. output: folder for the scripts with those repeats."""
     thrust = thrust_script(stored, vehicle)

@@ -9,12 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from flighttest.currency import matched_pair
-from flighttest.currency.assess import Evidence, assess
-from flighttest.currency.compare import Alike, Estimates
-from flighttest.currency.hover import Hover, hover
-from flighttest.currency.matched_pair import DELAY_S
-from flighttest.currency.model import Currency, Verdict
 from flighttest.diagnose import Diagnosis
 from flighttest.errors import FitError, InputError
 from flighttest.estimation.problem import Noise, Problem
@@ -47,8 +41,14 @@ from flighttest.recording import Recording
 from flighttest.report.numbers import join, paths
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
-from flighttest.report.sections.currency import status_document
+from flighttest.report.sections.validity import status_document
 from flighttest.segments import Segment
+from flighttest.validity import matched_pair
+from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.compare import Alike, Estimates
+from flighttest.validity.hover import Hover, hover
+from flighttest.validity.matched_pair import DELAY_S
+from flighttest.validity.model import Assessment, Verdict
 from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
@@ -104,7 +104,7 @@ class Today:
     present: Present | None = None
 
 
-def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed: Diagnosis | None = None) -> Currency:
+def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed: Diagnosis | None = None) -> Assessment:
     """All the evidence. diagnosed: the new recordings from this model on, found here where it is not given."""
     recordings, vehicle, name, out, present = now.recordings, now.vehicle, now.name, now.out, now.present
     subsets = subsets_of(stored.model)
@@ -302,7 +302,7 @@ def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, floa
 
 
 def finish(
-    found: Currency,
+    found: Assessment,
     stored: ModelFile,
     vehicle: Vehicle | None,
     runs: Sequence[str],

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.currency.between_campaigns import DELAY_STD_S, prior
-from flighttest.currency.model import SUBSETS, WORDS, FloatArray, SubsetTest
 from flighttest.estimation.uncertainty.distributions import beyond, fisher_beyond, quantile
 from flighttest.identify import mass
+from flighttest.validity.between_campaigns import DELAY_STD_S, prior
+from flighttest.validity.model import SUBSETS, WORDS, FloatArray, SubsetTest
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
 FALSE_ALARM = 0.01

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flighttest.currency.model import FloatArray, SubsetTest
 from flighttest.estimation.level import taken_as_level
 from flighttest.estimation.responses import knows_attitude, zero_order_hold
 from flighttest.estimation.uncertainty.distributions import beyond, quantile
 from flighttest.frames import G_M_S2
 from flighttest.segments import Segment
+from flighttest.validity.model import FloatArray, SubsetTest
 
 MIN_WINDOW_S = 1.0
 DISCREPANCY = 0.015  # relative, one sigma: what one flight after another differs by (packs, air density)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from flighttest.currency.assess import Evidence, assess
-from flighttest.currency.compare import Alike, Estimates
 from flighttest.report.render.terminal import render
-from flighttest.report.sections.currency import Reflight, status_document
+from flighttest.report.sections.validity import Reflight, status_document
+from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.compare import Alike, Estimates
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "d_x", "d_y", "d_z")
 VALUES = np.array([25.4, 23.4, 0.44, 0.39, 21.5, 20.4, 54.5, 0.39, 0.39, 0.51])
@@ -29,10 +29,10 @@ def found(resistance=(0.02, 0.0004), **factors):
     )  # fmt: skip
 
 
-def screen(currency, width=80):
+def screen(validity, width=80):
     out = io.StringIO()
     facts = {"model": "model.yaml", "new flight": "runs/2026-11-21T11-12-05-spot_check"}
-    Console(file=out, width=width).print(render(status_document(currency, facts, FLIGHTS, brief=True)))
+    Console(file=out, width=width).print(render(status_document(validity, facts, FLIGHTS, brief=True)))
     return out.getvalue()
 
 

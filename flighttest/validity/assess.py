@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flighttest.currency.battery import check
-from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
-from flighttest.currency.cusum import drifts
-from flighttest.currency.declared import declared_changes, same_parts, scripts_for
-from flighttest.currency.hover import NAME, Hover, hover_test
-from flighttest.currency.impact import impact_of
-from flighttest.currency.model import (
+from flighttest.validity.battery import check
+from flighttest.validity.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
+from flighttest.validity.cusum import drifts
+from flighttest.validity.declared import declared_changes, same_parts, scripts_for
+from flighttest.validity.hover import NAME, Hover, hover_test
+from flighttest.validity.impact import impact_of
+from flighttest.validity.model import (
     ALL_SCRIPTS,
     SUBSETS,
     Appeared,
+    Assessment,
     BatteryCheck,
     Change,
-    Currency,
     Drift,
     SubsetTest,
     Verdict,
@@ -54,7 +54,7 @@ def assess(
     stored: Estimates,
     new: Evidence | None = None,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
-) -> Currency:
+) -> Assessment:
     """Is the model still valid?
 
     model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's
@@ -110,7 +110,7 @@ def assess(
         sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
     else:
         sentence = _current(tests, bool(cannot_tell), compared) if verdict is Verdict.CURRENT else _unknown(compared)
-    return Currency(
+    return Assessment(
         verdict=verdict,
         sentence=sentence + _of_battery(checked),
         changes=changes,

@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.currency.between_campaigns import prior
-from flighttest.currency.compare import Alike, Estimates
-from flighttest.currency.model import FloatArray
 from flighttest.documents import PlainData
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, variance_inflation_of
@@ -25,6 +22,9 @@ from flighttest.estimation.weighing import Normal
 from flighttest.identify.fixed_parameters import normal_at
 from flighttest.identify.models.model_blocks import StepsBlock
 from flighttest.segments import Segment
+from flighttest.validity.between_campaigns import prior
+from flighttest.validity.compare import Alike, Estimates
+from flighttest.validity.model import FloatArray
 
 MIN_STEPS = 2  # kinds of step that must tell of a parameter
 MIN_SHARE = 0.02  # of the information on a parameter, for a kind of step to tell of it

@@ -1,6 +1,6 @@
 """Validity of a model on recorded flights of a Crazyflie with damaged propellers or a weight (CrazyPAD, `controller_data`).
 
-    python -m benchmarks.currency_recorded --write docs/currency.md
+    python -m benchmarks.validity_recorded --write docs/validity.md
 
 Fits the undamaged flights together and asks of every folder whether that model still holds. The recordings lie in
 `propeller_damage/controller_data` of $FLIGHTTEST_DATA, or of ../shared/data beside the checkout. It takes a minute.
@@ -21,7 +21,7 @@ from flighttest.pipeline.validity.status import status
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 UNDAMAGED = "normal_flight"
-BLOCK = re.compile(r"(<!-- measured: benchmarks/currency_recorded.py -->\n).*?(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- measured: benchmarks/validity_recorded.py -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def folder_of_recordings() -> Path:

@@ -5,10 +5,10 @@ import copy
 import numpy as np
 import pytest
 
-from flighttest.currency.assess import assess
-from flighttest.currency.compare import Estimates
-from flighttest.currency.declared import declared_changes, touched
-from flighttest.currency.model import ALL_SCRIPTS, Verdict
+from flighttest.validity.assess import assess
+from flighttest.validity.compare import Estimates
+from flighttest.validity.declared import declared_changes, touched
+from flighttest.validity.model import ALL_SCRIPTS, Verdict
 
 FINGERPRINT = {
     "components": {

@@ -14,9 +14,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.currency.model import FloatArray
 from flighttest.estimation.weighing import Normal
 from flighttest.segments import Segment
+from flighttest.validity.model import FloatArray
 
 # What one flight after another differs by where nothing has been measured, relative, as one standard deviation: the stated fallback.
 PRIOR: dict[str, float] = {

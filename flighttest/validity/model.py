@@ -147,7 +147,7 @@ class BatteryCheck:
 
 
 @dataclass(frozen=True)
-class Currency:
+class Assessment:
     """The whole answer. matters: what the change means for a plan made with the model; fly: script names, in order."""
 
     verdict: Verdict

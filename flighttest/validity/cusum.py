@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flighttest.currency.between_campaigns import prior
-from flighttest.currency.compare import Estimates
-from flighttest.currency.model import Drift
+from flighttest.validity.between_campaigns import prior
+from flighttest.validity.compare import Estimates
+from flighttest.validity.model import Drift
 
 SLACK = 0.5  # half the shift, in standard deviations, that is to be found fastest
 FALSE_ALARM_EVERY = 200.0  # unchanged runs between false alarms of all parameters together

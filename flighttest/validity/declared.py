@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from fnmatch import fnmatch
 from typing import Any
 
-from flighttest.currency.model import ALL_SCRIPTS, SCRIPTS, SUBSETS, Change
+from flighttest.validity.model import ALL_SCRIPTS, SCRIPTS, SUBSETS, Change
 from flighttest.vehicle.fingerprint import FingerprintData
 
 EVERYTHING = tuple(SUBSETS)

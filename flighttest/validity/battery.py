@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from flighttest.currency.model import BatteryCheck, FloatArray
+from flighttest.validity.model import BatteryCheck, FloatArray
 
 MIN_SAMPLES = 60
 MIN_CURRENT_SPREAD_A = 2.0  # standard deviation; below, the slope is not known

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flighttest.currency.hover import NAME
-from flighttest.currency.model import SUBSETS, WORDS, Change, SubsetTest
 from flighttest.frames import G_M_S2
+from flighttest.validity.hover import NAME
+from flighttest.validity.model import SUBSETS, WORDS, Change, SubsetTest
 
 
 def impact_of(changes: Sequence[Change], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flighttest.currency.model import SCRIPTS, SUBSETS
+from flighttest.validity.model import SCRIPTS, SUBSETS
 
 # Relative standard errors (alpha: absolute) an onboard planner is served by; a caller may ask for others.
 WANTED: dict[str, float] = {

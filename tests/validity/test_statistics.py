@@ -1,18 +1,18 @@
-"""The tests of currency: their false alarms are as stated, and they see what they claim to see."""
+"""The tests of validity: their false alarms are as stated, and they see what they claim to see."""
 
 import numpy as np
 import pytest
 
-from flighttest.currency import battery, compare, cusum
-from flighttest.currency.assess import Evidence, assess
-from flighttest.currency.between_campaigns import measured, prior
-from flighttest.currency.compare import FALSE_ALARM, Alike, Estimates, subset_tests
-from flighttest.currency.hover import hover, hover_test
-from flighttest.currency.model import Verdict
 from flighttest.estimation.weighing import Normal
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.segments import Segment
+from flighttest.validity import battery, compare, cusum
+from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.between_campaigns import measured, prior
+from flighttest.validity.compare import FALSE_ALARM, Alike, Estimates, subset_tests
+from flighttest.validity.hover import hover, hover_test
+from flighttest.validity.model import Verdict
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "alpha", "d_x", "d_y", "d_z")
 TRUTH = np.array([25.43, 23.40, 0.44, 0.39, 21.54, 20.36, 54.55, 1.71, 0.39, 0.39, 0.51])

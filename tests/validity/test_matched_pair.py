@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import yaml
 
-from flighttest.currency import compare, matched_pair
-from flighttest.currency.between_campaigns import prior
 from flighttest.identify.fit import fit
 from flighttest.identify.models.model_file import from_fit
 from flighttest.identify.selection import problem_of
 from flighttest.pipeline.store.history import watched
+from flighttest.validity import compare, matched_pair
+from flighttest.validity.between_campaigns import prior
 from tests.identify import campaign
 
 # Thrust that no K fits: the vehicle gives more or less of it from one step to the next, as a curved throttle or a slow motor does.

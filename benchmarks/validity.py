@@ -1,7 +1,7 @@
-"""Currency on sealed pairs of rotor flights: detection, false alarms and the subset named.
+"""Validity on sealed pairs of rotor flights: detection, false alarms and the subset named.
 
-    python benchmarks/currency.py fly --first 5000 --vehicles 40 --folder /tmp/pairs
-    python benchmarks/currency.py judge --folder /tmp/pairs --write docs/currency.md
+    python benchmarks/validity.py fly --first 5000 --vehicles 40 --folder /tmp/pairs
+    python benchmarks/validity.py judge --folder /tmp/pairs --write docs/validity.md
 
 `fly` draws vehicles and keeps what was cut from their flights: one reference campaign each, and against it campaigns and spot checks,
 unchanged or with one change, every one in another wind (0 to 4 m/s, gusts of 15 % of it) with other packs over their whole voltage
@@ -26,13 +26,11 @@ import numpy as np
 import yaml
 from scipy import stats
 
-from flighttest.currency.battery import check
-from flighttest.currency.compare import subset_tests
 from flighttest.errors import FlighttestError
 from flighttest.identify.fit import fit
 from flighttest.identify.models.model_file import ModelFile, from_fit
 from flighttest.physics.model import Model
-from flighttest.pipeline.identification.fitting import for_currency
+from flighttest.pipeline.identification.fitting import for_later_flights
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.store.history import watched
@@ -43,6 +41,8 @@ from flighttest.script.shipped import resolve
 from flighttest.segments import Segment
 from flighttest.sim import SimOptions
 from flighttest.sim.plants.rotor_vehicle import random_rotor
+from flighttest.validity.battery import check
+from flighttest.validity.compare import subset_tests
 
 # What changes, as factors on constants of the rotor vehicle. A payload divides the drag per mass and keeps the current for a thrust.
 HEAVIER = 1.08
@@ -178,7 +178,7 @@ def modelled(vehicle_seed: int, flown: Flown) -> ModelFile:
     """The stored model of a reference campaign, as `flighttest run` would keep it."""
     model = Model(nominal_voltage_v=random_rotor(vehicle_seed).nominal_voltage_v)
     found = fit([s for s in flown.segments if s.usable], model)
-    return replace(from_fit(found), fit_quality=for_currency(found))
+    return replace(from_fit(found), fit_quality=for_later_flights(found))
 
 
 def kept(path: Path) -> tuple[str, str, Flown, str]:
@@ -261,7 +261,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 WORDS = {"campaign": "campaign", "spot": "two-minute spot check"}
-BEGIN, END = "<!-- measured: benchmarks/currency.py -->", "<!-- end -->"
+BEGIN, END = "<!-- measured: benchmarks/validity.py -->", "<!-- end -->"
 
 
 def write(page: Path, text: str) -> None:

@@ -1,11 +1,10 @@
-"""Currency on one screen: what changed, why it matters, what to fly and how long it takes; and the history page."""
+"""Validity on one screen: what changed, why it matters, what to fly and how long it takes; and the history page."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flighttest.currency.model import WORDS, Currency, Verdict
 from flighttest.report.document import (
     Align,
     Block,
@@ -21,6 +20,7 @@ from flighttest.report.document import (
     Trace,
 )
 from flighttest.report.numbers import duration, join, percent, to_error, unit
+from flighttest.validity.model import WORDS, Assessment, Verdict
 
 TONES: dict[Verdict, Tone] = {Verdict.CURRENT: "good", Verdict.STALE: "bad", Verdict.UNKNOWN: "warn"}
 
@@ -46,7 +46,7 @@ _FIRST = (
 
 
 def status_document(
-    found: Currency, facts: Mapping[str, str], flights: Sequence[Reflight], *, brief: bool = False
+    found: Assessment, facts: Mapping[str, str], flights: Sequence[Reflight], *, brief: bool = False
 ) -> Document:
     """What changed, why it matters, what to fly and how long it takes. facts: what was compared; brief: for one screen of a terminal."""
     sections = []
@@ -79,7 +79,7 @@ def _listed(name: str, title: str, items: tuple[str, ...], brief: bool) -> Secti
     return Section(name, title, (Bullets(items),))
 
 
-def _changes(found: Currency, brief: bool) -> Section:
+def _changes(found: Assessment, brief: bool) -> Section:
     ordered = sorted(found.changes, key=lambda c: (_FIRST.index(c.kind) if c.kind in _FIRST else len(_FIRST), c.name))
     shown = ordered[:FEW_CHANGES] if brief and len(ordered) > FEW_CHANGES + 1 else ordered
     rows = [(c.name, Cell(c.before, "quiet"), Cell(c.after, "bad"), join(c.touches)) for c in shown]
@@ -101,7 +101,7 @@ def _changes(found: Currency, brief: bool) -> Section:
     return Section("declared", title, tuple(blocks))
 
 
-def _tests(found: Currency) -> Section:
+def _tests(found: Assessment) -> Section:
     """One line per subset: what moved most."""
     rows = []
     for t in found.tests:
@@ -129,7 +129,7 @@ def _tests(found: Currency) -> Section:
     return Section("tests", "", (Table(heads, tuple(rows), align, _caption(found, brief=True)),))
 
 
-def _caption(found: Currency, *, brief: bool = False) -> str:
+def _caption(found: Assessment, *, brief: bool = False) -> str:
     level, alike = found.tests[0].level, max(t.alike for t in found.tests)
     rate = f"{level * len(found.tests) * 100:.0f} %"
     if brief:
@@ -141,7 +141,7 @@ def _caption(found: Currency, *, brief: bool = False) -> str:
     )
 
 
-def _tests_in_full(found: Currency) -> Section:
+def _tests_in_full(found: Assessment) -> Section:
     rows = []
     for t in found.tests:
         for index, (name, (change, z)) in enumerate(t.shifts.items()):
@@ -167,7 +167,7 @@ def _tests_in_full(found: Currency) -> Section:
     return Section("tests", "The new flight against the model", (table,))
 
 
-def _drifts(found: Currency) -> Section:
+def _drifts(found: Assessment) -> Section:
     rows = tuple(
         (
             d.parameter,
