@@ -34,7 +34,7 @@ from flighttest.pipeline.identification.fitting import for_later_flights
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.store.history import watched
-from flighttest.pipeline.validity.status import allowance, like_with_like, reestimate_segments
+from flighttest.pipeline.validity.status import allowance, matched_pairs, reestimate_segments
 from flighttest.proof.flying import fly_campaign
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.script.shipped import resolve
@@ -156,7 +156,7 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
     base = watched(stored, "model")
     usable = [s for s in new.segments if s.usable]
     found, _ = reestimate_segments(stored, usable, "new")
-    tests = subset_tests(base, found, spread=allowance(stored, base, ()), alike=like_with_like(stored, base, usable))
+    tests = subset_tests(base, found, spread=allowance(stored, base, ()), matched=matched_pairs(stored, base, usable))
     before = battery_of([recorded(b) for b in own.batteries])
     battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)
     return {
@@ -164,7 +164,7 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
         "battery": battery.alarm,
         "p": {t.subset: t.p_value for t in tests},
         "shifts": {n: shift for t in tests for n, (shift, _) in t.shifts.items()},
-        "alike": {t.subset: t.alike for t in tests},
+        "alike": {t.subset: t.matched for t in tests},
         "detectable": {n: size for t in tests for n, size in t.detectable.items()},
     }
 

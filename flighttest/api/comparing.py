@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal, Unpack
 
 from flighttest.api.inputs import (
     AnyPath,
+    ProgressLike,
     ReadingOptions,
     Source,
-    Tell,
     as_model,
     as_path,
     as_progress,
@@ -34,7 +34,7 @@ def against(
     vehicle: AnyPath | None = None,
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
     **options: Unpack[ReadingOptions],
 ) -> Opposed:
     """Say what a simulator lacks, has too much of or has with another value, from its recordings and real ones of the same vehicle.
@@ -65,7 +65,7 @@ def twin(
     seed: int = 1,
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Twin:
     """Fly an identified model as a vehicle, as it was recorded, and say what still differs.
 
@@ -95,7 +95,7 @@ def replay(
     changes: Mapping[str, str | float] | Sequence[str] = (),
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Replayed:
     """Run recorded commands on the vehicle of a model with changes, beside the recording.
 
@@ -112,7 +112,7 @@ def replay(
     return Replayed(document=result.document, data=result.data, status=result.status, found=result.value)
 
 
-def compare(first: AnyPath, second: AnyPath, *, progress: Tell | None = None) -> Compared:
+def compare(first: AnyPath, second: AnyPath, *, progress: ProgressLike | None = None) -> Compared:
     """Compare two models, or the fits of two runs or logs: z-scores per parameter, and which differ."""
     from flighttest.api.comparisons import Compared
     from flighttest.pipeline.identification.comparison import compare as compare_models

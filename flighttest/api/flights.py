@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
-from flighttest.api.inputs import AnyPath, CampaignOptions, FlightOptions, Tell, as_path, as_progress, paths_in
+from flighttest.api.inputs import AnyPath, CampaignOptions, FlightOptions, ProgressLike, as_path, as_progress, paths_in
 from flighttest.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Flight:
     real: bool
     request: FlightRequest = field(repr=False)
 
-    def fly(self, arm: Consent = False, progress: Tell | None = None) -> Campaign:
+    def fly(self, arm: Consent = False, progress: ProgressLike | None = None) -> Campaign:
         """Fly it, and do what follows. arm: for a real vehicle, or a function that is asked with a sentence when everything is ready.
 
         InputError for a real vehicle that may not arm; LinkError, PreflightError; how a flight ended is an outcome, not an error.
@@ -47,7 +47,7 @@ class Flight:
             document=result.document, data=result.data, status=result.status, runs=folders, analysis=found, model=model
         )
 
-    def record(self, arm: Consent = False, progress: Tell | None = None) -> Flown:
+    def record(self, arm: Consent = False, progress: ProgressLike | None = None) -> Flown:
         """Fly and record it; nothing is fitted. Otherwise as `fly`."""
         from flighttest.api.answers import Flown
 
@@ -57,7 +57,7 @@ class Flight:
             document=result.document, data=result.data, status=result.status, runs=folders, flights=tuple(result.value)
         )
 
-    def _flown(self, arm: Consent, progress: Tell | None) -> Result:
+    def _flown(self, arm: Consent, progress: ProgressLike | None) -> Result:
         from flighttest.pipeline.flights import run as flights
 
         if self.real and arm is False:
@@ -105,7 +105,7 @@ def fly(
     out: AnyPath = "runs",
     arm: Consent = False,
     hide: Iterable[str] = (),
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
     seed: int = 1,
     **options: Unpack[FlightOptions],
 ) -> Flown:
@@ -127,7 +127,7 @@ def run(
     out: AnyPath = "runs",
     arm: Consent = False,
     hide: Iterable[str] = (),
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
     seed: int = 1,
     **options: Unpack[CampaignOptions],
 ) -> Campaign:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 AnyPath = str | PathLike[str]
 Source = str | PathLike[str] | Recording
-Tell = Callable[[str], object] | Progress
+ProgressLike = Callable[[str], object] | Progress
 
 
 class Stages:
@@ -38,7 +38,7 @@ class Stages:
         """The flight went on; its words are in the stages."""
 
 
-def as_progress(tell: Tell | None) -> Progress:
+def as_progress(tell: ProgressLike | None) -> Progress:
     """Whoever is told: a function gets each stage's words, an object of `Progress` everything."""
     return tell if isinstance(tell, Progress) else Stages(tell)
 

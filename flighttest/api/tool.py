@@ -10,7 +10,16 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
-from flighttest.api.inputs import AnyPath, ProofOptions, ServeOptions, Tell, as_model, as_path, as_progress, paths_in
+from flighttest.api.inputs import (
+    AnyPath,
+    ProgressLike,
+    ProofOptions,
+    ServeOptions,
+    as_model,
+    as_path,
+    as_progress,
+    paths_in,
+)
 from flighttest.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,7 +36,7 @@ def import_log(
     *,
     columns: AnyPath | None = None,
     vehicle: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Imported:
     """Bring a log into a run folder: .BIN, .tlog, .ulg, .csv or .parquet. vehicle: vehicle.yaml whose components and zone join it.
 
@@ -48,7 +57,7 @@ def fetch_log(
     *,
     number: int | None = None,
     signing_key: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Written:
     """Download an onboard log over MAVLink, the newest where no number is given, into a run folder or a .bin file.
 
@@ -70,7 +79,11 @@ def runs(folder: AnyPath = "runs", *, page: bool = False) -> Runs:
 
 
 def report(
-    folder: AnyPath, output: AnyPath | None = None, *, figures: AnyPath | None = None, progress: Tell | None = None
+    folder: AnyPath,
+    output: AnyPath | None = None,
+    *,
+    figures: AnyPath | None = None,
+    progress: ProgressLike | None = None,
 ) -> Written:
     """Write one self-contained HTML page about a run, a log, or what `diagnose(output=...)` wrote. figures: folder for every figure as SVG,
     PNG and CSV (its numbers)."""
@@ -90,7 +103,7 @@ def report(
 
 
 def show(
-    log: AnyPath, output: AnyPath | None = None, *, columns: AnyPath | None = None, progress: Tell | None = None
+    log: AnyPath, output: AnyPath | None = None, *, columns: AnyPath | None = None, progress: ProgressLike | None = None
 ) -> Written:
     """Write one HTML page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
     from flighttest.pipeline.identification.showing import show as write
@@ -140,7 +153,7 @@ def serve(**options: Unpack[ServeOptions]) -> Iterator[str | Serving]:
     return simulator.serve(simulator.Served(**paths_in(options, "model", "frame")))
 
 
-def sign(connect: str, key: AnyPath, *, remove: bool = False, progress: Tell | None = None) -> Answer:
+def sign(connect: str, key: AnyPath, *, remove: bool = False, progress: ProgressLike | None = None) -> Answer:
     """Give a vehicle the key in a file (made where there is none): from then on it takes only frames signed with it.
 
     remove: take it away again. The key crosses the link in the clear: use a cable. LinkError where the vehicle does not take it.
@@ -170,7 +183,7 @@ def demo(
     hide: Iterable[str] = (),
     seed: int = 1,
     airframe: Literal["paper", "rotor"] = "rotor",
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Demonstrated:
     """A simulated vehicle conceals an effect (a slung load where none is given): find it, model it, and predict a flight that was not used.
 
@@ -191,7 +204,7 @@ def prove(
     seed: int | None = None,
     workers: int = 1,
     output: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
     **options: Unpack[ProofOptions],
 ) -> Proved:
     """Hide effects in simulated flights, diagnose them blind, and count what was found.
@@ -200,8 +213,8 @@ def prove(
     kind="clean".
     """
     from flighttest.api.campaigns import Proved
-    from flighttest.proof.prove import Asked
+    from flighttest.proof.prove import ProofRequest
     from flighttest.proof.proving import prove as proof
 
-    result = proof(Asked(trials, seed, workers=workers, **options), as_path(output), as_progress(progress))
+    result = proof(ProofRequest(trials, seed, workers=workers, **options), as_path(output), as_progress(progress))
     return Proved(document=result.document, data=result.data, status=result.status, outcomes=tuple(result.value))

@@ -15,8 +15,8 @@ from flighttest.api.inputs import (
     AnyPath,
     DiagnoseOptions,
     FitOptions,
+    ProgressLike,
     Source,
-    Tell,
     as_model,
     as_path,
     as_progress,
@@ -45,7 +45,7 @@ def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
     return open_recording(Path(source), as_path(columns))
 
 
-def segment(*sources: Source, columns: AnyPath | None = None, progress: Tell | None = None) -> Responses:
+def segment(*sources: Source, columns: AnyPath | None = None, progress: ProgressLike | None = None) -> Responses:
     """Cut recordings into step responses and windows of free flight, each accepted, or rejected with its reason."""
     from flighttest.api.answers import Responses
     from flighttest.pipeline.identification import fitting as analysis
@@ -61,7 +61,7 @@ def fit(
     freeze: Mapping[str, float] | None = None,
     tie: Mapping[str, str] | None = None,
     columns: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
     **options: Unpack[FitOptions],
 ) -> Fitted:
     """Estimate a model's parameters from one or several recordings, jointly.
@@ -109,7 +109,7 @@ def validate(
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
     runs: AnyPath = "runs",
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Validated:
     """Compare a model and its simplifications, run open loop on recorded commands, with flights it was not fitted to (paper, section 4).
 
@@ -135,7 +135,7 @@ def diagnose(
     vehicle: AnyPath | None = None,
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
     **options: Unpack[DiagnoseOptions],
 ) -> Diagnosed:
     """Say where simulation and recordings differ, what physics the model leaves out, and what to fly next.
@@ -171,7 +171,7 @@ def check_validity(
     runs: AnyPath = "runs",
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    progress: Tell | None = None,
+    progress: ProgressLike | None = None,
 ) -> Validity:
     """Does a stored model still hold for this vehicle: declared changes, its parameters today, and new recordings, possibly none.
 

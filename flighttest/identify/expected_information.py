@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flighttest.channels import INPUTS
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.weighing import State, Weighing
-from flighttest.identify.selection import able, feeding, problem_of
+from flighttest.identify.selection import able, problem_of, segments_for
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import PAPER_TERMS, Model
 from flighttest.physics.simulate import Run, simulate_many
@@ -61,7 +61,7 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class Told:
+class PlannedInformation:
     """What the responses of one plan would tell, each with what it needs to know of the others left open.
 
     steps: their segments, without samples (n,); able: block name to the positions of those in which its references move; information:
@@ -73,9 +73,9 @@ class Told:
     information: Mapping[str, FloatArray]
 
 
-def told_by_plans(
+def planned_information(
     plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
-) -> list[Told]:
+) -> list[PlannedInformation]:
     """What each plan would tell: every flight is flown and differentiated once (see `_planned`). Legs without a profile (waypoints,
     motors off) are left out."""
     groups, flights = _planned(plans, model, values)
@@ -88,7 +88,9 @@ def told_by_plans(
         for block in model.blocks:
             # In more company a response feeds what it feeds here, or less; but free flight is called in where there are few steps.
             free = [i for i in of[block.name] if group[i].kind == "free"]
-            fed[block.name] |= {flights[start + i] for i in (*feeding(group, block, "paper", of[block.name]), *free)}
+            fed[block.name] |= {
+                flights[start + i] for i in (*segments_for(group, block, "paper", of[block.name]), *free)
+            }
     p = len(model.names)
     information = {b.name: np.zeros((len(every), p, p)) for b in model.blocks}
     if every:
@@ -98,7 +100,7 @@ def told_by_plans(
         for name, of_block in _information(problem, noise).items():
             information[name][:, np.array(at)[:, None], at] = of_block[flights]
     return [
-        Told(
+        PlannedInformation(
             tuple(replace(s, t_s=s.t_s[:0], y={}, u={}) for s in group),
             of,
             {name: each[start : start + len(group)] for name, each in information.items()},
@@ -107,7 +109,9 @@ def told_by_plans(
     ]
 
 
-def expected_of_told(told: Sequence[Told], model: Model, values: Mapping[str, float]) -> tuple[Expected, ...]:
+def expected_of_information(
+    told: Sequence[PlannedInformation], model: Model, values: Mapping[str, float]
+) -> tuple[Expected, ...]:
     """Expected standard error of every parameter from plans flown together; empty where nothing in them can be predicted.
 
     Information adds up; which steps feed which part of the model depends on what else there is.
@@ -117,7 +121,7 @@ def expected_of_told(told: Sequence[Told], model: Model, values: Mapping[str, fl
     hessian = np.zeros((len(steps), len(model.names), len(model.names)))
     for block in model.blocks if steps else ():
         can = [start + i for start, one in zip(starts, told, strict=False) for i in one.able[block.name]]
-        members = np.array(sorted(feeding(steps, block, "paper", can)), dtype=np.intp)
+        members = np.array(sorted(segments_for(steps, block, "paper", can)), dtype=np.intp)
         hessian[members] += np.concatenate([one.information[block.name] for one in told])[members]
     return _expected(model.names, hessian, steps, model, values)
 
@@ -126,8 +130,10 @@ def expected_of_plans(
     plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> tuple[tuple[tuple[Expected, ...], ...], tuple[Expected, ...]]:
     """The same for each plan by itself, and for all of them together."""
-    told = told_by_plans(plans, model, values, noise)
-    return tuple(expected_of_told([one], model, values) for one in told), expected_of_told(told, model, values)
+    told = planned_information(plans, model, values, noise)
+    return tuple(expected_of_information([one], model, values) for one in told), expected_of_information(
+        told, model, values
+    )
 
 
 def _information(problem: Problem, noise: Noise) -> dict[str, FloatArray]:

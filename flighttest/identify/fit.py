@@ -24,13 +24,13 @@ from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.estimation.weighing import start_noise
 from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
-from flighttest.identify.diagnostics.closed_loop import answered
+from flighttest.identify.diagnostics.closed_loop import closed_loop_bias
 from flighttest.identify.diagnostics.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,
-    Doubts,
     Estimated,
     Known,
+    ParameterDiagnostics,
     assumed_share,
     judge,
     throttle_varies,
@@ -38,8 +38,13 @@ from flighttest.identify.diagnostics.identifiability import (
     voltage_spread_at_equal_throttle,
     voltage_varies,
 )
-from flighttest.identify.diagnostics.local_optima import best_of_starts, rivals
-from flighttest.identify.diagnostics.parameter_diagnostics import FitChecks, differing_notes, doubts_of, step_sizes
+from flighttest.identify.diagnostics.local_optima import best_of_starts, local_optima
+from flighttest.identify.diagnostics.parameter_diagnostics import (
+    FitChecks,
+    differing_notes,
+    parameter_diagnostics,
+    step_sizes,
+)
 from flighttest.identify.diagnostics.quality import ChannelQuality, ValidRange, channel_quality, valid_range
 from flighttest.identify.equality_constraints import TieTest, tie_tests
 from flighttest.identify.selection import Select, moves, problem_of
@@ -162,18 +167,18 @@ def fit(
         if not hopeless or len(hopeless) == len(covariance.names):
             break
         held = (*held, *hopeless)
-    solution, others = rivals(problem, solution, robust)
-    moved = answered(problem, solution)
+    solution, others = local_optima(problem, solution, robust)
+    moved = closed_loop_bias(problem, solution)
     apart = {n: r.away(solution.values[n]) for n, r in others.items()}
     covariance = covariance_of(problem, solution)
     tilted = {"K": solution.values["K"] * level_share(problem, solution)}
     for extra in (apart, moved, tilted):
         covariance = widened(covariance, extra)
     quality = channel_quality(problem, solution)
-    doubts = doubts_of(problem, solution, covariance, quality, others, moved)
+    diagnostics = parameter_diagnostics(problem, solution, covariance, quality, others, moved)
     if "alpha" not in (*covariance.names, *(frozen or {})):
         covariance = widened(covariance, {"K": solution.values["K"] * assumed_share(problem.segments, model)})
-    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, doubts)
+    estimates = _estimates(model, problem, solution, covariance, tuple(frozen or {}), spread, diagnostics)
     delays = {
         c: (estimates[n].value, estimates[n].std or float("nan"))
         for c, n in DELAY_PARAM.items()
@@ -191,11 +196,11 @@ def fit(
         valid=valid_range(problem),
         outliers=_outliers(problem, solution),
         ties=tie_tests(segments, model, select, solution, ties or {}, tuple(frozen or {}), robust),
-        notes=(*_notes(problem, solution, model), *differing_notes(estimates, doubts, model)),
+        notes=(*_notes(problem, solution, model), *differing_notes(estimates, diagnostics, model)),
         problem=problem,
         solution=solution,
         voltage_spread_v=spread,
-        checks=step_sizes(doubts),
+        checks=step_sizes(diagnostics),
     )
 
 
@@ -225,7 +230,7 @@ def _estimates(
     covariance: Covariance,
     frozen: tuple[str, ...],
     spread: float | None,
-    doubts: Mapping[str, Doubts],
+    diagnostics: Mapping[str, ParameterDiagnostics],
 ) -> dict[str, Estimate]:
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
     found: dict[str, Estimate] = {}
@@ -252,7 +257,7 @@ def _estimates(
         insensitive = source_name in solution.insensitive or source_name not in solution.free
         known = judge(
             param, Estimated(value, known_std, insensitive, source_name in solution.at_bound, partner), spread, reveals.get(name, ""),
-            doubts.get(source_name),
+            diagnostics.get(source_name),
         )  # fmt: skip
         source = "assumed" if insensitive else "tied" if name in problem.ties else "fit"
         found[name] = Estimate(

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Held:
+class AtFixedParameters:
     """Normal equations at given parameters, noise and locals, what they are made of, and how the locals follow the parameters."""
 
     normal: Normal
@@ -36,11 +36,11 @@ def normal_at(
     free: Sequence[str],
     noise: Noise,
     local: Sequence[FloatArray] | None = None,
-) -> Held:
+) -> AtFixedParameters:
     """Normal equations by `free` at given parameters and noise. local: measured initial states and no disturbances where None."""
     known = start_noise(problem)
     noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
     at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
     normal, backs = Weighing.even(problem, noise, robust=True).by_response(at.made).normal_equations(at, free)
-    return Held(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))
+    return AtFixedParameters(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))

@@ -29,7 +29,9 @@ def able(segments: Sequence[Segment], block: Block) -> list[int]:
     return [i for i, s in enumerate(segments) if _can_feed(s, block)]
 
 
-def feeding(segments: Sequence[Segment], block: Block, select: Select, among: Sequence[int] | None = None) -> list[int]:
+def segments_for(
+    segments: Sequence[Segment], block: Block, select: Select, among: Sequence[int] | None = None
+) -> list[int]:
     """Positions of the segments that feed a block, among those that are `able` to.
 
     select: 'paper' (Pi_1 from tilt steps up to 0.35 rad, Pi_4 from those above 0.25 rad, free flight only where there are no steps) or
@@ -48,13 +50,13 @@ def problem_of(
     fixed: Sequence[str] = (),
     ties: Mapping[str, str] | None = None,
 ) -> Problem:
-    """The estimation problem of the usable ones of these segments (`feeding` for select, `Problem.build` for the rest).
+    """The estimation problem of the usable ones of these segments (`segments_for` for select, `Problem.build` for the rest).
 
     FitError when none of them feeds any block.
     """
     usable = tuple(s for s in segments if s.usable)
     dead = dead_channels(usable)
-    fed = {block.name: feeding(usable, block, select) for block in model.blocks}
+    fed = {block.name: segments_for(usable, block, select) for block in model.blocks}
     problem = Problem.build(usable, model, fed=fed, values=values, fixed=fixed, ties=ties, dead=dead)
     if not problem.parts:
         why = "".join(f"; {one}" for one in (never_changing(dead) if dead else "", refusal(usable)) if one)

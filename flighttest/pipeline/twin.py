@@ -35,7 +35,7 @@ from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.planning.checking import plans
 from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.planning.replanning import ScriptReplanner
-from flighttest.pipeline.recordings.consistency import once
+from flighttest.pipeline.recordings.consistency import deduplicate
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
@@ -110,7 +110,7 @@ def verify(
     stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
     flying.check()
-    recordings = once(open_recordings(runs, Reading(columns), progress))
+    recordings = deduplicate(open_recordings(runs, Reading(columns), progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
     kept = [run for run in runs if isinstance(run, Path)]
@@ -168,7 +168,7 @@ def replay(
     stored = model if isinstance(model, ModelFile) else model_file.read(model, whole=True)
     fly_able(stored)
     change = what_if(stored, changes)
-    recordings = once(open_recordings(runs, Reading(columns), progress))
+    recordings = deduplicate(open_recordings(runs, Reading(columns), progress))
     of_one_vehicle(recordings)
     segments = cut_all(recordings, progress)
     progress.stage("running the recorded commands on the twin")

@@ -22,7 +22,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Asked:
+class ProofRequest:
     """A proof as it is asked for. seed: a new one is drawn where None; kind: only such trials; clean: at least so many with nothing hidden,
     as `cases_of`; workers: processes of this machine; scheduler: address of a Dask scheduler instead."""
 
@@ -36,7 +36,7 @@ class Asked:
 
 
 def run_trials(
-    asked: Asked,
+    asked: ProofRequest,
     tell: Tell = lambda _text: None,
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
     code: str = "",

@@ -9,13 +9,13 @@ from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.cases import Case
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.prove import Asked, commit_of, read, run_trials, write
+from flighttest.proof.prove import ProofRequest, commit_of, read, run_trials, write
 from flighttest.proof.scoreboard import SEALS, code_of, markdown, rates, score, seals, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl.launcher import find_arducopter
 
 
-def prove(asked: Asked, output: Path | None = None, progress: Progress = SILENT) -> Result:
+def prove(asked: ProofRequest, output: Path | None = None, progress: Progress = SILENT) -> Result:
     """Sealed trials and their scoreboard; with `output` the truths are written there before the first flight (truths.jsonl), and
     proof.json, proof.md and seals.csv anew with every trial.
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from flighttest.validity.battery import check
-from flighttest.validity.compare import FALSE_ALARM, Alike, Estimates, subset_tests, thrust_or_mass
+from flighttest.validity.compare import FALSE_ALARM, Estimates, MatchedPairs, subset_tests, thrust_or_mass
 from flighttest.validity.cusum import drifts
 from flighttest.validity.declared import declared_changes, same_parts, scripts_for
 from flighttest.validity.hover import NAME, Hover, hover_test
@@ -38,7 +38,7 @@ class Evidence:
     """
 
     runs: Sequence[Estimates] = ()
-    alike: Alike | None = None
+    matched: MatchedPairs | None = None
     spread: Mapping[str, float] | None = None
     battery: tuple[float, float] | str | None = None
     battery_reference: tuple[float, float] | None = None
@@ -61,13 +61,13 @@ def assess(
     estimates; new: what recordings since then say; subsets: parameters that are tested together.
     """
     new = new or Evidence()
-    runs, alike, spread, appeared = new.runs, new.alike, new.spread, new.appeared
+    runs, matched, spread, appeared = new.runs, new.matched, new.spread, new.appeared
     changes: tuple[Change, ...] = ()
     cannot_tell = list(new.untestable)
     if vehicle_fingerprint is not None:
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
         cannot_tell += unknown
-    tests = subset_tests(stored, runs[-1], spread=spread, alike=alike, subsets=subsets) if runs else ()
+    tests = subset_tests(stored, runs[-1], spread=spread, matched=matched, subsets=subsets) if runs else ()
     before, now = new.hovers
     if before is not None and now is not None:
         alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
@@ -78,7 +78,7 @@ def assess(
         if by_gain is None:
             others = list(
                 subset_tests(
-                    stored, runs[-1], spread=spread, false_alarm=shared * len(others), alike=alike, subsets=subsets
+                    stored, runs[-1], spread=spread, false_alarm=shared * len(others), matched=matched, subsets=subsets
                 )
                 if others
                 else ()
@@ -98,7 +98,7 @@ def assess(
     else:
         verdict = Verdict.UNKNOWN
     compared = _same_parameters(model_fingerprint, vehicle_fingerprint) if vehicle_fingerprint is not None else ""
-    sides = (alike.before, alike.after) if alike is not None else (stored, runs[-1]) if runs else None
+    sides = (matched.before, matched.after) if matched is not None else (stored, runs[-1]) if runs else None
     fly: tuple[str, ...] = ()
     narrow: tuple[str, ...] = ()
     if stale:
@@ -117,7 +117,7 @@ def assess(
         tests=tests,
         drifts=drift,
         battery=checked,
-        matters=impact_of(changes, alarms),
+        impact=impact_of(changes, alarms),
         fly=fly,
         fly_narrow=narrow,
         could_also_be=_rivals(alarms),
@@ -155,8 +155,8 @@ def _unknown(compared: str) -> str:
 def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
     if not tests:
         limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
-        alike = f"; {compared} are what they were" if compared else ""
-        return f"Current: nothing that is declared has changed since the model was flown{alike}{limit}."
+        matched = f"; {compared} are what they were" if compared else ""
+        return f"Current: nothing that is declared has changed since the model was flown{matched}{limit}."
     told = list(dict.fromkeys(t.subset for t in tests))
     blind = [s for s in SUBSETS if s not in told]
     nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""

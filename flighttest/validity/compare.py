@@ -18,7 +18,7 @@ FALSE_ALARM = 0.01
 # Without one of these a subset is not told.
 LEADING: dict[str, tuple[str, ...]] = {"thrust": ("K",), "attitude": ("omega_phi", "omega_theta")}
 DOUBLED = 1.0  # relative change: a comparison that would not show a parameter doubled tells nothing of it
-TOLD = 0.1  # relative standard error below which thrust per throttle at the voltage flown counts as known
+KNOWN_STD = 0.1  # relative standard error below which thrust per throttle at the voltage flown counts as known
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ class Estimates:
         if "alpha" in self.names:
             turn[i, j] = values[i] * log_voltage
         covariance = turn @ self.covariance @ turn.T
-        told = math.sqrt(float(covariance[i, i])) < TOLD * abs(float(values[i]))
+        told = math.sqrt(float(covariance[i, i])) < KNOWN_STD * abs(float(values[i]))
         return replace(self, values=values, covariance=covariance, weak=self.weak - {"K"} if told else self.weak)
 
 
 @dataclass(frozen=True)
-class Alike:
+class MatchedPairs:
     """Like steps against like (see `alike`). before: the model's estimates, without a covariance; after: those at which the model misses
     the new steps as it missed its own, with the covariance of the difference; steps: how many kinds of step were compared."""
 
@@ -84,7 +84,7 @@ class Alike:
     after: Estimates
     steps: int
 
-    def tells(self, names: Sequence[str], leading: Sequence[str], others: Sequence[str]) -> tuple[str, ...]:
+    def compared(self, names: Sequence[str], leading: Sequence[str], others: Sequence[str]) -> tuple[str, ...]:
         """Those of a subset's names that are told; none where `others`, the comparison of estimates, tells a leading one that is not."""
         told = tuple(n for n in names if n in self.after.names)
         needed = [n for n in leading if n in others] if leading else []
@@ -112,7 +112,7 @@ def subset_tests(
     spread: Mapping[str, float] | None = None,
     false_alarm: float = FALSE_ALARM,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
-    alike: Alike | None = None,
+    matched: MatchedPairs | None = None,
 ) -> tuple[SubsetTest, ...]:
     """Test every subset both sides know something about, by like steps or by the estimates: by what would have shown the smaller change;
     parameters that only the other comparison tells are a test of their own.
@@ -125,16 +125,20 @@ def subset_tests(
     shared = {s: tuple(n for n in names if n in before.names and n in after.names) for s, names in subsets.items()}
     # A lag alone does not say that the thrust is what it was, nor a damping that the loop is as fast.
     testable = {s: names for s, names in shared.items() if set(names) & set(LEADING.get(s, names))}
-    pairs = {s: alike.tells(n, LEADING.get(s, ()), shared[s]) for s, n in subsets.items()} if alike is not None else {}
+    pairs = (
+        {s: matched.compared(n, LEADING.get(s, ()), shared[s]) for s, n in subsets.items()}
+        if matched is not None
+        else {}
+    )
     pairs = {s: names for s, names in pairs.items() if names}
     # Like steps repeat what a model gets wrong about them: no more is left of it than the prior.
     left = {n: min(v, prior(n)) for n, v in (spread or {}).items()}
     carried = away if math.isfinite(away) else 0.0
 
     def by_steps(subset: str, names: Sequence[str], level: float) -> SubsetTest:
-        assert alike is not None
-        test = _test(subset, alike.before.select(names), alike.after.select(names), left, 0.0, level)
-        return replace(test, alike=alike.steps)
+        assert matched is not None
+        test = _test(subset, matched.before.select(names), matched.after.select(names), left, 0.0, level)
+        return replace(test, matched=matched.steps)
 
     def by_estimates(subset: str, names: Sequence[str], level: float) -> SubsetTest:
         return _test(subset, before.select(names), after.select(names), spread, carried, level)

@@ -23,7 +23,7 @@ from flighttest.identify.fixed_parameters import normal_at
 from flighttest.identify.models.model_blocks import StepsBlock
 from flighttest.segments import Segment
 from flighttest.validity.between_campaigns import prior
-from flighttest.validity.compare import Alike, Estimates
+from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.model import FloatArray
 
 MIN_STEPS = 2  # kinds of step that must tell of a parameter
@@ -101,11 +101,11 @@ def _step(order: Sequence[str], row: dict[str, Any]) -> Step:
 
 def compare(
     kept: Sequence[Step], stored: Estimates, values: Mapping[str, float], noise: Noise, problem: Problem
-) -> Alike | None:
-    """The new steps of `problem` against those a model kept; None where too few are alike.
+) -> MatchedPairs | None:
+    """The new steps of `problem` against those a model kept; None where too few match.
 
     stored: the model's estimates, of which alpha's error counts; values: all its parameters; noise: its own, so that both sides
-    are weighed alike. One flight's voltages do not tell alpha: it is held, and K compared at the voltages flown.
+    have the same weights. One flight's voltages do not determine alpha: it is held, and K compared at the voltages flown.
     """
     pairs = _pairs(kept, problem.segments)
     known = {n for s in kept for n in s.score}
@@ -149,7 +149,7 @@ def compare(
     covariance = spread.matrix[np.ix_(index, index)] + np.outer(away, away) * _alpha_std(stored) ** 2
     before = Estimates(stored.name, tuple(watched), np.array([values[n] for n in watched]), 0.0 * covariance)
     after = Estimates("new", before.names, np.array([now[n] for n in watched]), covariance, spread.dof[index])
-    return Alike(before, after, len(pairs))
+    return MatchedPairs(before, after, len(pairs))
 
 
 def _alpha_std(stored: Estimates) -> float:

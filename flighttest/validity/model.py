@@ -96,7 +96,7 @@ class SubsetTest:
     shifts: Mapping[str, tuple[float, float]]
     sentence: str
     detectable: Mapping[str, float] = field(default_factory=dict)
-    alike: int = 0
+    matched: int = 0
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class BatteryCheck:
 
 @dataclass(frozen=True)
 class Assessment:
-    """The whole answer. matters: what the change means for a plan made with the model; fly: script names, in order."""
+    """The whole answer. impact: what the change means for a plan made with the model; fly: script names, in order."""
 
     verdict: Verdict
     sentence: str
@@ -156,7 +156,7 @@ class Assessment:
     tests: tuple[SubsetTest, ...] = ()
     drifts: tuple[Drift, ...] = ()
     battery: BatteryCheck | None = None
-    matters: tuple[str, ...] = ()
+    impact: tuple[str, ...] = ()
     fly: tuple[str, ...] = ()
     fly_narrow: tuple[str, ...] = ()
     could_also_be: tuple[str, ...] = ()

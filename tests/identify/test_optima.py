@@ -11,7 +11,7 @@ from flighttest.estimation.problem import PartEvaluation, Problem
 from flighttest.estimation.solver import FitStatus, solve
 from flighttest.estimation.uncertainty.covariance import covariance_of, std_of
 from flighttest.identify.diagnostics import local_optima as optima
-from flighttest.identify.diagnostics.closed_loop import answered, steered
+from flighttest.identify.diagnostics.closed_loop import closed_loop_bias, steered
 from flighttest.identify.fit import fit
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
@@ -86,7 +86,7 @@ def climbed(gust: float, seed: int = 1) -> list[Segment]:
 
 def test_a_height_loop_that_answers_gusts_is_seen_in_the_errors():
     gusty, calm = (fit(climbed(gust), Model(attitude_loops=False)) for gust in (0.5, 0.0))
-    moved, still = answered(gusty.problem, gusty.solution), answered(calm.problem, calm.solution)
+    moved, still = closed_loop_bias(gusty.problem, gusty.solution), closed_loop_bias(calm.problem, calm.solution)
     for name in ("K", "d_z"):
         assert moved[name] > 20.0 * still[name]
         known = std_of(covariance_of(gusty.problem, gusty.solution), name)

@@ -76,7 +76,7 @@ def test_repeats_that_are_the_same_flight_are_flown_once(monkeypatch, terms):
         return simulate_many(model, values, runs, step_s)
 
     monkeypatch.setattr(expected, "simulate_many", counted)
-    told = expected.told_by_plans(compiled, model, model.start(prior.values))
+    told = expected.planned_information(compiled, model, model.start(prior.values))
     poses = {(*sorted(leg.cell.items()), leg.kind, leg.heading_rad, leg.start_m[2]) for leg in compiled[0].legs}
     assert flown == [len(poses) if terms else 12], "only what knows heading and height tells them apart"
     assert len(poses) > 24

@@ -6,7 +6,7 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.pipeline.diagnosis import diagnose as diagnosis
 from flighttest.pipeline.identification import fitting as analysis
-from flighttest.pipeline.recordings.consistency import conflicts, doubts, once, repeated, unfiltered
+from flighttest.pipeline.recordings.consistency import conflicts, deduplicate, inconsistencies, repeated, unfiltered
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.recording import Provenance, Recording, Series
 
@@ -44,7 +44,7 @@ def test_fit_and_diagnosis_count_a_recording_once(monkeypatch, flight_csv):
                 work(runs)
     assert given[0] > 0
     assert len(set(given)) == 1
-    assert [r.name for r in once([Recording(n, {}, (), Provenance("", "table", sha256=n)) for n in "aba"])] == [
+    assert [r.name for r in deduplicate([Recording(n, {}, (), Provenance("", "table", sha256=n)) for n in "aba"])] == [
         "a",
         "b",
     ]
@@ -61,6 +61,6 @@ def test_a_filter_that_nobody_stated_is_a_doubt():
 
 def test_every_doubt_is_told_and_the_gravest_first():
     a, b = (Recording(n, {}, (), Provenance("", "table", sha256=n, components={"battery": {"id": n}})) for n in "ab")
-    said = doubts([a, b, a.__class__("a-2", {}, (), a.provenance)])
+    said = inconsistencies([a, b, a.__class__("a-2", {}, (), a.provenance)])
     assert ["not of one vehicle" in said[0], "are one recording" in said[1], len(said)] == [True, True, 2]
-    assert doubts([a]) == ()
+    assert inconsistencies([a]) == ()

@@ -15,7 +15,7 @@ from flighttest.proof import proving, trial
 from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.outcome import Outcome, closed_loop_pole_s
-from flighttest.proof.prove import Asked, run_trials
+from flighttest.proof.prove import ProofRequest, run_trials
 from flighttest.proof.scoreboard import interval, markdown, score
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.rotor_effects import EFFECTS
@@ -155,7 +155,7 @@ def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
 
     monkeypatch.setattr("flighttest.proof.prove.run", flown)
     with pytest.raises(MemoryError):
-        proving.prove(Asked(4, 7), output=tmp_path)
+        proving.prove(ProofRequest(4, 7), output=tmp_path)
     truths = (tmp_path / "truths.jsonl").read_text().splitlines()
     assert [hashlib.sha256(t.encode()).hexdigest() for t in truths] == [c.sha256() for c in cases_of(7, 4)]
     kept = json.loads((tmp_path / "proof.json").read_text())
@@ -177,7 +177,7 @@ def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
 
     monkeypatch.setattr("flighttest.proof.prove.run", trial)
     monkeypatch.setattr(proving, "commit_of", lambda _folder: "commit abc")
-    proving.prove(Asked(4, 7), output=tmp_path)
+    proving.prove(ProofRequest(4, 7), output=tmp_path)
     kept = (tmp_path / "proof.json").read_text()
     monkeypatch.setattr(proving, "commit_of", lambda _folder: "commit def")
     for other, what in (
@@ -186,9 +186,9 @@ def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
         ({"seed": 7, "kind": "clean"}, "not be drawn"),
     ):
         with pytest.raises(InputError, match=what):
-            proving.prove(Asked(4, **other), output=tmp_path)
+            proving.prove(ProofRequest(4, **other), output=tmp_path)
     assert (tmp_path / "proof.json").read_text() == kept
-    result = proving.prove(Asked(4, 7), output=tmp_path)
+    result = proving.prove(ProofRequest(4, 7), output=tmp_path)
     assert flown == [0, 1, 2, 2, 3]
     assert [o.index for o in result.value] == [0, 1, 2, 3]
     assert result.value[0] == replace(trial(cases_of(7, 1)[0]), code="commit abc"), (
@@ -200,13 +200,13 @@ def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
 def test_a_folder_with_something_else_is_not_written_over(tmp_path):
     (tmp_path / "proof.json").write_text('{"seed": 7}')
     with pytest.raises(InputError, match="could be continued"):
-        proving.prove(Asked(1, 7), output=tmp_path)
+        proving.prove(ProofRequest(1, 7), output=tmp_path)
     assert (tmp_path / "proof.json").read_text() == '{"seed": 7}'
 
 
 def test_no_trials_prove_nothing():
     with pytest.raises(InputError, match="prove nothing"):
-        run_trials(Asked(0))
+        run_trials(ProofRequest(0))
 
 
 def test_magnitudes_are_judged_by_what_the_base_leaves_and_by_the_parameters_both_have():

@@ -75,9 +75,11 @@ def test_what_the_model_gets_wrong_cancels(stored, made):
         assert abs(change - (factor - 1.0)) < 4.0 * std
         assert std < 0.01, "the steps' own misfit of 5 % is no doubt"
         base = watched(stored[1], "model")
-        (test,) = [t for t in compare.subset_tests(base, base, alike=found) if t.subset == "thrust" and "K" in t.shifts]
+        (test,) = [
+            t for t in compare.subset_tests(base, base, matched=found) if t.subset == "thrust" and "K" in t.shifts
+        ]
         assert test.alarm is (factor < 1.0)
-        assert test.alike == len(MISSED)
+        assert test.matched == len(MISSED)
 
 
 def test_a_few_of_the_steps_are_compared_with_those_alone(stored, made):

@@ -9,7 +9,7 @@ from rich.console import Console
 from flighttest.report.render.terminal import render
 from flighttest.report.sections.validity import Reflight, status_document
 from flighttest.validity.assess import Evidence, assess
-from flighttest.validity.compare import Alike, Estimates
+from flighttest.validity.compare import Estimates, MatchedPairs
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "d_x", "d_y", "d_z")
 VALUES = np.array([25.4, 23.4, 0.44, 0.39, 21.5, 20.4, 54.5, 0.39, 0.39, 0.51])
@@ -25,7 +25,7 @@ def found(resistance=(0.02, 0.0004), **factors):
     after = Estimates("new", NAMES, moved, np.diag((0.003 * VALUES) ** 2))
     return assess(
         model_fingerprint={}, vehicle_fingerprint=None, stored=exact,
-        new=Evidence(runs=[after], alike=Alike(exact, after, 12), battery=resistance, battery_reference=resistance),
+        new=Evidence(runs=[after], matched=MatchedPairs(exact, after, 12), battery=resistance, battery_reference=resistance),
     )  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def test_nothing_to_fly_where_nothing_changed():
     ],
 )
 def test_why_it_matters_is_said_in_numbers(factors, words):
-    assert any(words in sentence for sentence in found(**factors).matters), found(**factors).matters
+    assert any(words in sentence for sentence in found(**factors).impact), found(**factors).impact
 
 
 def test_a_long_list_of_parameters_stays_short():

@@ -10,7 +10,7 @@ from flighttest.segments import Segment
 from flighttest.validity import battery, compare, cusum
 from flighttest.validity.assess import Evidence, assess
 from flighttest.validity.between_campaigns import measured, prior
-from flighttest.validity.compare import FALSE_ALARM, Alike, Estimates, subset_tests
+from flighttest.validity.compare import FALSE_ALARM, Estimates, MatchedPairs, subset_tests
 from flighttest.validity.hover import hover, hover_test
 from flighttest.validity.model import Verdict
 
@@ -315,8 +315,8 @@ def test_what_like_steps_do_not_tell_the_estimates_are_asked_for():
     values, covariance = np.array([0.4, 0.55]), np.diag([1e-4, 1e-4])
     stored = Estimates("stored", names, values, covariance)
     new = Estimates("new", names, values * [1.22, 1.0], covariance)
-    steps = Alike(stored.select(("d_z",)), stored.select(("d_z",)), 12)
-    tests = subset_tests(stored, new, spread={"d_x": 0.03, "d_z": 0.03}, alike=steps)
+    steps = MatchedPairs(stored.select(("d_z",)), stored.select(("d_z",)), 12)
+    tests = subset_tests(stored, new, spread={"d_x": 0.03, "d_z": 0.03}, matched=steps)
     assert [tuple(t.shifts) for t in tests] == [("d_z",), ("d_x",)]
     assert [t.alarm for t in tests] == [False, True]
     assert sum(t.level for t in tests) == pytest.approx(FALSE_ALARM), "one level for the family of both"

@@ -32,7 +32,7 @@ def steered(segment: Segment) -> bool:
     return segment.kind == "free" or bool(segment.context.get("by_hand", False))
 
 
-def answered(problem: Problem, solution: Solution) -> dict[str, float]:
+def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:
     """By name of a free parameter: how far the controls' answers to disturbances may have moved it; empty without free flight."""
     free = solution.free
     total = solution.normal.hessian.sum(axis=0)

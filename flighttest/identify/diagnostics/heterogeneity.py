@@ -39,7 +39,7 @@ CHANCE = 1e-4  # that a difference between two groups of like steps is taken for
 
 
 @dataclass(frozen=True)
-class Spread:
+class Heterogeneity:
     """A parameter's values that lie furthest apart, and what they were found in ("steps of 0.2 rad", "all together")."""
 
     low: float
@@ -58,7 +58,7 @@ class Spread:
         return f"no single value fits: {self.low:.3g}{name} in {self.low_in}, {self.high:.3g} in {self.high_in}"
 
 
-def spreads(problem: Problem, solution: Solution, covariance: Covariance) -> Mapping[str, Spread]:
+def heterogeneity(problem: Problem, solution: Solution, covariance: Covariance) -> Mapping[str, Heterogeneity]:
     """Parameters that differ between sizes of steps by more than like steps scatter, by name; one Gauss-Newton step per group."""
     told = np.abs(solution.normal.hessian).sum(axis=(1, 2)) > 0
     groups: dict[str, list[int]] = {}
@@ -68,7 +68,7 @@ def spreads(problem: Problem, solution: Solution, covariance: Covariance) -> Map
         if label is not None:
             groups.setdefault(label, []).append(int(i))
     groups = {label: members for label, members in groups.items() if len(members) > 1}
-    found: dict[str, Spread] = {}
+    found: dict[str, Heterogeneity] = {}
     for names in SETS:
         wanted = [n for n in names if n in covariance.names]
         found.update(_of_set(wanted, groups, solution, covariance) if wanted else {})
@@ -102,7 +102,7 @@ def _lively(segments: Sequence[Segment]) -> dict[str, str]:
 
 def _of_set(
     names: Sequence[str], groups: Mapping[str, Sequence[int]], solution: Solution, covariance: Covariance
-) -> dict[str, Spread]:
+) -> dict[str, Heterogeneity]:
     pick = np.array([solution.normal.names.index(n) for n in names])
     hessian, score = solution.normal.hessian[:, pick[:, None], pick], solution.normal.score[:, pick]
     total = np.diag(hessian.sum(axis=0))
@@ -138,5 +138,5 @@ def _of_set(
         values.append((solution.values[name], sure, "all of them together"))
         low, high = min(values), max(values)
         if high[0] - low[0] > float(np.hypot(low[1], high[1])):
-            found[name] = Spread(low[0], high[0], low[2], high[2])
+            found[name] = Heterogeneity(low[0], high[0], low[2], high[2])
     return found

@@ -10,8 +10,8 @@ import numpy as np
 
 from flighttest.estimation.responses import never_changing, zero_order_hold
 from flighttest.estimation.uncertainty.covariance import Covariance
-from flighttest.identify.diagnostics.heterogeneity import Spread
-from flighttest.identify.diagnostics.local_optima import Rival
+from flighttest.identify.diagnostics.heterogeneity import Heterogeneity
+from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.physics.core import Param
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -53,24 +53,24 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Doubts:
-    """What speaks against a parameter beside its standard error.
+class ParameterDiagnostics:
+    """Evidence against a parameter beside its standard error.
 
-    spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it cannot be told from; partner: the
-    same with one that differs too much between sizes of steps; responses: how many tell anything of it; explained: the lowest R2 of
+    spread: how it differs between sizes of steps, where it does; bound: a parameter at its bound that it is collinear with; partner: the
+    same with one that differs too much between sizes of steps; responses: how many hold information on it; explained: the lowest R2 of
     the channels it is read from; missed: of a lag or delay, the largest share of their variance that is neither explained nor noise;
-    rival: what it is at another optimum that this data cannot tell from the one taken; answered: how much of its standard error is for
-    controls that answered disturbances.
+    other_optimum: its value at another optimum with no significantly larger objective; closed_loop_bias: the part of its standard error
+    that is for controls that reacted to disturbances.
     """
 
-    spread: Spread | None = None
+    spread: Heterogeneity | None = None
     bound: str | None = None
     partner: str | None = None
     responses: int = FEWEST_RESPONSES
     explained: float = 1.0
     missed: float = 0.0
-    rival: Rival | None = None
-    answered: float = 0.0
+    other_optimum: LocalOptimum | None = None
+    closed_loop_bias: float = 0.0
 
 
 def maneuver_for(param: Param, reveals: str) -> str:
@@ -90,10 +90,14 @@ class Estimated:
 
 
 def judge(
-    param: Param, found: Estimated, voltage_spread_v: float | None, reveals: str, doubts: Doubts | None = None
+    param: Param,
+    found: Estimated,
+    voltage_spread_v: float | None,
+    reveals: str,
+    diagnostics: ParameterDiagnostics | None = None,
 ) -> Known:
     """Verdict on one parameter. reveals: the maneuver that excites it, where its term names one."""
-    doubts = doubts or Doubts()
+    diagnostics = diagnostics or ParameterDiagnostics()
     value, std, partner = found.value, found.std, found.partner
     fly = maneuver_for(param, reveals)
     if found.insensitive:
@@ -102,29 +106,29 @@ def judge(
         return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
     if std is None:
         return Known(False, "no error could be estimated for it", fly)
-    if doubts.explained < EXPLAINS_NOTHING:
+    if diagnostics.explained < EXPLAINS_NOTHING:
         return Known(False, "the model describes these responses no better than their mean does", fly)
-    if doubts.missed > MISSED_SHARE:
-        missed = f"{100 * doubts.missed:.0f} % of how the vehicle moved is neither explained nor noise"
+    if diagnostics.missed > MISSED_SHARE:
+        missed = f"{100 * diagnostics.missed:.0f} % of how the vehicle moved is neither explained nor noise"
         return Known(False, f"{missed}; `flighttest diagnose` looks for what is behind it", fly)
-    if doubts.responses < FEWEST_RESPONSES:
-        few = "one response tells" if doubts.responses == 1 else f"{doubts.responses} responses tell"
+    if diagnostics.responses < FEWEST_RESPONSES:
+        few = "one response tells" if diagnostics.responses == 1 else f"{diagnostics.responses} responses tell"
         return Known(False, f"only {few} of it: without repeats its error is not known", fly)
-    if doubts.bound is not None:
-        return Known(False, f"{doubts.bound} sits at its bound, and the two cannot be told apart here", fly)
-    if doubts.rival is not None:
-        return Known(False, doubts.rival.sentence(param.unit), fly)
-    if doubts.spread is not None and doubts.spread.width > allowance(param, value):
-        sentence = doubts.spread.sentence(param.unit)
+    if diagnostics.bound is not None:
+        return Known(False, f"{diagnostics.bound} sits at its bound, and the two cannot be told apart here", fly)
+    if diagnostics.other_optimum is not None:
+        return Known(False, diagnostics.other_optimum.sentence(param.unit), fly)
+    if diagnostics.spread is not None and diagnostics.spread.width > allowance(param, value):
+        sentence = diagnostics.spread.sentence(param.unit)
         return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)
-    if doubts.partner is not None:
+    if diagnostics.partner is not None:
         return Known(
-            False, f"{doubts.partner} differs between sizes of steps, and the two cannot be told apart here", fly
+            False, f"{diagnostics.partner} differs between sizes of steps, and the two cannot be told apart here", fly
         )
     share = std / abs(value) if value else float("inf")
     # More than half of the variance.
     steered = "; mostly because what flew the vehicle answered disturbances, as a pilot or a position loop does"
-    steered = steered if doubts.answered > np.sqrt(0.5) * std else ""
+    steered = steered if diagnostics.closed_loop_bias > np.sqrt(0.5) * std else ""
     if param.name == "alpha":
         range_v = (
             "" if voltage_spread_v is None else f"; at equal throttle the voltage spread over {voltage_spread_v:.1f} V"

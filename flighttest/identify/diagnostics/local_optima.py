@@ -38,7 +38,7 @@ _MAIN = {"roll": "roll_rad", "pitch": "pitch_rad", "yaw": "r_rad_s"}
 
 
 @dataclass(frozen=True)
-class Rival:
+class LocalOptimum:
     """Another optimum's value of a parameter, and by how many standard errors the one taken serves better."""
 
     value: float
@@ -54,7 +54,7 @@ class Rival:
         return f"another optimum, at {self.value:.3g}{name}, serves as well"
 
 
-def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, Rival]]:
+def local_optima(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, LocalOptimum]]:
     """The best of several optima, and by name the parameters of others that this data cannot tell from it."""
     groups = [g for g in _groups(problem, solution) if not all(followed(problem, solution, i) for i in g)]
     if not groups or not solution.status.good:
@@ -64,7 +64,7 @@ def rivals(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution
     free = tuple(n for n in solution.free if any(n in part.block.params for part in doubted.parts))
     stride = -(-max(len(part.responses) for part in doubted.parts) // SCOUTED)
     few = doubted.thinned(stride) if stride > 1 else doubted
-    found: dict[str, Rival] = {}
+    found: dict[str, LocalOptimum] = {}
     best = solution
     for factor in (SLOWER, QUICKER):
         start = _moved(problem, best, free, factor)
@@ -87,9 +87,9 @@ def _between(
     groups: Sequence[Sequence[int]],
     best: Solution,
     other: Solution,
-    found: dict[str, Rival],
+    found: dict[str, LocalOptimum],
     robust: bool,
-) -> tuple[Solution, dict[str, Rival]]:
+) -> tuple[Solution, dict[str, LocalOptimum]]:
     """After another optimum: the best so far, and what cannot be told from it."""
     mine, theirs = covariance_of(problem, best), covariance_of(problem, other)
     taken: dict[str, float] = {}
@@ -103,7 +103,7 @@ def _between(
             taken |= {n: other.values[n] for n in names}
             found = {n: r for n, r in found.items() if n not in names}
         elif better <= BETTER:
-            found = {**found, **{n: Rival(other.values[n], better) for n in apart if n not in found}}
+            found = {**found, **{n: LocalOptimum(other.values[n], better) for n in apart if n not in found}}
     if taken:
         again = solve(problem, Start({**best.values, **taken}, best.noise), robust=robust)
         if again.status.good:

@@ -10,9 +10,9 @@ import numpy as np
 from flighttest.estimation.problem import Problem
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.covariance import Covariance, cluster_covariance, std_of
-from flighttest.identify.diagnostics.heterogeneity import SETS, spreads
-from flighttest.identify.diagnostics.identifiability import Doubts, allowance
-from flighttest.identify.diagnostics.local_optima import Rival
+from flighttest.identify.diagnostics.heterogeneity import SETS, heterogeneity
+from flighttest.identify.diagnostics.identifiability import ParameterDiagnostics, allowance
+from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.identify.diagnostics.quality import ChannelQuality
 from flighttest.physics.model import Model
 
@@ -57,16 +57,16 @@ class Identifiable(Protocol):
         """Whether the recordings make it known."""
 
 
-def doubts_of(
+def parameter_diagnostics(
     problem: Problem,
     solution: Solution,
     covariance: Covariance,
     quality: Mapping[str, ChannelQuality],
-    rivals: Mapping[str, Rival],
-    answered: Mapping[str, float],
-) -> dict[str, Doubts]:
+    optima: Mapping[str, LocalOptimum],
+    closed_loop_bias: Mapping[str, float],
+) -> dict[str, ParameterDiagnostics]:
     """By name of a free parameter."""
-    differing = spreads(problem, solution, covariance)
+    differing = heterogeneity(problem, solution, covariance)
     wide = [n for n, s in differing.items() if s.width > allowance(problem.model.param[n], solution.values[n])]
     loops = _lags_with(wide)
     bounds = {**_leaning_on(solution.at_bound, solution), **_pushed_by_bounds(solution, covariance)}
@@ -77,34 +77,36 @@ def doubts_of(
     followed = _described(problem, solution, {c: 1.0 - q.missed for c, q in quality.items()})
     lags = _lags_with(solution.free)
     return {
-        n: Doubts(
+        n: ParameterDiagnostics(
             differing.get(n),
             bounds.get(n),
             partners.get(n) if n in loops else None,
             told.get(n, 0),
             explained.get(n, 1.0),
             1.0 - followed.get(n, 1.0) if n in lags else 0.0,
-            rivals.get(n),
-            answered.get(n, 0.0),
+            optima.get(n),
+            closed_loop_bias.get(n, 0.0),
         )
         for n in solution.free
     }
 
 
-def step_sizes(doubts: Mapping[str, Doubts]) -> FitChecks:
+def step_sizes(diagnostics: Mapping[str, ParameterDiagnostics]) -> FitChecks:
     """For model.yaml's fit_quality: parameters that differ between sizes of steps, by name, whether or not they are known."""
     found: dict[str, StepSizes] = {
         n: {"low": s.low, "low_in": s.low_in, "high": s.high, "high_in": s.high_in}
-        for n, d in doubts.items()
+        for n, d in diagnostics.items()
         if (s := d.spread) is not None
     }
     return {"step_sizes": found} if found else {}
 
 
-def differing_notes(known: Mapping[str, Identifiable], doubts: Mapping[str, Doubts], model: Model) -> list[str]:
+def differing_notes(
+    known: Mapping[str, Identifiable], diagnostics: Mapping[str, ParameterDiagnostics], model: Model
+) -> list[str]:
     """Sentences on parameters that are known, and yet differ between sizes of steps by a good part of what they may."""
     notes = []
-    for name, doubt in doubts.items():
+    for name, doubt in diagnostics.items():
         param = model.param[name]
         if doubt.spread is None or not known[name].identifiable:
             continue

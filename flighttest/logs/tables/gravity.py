@@ -17,7 +17,7 @@ _ENOUGH = 10  # samples
 _UP = 0.5  # of the length, for the vertical part to tell the frame
 
 
-def gravity_doubts(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"], mapped: bool) -> list[str]:
+def gravity_warnings(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"], mapped: bool) -> list[str]:
     """Sentences with a remedy where the specific force looks to be in g, or to have z down. found: channels as imported; body: the frame
     that the column map declares; mapped: whether there is a map."""
     up = names("specific_force")[2]

@@ -21,7 +21,7 @@ from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.tables.agreement import disagreements
 from flighttest.logs.tables.columns import STEP, ColumnMap, Source, load_columns, plain_map
 from flighttest.logs.tables.crazyflie import crazyflie_map
-from flighttest.logs.tables.gravity import gravity_doubts
+from flighttest.logs.tables.gravity import gravity_warnings
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.sheet import TIME, Sheet
@@ -90,7 +90,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     if "throttle" in found:
         _check_throttle(path, found["throttle"])
     _check_angles(path, found)
-    losses += gravity_doubts(found, plan.body, mapped=given is not None)
+    losses += gravity_warnings(found, plan.body, mapped=given is not None)
     step = sheet.column(plan.columns[STEP].columns[0]) if STEP in plan.columns else pieces
     markers = _steps(t_s, step) if step is not None else []
     if "state" in series:

@@ -16,7 +16,7 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all, model_data
 from flighttest.pipeline.identification.reporting import REPORT_NAME
-from flighttest.pipeline.recordings.consistency import once
+from flighttest.pipeline.recordings.consistency import deduplicate
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.recording import Recording
@@ -44,7 +44,7 @@ def against(
     check_writable(output)
     declared = load_vehicle(vehicle) if vehicle is not None else None
     stored = model_file.read(model) if isinstance(model, Path) else model
-    sides = [once(open_recordings(paths, reading, progress)) for paths in (runs, simulated)]
+    sides = [deduplicate(open_recordings(paths, reading, progress)) for paths in (runs, simulated)]
     twice = {_content(r): r.name for r in sides[0]}
     for recording in sides[1]:
         if _content(recording) in twice:

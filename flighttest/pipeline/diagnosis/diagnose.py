@@ -30,7 +30,7 @@ from flighttest.pipeline.identification.reporting import DIAGNOSIS_NAME, REPORT_
 from flighttest.pipeline.identification.winds import declared_weather
 from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
-from flighttest.pipeline.recordings.consistency import doubts, once
+from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
@@ -104,8 +104,8 @@ def diagnose(
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     stored = model_file.read(model) if isinstance(model, Path) else model
     recordings = open_recordings(runs, reading, progress)
-    doubtful = doubts(recordings)
-    recordings = once(recordings)
+    doubtful = inconsistencies(recordings)
+    recordings = deduplicate(recordings)
     segments = cut_all(recordings, progress)
     weather = () if reading is None else reading.weather
     found = run_diagnosis(segments, recordings, stored, declared, progress, weather)

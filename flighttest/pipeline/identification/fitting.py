@@ -23,7 +23,7 @@ from flighttest.pipeline.identification.winds import declared_weather, wind_sect
 from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views
 from flighttest.pipeline.presenters.not_identifiable import why_nothing
 from flighttest.pipeline.recordings.batteries import battery_data
-from flighttest.pipeline.recordings.consistency import doubts, once
+from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies
 from flighttest.pipeline.recordings.fingerprints import of_recordings
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
@@ -248,8 +248,8 @@ def fit(
     check_writable(None if output is None else output.parent)
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     recordings = open_recordings(runs, Reading(columns, options.workers, options.scheduler), progress)
-    doubtful = doubts(recordings)
-    recordings = once(recordings)
+    doubtful = inconsistencies(recordings)
+    recordings = deduplicate(recordings)
     segments = cut_all(recordings, progress)
     weather = declared_weather(options.weather, recordings, "unknown" if declared is None else declared.weather)
     found = fit_segments(segments, recordings, declared, options, progress)

@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 
 from flighttest.errors import InputError
-from flighttest.identify.expected_information import Expected, Told, expected_of_told, told_by_plans
+from flighttest.identify.expected_information import (
+    Expected,
+    PlannedInformation,
+    expected_of_information,
+    planned_information,
+)
 from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
@@ -89,14 +94,14 @@ def check(
             "name the vehicle with --vehicle, or another model",
         )
 
-    def rehearsed(some: Sequence[Script]) -> list[tuple[Plan, Told]]:
+    def rehearsed(some: Sequence[Script]) -> list[tuple[Plan, PlannedInformation]]:
         made = compile_plans(some, declared, prior)
-        return list(zip(made, told_by_plans(made, prior.model, prior.values), strict=True))
+        return list(zip(made, planned_information(made, prior.model, prior.values), strict=True))
 
     loaded = [load_script(resolve(name)) for name in scripts]
     compiled, told = zip(*in_parallel(rehearsed, loaded, [_steps_asked(script) for script in loaded]), strict=True)
-    forecast = [expected_of_told([one], prior.model, prior.values) for one in told]
-    altogether = expected_of_told(told, prior.model, prior.values)
+    forecast = [expected_of_information([one], prior.model, prior.values) for one in told]
+    altogether = expected_of_information(told, prior.model, prior.values)
     results = tuple(
         replace(check_plan(plan), expected_std={e.name: e.std for e in expected if e.std is not None and _useful(e)})
         for plan, expected in zip(compiled, forecast, strict=True)

@@ -9,7 +9,7 @@ from flighttest.recording import Recording
 from flighttest.report.numbers import join
 
 
-def doubts(recordings: Sequence[Recording]) -> tuple[str, ...]:
+def inconsistencies(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """A sentence for each doubt, the gravest first."""
     return tuple(doubt for doubt in (conflicts(recordings), repeated(recordings), unfiltered(recordings)) if doubt)
 
@@ -25,7 +25,7 @@ def conflicts(recordings: Sequence[Recording]) -> str:
 
 def repeated(recordings: Sequence[Recording]) -> str:
     """Which recording was given twice, in one sentence; empty where none was."""
-    kept = {_content(r): r.name for r in once(recordings)}
+    kept = {_content(r): r.name for r in deduplicate(recordings)}
     again = next((r for r in recordings if kept[_content(r)] != r.name), None)
     return "" if again is None else f"{kept[_content(again)]} and {again.name} are one recording: it is counted once"
 
@@ -41,7 +41,7 @@ def unfiltered(recordings: Sequence[Recording]) -> str:
     )
 
 
-def once(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+def deduplicate(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     """Each recording the first time it was given: a second time it would narrow every interval and repeat its own noise."""
     first: dict[str, Recording] = {}
     for recording in recordings:

@@ -16,7 +16,7 @@ from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.pipeline.store.identities import known_in, of_manifest, recognised, run_folders
 from flighttest.recording.store import read_manifest
-from flighttest.validity.compare import MANY, TOLD, Estimates
+from flighttest.validity.compare import KNOWN_STD, MANY, Estimates
 from flighttest.validity.declared import declared_changes
 from flighttest.validity.model import SUBSETS
 
@@ -91,7 +91,7 @@ def _at_bound(delay: StoredParameter | None) -> bool:
 def _tells(p: StoredParameter) -> bool:
     """Whether a parameter can be compared: also one that too few responses tell to say how well it is known, as in a spot check, if it
     came out sharply: what campaigns differ by is allowed for anyway."""
-    return p.identifiable or (p.std is not None and p.std < TOLD * abs(p.value))
+    return p.identifiable or (p.std is not None and p.std < KNOWN_STD * abs(p.value))
 
 
 def dof_of(factor: float) -> float:

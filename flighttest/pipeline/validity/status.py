@@ -36,7 +36,7 @@ from flighttest.pipeline.validity.evidence import (
     untested,
 )
 from flighttest.pipeline.validity.reflights import reflights
-from flighttest.pipeline.vehicles.live import Present
+from flighttest.pipeline.vehicles.live import LiveVehicle
 from flighttest.recording import Recording
 from flighttest.report.numbers import join, paths
 from flighttest.report.render import html
@@ -45,7 +45,7 @@ from flighttest.report.sections.validity import status_document
 from flighttest.segments import Segment
 from flighttest.validity import matched_pair
 from flighttest.validity.assess import Evidence, assess
-from flighttest.validity.compare import Alike, Estimates
+from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.hover import Hover, hover
 from flighttest.validity.matched_pair import DELAY_S
 from flighttest.validity.model import Assessment, Verdict
@@ -65,7 +65,7 @@ def status(
     out: Path,
     output: Path | None = None,
     progress: Progress = SILENT,
-    present: Present | None = None,
+    present: LiveVehicle | None = None,
 ) -> Result:
     """Current, stale or unknown; what changed; what to fly. RUNS together are one campaign; present: the vehicle as it is now."""
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
@@ -101,7 +101,7 @@ class Today:
     vehicle: Vehicle | None = None
     name: str = ""
     out: Path | None = None
-    present: Present | None = None
+    present: LiveVehicle | None = None
 
 
 def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed: Diagnosis | None = None) -> Assessment:
@@ -129,7 +129,7 @@ def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed:
         try:
             again, stds = reestimate(stored, usable, recordings[-1].name, progress)
             series = [*earlier, again]
-            paired = like_with_like(stored, base, usable)
+            paired = matched_pairs(stored, base, usable)
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
     battery = battery_of(recordings) if recordings else None
@@ -140,7 +140,7 @@ def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed:
         stored=base,
         new=Evidence(
             runs=series,
-            alike=paired,
+            matched=paired,
             spread=spread,
             battery=battery,
             battery_reference=battery_reference(stored),
@@ -225,8 +225,8 @@ def reestimate_segments(
     return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v)), stds
 
 
-def like_with_like(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> Alike | None:
-    """The new steps against those that a model's own flights had too; None where it kept none, or too few are alike."""
+def matched_pairs(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> MatchedPairs | None:
+    """The new steps against those that a model's own flights had too; None where it kept none, or too few match."""
     kept = matched_pair.from_data(stored.fit_quality.get("steps"))
     if not kept:
         return None
@@ -307,7 +307,7 @@ def finish(
     vehicle: Vehicle | None,
     runs: Sequence[str],
     output: Path | None,
-    present: Present | None = None,
+    present: LiveVehicle | None = None,
 ) -> Result:
     """Document, data, and with `output` the page and the scripts to fly."""
     rows, minutes, repeats = reflights(found, stored, vehicle, output)
@@ -327,6 +327,8 @@ def finish(
         document = replace(document, footer=f"page: {output / 'status.html'}")
     data = plain(found)
     data["verdict"] = found.verdict.name
+    data["matters"] = data["impact"]  # keys by the names before, which programs may read yet
+    data["tests"] = [{**test, "alike": test["matched"]} for test in data["tests"]]
     data["repeats"] = {name: need.repeats for name, need in repeats.items()}
     data["minutes"] = minutes
     shown = rows if found.fly or found.verdict is Verdict.UNKNOWN else ()

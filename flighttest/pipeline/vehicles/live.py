@@ -23,7 +23,7 @@ _NAMES = {book.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduCopter", book.MAV_AUTOPILOT_PX4
 
 
 @dataclass(frozen=True)
-class Present:
+class LiveVehicle:
     """What a vehicle says of itself. parameters: all of them, as they will be in force in a flight of ours."""
 
     url: str
@@ -36,7 +36,7 @@ class Present:
         return f"{self.url}: {self.firmware or 'firmware not stated'}, {len(self.parameters)} parameters read"
 
 
-def read(url: str, progress: Progress = SILENT) -> Present:
+def read(url: str, progress: Progress = SILENT) -> LiveVehicle:
     """Connect, read, let go. `sim` is the built-in vehicle. LinkError when nothing answers."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")
@@ -51,7 +51,7 @@ def read(url: str, progress: Progress = SILENT) -> Present:
     if beat.autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA and "GUID_OPTIONS" in found:
         # Every flight sets this bit before it arms, and restores it: a model knows the vehicle with it.
         found["GUID_OPTIONS"] = float(int(found["GUID_OPTIONS"]) | THRUST_AS_THRUST)
-    return Present(url, f"{family} {version}".strip() if version else "", found)
+    return LiveVehicle(url, f"{family} {version}".strip() if version else "", found)
 
 
 @contextmanager

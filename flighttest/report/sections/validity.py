@@ -56,8 +56,8 @@ def status_document(
         sections.append(_tests(found) if brief else _tests_in_full(found))
     if found.appeared:
         sections.append(_listed("appeared", "New", tuple(a.sentence for a in found.appeared), brief))
-    if found.matters:
-        sections.append(_listed("matters", "Why it matters", found.matters, brief))
+    if found.impact:
+        sections.append(_listed("matters", "Why it matters", found.impact, brief))
     if flights and (found.fly or found.verdict is Verdict.UNKNOWN):
         sections.append(_fly(flights, brief))
     if found.battery is not None and not (brief and found.tests and found.battery.resistance_ohm is not None):
@@ -130,11 +130,11 @@ def _tests(found: Assessment) -> Section:
 
 
 def _caption(found: Assessment, *, brief: bool = False) -> str:
-    level, alike = found.tests[0].level, max(t.alike for t in found.tests)
+    level, matched = found.tests[0].level, max(t.matched for t in found.tests)
     rate = f"{level * len(found.tests) * 100:.0f} %"
     if brief:
         return f"A change below 'shows from' may go unseen. False alarms: {rate} of campaigns."
-    how = f"like steps with like, {alike} kinds of step; " if alike else ""
+    how = f"like steps with like, {matched} kinds of step; " if matched else ""
     return (
         f"shows from: a smaller change may have happened unseen; {how}chance: of such a difference without a change, alarm below "
         f"{level:.2g}, which an unchanged vehicle raises in {rate} of campaigns."
@@ -153,7 +153,7 @@ def _tests_in_full(found: Assessment) -> Section:
                     Cell(percent(change), "bad" if t.alarm and abs(z) > 2 else "plain"),
                     f"{z:+.1f}",
                     percent(t.detectable[name]) if name in t.detectable else "-",
-                    (f"{t.alike} kinds of step" if t.alike else "estimates") if first else "",
+                    (f"{t.matched} kinds of step" if t.matched else "estimates") if first else "",
                     f"{t.p_value:.2g}" if first else "",
                     Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if first else "",
                 )
