@@ -25,8 +25,8 @@ def main(lengths: list[float]) -> None:
         middle = time.process_time()
         tested = screen(flown, found, tuple(catalogue().values()))
         end = time.process_time()
-        told = f"{found.values['K']:.2f} ± {found.std['K']:.2f}"
-        print(f"{seconds:10.0f}{middle - begun:13.2f}{end - middle:11.2f}{len(tested):7d}   {told}", flush=True)
+        reported = f"{found.values['K']:.2f} ± {found.std['K']:.2f}"
+        print(f"{seconds:10.0f}{middle - begun:13.2f}{end - middle:11.2f}{len(tested):7d}   {reported}", flush=True)
 
 
 if __name__ == "__main__":

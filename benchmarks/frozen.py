@@ -42,7 +42,7 @@ ANSWERS = Path(__file__).with_name("frozen_answers.jsonl")
 NOT_OF_THE_ANSWER = ("sim", "proof", "cli", "flight", "link", "report")  # packages a diagnosis does not depend on
 BULKY = ("overlays", "residual_map", "regimes", "candidates")
 LIMIT_S = 1800
-# Only a full diagnosis tells these; a published board tells names and sizes.
+# Only a full diagnosis has these; a published board has names and sizes.
 OF_A_DIAGNOSIS = ("verdict", "probability", "values", "located", "base_r2", "gain", "confusable", "cpu_s", "wall_s")
 
 
@@ -117,28 +117,35 @@ def answer(run: Path, path: Path) -> dict[str, Any]:
     segments, model = responses(run)
     wall, cpu = time.perf_counter(), time.process_time()
     found = diagnose(segments, model).to_json()
-    told = {
+    reported = {
         "wall_s": time.perf_counter() - wall,
         "cpu_s": time.process_time() - cpu,
         "flight": digest_of(segments),
         "diagnosis": {k: v for k, v in found.items() if k not in BULKY},
     }
-    path.write_text(json.dumps(told), encoding="utf-8")
-    return told
+    path.write_text(json.dumps(reported), encoding="utf-8")
+    return reported
 
 
 def _too_long(_signal: int, _frame: Any) -> None:
     raise TimeoutError(f"took more than {LIMIT_S} s")
 
 
-def outcome_of(case: Case, told: Mapping[str, Any], known: Outcome) -> Outcome:
+def outcome_of(case: Case, reported: Mapping[str, Any], known: Outcome) -> Outcome:
     """An answer beside what the reference knows of the truth. A diagnosis that failed named nothing."""
     measured = Measured(sizes=known.sizes, classes=known.classes)
-    if "diagnosis" not in told:
-        blank = {"findings": (), "located": (), "after": {}, "heldout": {}, "baselines": {}, "verdict": told["failed"]}
+    if "diagnosis" not in reported:
+        blank = {
+            "findings": (),
+            "located": (),
+            "after": {},
+            "heldout": {},
+            "baselines": {},
+            "verdict": reported["failed"],
+        }
         return replace(opened(case, blank, measured), code=code())
-    outcome = opened(case, told["diagnosis"], measured)
-    return replace(outcome, cpu_s=told["cpu_s"], wall_s=told["wall_s"], code=code())
+    outcome = opened(case, reported["diagnosis"], measured)
+    return replace(outcome, cpu_s=reported["cpu_s"], wall_s=reported["wall_s"], code=code())
 
 
 def as_known(outcome: Outcome, other: Outcome) -> Outcome:
@@ -217,8 +224,8 @@ def main(words: Sequence[str] | None = None) -> None:
             pool.submit(fly, case, flights / k): k for k, (case, _) in chosen.items() if not (flights / k).exists()
         }
         failed = {lacking[f]: str(f.exception()) for f in as_completed(lacking) if f.exception()}
-        told = {k: answers / f"{k}.json" for k in chosen if k not in failed and not asked.fly}
-        left = {pool.submit(answer, flights / k, path): k for k, path in told.items() if not path.exists()}
+        reported = {k: answers / f"{k}.json" for k in chosen if k not in failed and not asked.fly}
+        left = {pool.submit(answer, flights / k, path): k for k, path in reported.items() if not path.exists()}
         for n, f in enumerate(as_completed(left), 1):
             k = left[f]
             if error := f.exception():
@@ -228,7 +235,9 @@ def main(words: Sequence[str] | None = None) -> None:
         print(f"{len(chosen) - len(failed)} of {len(chosen)} flights in {flights}", *failed.items(), sep="\n")
         return
     for k, (case, before) in chosen.items():
-        read = {"failed": f"FAILED: {failed[k]}"} if k in failed else json.loads(told[k].read_text(encoding="utf-8"))
+        read = (
+            {"failed": f"FAILED: {failed[k]}"} if k in failed else json.loads(reported[k].read_text(encoding="utf-8"))
+        )
         after[k], digests[k] = outcome_of(case, read, before), read.get("flight", "")
     print("\n".join(comparison({k: before for k, (_, before) in chosen.items()}, after)))
     moved = [k for k, digest in digests.items() if digest and known[k][2] not in ("", digest)]

@@ -53,7 +53,7 @@ def flight(seconds: float, seed: int, rate_hz: float = 50.0) -> pd.DataFrame:
 
 def damaged(table: pd.DataFrame, rng: np.random.Generator, time_column: str) -> tuple[pd.DataFrame, list[str]]:
     """One to three defects."""
-    made, told = table.copy(), []
+    made, reported = table.copy(), []
     numbers = [c for c in made.columns if c != time_column and pd.api.types.is_numeric_dtype(made[c])]
     for _ in range(int(rng.integers(1, 4))):
         kind = str(
@@ -80,7 +80,7 @@ def damaged(table: pd.DataFrame, rng: np.random.Generator, time_column: str) -> 
         a = int(rng.integers(0, n - 2))
         b = min(n, a + int(rng.integers(1, max(n // 3, 2))))
         column = str(rng.choice(numbers))
-        told.append(f"{kind}({column})")
+        reported.append(f"{kind}({column})")
         match kind:
             case "gap":
                 made = made.drop(made.index[a:b]).reset_index(drop=True)
@@ -108,7 +108,7 @@ def damaged(table: pd.DataFrame, rng: np.random.Generator, time_column: str) -> 
                 made = pd.concat([made.iloc[:b], made.iloc[a:]]).reset_index(drop=True)
             case "slow":
                 made = made.iloc[:: int(rng.integers(2, 60))].reset_index(drop=True)
-    return made, told
+    return made, reported
 
 
 def run(path: Path, columns: Path | None, verbs: tuple[str, ...], folder: Path) -> str:
@@ -146,7 +146,7 @@ def main(arguments: list[str]) -> int:
     warnings.simplefilter("ignore")
     for seed in range(first, first + count):
         rng = np.random.default_rng(seed)
-        table, told = damaged(flight(30.0, seed) if given is None else given, rng, time_column)
+        table, reported = damaged(flight(30.0, seed) if given is None else given, rng, time_column)
         begun = time.process_time()
         with tempfile.TemporaryDirectory() as name:
             path = Path(name) / "flight.csv"
@@ -157,11 +157,11 @@ def main(arguments: list[str]) -> int:
                 failed += 1
                 last = traceback.format_exc().strip().splitlines()
                 print(
-                    f"seed {seed} {', '.join(told)}: {last[-1]}  {last[-3].strip() if len(last) > 2 else ''}",
+                    f"seed {seed} {', '.join(reported)}: {last[-1]}  {last[-3].strip() if len(last) > 2 else ''}",
                     flush=True,
                 )
         if time.process_time() - begun > 60.0:
-            print(f"seed {seed} {', '.join(told)}: {time.process_time() - begun:.0f} s", flush=True)
+            print(f"seed {seed} {', '.join(reported)}: {time.process_time() - begun:.0f} s", flush=True)
     print(
         f"{failed} of {count} ended in a traceback; " + ", ".join(f"{n} x {e}" for e, n in ends.most_common()),
         flush=True,

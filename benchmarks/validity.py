@@ -58,7 +58,7 @@ CHANGES: dict[str, dict[str, float]] = {
     "attitude 20 % slower": {"omega_roll": 0.8, "omega_pitch": 0.8},
     "resistance +20 %": {"resistance_ohm": 1.2},
 }
-# The subset an operator should be told; None: only the battery's monitor may speak.
+# The subset an operator should be shown; None: only the battery's monitor may speak.
 TOUCHED: dict[str, str | None] = {
     "unchanged": None,
     "thrust -5 %": "thrust",

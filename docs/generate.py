@@ -61,7 +61,7 @@ def terms() -> str:
         for t in catalogue().values()
     ]
     head = [
-        "| id | family | what | parameters | hides in | told apart by | shown by |",
+        "| id | family | what | parameters | hides in | distinguished by | shown by |",
         "|---|---|---|---|---|---|---|",
     ]
     return "\n".join([*head, *rows]) + "\n"

@@ -1,4 +1,4 @@
-"""What a recording tells, as a typed script of a user: `python examples/log_report.py LOG [LOG ...]`.
+"""What a recording shows, as a typed script of a user: `python examples/log_report.py LOG [LOG ...]`.
 
 `make check` holds it to `mypy --strict` against the installed package.
 """

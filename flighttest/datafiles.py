@@ -1,6 +1,6 @@
 """Files that a program wrote: read only up to a size, without anchors and to a depth, whoever may have planted them.
 
-For files that people write see `documents`, which knows the line of every value.
+For files that people write see `documents`, which keeps the line of every value.
 """
 
 from __future__ import annotations

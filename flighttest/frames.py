@@ -1,4 +1,4 @@
-"""Frames, quaternions and angles: the only place that knows NED from NWU.
+"""Frames, quaternions and angles: the only place that converts NED from NWU.
 
 Inside the package the world is North-West-Up (NWU) and the body Forward-Left-Up (FLU); R = R_psi R_theta R_phi maps body to
 world (paper Eq. 2). MAVLink and ArduPilot speak NED and FRD. Both conversions are the same half turn about x, hence each

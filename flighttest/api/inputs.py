@@ -1,4 +1,4 @@
-"""What verbs take: paths, recordings, models as files or values, whoever is told how far it is, and the further options of each, typed."""
+"""What verbs take: paths, recordings, models as files or values, a receiver of progress, and the further options of each, typed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Stages:
 
 
 def as_progress(tell: ProgressLike | None) -> Progress:
-    """Whoever is told: a function gets each stage's words, an object of `Progress` everything."""
+    """A receiver of progress: a function gets each stage's words, an object of `Progress` everything."""
     return tell if isinstance(tell, Progress) else Stages(tell)
 
 

@@ -92,13 +92,13 @@ def report(
     from flighttest.report.render.figure_files import write_figures
 
     check_writable(as_path(figures))
-    told = as_progress(progress)
-    result = write(Path(folder), as_path(output), told)
+    words = as_progress(progress)
+    result = write(Path(folder), as_path(output), words)
     files: tuple[Path, ...] = ()
     if figures is not None:
         written = write_figures(result.value, Path(figures))
         files = written.files
-        told.stage(written.sentence(Path(figures)))
+        words.stage(written.sentence(Path(figures)))
     return _written(result, result.data["report"], *files)
 
 

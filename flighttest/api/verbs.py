@@ -183,13 +183,13 @@ def check_validity(
     from flighttest.pipeline.validity.status import status
     from flighttest.pipeline.vehicles.live import read as read_vehicle
 
-    told = as_progress(progress)
-    present = None if connect is None else read_vehicle(connect, told)
+    words = as_progress(progress)
+    present = None if connect is None else read_vehicle(connect, words)
     given: Sequence[Path | Recording] = as_sources(sources) if sources else []
     if columns is not None:
-        given = open_recordings(given, Reading(Path(columns)), told)
+        given = open_recordings(given, Reading(Path(columns)), words)
     stored = None if model is None else as_model(model)
-    result = status(given, as_path(vehicle), stored, Path(runs), as_path(output), told, present)
+    result = status(given, as_path(vehicle), stored, Path(runs), as_path(output), words, present)
     return Validity(document=result.document, data=result.data, status=result.status, assessment=result.value)
 
 

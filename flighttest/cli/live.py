@@ -91,14 +91,14 @@ class LiveProgress:
                 self._show.say(f"{now_s - self._started_s:6.1f} s  {self._stage}: {words}", style="quiet")
 
     def share(self) -> float | None:
-        """How much of the stage is done, None where nothing tells."""
+        """How much of the stage is done, None where it is not known."""
         if self._part is not None and self._part[1] > 0:
             return min(self._part[0] / self._part[1], 1.0)
         expected_s = self._durations.expected_s(self._stage)
         return min((self._clock() - self._stage_s) / expected_s, MOST_SHARE) if expected_s else None
 
     def words(self) -> str:
-        """'40 %, about 12 s left', or how long it has taken where nothing tells its share; nothing of a short stage."""
+        """'40 %, about 12 s left', or how long it has taken where its share is not known; nothing of a short stage."""
         took_s = self._clock() - self._stage_s
         if took_s < SHOWN_FROM_S:
             return ""
@@ -138,7 +138,7 @@ class LiveProgress:
         if self._show.live and progress.legs:
             if not self._flying:
                 self._stop()
-                self._stage = ""  # how long a flight takes is told by its picture
+                self._stage = ""  # how long a flight takes is shown by its picture
                 self._live = Live(console=self._show.side, refresh_per_second=8, transient=True)
                 self._live.start()
                 self._flying = True

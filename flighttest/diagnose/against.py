@@ -127,7 +127,7 @@ def compare(
     fits, models = [], []
     for (segments, found), (_, other) in zip(sides, sides[::-1], strict=True):
         missing = [terms[t] for t in other.accepted if t not in found.accepted and terms[t].amplitudes]
-        # The shape of an effect that is not there cannot be told: it is held as the other side has it.
+        # The shape of an effect that is not there cannot be determined: it is held as the other side has it.
         shapes = {p.name: other.values[p.name] for t in missing for p in t.shapes}
         models.append(found.model.with_terms(*(t.id for t in missing), *shared_limits(segments, found, other)))
         fits.append(_fitted(segments, models[-1], {**other.values, **found.values}, shapes))

@@ -60,7 +60,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         for a in search.aliases(term_id)
     )
     confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
-    numbers = ", ".join(_told(n, v) for n, v in parameters.items())
+    numbers = ", ".join(_in_words(n, v) for n, v in parameters.items())
     sentence = (
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
         f"probability {_percent(evidence.probability)}"
@@ -109,7 +109,7 @@ def _percent(probability: float) -> str:
     return "above 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
 
 
-def _told(name: str, v: ParameterRow) -> str:
+def _in_words(name: str, v: ParameterRow) -> str:
     """A parameter in words."""
     unit = "" if v["unit"] == "1" else f" {v['unit']}"
     if v.get("at_bound"):

@@ -43,7 +43,7 @@ MOST_REPEATS = 4
 MOST_TRIED = 3  # maneuvers rehearsed per question: those that the terms name, then the general ones
 SURE = 1000.0  # odds above it are said as such: what a rehearsal does not know weighs more
 STOP_S = 0.4
-UNRECORDED = 1e9  # standard deviation of a channel, SI, that tells nothing
+UNRECORDED = 1e9  # standard deviation of a channel, SI, without information
 CORRELATED = 10.0  # real residuals are correlated over several samples; rehearsed ones are not
 TRIED = ("headings", "speed_dash", "two_heights", "tilt_throttle", "lateral_stop", "thrust_hover", "roll_pitch")
 
@@ -54,7 +54,7 @@ Flyable = Callable[[ScriptData, Model, Mapping[str, float]], tuple[ScriptData, f
 
 @dataclass(frozen=True)
 class Question:
-    """What the next flight is for: a term, and the rival it must be told from (None: to see the term at all)."""
+    """What the next flight is for: a term, and the rival it must be distinguished from (None: to see the term at all)."""
 
     term: Term
     rival: Term | None

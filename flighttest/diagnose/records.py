@@ -57,7 +57,7 @@ class EvidenceRow(TypedDict):
 
 
 FloorRow = TypedDict("FloorRow", {"value": float, "from": str})
-FloorRow.__doc__ = "The noise floor of a channel, and what it was told from."
+FloorRow.__doc__ = "The noise floor of a channel, and what it was estimated from."
 
 
 class MapCell(TypedDict):

@@ -43,7 +43,7 @@ COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as mot
 SHAPE_ALONE = "times its usual self"
 UNMOVED = "these flights do not move what it acts on"
 UNTRIED = "not looked for to the end: the search was interrupted"
-# A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is told.
+# A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is reported.
 MOVED, MOVED_ERRORS = 0.05, 4.0
 
 
@@ -166,8 +166,8 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         if missing and term.id not in {u.term for u in unseen}:
             unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False))
     tried = {t.id for a in answers if a.complete and a.search for t in a.search.pool}
-    told = tried | {u.term for u in unseen} | {f.term for f in findings}
-    unseen += [Untestable(t.id, UNMOVED if complete else UNTRIED, t.reveals) for t in pool if t.id not in told]
+    determined = tried | {u.term for u in unseen} | {f.term for f in findings}
+    unseen += [Untestable(t.id, UNMOVED if complete else UNTRIED, t.reveals) for t in pool if t.id not in determined]
     hidden = {u.term: u.why for u in unseen}
     units = {p.name: p.unit for t in pool for p in t.params}
     named = {f.term for f in findings} | set(hidden)
@@ -267,7 +267,7 @@ def _next(
     terms: Mapping[str, Term],
     flyable: Flyable,
 ) -> tuple[NextReason, ScriptData] | None:
-    """The flight that tells rivals apart; where there are none, one that shows what could not be seen."""
+    """The flight that separates rivals; where there are none, one that shows what could not be seen."""
     for search in searches:
         assert search.now is not None
         values = {
@@ -367,5 +367,5 @@ def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located
         return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained.{more}"
     if verdict is Verdict.NOTHING_MISSING:
         return "Nothing is missing above the noise floor; see the smallest effects that would have been noticed."
-    told = f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
-    return told + more
+    determined = f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
+    return determined + more

@@ -275,14 +275,14 @@ class _Flight:
     def _inherit(self, restoring: bool) -> None:
         """What an earlier flight set and nobody has put back since."""
         known = self._parameters
-        left, told = still_left(self.options.left_behind, known, self.vehicle.hardware)
+        left, words = still_left(self.options.left_behind, known, self.vehicle.hardware)
         self._unrestored = {} if restoring else values_of(left)
         self._changes = ParameterChanges(self.session, known, left if restoring else {}, self.vehicle.hardware)
         after = "it is restored after this flight" if restoring else "set it back by hand, or fly with --set-params"
         for name, value in values_of(left).items():
             is_and_should = f"{preflight.figure(known[name])} instead of {preflight.figure(value)}"
-            told.append(f"an earlier flight left {name} at {is_and_should}: {after}")
-        for text in told:
+            words.append(f"an earlier flight left {name} at {is_and_should}: {after}")
+        for text in words:
             self._note(text)
             self._say(text)
         self._keep_changed(left)

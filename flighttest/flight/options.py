@@ -24,7 +24,7 @@ class FlightOptions:
     """set_params: set what preflight asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks.
     left_behind: parameters that an earlier flight set and could not restore (see `still_left`). resume: a run that this
     one goes on with, for the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of
-    thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: told the firmware and the parameters
+    thrust that are seen in flight, where the autopilot holds the position meanwhile. on_vehicle: called with firmware and parameters
     that will be in force, before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now).
     confirm: shown the checklist before arming, in a thread of its own.
     weather: kept with the run. signing_key: with which frames are signed, and without which none is

@@ -332,6 +332,6 @@ def plan_as_data(plan: Plan) -> PlanData:
 
 
 def mark_id(leg_id: str) -> str:
-    """The leg's id as it fits into a mark: no spaces, at most 32 bytes, the end kept (it tells repeats apart)."""
+    """The leg's id as it fits into a mark: no spaces, at most 32 bytes, the end kept (it separates repeats)."""
     word = "_".join(leg_id.split())
     return word if len(word.encode()) <= 32 else word.encode()[-32:].decode(errors="ignore")

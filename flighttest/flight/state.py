@@ -149,9 +149,9 @@ class StateReader:
         heard = bool(self._voltages) and now - self._voltages[-1][0] <= VOLTAGE_LOST_S
         voltages = [v for _, v in self._voltages] if heard else []
         ekf = session.latest.get("EKF_STATUS_REPORT")
-        # A filter that fell silent vouches for nothing; one that only assumes to stand still knows no position.
-        told = ekf is None or now - ekf.t_s <= _EKF_SPEAKS_S
-        flags = int(ekf.message.flags) if ekf and told else 0
+        # A filter that fell silent vouches for nothing; one that only assumes to stand still has no position.
+        informed = ekf is None or now - ekf.t_s <= _EKF_SPEAKS_S
+        flags = int(ekf.message.flags) if ekf and informed else 0
         placed = flags & (book.EKF_POS_HORIZ_ABS | book.EKF_POS_HORIZ_REL) and not flags & book.EKF_CONST_POS_MODE
         return VehicleState(
             t_s=now,

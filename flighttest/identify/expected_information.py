@@ -48,7 +48,7 @@ ASSUMED = Noise(
 class Expected:
     """One parameter: expected standard error, the same with twice the repeats, and the steps that tell most about it.
 
-    std is None where the script tells nothing about it; best: (cell in words, share of the information), best first.
+    std is None where the script contains no information on it; best: (cell in words, share of the information), best first.
     """
 
     name: str
@@ -110,19 +110,19 @@ def planned_information(
 
 
 def expected_of_information(
-    told: Sequence[PlannedInformation], model: Model, values: Mapping[str, float]
+    planned: Sequence[PlannedInformation], model: Model, values: Mapping[str, float]
 ) -> tuple[Expected, ...]:
     """Expected standard error of every parameter from plans flown together; empty where nothing in them can be predicted.
 
     Information adds up; which steps feed which part of the model depends on what else there is.
     """
-    steps = [step for one in told for step in one.steps]
-    starts = np.cumsum([0, *(len(one.steps) for one in told)]).tolist()
+    steps = [step for one in planned for step in one.steps]
+    starts = np.cumsum([0, *(len(one.steps) for one in planned)]).tolist()
     hessian = np.zeros((len(steps), len(model.names), len(model.names)))
     for block in model.blocks if steps else ():
-        can = [start + i for start, one in zip(starts, told, strict=False) for i in one.able[block.name]]
+        can = [start + i for start, one in zip(starts, planned, strict=False) for i in one.able[block.name]]
         members = np.array(sorted(segments_for(steps, block, "paper", can)), dtype=np.intp)
-        hessian[members] += np.concatenate([one.information[block.name] for one in told])[members]
+        hessian[members] += np.concatenate([one.information[block.name] for one in planned])[members]
     return _expected(model.names, hessian, steps, model, values)
 
 
@@ -130,9 +130,9 @@ def expected_of_plans(
     plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> tuple[tuple[tuple[Expected, ...], ...], tuple[Expected, ...]]:
     """The same for each plan by itself, and for all of them together."""
-    told = planned_information(plans, model, values, noise)
-    return tuple(expected_of_information([one], model, values) for one in told), expected_of_information(
-        told, model, values
+    planned = planned_information(plans, model, values, noise)
+    return tuple(expected_of_information([one], model, values) for one in planned), expected_of_information(
+        planned, model, values
     )
 
 
@@ -177,7 +177,7 @@ def _expected(
     for param in model.params:
         name = param.name
         if name not in names or not usable[names.index(name)]:
-            sentence = f"{name}: this script tells nothing about it"
+            sentence = f"{name}: this script contains no information on it"
             found.append(Expected(name, param.unit, values[name], None, None, (), sentence))
             continue
         i = names.index(name)
@@ -269,7 +269,7 @@ def _planned(plans: Sequence[Plan], model: Model, values: Mapping[str, float]) -
 
 
 def _flight(leg: Leg, run: Run, model: Model) -> Hashable:
-    """What makes a flight. The paper's model knows neither heading nor height; terms may."""
+    """What makes a flight. The paper's model has neither heading nor height; terms may."""
     start = () if set(model.terms) == set(PAPER_TERMS) else tuple(run.start.items())
     asked = tuple((n, t.tobytes(), v.tobytes()) for n, (t, v) in (*run.references.items(), *run.signals.items()))
     return _recorded_from_s(leg), run.t_s.tobytes(), start, asked

@@ -122,7 +122,7 @@ class Fit:
 
 
 def has_attitude_references(segments: Sequence[Segment]) -> bool:
-    """Whether roll and pitch loops can be told at all."""
+    """Whether roll and pitch loops can be determined at all."""
     return any("roll_ref_rad" in s.u or "pitch_ref_rad" in s.u for s in segments if s.usable)
 
 
@@ -207,7 +207,7 @@ def fit(
 def _hopeless(solution: Solution, covariance: Covariance) -> tuple[str, ...]:
     """Parameters to hold at their start, so that the others are still found.
 
-    alpha where it cannot be told from K: K is then the gain at the voltage flown. Where the solver did not end well, whatever it
+    alpha where it cannot be distinguished from K: K is then the gain at the voltage flown. Where the solver did not end well, whatever it
     has no more than a hint of: such directions are flat, and it wanders along them.
     """
     names = covariance.names
@@ -345,7 +345,7 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
     if "translation" in fed:
         if not any(c.startswith("v_") for c in outputs):
             notes.append(
-                "velocity was not recorded: drag rests on accelerations alone, and wind cannot be told from it"
+                "velocity was not recorded: drag rests on accelerations alone, and wind cannot be determined from it"
             )
         if not any(c.startswith("f_") for c in outputs):
             notes.append("specific force was not recorded: thrust and drag rest on velocity and its derivative")

@@ -41,7 +41,7 @@ STARTS: tuple[dict[str, float], ...] = tuple(
 START_S, PIECES = 60.0, 4  # of flight that local optima are looked for in
 FIRST_ITERATIONS = 6
 LEAST_SHARE = 1e-3  # of a step, below which it is given up
-LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger error was not told by the flight
+LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger error was not determined by the flight
 
 
 @dataclass(frozen=True)

@@ -227,20 +227,20 @@ class _Prepared:
             here = [j for j, of in enumerate(self.stretch) if of == k]
             t = np.concatenate([self.times[j] for j in here])
             seen = np.concatenate([self.measured[j] for j in here])
-            told = np.concatenate([y[j, self.kept[j]] for j in here])
-            slopes = np.zeros((*told.shape, len(names)))
+            predicted = np.concatenate([y[j, self.kept[j]] for j in here])
+            slopes = np.zeros((*predicted.shape, len(names)))
             slopes[..., [list(names).index(n) for n in free]] = np.concatenate(
                 [dy[j, self.kept[j], :, : len(free)] for j in here]
             )
             if self.outputs == ACCELERATION and LATENCY in values:
-                told, slopes = _late(
-                    t, told, slopes, values[LATENCY], names.index(LATENCY) if LATENCY in names else None
+                predicted, slopes = _late(
+                    t, predicted, slopes, values[LATENCY], names.index(LATENCY) if LATENCY in names else None
                 )
             if self.outputs == ACCELERATION:
                 h = np.diff(t)[:, None]
                 seen = np.diff(seen, axis=0) / h
-                told, slopes, t = 0.5 * (told[1:] + told[:-1]), 0.5 * (slopes[1:] + slopes[:-1]), t[1:]
-            residual = seen - told
+                predicted, slopes, t = 0.5 * (predicted[1:] + predicted[:-1]), 0.5 * (slopes[1:] + slopes[:-1]), t[1:]
+            residual = seen - predicted
             for c, channel in enumerate(self.outputs):
                 good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
                 for a, b in _runs(t, good):
@@ -253,7 +253,7 @@ class _Prepared:
 
 
 def _late(
-    t: FloatArray, told: FloatArray, slopes: FloatArray, latency_s: float, column: int | None
+    t: FloatArray, predicted: FloatArray, slopes: FloatArray, latency_s: float, column: int | None
 ) -> tuple[FloatArray, FloatArray]:
     """Values (n, c) and derivatives (n, c, q) of a latency ago; `column` becomes the derivative by the latency.
 
@@ -268,11 +268,11 @@ def _late(
             np.stack([np.interp(then, t, one) for one in flat.T], axis=1).reshape(values.shape) if flat.size else values
         )
 
-    rate = -np.gradient(told, t, axis=0) if t.size > 2 else np.zeros_like(told)
+    rate = -np.gradient(predicted, t, axis=0) if t.size > 2 else np.zeros_like(predicted)
     made = earlier(slopes) if latency_s else slopes.copy()
     if column is not None:
         made[..., column] = earlier(rate)
-    return (earlier(told) if latency_s else told), made
+    return (earlier(predicted) if latency_s else predicted), made
 
 
 def chunk(s: Segment, smooth: Mapping[str, FloatArray], a: int, b: int) -> Segment:

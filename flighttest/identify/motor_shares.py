@@ -23,7 +23,7 @@ IDLE = 0.05  # mean command below which nothing is carried
 # 0.007 to 0.028 by motor and vehicle.
 REPEATS = 0.025
 SHOWS = 3.0  # standard deviations from the other flights: one motor of a hundred flights of four by chance
-FEWEST = 3  # flights of which one can be told from the others
+FEWEST = 3  # flights of which one can be distinguished from the others
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """PX4 through MAVSDK: arming, positions and attitude targets in its offboard mode. What passes here has passed the gate already.
 
-PX4 wants setpoints at more than 2 Hz before it lets offboard begin, and leaves it when they stop. MAVSDK's attitude setpoint
+PX4 needs setpoints at more than 2 Hz before it lets offboard begin, and leaves it when they stop. MAVSDK's attitude setpoint
 carries no yaw rate: a turn is flown by the heading of each target.
 """
 

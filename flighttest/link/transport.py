@@ -298,7 +298,7 @@ class Sequence:
         self._known: set[int] = set()
 
     def foreign(self, sequence: int, frame: bytes, t_s: float) -> bool:
-        """Whether a frame is another sender's, as far as can be told at t_s."""
+        """Whether a frame is another sender's, as far as can be determined at t_s."""
         if self._repeated(frame):
             return False
         step = 1 if self._last is None else (sequence - self._last + 128) % 256 - 128

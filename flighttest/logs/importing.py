@@ -23,7 +23,7 @@ _TABLES = {".csv", ".parquet", ".txt", ".tsv", ".mat", ".mcap"}
 def import_log(path: Path | str, columns: Path | str | None = None) -> Recording:
     """Read a log of any known kind, plain or compressed (.gz, .xz).
 
-    path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is told from its first bytes, then from its name. columns: a
+    path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its name. columns: a
     column map (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
     recording = possible(_read(Path(path), columns))

@@ -1,4 +1,4 @@
-"""Opening logs: plain, gzip or xz, as a stream of pieces; what a file is, told from its first bytes."""
+"""Opening logs: plain, gzip or xz, as a stream of pieces; what a file is, recognised by its first bytes."""
 
 from __future__ import annotations
 

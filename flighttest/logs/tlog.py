@@ -111,7 +111,7 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
 
 
 def _on_one_clock(frames: Frames, losses: list[str]) -> Frames:
-    """Frames as if the ground's clock had not been set while it recorded, told by the stamps of the vehicle that said most."""
+    """Frames as if the ground's clock had not been set while it recorded, by the stamps of the vehicle that said most."""
     best = np.zeros(0, dtype=np.int64)
     for kind in np.unique(frames.kind):
         message = book.mavlink_map.get(int(kind))
@@ -129,8 +129,8 @@ def _on_one_clock(frames: Frames, losses: list[str]) -> Frames:
     found = np.flatnonzero(steps)
     if not found.size:
         return frames
-    told = ", ".join(f"{steps[i]:+.1f} s" for i in found[:5])
-    losses.append(f"the clock of the computer that recorded was set {found.size} times ({told}); put right")
+    words = ", ".join(f"{steps[i]:+.1f} s" for i in found[:5])
+    losses.append(f"the clock of the computer that recorded was set {found.size} times ({words}); put right")
     taken_us = np.zeros(frames.at.size, dtype=np.int64)
     for i in found:
         between = np.diff(frames.stamp_us[best[i - 1] : best[i] + 1]) * np.sign(steps[i])

@@ -48,7 +48,7 @@ def import_ulog(path: Path) -> Recording:
         raise RecordingError(f"{path}: this is no ULog file", "give a .ulg log of PX4")
     words = io.StringIO()
     try:
-        # pyulog tells of damage on standard output; it belongs into the losses.
+        # pyulog reports damage on standard output; it belongs into the losses.
         with contextlib.redirect_stdout(words):
             log = ULog(_Forward(data), _TOPICS, disable_str_exceptions=True)
     except _DAMAGED as error:

@@ -53,7 +53,7 @@ def throttle_of(
         return targets
     columns = {name: values for name, values in targets.columns.items() if name != "throttle"}
     if own is None or not own[0].size:
-        losses.append(f"{CLIMB_RATES}; no ATTITUDE_TARGET tells it, so there is no throttle here")
+        losses.append(f"{CLIMB_RATES}; no ATTITUDE_TARGET holds it, so there is no throttle here")
         return Series(targets.t_s, columns)
     derived["throttle"] = f"ATTITUDE_TARGET: {CLIMB_RATES}"
     t_s = np.union1d(targets.t_s, own[0])

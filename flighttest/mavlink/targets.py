@@ -1,4 +1,4 @@
-"""Attitude targets as MAVLink's SET_ATTITUDE_TARGET, and back: the one place that knows its signs and its mask."""
+"""Attitude targets as MAVLink's SET_ATTITUDE_TARGET, and back: the one place with its signs and its mask."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def target_message(
 def reference_columns(raw: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
     """Reference channels (n,) from the fields `REFERENCE_FIELDS` of n SET_ATTITUDE_TARGET messages.
 
-    Parts that the mask tells the vehicle to ignore are NaN, except the yaw rate: attitude alone means a heading held, so it is 0.
+    Parts that the mask has the vehicle ignore are NaN, except the yaw rate: attitude alone means a heading held, so it is 0.
     """
     mask = np.asarray(raw["type_mask"], dtype=int)
     roll, pitch, _ = attitude_columns(raw["q"])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-Rows = Sequence[Any] | FloatArray
+Batch = Sequence[Any] | FloatArray
 
 _BINARY: dict[int, Callable[..., Any]] = {
     ca.OP_ADD: np.add,
@@ -107,7 +107,7 @@ class Vectorised:
             else:
                 raise ValueError(f"operation {code} of {function.name()} is not known to numpy here")
 
-    def __call__(self, *arguments: Rows) -> FloatArray:
+    def __call__(self, *arguments: Batch) -> FloatArray:
         """The result (rows, n) of arguments (rows_i, n); the first row of the first argument says n."""
         w: list[Any] = [0.0] * self._work
         result = np.zeros((self.rows, len(arguments[0][0])))

@@ -1,1 +1,1 @@
-"""The only place that knows the order: fly, cut, fit, diagnose, check validity, report. Prints nothing."""
+"""The only place that holds the order: fly, cut, fit, diagnose, check validity, report. Prints nothing."""

@@ -32,7 +32,7 @@ class Result:
 
 @runtime_checkable
 class Progress(Protocol):
-    """Whoever wants to know how far it is: `cli` draws it, tests collect it, `SILENT` drops it."""
+    """Receives how far it is: `cli` draws it, tests collect it, `SILENT` drops it."""
 
     def stage(self, text: str) -> None:
         """A new step of the pipeline begins."""

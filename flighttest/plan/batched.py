@@ -1,6 +1,6 @@
 """Batched rehearsal: several plans flown at once, and what begins alike flown once.
 
-A plan is compiled by a generator that yields what it wants flown (`Request`) and is sent the `Rehearsal`; nothing in it depends on who else
+A plan is compiled by a generator that yields what is to be flown (`Request`) and is sent the `Rehearsal`; nothing in it depends on who else
 asks. A row with the link lost is the row it comes from until then: with a predictor that can take a flight up again only the rest is flown.
 """
 
@@ -48,10 +48,10 @@ Work = Generator[Request, Rehearsal, T]
 
 def finish(work: Work[T], predictor: Predictor) -> T:
     """Run one piece of work to its end."""
-    return together([work], predictor)[0]
+    return run_batched([work], predictor)[0]
 
 
-def together(works: Iterable[Work[T]], predictor: Predictor) -> list[T]:
+def run_batched(works: Iterable[Work[T]], predictor: Predictor) -> list[T]:
     """Run several to their ends; what they ask for next is flown at once."""
     running = dict(enumerate(works))
     results: dict[int, T] = {}

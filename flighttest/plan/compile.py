@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.plan.batched import Request, Work, together
+from flighttest.plan.batched import Request, Work, run_batched
 from flighttest.plan.clearance import Clearance, Placement, box, place, worst
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, row_of, useful_s
 from flighttest.plan.free_flight import fly_waypoints
@@ -51,7 +51,7 @@ def compile_plans(
     scripts: Sequence[Script], vehicle: Vehicle, predictor: Predictor, *, angle_boost: bool = False
 ) -> tuple[Plan, ...]:
     """The same for several scripts, each by itself; their rehearsals are flown together."""
-    return tuple(together([_compile(script, vehicle, predictor, angle_boost) for script in scripts], predictor))
+    return tuple(run_batched([_compile(script, vehicle, predictor, angle_boost) for script in scripts], predictor))
 
 
 def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost: bool) -> Work[Plan]:

@@ -14,7 +14,7 @@ SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 def remedy(
     f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float], placement: Placement
 ) -> Work[str]:
-    """One sentence that tells the operator what to change."""
+    """One sentence for the operator on what to change."""
     assert placement.excess is not None
     if f.cell.waypoints:
         return "move the waypoints inwards, or lower speed_m_s"

@@ -47,7 +47,7 @@ def run_trials(
 
     keep: given the outcomes so far, and the seed, whenever a trial is opened. code: as `Outcome.code`.
     before: outcomes of an earlier part of the same proof, which are not flown again. seal: given all cases before the first is flown.
-    Every seal is told before its trial starts. An interrupt ends the proof and keeps the trials that are done.
+    Every seal is announced before its trial starts. An interrupt ends the proof and keeps the trials that are done.
     """
     if asked.trials < 1:
         raise InputError(f"{asked.trials} trials prove nothing", "ask for 1 or more")

@@ -69,9 +69,7 @@ class ConfusionRow(TypedDict):
 
 
 Miss = TypedDict("Miss", {"index": int, "hidden": str, "size": float, "why": str, "class": list[str]})
-Miss.__doc__ = (
-    "A trial in which something hidden was not named, or something else was; class: what cannot be told from it."
-)
+Miss.__doc__ = "A trial in which something hidden was not named, or something else was; class: what cannot be distinguished from it."
 
 
 class Scores(NameRates, Magnitudes, Calibration):

@@ -324,8 +324,8 @@ def rates(s: Scores) -> list[tuple[str, str]]:
             f"median {s['cpu_median_s'] or 0.0:.0f} s ({s['wall_median_s'] or 0.0:.0f} s of wall time)",
         ),
     )
-    told = [(what, share(*found) + more) for what, found, more in counts if found[1]]
-    return told + [(what, text) for what, known, text in medians if known is not None]
+    words = [(what, share(*found) + more) for what, found, more in counts if found[1]]
+    return words + [(what, text) for what, known, text in medians if known is not None]
 
 
 def _tables(s: Scores) -> Iterator[str]:

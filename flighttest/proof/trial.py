@@ -28,7 +28,7 @@ from flighttest.sim.plants.rotor_vehicle import random_rotor
 @dataclass(frozen=True)
 class Measured:
     """What the oracle says of a case. sizes: hidden effect to noise floors; forces: to the RMS specific force that the base model leaves
-    because of it, m/s^2; classes: to the ids that cannot be told from it in this campaign."""
+    because of it, m/s^2; classes: to the ids that cannot be distinguished from it in this campaign."""
 
     sizes: Mapping[str, float] = field(default_factory=dict)
     forces: Mapping[str, float] = field(default_factory=dict)

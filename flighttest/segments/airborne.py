@@ -1,4 +1,4 @@
-"""When the vehicle was in the air: as said by the autopilot where it says so, else told from throttle and height."""
+"""When the vehicle was in the air: as said by the autopilot where it says so, else inferred from throttle and height."""
 
 from __future__ import annotations
 

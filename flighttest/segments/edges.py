@@ -1,6 +1,6 @@
 """What the references did: held stretches (plateaus), the edges between them, and the responses those edges begin.
 
-Everything is told from the recorded references alone. Marks only name what is found here (see `cut`).
+Everything is inferred from the recorded references alone. Marks only name what is found here (see `cut`).
 """
 
 from __future__ import annotations

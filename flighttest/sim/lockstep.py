@@ -13,7 +13,7 @@ equal bytes give equal flights. The protocol:
    the first of them ended. Having reached X it sends the telemetry of the interval and, last, SYSTEM_TIME with time_unix_usec = 0 and
    time_boot_ms = X: the end mark. A grant that is not in the future is answered at once, with the present time: granting 0 asks what time
    it is.
-4. A client that wants both processes busy keeps one grant ahead: it sends its targets and the grant for X + step when the end mark
+4. A client keeps both processes busy by one grant ahead: it sends its targets and the grant for X + step when the end mark
    of X - step arrives. The flight stays a function of the bytes; only the reaction comes one step later.
 5. PARAM_SET SIM_LOCKSTEP = 0 lets the vehicle run freely again. So does the end of the client's connection (a killed client must
    not stop the clock of a flying vehicle), or, over UDP, ten seconds of the host's time without a byte from it.

@@ -55,8 +55,8 @@ class Signing:
         self.stamp += 1
         body = frame[1:2] + b"\x01" + frame[3:-2]
         crc = _checksum(body + bytes([book.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra]))
-        told = b"\xfd" + body + bytes((crc & 0xFF, crc >> 8)) + b"\0" + self.stamp.to_bytes(6, "little")
-        return told + hashlib.sha256(self.key + told).digest()[:6]
+        words = b"\xfd" + body + bytes((crc & 0xFF, crc >> 8)) + b"\0" + self.stamp.to_bytes(6, "little")
+        return words + hashlib.sha256(self.key + words).digest()[:6]
 
     def takes(self, message: Any) -> bool:
         """Whether a message may be handled."""

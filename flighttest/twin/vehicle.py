@@ -62,16 +62,16 @@ def fly_able(stored: ModelFile) -> None:
 
 
 def assumed(stored: ModelFile) -> tuple[str, ...]:
-    """Parameters of the model that no flight told: the twin flies with what was assumed."""
+    """Parameters of the model that no flight determined: the twin flies with what was assumed."""
     return tuple(n for n, p in stored.parameters.items() if p.source == "assumed" and n in stored.model.names)
 
 
 def battery_of(stored: ModelFile) -> BatteryFields:
-    """Cells by the nominal voltage; the resistance where the model's flights told it."""
+    """Cells by the nominal voltage; the resistance where the model's flights determined it."""
     cells = max(round(stored.model.nominal_voltage_v / CELL_V), 1)
     kept = stored.fit_quality.get("battery")
-    told = kept.get("resistance_ohm") if isinstance(kept, Mapping) else None
-    resistance = float(told) if isinstance(told, int | float) and told > 0.0 else 0.001 * cells
+    determined = kept.get("resistance_ohm") if isinstance(kept, Mapping) else None
+    resistance = float(determined) if isinstance(determined, int | float) and determined > 0.0 else 0.001 * cells
     return {"cells": cells, "resistance_ohm": resistance}
 
 

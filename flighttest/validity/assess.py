@@ -32,7 +32,7 @@ class Evidence:
     """What new recordings say of a model.
 
     runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same steps of the
-    model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be told;
+    model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be determined;
     battery_reference: of the model's flights. hovers: the throttle that holds height, of the model's flights and of the newest run.
     untestable: what could not be tested, one sentence each; appeared: effects that the model does not have.
     """
@@ -157,10 +157,10 @@ def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
         limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
         matched = f"; {compared} are what they were" if compared else ""
         return f"Current: nothing that is declared has changed since the model was flown{matched}{limit}."
-    told = list(dict.fromkeys(t.subset for t in tests))
-    blind = [s for s in SUBSETS if s not in told]
-    nothing = f"; it tells nothing of {', '.join(blind)}" if blind else ""
-    return f"Current: the new recording agrees with the model in {', '.join(told)}{nothing}."
+    determined = list(dict.fromkeys(t.subset for t in tests))
+    blind = [s for s in SUBSETS if s not in determined]
+    nothing = f"; it contains no information on {', '.join(blind)}" if blind else ""
+    return f"Current: the new recording agrees with the model in {', '.join(determined)}{nothing}."
 
 
 def _stale(

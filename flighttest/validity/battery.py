@@ -16,7 +16,7 @@ Z_ALARM = 3.0
 
 
 def resistance(t_s: FloatArray, voltage_v: FloatArray, current_a: FloatArray) -> tuple[float, float] | str:
-    """Slope of voltage against current, Ohm, and its standard error; or the reason why it cannot be told.
+    """Slope of voltage against current, Ohm, and its standard error; or the reason why it cannot be determined.
 
     Both are compared with their own mean over `BLOCK_S`, so that the discharge drops out; the error is cluster-robust over blocks.
     """

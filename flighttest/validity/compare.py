@@ -15,9 +15,9 @@ from flighttest.validity.model import SUBSETS, WORDS, FloatArray, SubsetTest
 
 # Chance that an unchanged vehicle raises any alarm in one campaign, shared over the subsets tested (Bonferroni).
 FALSE_ALARM = 0.01
-# Without one of these a subset is not told.
+# Without one of these a subset is not tested.
 LEADING: dict[str, tuple[str, ...]] = {"thrust": ("K",), "attitude": ("omega_phi", "omega_theta")}
-DOUBLED = 1.0  # relative change: a comparison that would not show a parameter doubled tells nothing of it
+DOUBLED = 1.0  # relative change: a comparison that would not show a parameter doubled contains no information on it
 KNOWN_STD = 0.1  # relative standard error below which thrust per throttle at the voltage flown counts as known
 
 
@@ -25,7 +25,7 @@ KNOWN_STD = 0.1  # relative standard error below which thrust per throttle at th
 class Estimates:
     """Parameter names, values (n,) and covariance (n, n), SI. Parameters that are not identifiable are left out by the caller.
 
-    dof: (n,) Student-t degrees of freedom of each standard error, None for many. log_voltage: ln(U / U_n) at which the throttle was told,
+    dof: (n,) Student-t degrees of freedom of each standard error, None for many. log_voltage: ln(U / U_n) of the throttle's estimate,
     NaN where it is not known. weak: K and alpha, where each alone is not identified: together they may still say what a throttle gives
     at a voltage.
     """
@@ -55,7 +55,7 @@ class Estimates:
         """The same with thrust per throttle at another voltage in K's place: K (U/U_n)^alpha.
 
         K and alpha are all but collinear over the short span of voltage of one flight, while what a throttle gives at the voltage flown
-        is known well. alpha: stands in where it was not estimated here.
+        is known well. alpha: is used where it was not estimated here.
         """
         if "K" not in self.names or not math.isfinite(log_voltage):
             return self
@@ -71,8 +71,8 @@ class Estimates:
         if "alpha" in self.names:
             turn[i, j] = values[i] * log_voltage
         covariance = turn @ self.covariance @ turn.T
-        told = math.sqrt(float(covariance[i, i])) < KNOWN_STD * abs(float(values[i]))
-        return replace(self, values=values, covariance=covariance, weak=self.weak - {"K"} if told else self.weak)
+        determined = math.sqrt(float(covariance[i, i])) < KNOWN_STD * abs(float(values[i]))
+        return replace(self, values=values, covariance=covariance, weak=self.weak - {"K"} if determined else self.weak)
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ class MatchedPairs:
     steps: int
 
     def compared(self, names: Sequence[str], leading: Sequence[str], others: Sequence[str]) -> tuple[str, ...]:
-        """Those of a subset's names that are told; none where `others`, the comparison of estimates, tells a leading one that is not."""
-        told = tuple(n for n in names if n in self.after.names)
+        """Those of a subset's names that are determined; none where `others`, those of the estimates, hold a leading one that is not."""
+        determined = tuple(n for n in names if n in self.after.names)
         needed = [n for n in leading if n in others] if leading else []
-        return told if set(needed or leading or told) <= set(told) else ()
+        return determined if set(needed or leading or determined) <= set(determined) else ()
 
 
 def discrepancy(
@@ -115,7 +115,7 @@ def subset_tests(
     matched: MatchedPairs | None = None,
 ) -> tuple[SubsetTest, ...]:
     """Test every subset both sides know something about, by like steps or by the estimates: by what would have shown the smaller change;
-    parameters that only the other comparison tells are a test of their own.
+    parameters that only the other comparison determines are a test of their own.
 
     Thrust per throttle is compared at the voltage of the new recording.
     """
@@ -143,20 +143,20 @@ def subset_tests(
     def by_estimates(subset: str, names: Sequence[str], level: float) -> SubsetTest:
         return _test(subset, before.select(names), after.select(names), spread, carried, level)
 
-    # Per subset the comparison that sees the smaller change (at any level), and what only the other one tells beside it: of drag the like
-    # steps of a spot check tell d_z alone, and d_x and d_y 22 % higher went by.
+    # Per subset the comparison that sees the smaller change (at any level), and what the other alone determines beside it: of drag the like
+    # steps of a spot check determine d_z alone, and d_x and d_y 22 % higher went by.
     chosen: list[tuple[Callable[[str, Sequence[str], float], SubsetTest], str, tuple[str, ...]]] = []
     for subset in subsets:
         ways = [(by_steps, pairs[subset])] if subset in pairs else []
         ways += [(by_estimates, testable[subset])] if subset in testable else []
         seen = [(_finest(way(subset, names, false_alarm), LEADING.get(subset, ())), way, names) for way, names in ways]
         ways = [(way, names) for least, way, names in sorted(seen, key=lambda one: one[0]) if least <= DOUBLED]
-        told: set[str] = set()
+        determined: set[str] = set()
         for way, names in ways:
-            own = tuple(n for n in names if n not in told)
+            own = tuple(n for n in names if n not in determined)
             if own:
                 chosen.append((way, subset, own))
-            told |= set(own)
+            determined |= set(own)
     level = false_alarm / max(len(chosen), 1)
     return tuple(way(subset, names, level) for way, subset, names in chosen)
 

@@ -1,4 +1,4 @@
-"""The throttle that holds height: what a free flight tells of thrust or mass where K and its lag cannot be told apart."""
+"""The throttle that holds height: what a free flight determines of thrust or mass where K and its lag cannot be distinguished."""
 
 from __future__ import annotations
 

@@ -10,10 +10,10 @@ from flighttest.validity.model import SUBSETS, WORDS, Change, SubsetTest
 
 
 def impact_of(changes: Sequence[Change], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
-    """One sentence per subset that moved; what a declared change puts in doubt where no flight has told yet."""
+    """One sentence per subset that moved; what a declared change puts in doubt that no flight has tested yet."""
     found = [sentence for test in alarms if (sentence := _of_test(test))]
-    told = {test.subset for test in alarms}
-    doubtful = [s for s in SUBSETS if s not in told and any(s in c.touches for c in changes)]
+    determined = {test.subset for test in alarms}
+    doubtful = [s for s in SUBSETS if s not in determined and any(s in c.touches for c in changes)]
     if doubtful:
         names = ", ".join(n for s in doubtful for n in SUBSETS[s])
         found.append(

@@ -58,8 +58,8 @@ class Step:
 def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: float) -> tuple[Step, ...]:
     """What to keep of a fit. normal: at the solution, clusters as `segments`."""
     found = []
-    told = np.abs(normal.hessian).sum(axis=(1, 2)) > 0.0
-    for members in _by_step(segments, told):
+    determined = np.abs(normal.hessian).sum(axis=(1, 2)) > 0.0
+    for members in _by_step(segments, determined):
         first, score = segments[members[0]], normal.score[members].mean(axis=0)
         volts = _log_voltage([segments[i] for i in members], nominal_voltage_v)
         kept = dict(zip(normal.names, score.tolist(), strict=True))
@@ -116,7 +116,7 @@ def compare(
     # The responses' own initial states first: the parameters answer to what they leave.
     held = normal_at(problem, values, names, noise, held.after(np.zeros(len(names))))
     inflation = variance_inflation_of(problem, held.made, held.noise)
-    names = _told(_differences(held.normal, pairs), values, inflation)
+    names = _determined(_differences(held.normal, pairs), values, inflation)
     if not names:
         return None
     param, now = problem.model.param, dict(values)
@@ -134,7 +134,7 @@ def compare(
         held = normal_at(problem, now, held.normal.names, noise, held.after(taken))
     moved = _only(_differences(held.normal, pairs), names)
     spread = cluster_covariance(moved, moved.names, variance_inflation_of(problem, held.made, held.noise))
-    # What has not settled by now, or hangs at a bound, was not told after all.
+    # What has not settled by now, or hangs at a bound, was not determined after all.
     rest = np.abs(_inverse(moved.hessian.sum(axis=0)) @ moved.score.sum(axis=0))
     settled = {
         n
@@ -197,8 +197,8 @@ def _differences(normal: Normal, pairs: Sequence[tuple[Step, list[int]]]) -> Nor
         weight = step.responses * len(members) / (step.responses + len(members))
         hessian.append(weight * normal.hessian[members].mean(axis=0))
         before = np.array([step.score.get(n, 0.0) for n in normal.names])
-        told = np.diag(hessian[-1]) > 0.0
-        score.append(weight * np.where(told, normal.score[members].mean(axis=0) - before, 0.0))
+        determined = np.diag(hessian[-1]) > 0.0
+        score.append(weight * np.where(determined, normal.score[members].mean(axis=0) - before, 0.0))
     return Normal(normal.names, np.array(hessian), np.array(score))
 
 
@@ -207,7 +207,7 @@ def _only(normal: Normal, names: Sequence[str]) -> Normal:
     return Normal(tuple(names), normal.hessian[:, pick][:, :, pick], normal.score[:, pick])
 
 
-def _told(moved: Normal, values: Mapping[str, float], inflation: float) -> list[str]:
+def _determined(moved: Normal, values: Mapping[str, float], inflation: float) -> list[str]:
     """Parameters that enough kinds of step tell of, and agree on."""
     diagonal = np.einsum("sii->si", moved.hessian)
     share = diagonal / np.maximum(diagonal.sum(axis=0), 1e-300)

@@ -138,7 +138,7 @@ class Drift:
 
 @dataclass(frozen=True)
 class BatteryCheck:
-    """Internal resistance from voltage against current. resistance_ohm: (value, std); None where it cannot be told, and why."""
+    """Internal resistance from voltage against current. resistance_ohm: (value, std); None where it cannot be determined, and why."""
 
     resistance_ohm: tuple[float, float] | None
     reference_ohm: tuple[float, float] | None

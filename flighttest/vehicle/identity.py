@@ -39,7 +39,7 @@ class Identity:
 
     @property
     def key(self) -> str:
-        """What a vehicle is called where nobody named it: by its autopilot; '' where nothing tells it from another."""
+        """What a vehicle is called where nobody named it: by its autopilot; '' where nothing distinguishes it from another."""
         if self.name or self.autopilot:
             return self.name or f"autopilot {re.sub('(00)+$', '', self.autopilot)}"
         if len(self.calibration) < LEAST_CALIBRATION:
@@ -48,7 +48,7 @@ class Identity:
         return f"autopilot calibrated {hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
     def same_board(self, other: Identity) -> bool | None:
-        """Whether both are one autopilot: by its number, else by calibration and system id. None where it cannot be told."""
+        """Whether both are one autopilot: by its number, else by calibration and system id. None where it cannot be determined."""
         if self.autopilot and other.autopilot:
             return self.autopilot == other.autopilot
         shared = set(self.calibration) & set(other.calibration)

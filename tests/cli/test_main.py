@@ -153,19 +153,24 @@ def test_a_closed_terminal_lands_and_ctrl_c_twice_lets_go():
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_DFL
 
 
-def test_sim_tells_a_program_where_it_is():
+def test_sim_shows_a_program_where_it_is():
     argv = [sys.executable, "-m", "flighttest.cli.main", "sim", "--json", "--port", "0", "--seed", "4", "--speed", "2"]
     process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     late = threading.Timer(60.0, process.kill)
     late.start()
     try:
-        told = json.loads(process.stdout.readline())
-        assert (told["airframe"], told["seed"], told["speed"], told["backend"]) == ("paper", 4, 2.0, "builtin")
-        assert told["url"] == f"tcp:127.0.0.1:{told['port']}"
-        client = mavutil.mavlink_connection(told["url"])
+        reported = json.loads(process.stdout.readline())
+        assert (reported["airframe"], reported["seed"], reported["speed"], reported["backend"]) == (
+            "paper",
+            4,
+            2.0,
+            "builtin",
+        )
+        assert reported["url"] == f"tcp:127.0.0.1:{reported['port']}"
+        client = mavutil.mavlink_connection(reported["url"])
         heartbeat = client.wait_heartbeat(timeout=20)
         client.close()
-        assert heartbeat.get_srcSystem() == told["system_id"]
+        assert heartbeat.get_srcSystem() == reported["system_id"]
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == "", "one line, and no more"
         assert process.wait(20) == 1
@@ -185,7 +190,7 @@ def test_a_printed_command_works_as_printed(capsys, tmp_path):
     assert call(capsys, "segment", str(path))[0] in (0, 1)
 
 
-def test_a_model_in_the_place_of_a_recording_is_told_where_it_goes(capsys, tmp_path):
+def test_a_model_in_the_place_of_a_recording_is_reported_where_it_goes(capsys, tmp_path):
     path = tmp_path / "model.yaml"
     path.write_text("format: model/1\n")
     code, out, err = call(capsys, "fit", str(path))
@@ -202,7 +207,7 @@ def test_a_stage_shows_its_share_and_the_time_left(tmp_path):
         progress.stage("reading 4 recordings")
         assert progress.words() == ""
         now_s[0] = 12.0
-        assert progress.words() == "12 s so far", "nothing tells how much is left"
+        assert progress.words() == "12 s so far", "how much is left is not known"
         progress.part(1, 4)
         assert progress.words() == "25%, about 36 s left"
         progress.stage("fitting 10 responses")

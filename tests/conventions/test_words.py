@@ -1,5 +1,6 @@
 """One name per concept: the glossary is current, its terms stand in the code, and words that are gone do not come back."""
 
+import ast
 import importlib.util
 import re
 import subprocess
@@ -49,6 +50,36 @@ def test_what_is_still_allowed_is_still_there(words, texts):
     over = [f"{n}: {p}" for p, files in words.STILL.items() for n in files if n not in found(p, texts)]
     assert not over, "take these out of STILL in docs/words.py"
     assert set(words.STILL) <= set(words.GONE)
+
+
+def defined(path: str, source: str) -> set[str]:
+    """Names of a module, its packages, and the classes, functions and constants in it."""
+    names = {part.removesuffix(".py") for part in path.split("/")}
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.col_offset == 0:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {ast.unparse(target) for target in targets}
+    return names
+
+
+def test_names_that_are_gone_do_not_come_back(words, repository):
+    again = {
+        f"{path.relative_to(repository).as_posix()}: {name}": say
+        for path in sorted((repository / "flighttest").rglob("*.py"))
+        for name in defined(path.relative_to(repository / "flighttest").as_posix(), path.read_text(encoding="utf-8"))
+        for pattern, say in words.GONE_NAMES.items()
+        if re.fullmatch(pattern, name)
+    }
+    assert {name: say for name, say in again.items() if name not in words.KEPT_NAMES} == {}
+    assert set(words.KEPT_NAMES) <= set(again), "take these out of KEPT_NAMES"
+
+
+def test_the_search_sees_names_of_each_kind():
+    assert defined("a/doubts.py", "class Rows:\n    def once(self): ...\nWANDER = 1\nheld: int = 2") == {
+        "a", "doubts", "Rows", "once", "WANDER", "held",
+    }  # fmt: skip
 
 
 def test_the_search_sees_words_in_names_and_in_any_case():

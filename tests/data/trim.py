@@ -74,7 +74,7 @@ def trim_log(data: bytes, legs: Iterable[str]) -> bytes:
             if any(f"{leg} " in text + " " for leg in wanted):
                 marks.append(struct.unpack_from("<Q", data, start + 3)[0] * 1e-6)
     inside = _windows(marks)
-    out, told = bytearray(), {}
+    out, reported = bytearray(), {}
     for name, start, end, fields in log_messages(data):
         if name == "MSG" and _foreign(data[start + fields["Message"] : end].decode(errors="replace"), wanted):
             continue
@@ -86,9 +86,9 @@ def trim_log(data: bytes, legs: Iterable[str]) -> bytes:
                 continue
             t_s = struct.unpack_from("<Q", data, start + 3)[0] * 1e-6
             if not inside(t_s):
-                if name in LOG_LEG or t_s - told.get(name, -9.0) < SPARSE_S:
+                if name in LOG_LEG or t_s - reported.get(name, -9.0) < SPARSE_S:
                     continue
-                told[name] = t_s
+                reported[name] = t_s
         out += data[start:end]
     return bytes(out)
 
@@ -117,19 +117,19 @@ def trim_tlog(data: bytes, legs: Iterable[str]) -> bytes:
         if m is not None and m.get_type() == "STATUSTEXT" and any(f"{leg} " in m.text + " " for leg in wanted)  # type: ignore[attr-defined]
     ]  # fmt: skip
     inside = _windows(marks)
-    out, told = bytearray(), {}
+    out, reported = bytearray(), {}
     for t_s, record, message in records:
         kind = message.get_type() if message is not None else ""  # type: ignore[attr-defined]
         if kind == "STATUSTEXT" and _foreign(message.text, wanted):  # type: ignore[union-attr]
             continue
         if not inside(t_s) and kind not in FRAMES_ALWAYS:
-            if kind == "SET_ATTITUDE_TARGET" or t_s - told.get(kind, -9.0) < SPARSE_S:
+            if kind == "SET_ATTITUDE_TARGET" or t_s - reported.get(kind, -9.0) < SPARSE_S:
                 continue
-            told[kind] = t_s
+            reported[kind] = t_s
         elif kind == "HEARTBEAT" and not inside(t_s):
-            if t_s - told.get(kind, -9.0) < 0.3:
+            if t_s - reported.get(kind, -9.0) < 0.3:
                 continue
-            told[kind] = t_s
+            reported[kind] = t_s
         out += record
     return bytes(out)
 

@@ -170,13 +170,13 @@ def test_standard_errors_are_those_of_generalised_least_squares(rng):
     rho, spread = 0.8, []
     x = rng.normal(size=SEGMENTS).repeat(EACH)
     columns = np.stack([np.ones(x.size), x], axis=1)
-    told = []
+    reported = []
     for _ in range(40):
         e = autoregressive(rng, (SEGMENTS, EACH), rho).ravel()
         found = fitted(e, columns, ("p0", "p1"))
-        told.append(standard_errors(found, responses(SEGMENTS, EACH, REPEATS))["p1"])
+        reported.append(standard_errors(found, responses(SEGMENTS, EACH, REPEATS))["p1"])
         spread.append(found.at.values["p1"])
-    assert np.mean(told) == pytest.approx(np.std(spread), rel=0.3)
+    assert np.mean(reported) == pytest.approx(np.std(spread), rel=0.3)
 
 
 def test_the_probability_of_a_term_has_the_catalogue_in_its_prior():

@@ -74,8 +74,8 @@ def test_what_was_refitted_and_left_is_not_unseen(monkeypatch):
     assert found.findings == ()
     assert not found.untestable
     assert 0 < found.smallest_detectable["velocity_latency"] < 0.12
-    (told,) = found.candidates
-    assert "noise floors, too small" in told["why"]
+    (reported,) = found.candidates
+    assert "noise floors, too small" in reported["why"]
 
 
 def test_nothing_is_missing_where_nothing_is_hidden(calm):
@@ -89,7 +89,7 @@ def test_nothing_is_missing_where_nothing_is_hidden(calm):
     assert found.next_script["format"] == "maneuver/1"
 
 
-def test_a_gust_is_set_aside_and_told_and_hides_nothing():
+def test_a_gust_is_set_aside_and_reported_and_hides_nothing():
     segments = fly(campaign(2), wind=(3.0, 0.0, 0.0), gust=((4, 5, 6), -2.0))
     found = diagnose(segments, only=["steady_wind", "accelerometer_bias"])
     assert found.to_json()["set_aside"]["segments"] == [segments[i].name for i in (4, 5, 6)]

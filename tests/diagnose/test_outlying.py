@@ -1,4 +1,4 @@
-"""Responses that were pushed once are set aside and told of; what repeats share is the vehicle's own and stays."""
+"""Responses that were pushed once are set aside and reported; what repeats share is the vehicle's own and stays."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flight import campaign, fly
 
-from flighttest.diagnose.residuals.outlying import LEAST, outlying, set_aside, told
+from flighttest.diagnose.residuals.outlying import LEAST, outlying, outlying_in_words, set_aside
 from flighttest.estimation.estimator import Estimator
 from flighttest.identify.fit import default_model
 from flighttest.identify.selection import able
@@ -36,14 +36,16 @@ def state(north, up=None):
 USUAL = np.tile([0.05, -0.04, 0.02, -0.03], 5)
 
 
-def test_a_gust_that_came_once_is_found_and_told():
+def test_a_gust_that_came_once_is_found_and_reported():
     pushed = USUAL.copy()
     pushed[[3, 4]] = 1.5, 1.8
     segments = flown(pushed)
     found = outlying(state(pushed), segments)
     assert list(found) == [3, 4]
     assert found[4] == pytest.approx(1.8, abs=0.1)
-    assert "2 of 20 responses, between 30 and 40 s of flight, were pushed by up to 1.8 m/s^2" in told(found, segments)
+    assert "2 of 20 responses, between 30 and 40 s of flight, were pushed by up to 1.8 m/s^2" in outlying_in_words(
+        found, segments
+    )
 
 
 def test_a_push_from_below_counts_too():
@@ -52,7 +54,7 @@ def test_a_push_from_below_counts_too():
     segments = flown(up)
     found = outlying(state(USUAL, up), segments)
     assert list(found) == [7]
-    assert "1 of 20 responses, at 70 s of flight, was pushed by up to 1.0 m/s^2" in told(found, segments)
+    assert "1 of 20 responses, at 70 s of flight, was pushed by up to 1.0 m/s^2" in outlying_in_words(found, segments)
 
 
 def test_what_its_repeat_shares_is_the_vehicles_own():

@@ -155,13 +155,13 @@ def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
     assert not repeated.exceeded("pitch_rad", "free", 1.7e-3**2, 1000.0)
 
 
-def test_what_would_be_seen_is_told_for_the_usual_value_of_a_nonlinear_parameter():
+def test_what_would_be_seen_is_reported_for_the_usual_value_of_a_nonlinear_parameter():
     term = SimpleNamespace(id="thrust_fade", shapes=(SimpleNamespace(name="tau", nominal=60.0),))
     settings = [SimpleNamespace(term=term, shape={"tau": tau}) for tau in (5.0, 40.0, 300.0)]
     assert detectability.usual_settings(settings) == [settings[1]]
 
 
-def test_an_effect_of_the_smallest_size_told_is_named_four_times_in_five(rng, monkeypatch):
+def test_an_effect_of_the_smallest_size_reported_is_named_four_times_in_five(rng, monkeypatch):
     monkeypatch.setattr(detectability, "weights_of", lambda *_: lambda rows: np.ones(rows.residual.size))
     column = rng.normal(size=(2000, 1))
     rows = rows_of(np.zeros(2000), np.ones((2000, 1)))
@@ -221,12 +221,12 @@ def test_a_curve_is_of_the_steps_that_were_located():
     assert curve["before"] == pytest.approx([1.0] * len(curve["before"]))
 
 
-@pytest.mark.parametrize(("alpha", "std", "told"), [(0.03, 0.05, True), (1.7, 0.03, False), (0.1, 0.4, False)])
-def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, std, told):
+@pytest.mark.parametrize(("alpha", "std", "reported"), [(0.03, 0.05, True), (1.7, 0.03, False), (0.1, 0.4, False)])
+def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, std, reported):
     notes = run.compensated_voltage({"alpha": {"value": alpha, "std": std}})
-    assert bool(notes) is told
+    assert bool(notes) is reported
     assert run.compensated_voltage({}) == []
-    if told:
+    if reported:
         assert "MOT_BAT_VOLT_MAX" in notes[0]
 
 

@@ -1,4 +1,4 @@
-"""What stays without a name is described only where the description tells something about data it has not seen."""
+"""What stays without a name is described only where the description holds for data it has not seen."""
 
 import numpy as np
 

@@ -194,7 +194,7 @@ def test_from_where_the_simulation_is_not_finite_nothing_is_tried():
     assert near.values["K"] > 45.0
 
 
-def test_an_estimator_tells_models_apart_by_all_that_they_are(throttled):
+def test_an_estimator_distinguishes_models_by_all_that_they_are(throttled):
     estimator, model = throttled
     assert estimator.problem(model) is estimator.problem(replace(model))
     others = [

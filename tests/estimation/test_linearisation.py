@@ -17,7 +17,7 @@ def test_columns_of_any_size_become_orthonormal_and_span_what_they_did(spread):
         assert np.linalg.norm(left) < 1e-13 * np.linalg.norm(made[..., k - 1])
 
 
-def test_columns_that_are_nearly_one_are_told_apart():
+def test_columns_that_are_nearly_one_are_distinguished():
     rng = np.random.default_rng(1)
     made = rng.normal(size=(3, 60, 4))
     made[..., 3] = made[..., 0] + 1e-9 * rng.normal(size=(3, 60))

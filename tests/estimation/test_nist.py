@@ -149,7 +149,7 @@ def test_the_minimum_is_that_of_scipy(reference):
     assert digits(found.point.theta, by_scipy(reference)) >= 6.0
 
 
-def test_a_minimum_beyond_a_bound_is_that_of_scipy_and_told():
+def test_a_minimum_beyond_a_bound_is_that_of_scipy_and_reported():
     box = next(r for r in REFERENCES if r.name == "BoxBOD")
     _, found = solved(box, 1, upper=200.0)
     assert found.status is FitStatus.AT_BOUND

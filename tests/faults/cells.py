@@ -166,7 +166,7 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
     }
     if not truths.get(left, True):
         found.append(f"said {left.name}; armed {vehicle.armed}, mode {vehicle.mode}")
-    told_unsafe = left in (
+    reported_unsafe = left in (
         FlightState.TO_AUTOPILOT,
         FlightState.UNKNOWN,
         FlightState.LANDING_UNSEEN,
@@ -175,9 +175,9 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
     grounded = (
         left is FlightState.DISARMED and vehicle.landed and not vehicle.armed
     )  # one that never took off disarms by itself
-    if told_unsafe and not (fault.for_good or fault.reboot or grounded):
+    if reported_unsafe and not (fault.for_good or fault.reboot or grounded):
         found.append(f"left {left.name} by a fault that passed")
-    if vehicle.armed and not told_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
+    if vehicle.armed and not reported_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
         found.append("armed, and not said so")
     if proxy.switched_s is not None and fault.lasts_s < 1e3:
         if proxy.when is not When.PREFLIGHT and vehicle.mode != CopterMode.LOITER:

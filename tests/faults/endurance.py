@@ -161,5 +161,5 @@ def random_flight(seed: int, span_s: float = FLIGHT_S) -> Drawn:
 
         cell = judge(proxy, flight, lambda: proxy.sim.vehicle)
     warm = [mb for t, mb in proxy.memory if t >= 60.0]
-    told = tuple((f.name, t, f.lasts_s) for t, f in schedule)
-    return Drawn(seed, told, flown, cell, max(warm) - warm[0] if warm else 0.0)
+    reported = tuple((f.name, t, f.lasts_s) for t, f in schedule)
+    return Drawn(seed, reported, flown, cell, max(warm) - warm[0] if warm else 0.0)

@@ -1,4 +1,4 @@
-"""The built-in vehicle, free-running in virtual time, behind a link that fails as it is told: a socket's bytes without the waiting.
+"""The built-in vehicle, free-running in virtual time, behind a link that fails as it is set: a socket's bytes without the waiting.
 
 `Proxy` is a transport and the host's clock at once: time passes only while the client waits for bytes, so a flight in real time takes
 as long as its computation, and a seed gives the same flight again.

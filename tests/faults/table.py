@@ -115,9 +115,9 @@ def of_endurance(hour: Soak, flights: list[Drawn]) -> str:
         "| seed | faults (from, s) | how it ended | steps | s | memory, MB |", "|---|---|---|---|---|---|",
     ]  # fmt: skip
     for d in flights:
-        told = ", ".join(f"{name} ({t:.0f})" for name, t, _ in d.faults)
+        reported = ", ".join(f"{name} ({t:.0f})" for name, t, _ in d.faults)
         ended = d.cell.ended if d.cell.ok else f"**wrong:** {d.cell.ended}: {'; '.join(d.cell.wrong)}"
-        lines.append(f"| {d.seed} | {told} | {ended} | {d.flown} | {d.cell.seconds:.0f} | {d.growth_mb:+.1f} |")
+        lines.append(f"| {d.seed} | {reported} | {ended} | {d.flown} | {d.cell.seconds:.0f} | {d.growth_mb:+.1f} |")
     return "\n".join(lines) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Parameters of a flight: what somebody else changes meanwhile ends it or is told, and what a killed program left is put back."""
+"""Parameters of a flight: what somebody else changes meanwhile ends it or is reported, and what a killed program left is put back."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_flight_whose_throttle_would_mean_something_else_lands(run_dir: Path) 
     assert not link.sim.vehicle.armed
 
 
-def test_another_parameter_is_told_and_the_flight_goes_on(run_dir: Path) -> None:
+def test_another_parameter_is_reported_and_the_flight_goes_on(run_dir: Path) -> None:
     _, result = fly_while(run_dir, "ATC_ANG_RLL_P", 7.0)
     assert result.outcome is FlightOutcome.COMPLETED
     assert sum("ATC_ANG_RLL_P was changed from" in note for note in result.notes) == 1
@@ -89,7 +89,7 @@ def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Pat
     assert left_behind(tmp_path, "paper") == {}
 
 
-def test_what_was_left_is_only_told_where_nobody_allowed_to_set_it(
+def test_what_was_left_is_only_reported_where_nobody_allowed_to_set_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("flighttest.flight.preparation.preflight.is_simulator", lambda _parameters: False)
@@ -101,10 +101,10 @@ def test_what_was_left_is_only_told_where_nobody_allowed_to_set_it(
     assert link.sim.vehicle.store["GUID_OPTIONS"] == THRUST_AS_THRUST
     assert result.parameters_left == {"GUID_OPTIONS": 0.0}
     assert any("set it back by hand, or fly with --set-params" in note for note in result.notes)
-    assert left_behind(tmp_path, "paper") == GUID_OPTIONS_LEFT, "the next flight is told again"
+    assert left_behind(tmp_path, "paper") == GUID_OPTIONS_LEFT, "the next flight is reported again"
 
 
-def test_what_was_put_back_meanwhile_is_not_told(run_dir: Path) -> None:
+def test_what_was_put_back_meanwhile_is_not_reported(run_dir: Path) -> None:
     link = FaultyLink(options())
     usual = link.sim.vehicle.store["GUID_OPTIONS"]
     result = fly(

@@ -53,10 +53,10 @@ def test_ctrl_c_at_the_question_arms_nothing(run_dir: Path) -> None:
     assert not link.sim.vehicle.armed
 
 
-def test_what_the_vehicle_warns_of_and_an_abort_are_told_at_once(run_dir: Path) -> None:
+def test_what_the_vehicle_warns_of_and_an_abort_are_reported_at_once(run_dir: Path) -> None:
     """A lost transmitter is a STATUSTEXT: it is not on any stream."""
     link = FaultyLink(options())
-    told: list[tuple[float, str]] = []
+    reported: list[tuple[float, str]] = []
     warned: list[float] = []
 
     def warn(message: object, now: float) -> None:
@@ -71,9 +71,9 @@ def test_what_the_vehicle_warns_of_and_an_abort_are_told_at_once(run_dir: Path) 
         run_dir,
         transport=link,
         confirm=lambda _text: True,
-        on_progress=lambda p: told.append((p.t_s, p.alarm)) if p.alarm else None,
+        on_progress=lambda p: reported.append((p.t_s, p.alarm)) if p.alarm else None,
     )
     assert result.outcome is FlightOutcome.COMPLETED
-    t_s, text = told[0]
+    t_s, text = reported[0]
     assert "Radio Failsafe" in text
     assert t_s - warned[0] < 0.2

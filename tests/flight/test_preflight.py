@@ -178,7 +178,7 @@ def test_a_circle_far_beyond_the_zone_is_no_fence_for_it(fence: dict[str, float]
     assert all(check.set["FENCE_RADIUS"] == 30.0 for check in refused)
 
 
-def test_a_plan_that_counts_on_a_fence_is_told_how_far_a_circle_lets_it_go() -> None:
+def test_a_plan_that_counts_on_a_fence_is_reported_how_far_a_circle_lets_it_go() -> None:
     counting = replace(make_plan(), fenced=3)
     words = preflight.fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0}))
     assert words.startswith("3 kinds of steps count on a fence along the zone where the link is lost")

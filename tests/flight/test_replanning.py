@@ -53,7 +53,7 @@ def test_the_age_of_thrust_is_seen_through_drag(age: float, lag: float) -> None:
         assert trace_of(age, lag, damping).age_s() == pytest.approx(age, abs=0.02)
 
 
-def test_a_tilted_leg_tells_the_age_by_what_acts_upwards() -> None:
+def test_a_tilted_leg_shows_the_age_by_what_acts_upwards() -> None:
     assert trace_of(0.06, 0.05, 0.5, tilt_rad=0.35).age_s() == pytest.approx(0.06, abs=0.02)
     bare, boosted = trace_of(0.06, 0.05, 0.5, tilt_rad=0.35), trace_of(0.06, 0.05, 0.5, tilt_rad=0.35)
     bare.angle_boost = False

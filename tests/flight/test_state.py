@@ -9,7 +9,7 @@ from flighttest.mavlink.dialect import book
 
 
 class Silent:
-    """A session without a vehicle: tells its listeners what it is given."""
+    """A session without a vehicle: hands its listeners what it is given."""
 
     silence_s = uplink_silence_s = 0.0
 

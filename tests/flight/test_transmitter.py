@@ -44,7 +44,7 @@ def test_a_loss_and_a_return_are_said_once(messages: list[Message], said: list[s
 
 def test_in_flight_it_is_said_at_once_and_recorded(run_dir: Path) -> None:
     link = FaultyLink(options())
-    told: list[tuple[float, str]] = []
+    reported: list[tuple[float, str]] = []
     lost: list[float] = []
 
     def lose(message: object, now: float) -> None:
@@ -58,9 +58,9 @@ def test_in_flight_it_is_said_at_once_and_recorded(run_dir: Path) -> None:
     link.hook = lose
     result = fly(
         make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link,
-        on_progress=lambda p: told.append((p.t_s, p.alarm)) if p.alarm else None,
+        on_progress=lambda p: reported.append((p.t_s, p.alarm)) if p.alarm else None,
     )  # fmt: skip
     assert result.outcome is FlightOutcome.COMPLETED
-    t_s = next(t for t, text in told if text == LOST)
+    t_s = next(t for t, text in reported if text == LOST)
     assert t_s - lost[0] < WITHIN_S
     assert [m.label for m in open_run(run_dir).markers if m.label in (LOST, BACK)] == [LOST, BACK]

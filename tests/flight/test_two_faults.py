@@ -233,7 +233,7 @@ def test_a_disk_that_fills_up_in_a_step_lands_the_vehicle(run_dir: Path, monkeyp
     assert any("No space left" in note for note in result.notes)
 
 
-def test_a_full_disk_is_told_before_the_flight(run_dir: Path) -> None:
+def test_a_full_disk_is_reported_before_the_flight(run_dir: Path) -> None:
     run_dir.mkdir()
     (run_dir / "raw.tlog").symlink_to("/dev/full")
     link = FaultyLink(options())

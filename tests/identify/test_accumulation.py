@@ -10,7 +10,7 @@ def test_of_linear_responses_the_steps_are_the_least_squares_of_the_first_ones()
     rng = np.random.default_rng(1)
     truth = np.array([3.0, -40.0])
     designs = rng.standard_normal((6, 4, 2)) * [1.0, 0.02]
-    designs[0, :, 1] = 0.0  # the first response tells the first parameter alone
+    designs[0, :, 1] = 0.0  # the first response determines the first parameter alone
     measured = designs @ truth + 0.1 * rng.standard_normal((6, 4))
     final = np.linalg.lstsq(designs.reshape(-1, 2), measured.ravel())[0]
     hessian = np.einsum("nki,nkj->nij", designs, designs)
@@ -25,7 +25,7 @@ def test_of_linear_responses_the_steps_are_the_least_squares_of_the_first_ones()
         assert std[k] == pytest.approx(np.sqrt(np.diag(np.linalg.inv(a.T @ a))))
 
 
-def test_directions_that_no_response_tells_are_no_estimate():
+def test_directions_that_no_response_shows_are_no_estimate():
     pair = np.array([[1.0, 2.0]])
     shift, std = steps((pair.T @ pair)[None], np.ones((1, 2)))
     assert np.isnan(shift).all()

@@ -53,11 +53,11 @@ def test_expected_errors_are_those_the_fit_finds():
     assert forecast["K"].std_twice == pytest.approx(forecast["K"].std / np.sqrt(2))
 
 
-def test_a_script_of_yaw_steps_tells_nothing_about_drag(flown):
+def test_a_script_of_yaw_steps_shows_nothing_about_drag(flown):
     yaw = [s for s in flown if s.kind == "yaw_rate_step"]
     forecast = {e.name: e for e in expected_of(yaw, Model(), Model().start())}
     assert forecast["omega_phi"].std is None
-    assert "nothing" in forecast["omega_phi"].sentence
+    assert "no information" in forecast["omega_phi"].sentence
     assert forecast["sigma_r"].best[0][0].startswith("yaw rate ")
 
 
@@ -85,7 +85,7 @@ def test_few_responses_of_the_right_model_do_not_make_the_descent_differ(seed):
     assert block_coordinate_descent(fit(spot)).differs == ()
 
 
-def test_throttle_and_tilt_steps_of_different_vehicles_are_told_apart():
+def test_throttle_and_tilt_steps_of_different_vehicles_are_distinguished():
     throttle = [s for s in campaign(1) if s.kind == "throttle_step"]
     tilt = [
         s

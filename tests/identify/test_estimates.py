@@ -45,7 +45,7 @@ def test_without_noise_the_truth_comes_back_to_a_thousandth():
         assert value == pytest.approx(truth(name), rel=2e-3), name
 
 
-def test_quality_tells_noise_from_misfit(found, flown):
+def test_quality_distinguishes_noise_from_misfit(found, flown):
     assert found.quality["roll_rad"].rmse == pytest.approx(0.003, rel=0.1)
     assert "noise" in found.quality["roll_rad"].sentence
     wrong = fit(flown, Model(("body",)))

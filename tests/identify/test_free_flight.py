@@ -93,7 +93,7 @@ def test_a_position_loop_in_gusts_does_not_bias_the_estimates(accelerometer):
     assert found.std["d_x"] < 0.15
 
 
-def test_the_noise_of_the_recording_is_told():
+def test_the_noise_of_the_recording_is_reported():
     found = estimate(stretches(flown()), Model(attitude_loops=False), free=NAMES)
     quick, slow = found.noise["f_x_m_s2"].spectrum(np.array([20.0, 0.1]), 1.0 / RATE_HZ)
     assert quick == pytest.approx(2 * 0.1**2 / RATE_HZ, rel=0.5)  # the accelerometer's white noise

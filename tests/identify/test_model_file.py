@@ -111,7 +111,7 @@ def test_a_model_does_not_differ_from_itself_and_does_from_another(found, writte
         ('attitude_loops: "false"', "expected true or false"),
     ],
 )
-def test_nonsense_in_any_block_is_told_with_its_line(tmp_path, line, words):
+def test_nonsense_in_any_block_is_reported_with_its_line(tmp_path, line, words):
     path = tmp_path / "bad.yaml"
     path.write_text(f"format: model/1\nterms: [body]\nparameters: {{alpha: {{value: 1.7}}}}\n{line}\n")
     with pytest.raises(ModelError, match=words) as error:

@@ -1,4 +1,4 @@
-"""Shares of the motors' commands: one flight of which a propeller is damaged is told from the others."""
+"""Shares of the motors' commands: one flight of which a propeller is damaged is distinguished from the others."""
 
 import numpy as np
 import pytest

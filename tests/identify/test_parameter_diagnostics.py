@@ -224,5 +224,5 @@ def test_k_far_from_the_voltage_flown_asks_for_the_nominal_one():
     far, near = fit(steps, Model()), fit(steps, Model(nominal_voltage_v=11.1))
     assert not far.estimates["K"].identifiable
     assert any("--vehicle" in note for note in far.notes)
-    assert any("alpha cannot be told" in note for note in far.notes)
+    assert any("alpha cannot be determined" in note for note in far.notes)
     assert near.estimates["K"].identifiable

@@ -141,7 +141,7 @@ def test_a_model_of_flights_without_voltage_takes_none(found, flight):
     assert validate(blind, flight).rmse(Variation.NO_BATTERY, "velocity", 1.0) is None
 
 
-def test_errors_are_told_at_the_horizons_asked_for(found, flight):
+def test_errors_are_reported_at_the_horizons_asked_for(found, flight):
     table = validate(from_fit(found), flight[:1], horizons_s=(0.01, 0.04, 0.2))
     velocity = {e.horizon_s: e for e in table.errors if e.variation is Variation.FULL and e.group == "velocity"}
     assert list(velocity) == [0.04, 0.2]  # the samples lie 20 ms apart

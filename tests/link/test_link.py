@@ -19,7 +19,7 @@ from flighttest.mavlink.dialect import book, parser
 
 
 class Host:
-    """A host clock that only moves when told."""
+    """A host clock that only moves when it is set."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -448,7 +448,7 @@ class Twins(ScriptedVehicle):
 
 
 @pytest.mark.parametrize("hz", [1.0, 10.0, 50.0])
-def test_two_vehicles_of_one_system_id_are_told_apart(hz: float) -> None:
+def test_two_vehicles_of_one_system_id_are_distinguished(hz: float) -> None:
     host = Host()
     session = session_of(Twins(host, host.now + 1.0, hz))
     session.advance(session.now_s() + 0.5)

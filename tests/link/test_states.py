@@ -87,7 +87,7 @@ class Vehicle:
         pass
 
 
-def test_a_session_goes_through_the_states_and_tells_who_waits() -> None:
+def test_a_session_goes_through_the_states_and_shows_who_waits() -> None:
     vehicle = Vehicle()
     session = Session(Port(vehicle), FollowedClock(lambda: vehicle.now_s, lambda: vehicle.now_s))
     assert session.link.state is S.SEARCHING

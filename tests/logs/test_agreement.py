@@ -43,7 +43,7 @@ def test_a_flight_in_the_units_of_its_names_agrees():
         (("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), -1.0, "what attitude and specific force make of it"),
     ],
 )
-def test_another_unit_or_sign_is_told(names, factor, said):
+def test_another_unit_or_sign_is_reported(names, factor, said):
     table = flown(np.random.default_rng(2))
     table |= {n: table[n] * factor for n in names}
     assert any(said in line and "column map" in line for line in disagreements(T, table))

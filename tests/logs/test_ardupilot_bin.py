@@ -142,7 +142,7 @@ def test_damage_never_crashes_and_is_never_silent(flight, attempt, tmp_path):
     rng = np.random.default_rng(5)
     data = bytes(flight(0.6).data)
     path = tmp_path / "a.BIN"
-    told = 0
+    reported = 0
     for _ in range(60):
         hurt = bytearray(data[: rng.integers(1, len(data))] if rng.random() < 0.5 else data)
         for place in rng.integers(0, len(hurt), rng.integers(1, 30)):
@@ -155,9 +155,9 @@ def test_damage_never_crashes_and_is_never_silent(flight, attempt, tmp_path):
         if isinstance(r, RecordingError):
             assert str(path) in str(r)
             continue
-        told += bool(r.provenance.losses)
+        reported += bool(r.provenance.losses)
         assert np.diff(r.t_span_s)[0] < 5.0
-    assert told > 20
+    assert reported > 20
 
 
 def test_old_logs_are_read(shared_data):
@@ -169,7 +169,7 @@ def test_old_logs_are_read(shared_data):
     assert 15.0 < np.nanmedian(late.channel("voltage_v")[1]) < 17.0
 
 
-def test_values_no_vehicle_can_have_are_dropped_and_told(flight, tmp_path):
+def test_values_no_vehicle_can_have_are_dropped_and_reported(flight, tmp_path):
     w = flight()
     data = bytearray(w.data)
     at = data.find(b"\xa3\x95" + bytes([w.kinds["ATT"][0]]), len(data) // 2)
@@ -225,7 +225,7 @@ def test_without_any_aiding_there_is_no_horizontal_motion(dataflash, tmp_path):
     assert r.has("height_m")
 
 
-def test_of_two_batteries_the_one_that_tells_its_voltage_is_read(dataflash, tmp_path):
+def test_of_two_batteries_the_one_that_shows_its_voltage_is_read(dataflash, tmp_path):
     log = with_attitude(dataflash())
     log.format("BAT", "QBff", "TimeUS,Inst,Volt,Curr")
     for k in range(100):

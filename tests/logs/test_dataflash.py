@@ -76,7 +76,7 @@ def test_only_what_is_wanted_is_kept(flight):
     assert set(log.tables["IMU"].raw) == {"TimeUS", "AccZ"}
 
 
-def test_messages_without_a_format_are_told_and_cost_no_others(dataflash):
+def test_messages_without_a_format_are_reported_and_cost_no_others(dataflash):
     w = dataflash()
     w.format("ONE", "Qf", "TimeUS,Value")
     for k in range(20):

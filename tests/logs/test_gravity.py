@@ -1,4 +1,4 @@
-"""A specific force in g or with z down is told."""
+"""A specific force in g or with z down is reported."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def t():
         ("frame: {body: FRD}\n", 1.0, ("leave that out",)),
     ],
 )
-def test_an_accelerometer_in_another_unit_or_frame_is_told(tmp_path, t, frame, factor, words):
+def test_an_accelerometer_in_another_unit_or_frame_is_reported(tmp_path, t, frame, factor, words):
     columns = "columns: {t_s: t, roll_rad: r, f_x_m_s2: x, f_y_m_s2: y, f_z_m_s2: z}\n"
     wave = np.sin(7 * t)
     r = mapped(

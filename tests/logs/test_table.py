@@ -67,7 +67,7 @@ def test_a_throttle_below_zero_is_refused(tmp_path, t):
         import_log(save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, throttle=np.where(t < 1.0, -1.0, 0.3)))
 
 
-def test_a_misspelt_column_is_told(tmp_path, t):
+def test_a_misspelt_column_is_reported(tmp_path, t):
     path = save(tmp_path / "a.csv", t_s=t, roll_rad=0 * t, picth_rad=0 * t)
     losses = import_log(path).provenance.losses
     assert losses == ("column 'picth_rad' is no channel and was not read; did you mean pitch_rad?",)
@@ -222,7 +222,7 @@ def test_broken_tables_are_refused(tmp_path, text):
         import_log(tmp_path / "a.csv")
 
 
-def test_lines_with_too_many_values_are_left_out_and_told(tmp_path):
+def test_lines_with_too_many_values_are_left_out_and_reported(tmp_path):
     (tmp_path / "a.csv").write_text("t_s,roll_rad\n0,0\n1,2,3\n2,0\n3,0\n")
     r = import_log(tmp_path / "a.csv")
     assert len(r.series["attitude"]) == 3
@@ -276,7 +276,7 @@ def test_crazyflie_logs_are_known_without_a_map(shared_data):
     )
 
 
-def test_a_thrust_stand_is_told_that_it_is_no_flight(shared_data, tmp_path):
+def test_a_thrust_stand_is_reported_that_it_is_no_flight(shared_data, tmp_path):
     (tmp_path / "m.yaml").write_text("format: columns/1\ncolumns:\n  t_s: Time (s)\n  voltage_v: Voltage (V)\n")
     with pytest.raises(RecordingError, match="a thrust stand is no flight"):
         import_log(shared_data / "thrust_stand" / "data" / "single_rotor" / "xNova-SR-ramp.csv", tmp_path / "m.yaml")
@@ -329,7 +329,7 @@ def test_an_index_is_a_column_too(tmp_path, t):
     np.testing.assert_allclose(import_log(tmp_path / "a.parquet").series["attitude"].t_s, t)
 
 
-def test_lines_of_zero_bytes_are_left_out_and_told(tmp_path, t):
+def test_lines_of_zero_bytes_are_left_out_and_reported(tmp_path, t):
     text = save(tmp_path / "a.csv", t_s=t, roll_rad=t).read_text()
     (tmp_path / "a.csv").write_text(text[:1000] + "\0" * 300 + text[1300:])
     r = import_log(tmp_path / "a.csv")

@@ -87,7 +87,7 @@ def test_frames_and_fields_are_pymavlinks():
     assert targets["q"].shape == (100, 4)
 
 
-def test_a_wrong_checksum_drops_the_message_and_is_told(tmp_path):
+def test_a_wrong_checksum_drops_the_message_and_is_reported(tmp_path):
     w = link()
     data = bytearray(w.data)
     at = split(bytes(data)).where(slice(20, 21)).payload[0]
@@ -108,7 +108,7 @@ def test_lost_bytes_are_counted_and_located(tmp_path):
     assert len(r.series["attitude"]) + len(r.series["reference"]) >= 397
 
 
-def test_messages_that_never_arrived_are_told(tmp_path):
+def test_messages_that_never_arrived_are_reported(tmp_path):
     w = link()
     frames = split(bytes(w.data))
     keep = np.ones(frames.at.size, dtype=bool)

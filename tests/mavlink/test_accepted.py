@@ -10,8 +10,8 @@ from flighttest.recording import Series
 GUIDED, LOITER = TAKES_ATTITUDE_TARGETS[0], 5.0
 
 
-@pytest.mark.parametrize(("until_s", "told"), [(0.5, False), (20.0, True)])
-def test_only_many_dropped_targets_are_told(until_s, told):
+@pytest.mark.parametrize(("until_s", "reported"), [(0.5, False), (20.0, True)])
+def test_only_many_dropped_targets_are_reported(until_s, reported):
     t = np.arange(0.0, 100.0, 0.1)
     beats = np.arange(0.0, 100.0, 0.5)
     losses = []
@@ -19,4 +19,4 @@ def test_only_many_dropped_targets_are_told(until_s, told):
         Series(t, {"throttle": np.full(t.size, 0.3)}), beats, np.where(beats <= until_s, LOITER, GUIDED), losses
     )
     assert np.isnan(kept.columns["throttle"]).sum() == np.sum(t <= until_s)
-    assert bool(losses) == told
+    assert bool(losses) == reported

@@ -55,7 +55,7 @@ def test_a_coupling_term_joins_roll_and_pitch():
     assert "k" in model.blocks[0].params
 
 
-def test_thrust_is_boosted_by_the_target_and_not_by_what_the_loop_is_told_beforehand():
+def test_thrust_is_boosted_by_the_target_and_not_by_what_the_loop_is_reported_beforehand():
     model = Model(("reference_shaping", "angle_boost"))
     system, values = model.system, model.start({"boost": 1.0, "boost_actual": 0.0, "shaping_ff": 1.0})
     state = {"roll_target_ahead_rad": 0.2, "roll_target_rate_rad_s": 2.0}
@@ -74,7 +74,7 @@ def test_without_attitude_loops_the_attitude_is_an_input():
     assert "roll_rad" not in model.system.states
 
 
-def test_a_lever_arm_needs_the_angular_acceleration_that_no_loop_tells():
+def test_a_lever_arm_needs_the_angular_acceleration_that_no_loop_shows():
     model = Model(("imu_lever_arm",), attitude_loops=False)
     inputs = list(model.system.inputs)
     assert "r_dot_rad_s2" in inputs

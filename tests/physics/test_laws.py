@@ -247,7 +247,7 @@ WITNESSES = {
         {"roll_ref": 1.2, "roll": 0.2, "pitch_ref": -0.1, "pitch": -0.1},
         [2 * 0.44 * 25.43 * (1.0 - 25.43 / 0.88), 0.0, 0.0],
     ),
-    # pitch_ref, roll_ref, target_pitch, target_roll: what the loop is told runs ahead of the target.
+    # pitch_ref, roll_ref, target_pitch, target_roll: what the loop is given runs ahead of the target.
     "reference_shaping": ({"shaping_ff": 1.0}, {}, [0.1 * 2 * 0.39 / 23.4, 0.3 + 0.1 * 2 * 0.44 / 25.43, 0.0, 0.3]),
     "yaw_rate_shaping": ({}, {}, [0.6]),
     "heading_hold": ({"heading_gain": 2.0}, {}, [0.0, 0.0, 21.54 * 2.0 * 0.1]),
@@ -311,7 +311,7 @@ def test_the_throttle_may_be_boosted_by_the_targets_tilt():
     assert float(made.value["throttle"]) == pytest.approx(0.25 / np.cos(0.5))
 
 
-def test_what_the_rate_loop_is_told_beforehand_makes_the_second_order_follow_the_target():
+def test_what_the_rate_loop_is_reported_beforehand_makes_the_second_order_follow_the_target():
     term, ahead = TERMS["reference_shaping"], {}
     s = signals(flight(roll=0.0, roll_rate=0.0))
     for share in (0.0, 1.0):

@@ -49,7 +49,9 @@ def throttle_steps(tmp_path):
 
 
 @pytest.mark.usefixtures("_nothing_found")
-def test_a_simulator_with_too_much_thrust_is_told_and_corrected(flight_csv, worn_csv, throttle_steps, tmp_path, capsys):
+def test_a_simulator_with_too_much_thrust_is_reported_and_corrected(
+    flight_csv, worn_csv, throttle_steps, tmp_path, capsys
+):
     real, simulated = throttle_steps(worn_csv), throttle_steps(flight_csv)
     code = call(["diagnose", str(real), "--against", str(simulated), "-o", str(tmp_path / "out")])
     assert code == 0

@@ -13,7 +13,7 @@ from flighttest.pipeline.planning.checking import plans, predictor_for
 from flighttest.vehicle.default import DEFAULT_VEHICLE
 
 
-def test_what_scripts_tell_together_is_what_each_tells_alone():
+def test_what_scripts_tell_together_is_what_each_shows_alone():
     prior = predictor_for(None, DEFAULT_VEHICLE)
     compiled = plans(["yaw_rate", "roll_pitch", "hover_rest", "tilt_throttle"], DEFAULT_VEHICLE, prior)
     each, altogether = expected_of_plans(compiled, prior.model, prior.values)
@@ -37,14 +37,14 @@ def test_flying_a_plan_in_coarser_steps_moves_no_expected_error(monkeypatch):
     coarse, _ = expected_of_plans(compiled, prior.model, prior.values)
     monkeypatch.setattr(expected, "PLANNED_STEP_S", 0.004)
     fine, _ = expected_of_plans(compiled, prior.model, prior.values)
-    told = [
+    planned = [
         (a, b)
         for one, other in zip(coarse, fine, strict=True)
         for a, b in zip(one, other, strict=True)
         if a.std is not None
     ]
-    assert len(told) > 20
-    for a, b in told:
+    assert len(planned) > 20
+    for a, b in planned:
         assert a.std == pytest.approx(b.std, rel=2e-3), a.name
 
 
@@ -76,14 +76,14 @@ def test_repeats_that_are_the_same_flight_are_flown_once(monkeypatch, terms):
         return simulate_many(model, values, runs, step_s)
 
     monkeypatch.setattr(expected, "simulate_many", counted)
-    told = expected.planned_information(compiled, model, model.start(prior.values))
+    planned = expected.planned_information(compiled, model, model.start(prior.values))
     poses = {(*sorted(leg.cell.items()), leg.kind, leg.heading_rad, leg.start_m[2]) for leg in compiled[0].legs}
-    assert flown == [len(poses) if terms else 12], "only what knows heading and height tells them apart"
+    assert flown == [len(poses) if terms else 12], "only what knows heading and height separates them"
     assert len(poses) > 24
-    assert len(told[0].steps) == 36
+    assert len(planned[0].steps) == 36
 
 
-def test_a_turn_on_the_spot_tells_hover_and_nothing_of_drag_along_z():
+def test_a_turn_on_the_spot_shows_hover_and_nothing_of_drag_along_z():
     prior = predictor_for(None, DEFAULT_VEHICLE)
     (found,), _ = expected_of_plans(plans(["yaw_rate"], DEFAULT_VEHICLE, prior), prior.model, prior.values)
     std = {e.name: e.std for e in found}

@@ -145,7 +145,7 @@ def free_csv(synthetic, tmp_path_factory):
     return synthetic.write_csv(tmp_path_factory.mktemp("free") / "free.csv", seed=2, until_s=9.4)
 
 
-def test_a_program_is_told_as_well_that_a_flight_was_fitted(call, model, flight_csv, tmp_path):
+def test_a_program_is_reported_as_well_that_a_flight_was_fitted(call, model, flight_csv, tmp_path):
     rows = flight_csv.read_text().splitlines()
     (tmp_path / "flight.csv").write_text("\n".join(rows[:1000]))
     code, out, _ = call("validate", model, tmp_path / "flight.csv", "--json")
@@ -244,7 +244,7 @@ def test_the_papers_one_delay_can_be_held(call, flight_csv):
     assert "T_d_thrust is given too" in " ".join(err.split())
 
 
-def test_a_misspelt_column_is_told_by_every_command_that_reads_the_table(call, flight_csv, tmp_path):
+def test_a_misspelt_column_is_reported_by_every_command_that_reads_the_table(call, flight_csv, tmp_path):
     names, rows = flight_csv.read_text().split("\n", 1)
     path = tmp_path / "a.csv"
     path.write_text(names.replace(",roll_rad", ",rol_rad") + "\n" + rows)
@@ -257,7 +257,7 @@ def test_a_misspelt_column_is_told_by_every_command_that_reads_the_table(call, f
     assert f"{path}: {hint}" in out
     run = tmp_path / "run"
     call("import", path, "-o", run)
-    assert hint not in call("segment", run)[1], "the import has told it"
+    assert hint not in call("segment", run)[1], "the import has reported it"
     rows = "".join(f"{0.02 * k},0.1,0.2\n" for k in range(300))
     for names, expected in (("t_s,rol_rad,pitch_rad", 3), ("t_s,rol_rad,throttle", 2), ("t_s,rol_rad,gyro", 2)):
         path.write_text(f"{names}\n{rows}")

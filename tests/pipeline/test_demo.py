@@ -53,8 +53,8 @@ def texts(document):
 def test_what_was_hidden_is_shown_in_the_last_section_before_the_commands():
     document = demo_document(DATA, ["flighttest accept run"], "report.html")
     assert [s.id for s in document.sections] == ["prediction", "twin", "truth", "next"]
-    told = ["0.137" in text for text in [document.verdict, *texts(document)]]
-    assert told == [False, False, False, True, False]
+    reported = ["0.137" in text for text in [document.verdict, *texts(document)]]
+    assert reported == [False, False, False, True, False]
     assert "payload_ratio 0.1310" in document.verdict
     assert "predicts the velocity north to 0.010 m/s (RMS), the base model to 0.050 m/s" in document.verdict
     assert (
@@ -77,7 +77,7 @@ def test_what_was_not_found_or_was_not_hidden_is_said(hidden, findings, said):
     assert ("found nothing missing" in document.verdict) == (not findings)
 
 
-def test_the_simulator_alone_is_told_and_the_printed_commands_exist(tmp_path, monkeypatch):
+def test_the_simulator_alone_is_reported_and_the_printed_commands_exist(tmp_path, monkeypatch):
     asked = []
 
     def run(request, _progress):

@@ -31,12 +31,12 @@ def estimates(model, names, **factors):
     return Estimates("x", tuple(names), values, np.diag((0.01 * np.abs(values)) ** 2))
 
 
-@pytest.mark.parametrize("told", [("K", "sigma_t"), ("d_z",), ("d_z", "omega_phi", "T_d_thrust", "k_x")])
-def test_every_parameter_is_tested_or_listed(told):
+@pytest.mark.parametrize("reported", [("K", "sigma_t"), ("d_z",), ("d_z", "omega_phi", "T_d_thrust", "k_x")])
+def test_every_parameter_is_tested_or_listed(reported):
     model = stored()
     subsets = subsets_of(model.model)
     assert {n for names in subsets.values() for n in names} == set(model.model.names)
-    tests = subset_tests(estimates(model, model.model.names), estimates(model, told), subsets=subsets)
+    tests = subset_tests(estimates(model, model.model.names), estimates(model, reported), subsets=subsets)
     missed = untested(model, subsets, tests, {"d_x": 0.1, "d_y": None}, {"d_x": 0.02})
     shown = {n for t in tests for n in t.shifts}
     assert shown | {u.parameter for u in missed} == set(model.model.names)
@@ -75,7 +75,7 @@ def diagnosis(*terms, verdict=Found.EXPLAINED):
     return SimpleNamespace(findings=tuple(map(finding, terms)), verdict=verdict, located=located)
 
 
-def test_an_effect_that_came_is_told_from_one_that_was_not_looked_for():
+def test_an_effect_that_came_is_distinguished_from_one_that_was_not_looked_for():
     known = stored(
         diagnosed={
             "verdict": "NOTHING_MISSING",

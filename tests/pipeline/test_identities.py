@@ -1,4 +1,4 @@
-"""Vehicles are told apart: nothing is taken to be of a vehicle because it lies beside its runs."""
+"""Vehicles are distinguished: nothing is taken to be of a vehicle because it lies beside its runs."""
 
 import json
 from pathlib import Path
@@ -47,7 +47,7 @@ def test_a_log_is_known_by_its_autopilot_and_else_unknown(tmp_path):
     assert name(**OFFSETS) == "heron"
     assert name(**{**OFFSETS, "INS_ACCOFFS_X": 0.0987654}) == "stork"
     assert name() == ""
-    assert name(**DEFAULTS) == "", "what every simulator has tells none apart"
+    assert name(**DEFAULTS) == "", "what every simulator has separates none"
     assert name(**{**OFFSETS, "MAV_SYSID": 7.0}).startswith("autopilot calibrated"), "another system id"
     models = tmp_path / "models" / "crow"
     models.mkdir(parents=True)

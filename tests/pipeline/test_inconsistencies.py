@@ -22,7 +22,7 @@ def test_recordings_of_two_vehicles_are_called_so():
     assert differences({"components": {"propellers": {"id": "P1"}}}, [b]) == "propellers P1, here P2"
 
 
-def test_a_recording_that_is_given_twice_is_told():
+def test_a_recording_that_is_given_twice_is_reported():
     a, b = (Recording(name, {}, (), Provenance("", "table", sha256=sha)) for name, sha in (("a", "1"), ("b", "2")))
     again = Recording("a-2", {}, (), a.provenance)
     assert "a and a-2 are one recording" in repeated([a, b, again])
@@ -59,7 +59,7 @@ def test_a_filter_that_nobody_stated_is_a_doubt():
     assert unfiltered([stated]) == ""
 
 
-def test_every_doubt_is_told_and_the_gravest_first():
+def test_every_doubt_is_reported_and_the_gravest_first():
     a, b = (Recording(n, {}, (), Provenance("", "table", sha256=n, components={"battery": {"id": n}})) for n in "ab")
     said = inconsistencies([a, b, a.__class__("a-2", {}, (), a.provenance)])
     assert ["not of one vehicle" in said[0], "are one recording" in said[1], len(said)] == [True, True, 2]

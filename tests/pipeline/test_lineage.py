@@ -57,11 +57,11 @@ def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_p
     assert used.model.terms == (*PAPER, "quadratic_drag")
     assert used.vehicle_name == "heron"
     code, text, _ = call("models", out, "--json")
-    (told,) = json.loads(text)["vehicles"]
+    (reported,) = json.loads(text)["vehicles"]
     assert code == 0
-    assert [m["runs"] for m in told["models"]] == [["a"], ["b"]]
-    assert told["models"][1]["joined"] == ["quadratic_drag"]
-    assert told["models"][0]["ended"] == ["quadratic_drag joined"]
+    assert [m["runs"] for m in reported["models"]] == [["a"], ["b"]]
+    assert reported["models"][1]["joined"] == ["quadratic_drag"]
+    assert reported["models"][0]["ended"] == ["quadratic_drag joined"]
     # The copy is the vehicle's: what becomes of the folder does not touch it.
     (second / "model.yaml").unlink()
     assert lineage.in_use(out).model.terms == (*PAPER, "quadratic_drag")
@@ -85,9 +85,9 @@ def test_a_component_change_ends_a_model_by_name(tmp_path):
 
 def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
     folder = write_model(tmp_path / "one", vehicle=None)
-    with pytest.raises(InputError, match="not known which vehicle") as told:
+    with pytest.raises(InputError, match="not known which vehicle") as reported:
         lineage.take_into_use(folder, tmp_path)
-    assert "--vehicle" in told.value.hint
+    assert "--vehicle" in reported.value.hint
     (tmp_path / "vehicle.yaml").write_text("format: vehicle/1\nname: stork\n")
     whole, _ = lineage.take_into_use(folder, tmp_path, tmp_path / "vehicle.yaml")
     assert whole.vehicle == "stork"
@@ -97,10 +97,10 @@ def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
 
 def test_a_model_that_knows_less_does_not_take_the_place_of_one_that_knows_more(tmp_path):
     lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
-    with pytest.raises(InputError, match="knows less than the model in use, of alpha") as told:
+    with pytest.raises(InputError, match="knows less than the model in use, of alpha") as reported:
         lineage.take_into_use(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
     both = f"flighttest diagnose {tmp_path / 'a'} {tmp_path / 'two'} -o {tmp_path / 'two' / 'together'} --accept"
-    assert both in told.value.hint
+    assert both in reported.value.hint
     # Also where a term joined: the two heights of a ground effect tell less of the drag than a campaign.
     longer = (*PAPER, "ground_effect")
     with pytest.raises(InputError, match="of alpha"):

@@ -98,7 +98,7 @@ def interrupted_while_waiting(monkeypatch):
     monkeypatch.setattr(Future, "result", interrupted)
 
 
-def test_an_interrupt_while_waiting_takes_what_the_copy_still_tells(two_cores, interrupted_while_waiting):
+def test_an_interrupt_while_waiting_takes_what_the_copy_still_shows(two_cores, interrupted_while_waiting):
     assert in_parallel(lambda some: [-i for i in some], [1, 2], [1, 1]) == [-1, -2]
 
 

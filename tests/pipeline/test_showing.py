@@ -21,9 +21,9 @@ def shown(flight_csv, tmp_path_factory):
 def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
     result, page = shown
     assert "A flight of" in result.document.verdict
-    told = {o["parameter"]: o["enough"] for o in result.data["outlook"]}
-    assert told["K"]
-    assert told["omega_phi"]
+    reported = {o["parameter"]: o["enough"] for o in result.data["outlook"]}
+    assert reported["K"]
+    assert reported["omega_phi"]
     assert result.data["battery"]["first_v"] > result.data["battery"]["last_v"]
     assert abs(result.data["compatibility"]["velocity_late_s"]) < 0.01
     assert any(c.startswith("flighttest fit ") for c in result.data["commands"])

@@ -32,8 +32,8 @@ def test_every_trial_of_the_reference_is_still_drawn_as_it_was():
 def test_an_answer_is_the_same_after_it_went_through_the_table(tmp_path):
     case = draw(801725741, 7)
     known = Outcome(7, case.kind, case.sha256(), case.hide, sizes={"throttle_offset": 1.4})
-    told = {"diagnosis": FOUND, "cpu_s": 10.0, "wall_s": 12.0}
-    outcome = frozen.outcome_of(case, told, known)
+    reported = {"diagnosis": FOUND, "cpu_s": 10.0, "wall_s": 12.0}
+    outcome = frozen.outcome_of(case, reported, known)
     assert outcome.values["throttle_offset"]["T_min"][1:] == (0.03, 0.027, 0.033)
     assert outcome.probability == {"throttle_offset": 0.97}
     (tmp_path / "answers.jsonl").write_text(frozen.line_of(case, outcome, "abc") + "\n")
@@ -92,12 +92,12 @@ def test_a_diagnosis_that_fails_has_named_nothing_and_counts():
 
 
 def test_the_command_diagnoses_a_recording_that_is_there_once(tmp_path, monkeypatch, capsys):
-    """The answer of unchanged code is read, not computed again; what failed is told with its trial."""
+    """The answer of unchanged code is read, not computed again; what failed is reported with its trial."""
     key = "801725741-7"
     (tmp_path / "flights" / key).mkdir(parents=True)
     (tmp_path / "answers" / "now").mkdir(parents=True)
-    told = {"diagnosis": FOUND, "cpu_s": 10.0, "wall_s": 12.0, "flight": "another"}
-    (tmp_path / "answers" / "now" / f"{key}.json").write_text(json.dumps(told))
+    reported = {"diagnosis": FOUND, "cpu_s": 10.0, "wall_s": 12.0, "flight": "another"}
+    (tmp_path / "answers" / "now" / f"{key}.json").write_text(json.dumps(reported))
     monkeypatch.setattr(frozen, "code", lambda: "now")
     frozen.main(["--cache", str(tmp_path), "--flown"])
     said = capsys.readouterr().out

@@ -68,7 +68,7 @@ def test_noise_is_what_was_added():
     assert noise.std["v_z_m_s"] == pytest.approx(0.02, rel=0.15)
 
 
-def test_an_effect_counts_by_what_no_base_parameter_copies_and_is_told_from_another():
+def test_an_effect_counts_by_what_no_base_parameter_copies_and_is_distinguished_from_another():
     quiet = oracle.left(flight(), NOISE, 22.2)
     lift, twice, wind = (
         oracle.left(flight(**more), NOISE, 22.2).less(quiet) for more in ({"lift": 0.01}, {"lift": 0.02}, {"wind": 2.0})

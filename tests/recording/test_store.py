@@ -147,7 +147,7 @@ def test_a_manifest_of_the_wrong_shape_is_refused(tmp_path: Path, line: str, wor
         "5",
     ],
 )
-def test_a_line_that_is_no_event_is_left_out_and_told(tmp_path: Path, line: str) -> None:
+def test_a_line_that_is_no_event_is_left_out_and_reported(tmp_path: Path, line: str) -> None:
     good = '{"t_s": 2, "kind": "note", "label": "y"}'
     (tmp_path / "events.jsonl").write_text(f'{{"format": "events/1"}}\n{line}\n{good}\n')
     markers, losses = read_events(tmp_path)

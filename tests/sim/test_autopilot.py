@@ -288,7 +288,7 @@ def test_a_landed_vehicle_with_an_empty_battery_gets_a_full_one(bare):
     assert kept.motion.voltage < 22.7
 
 
-def test_nothing_the_vehicle_sends_tells_what_is_hidden(bare):
+def test_nothing_the_vehicle_sends_shows_what_is_hidden(bare):
     def sent(**options):
         c = bare.Client(**bare.QUIET, **options)
         c.send(book.MAVLink_param_request_list_message(1, 1))

@@ -98,7 +98,7 @@ class TestCommand:
             with pytest.raises(LinkError, match="ports"):
                 free_ports([busy])
 
-    def test_a_port_that_somebody_wants_is_taken_or_the_launch_refused(self, tmp_path):
+    def test_a_port_that_somebody_needs_is_taken_or_the_launch_refused(self, tmp_path):
         fake = program(tmp_path / "arducopter")
         with socket.socket() as taken:
             taken.bind(("127.0.0.1", 0))

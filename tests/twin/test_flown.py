@@ -49,7 +49,7 @@ def test_a_step_that_only_one_of_them_flew_or_that_was_not_repeated_does_not_cou
     assert flown_errors(steps(rng, 3), steps(rng, 3, amplitude=0.3)) == {}
 
 
-def test_a_delay_is_told_apart_and_jitter_of_the_link_does_not_widen_the_floor():
+def test_a_delay_is_distinguished_and_jitter_of_the_link_does_not_widen_the_floor():
     rng = np.random.default_rng(5)
     found = flown_errors(steps(rng, 60, late=0.05, jitter=0.008), steps(rng, 60, late=0.02, jitter=0.008))["roll_rad"]
     assert found["later_s"] == pytest.approx(0.03, abs=3.0 * found["later_std_s"])

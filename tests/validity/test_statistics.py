@@ -141,7 +141,7 @@ def test_all_parameters_together_raise_as_few_false_alarms_as_stated():
 
 
 def test_thrust_is_compared_at_the_voltage_flown():
-    """Two campaigns that agree on the thrust at 0.9 U_n and on nothing else about K and alpha: only that flight's voltage tells."""
+    """Two campaigns that agree on the thrust at 0.9 U_n and on nothing else about K and alpha: only that flight's voltage determines it."""
     there = float(np.log(0.9))
     values = np.array([50.0, 1.7])
     stored = Estimates("model", ("K", "alpha"), values, np.diag((np.array([0.002, 0.1]) * values) ** 2), None, 0.0)
@@ -216,7 +216,7 @@ def test_too_few_responses_keep_the_prior():
     assert measured(normal, ("K",), {"K": 50.0}, steps)["K"] == prior("K")
 
 
-def test_the_battery_of_a_campaign_is_told_from_all_its_flights():
+def test_the_battery_of_a_campaign_is_estimated_from_all_its_flights():
     """One flight that hardly moves the current must not outweigh the one that does."""
     rng = np.random.default_rng(19)
 
@@ -270,7 +270,7 @@ def free_flight(rng, throttle, run, windows=9, volts=None):
     return made
 
 
-def test_the_throttle_that_holds_height_tells_where_steps_were_not_flown():
+def test_the_throttle_that_holds_height_shows_where_steps_were_not_flown():
     rng = np.random.default_rng(21)
 
     def level(throttle, volts=None):
@@ -310,7 +310,7 @@ def test_a_slower_thrust_is_not_called_less_thrust():
 
 
 def test_what_like_steps_do_not_tell_the_estimates_are_asked_for():
-    """Like steps told d_z alone and best: that d_x had risen by 22 % went by."""
+    """Like steps determined d_z alone and best: that d_x had risen by 22 % went by."""
     names = ("d_x", "d_z")
     values, covariance = np.array([0.4, 0.55]), np.diag([1e-4, 1e-4])
     stored = Estimates("stored", names, values, covariance)

@@ -277,8 +277,8 @@ class _Assembly:
             parameters = {n: v for n, v in table.items() if self.final.term_of(n) == named.term}
         scale = {c: named.size[c] / self.found.final.rms[c] for c in named.size if self.found.final.rms.get(c)}
         channel = max(scale, key=lambda c: scale[c]) if scale else "a_z_m_s2"
-        told = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
-        sentence = f"{term.plain} ({told}); {named.size.get(channel, 0.0):.2g} m/s^2 RMS of {short(channel)} beside the rest of the model"
+        words = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
+        sentence = f"{term.plain} ({words}); {named.size.get(channel, 0.0):.2g} m/s^2 RMS of {short(channel)} beside the rest of the model"
         rivals = tuple(Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in named.rivals)
         if rivals:
             sentence += f"; {', '.join(r.term for r in rivals)} would explain it as well: {rivals[0].separated_by}"
@@ -329,9 +329,9 @@ class _Assembly:
             levels[s.term] = sizes[name][0], name
             if sizes[name][1] > PLAUSIBLE:
                 unseen.append(Untestable(s.term, UNSEEN, known[s.term].reveals))
-        told = {*found.named, *self.loops, *asked, *(u.term for u in unseen), *(s.term for s in found.screened)}
+        words = {*found.named, *self.loops, *asked, *(u.term for u in unseen), *(s.term for s in found.screened)}
         for t in self.pool:
-            if t.id in told or t.id in found.refused or t.id in found.final.model.terms:
+            if t.id in words or t.id in found.refused or t.id in found.final.model.terms:
                 continue
             missing = missing_channels(t, self.segments)
             if t.id == WIND_TERM:

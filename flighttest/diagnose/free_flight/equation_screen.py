@@ -165,10 +165,10 @@ def _tested(
         return None
     left = c - b @ np.linalg.lstsq(b, c, rcond=None)[0]
     information = left.T @ left
-    told = np.diag(information) > 1e-9 * np.maximum(np.sum(c**2, axis=0), 1e-300)
-    if not told.any():
+    determined = np.diag(information) > 1e-9 * np.maximum(np.sum(c**2, axis=0), 1e-300)
+    if not determined.any():
         return None
-    left, information = left[:, told], information[np.ix_(told, told)]
+    left, information = left[:, determined], information[np.ix_(determined, determined)]
     count = int(whitened.block.max(initial=-1)) + 1
     if count < FEWEST_BLOCKS + others:
         return None
@@ -182,10 +182,10 @@ def _tested(
     inverse = np.linalg.pinv(information)
     delta, error = inverse @ total, np.sqrt(np.diag(inverse @ meat @ inverse))
     raw = np.concatenate([s.columns for s in streams])
-    base_columns, columns = raw[:, :others], raw[:, others:][:, told]
+    base_columns, columns = raw[:, :others], raw[:, others:][:, determined]
     beside = columns - base_columns @ np.linalg.lstsq(base_columns, columns, rcond=None)[0]
     size = float(np.sqrt(np.mean((beside @ delta) ** 2) * len(base.rms)))
-    named = [n for n, keep in zip([p.name for p in term.amplitudes] or [WHOLE], told, strict=False) if keep]
+    named = [n for n, keep in zip([p.name for p in term.amplitudes] or [WHOLE], determined, strict=False) if keep]
     return Screened(
         term.id, dict(shape), dict(zip(named, delta.tolist(), strict=False)), fisher_beyond(statistic, q, dof), size,
         dict(zip(named, error.tolist(), strict=False)), 0.5 * float(total @ inverse @ total),

@@ -87,10 +87,10 @@ def _left_out(found: EquationSearch, one: FreeFlight) -> dict[str, tuple[FloatAr
         others = [i for i, p in zip(information, pieces, strict=True) if p[3] != g]
         hessian, score = sum(h for h, _ in others), sum(s for _, s in others)
         # What belongs to the group left out alone, its wind, stays as it was estimated.
-        told = np.diag(hessian) > 0.0
-        scale = np.sqrt(np.where(told, np.diag(hessian), 1.0))
+        determined = np.diag(hessian) > 0.0
+        scale = np.sqrt(np.where(determined, np.diag(hessian), 1.0))
         inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-8, hermitian=True)
-        delta = np.where(told, inverse @ (score / scale) / scale, 0.0)
+        delta = np.where(determined, inverse @ (score / scale) / scale, 0.0)
         for channel, residual, jacobian, group in pieces:
             if group != g or residual.size < many:
                 continue

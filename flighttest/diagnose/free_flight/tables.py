@@ -25,7 +25,7 @@ def pairs_of_flights(found: EquationSearch) -> list[str]:
     if found.winds and not found.turned and not found.declared:
         said.append(
             "a wind and an attitude offset tilt the vehicle alike at one heading: a second flight at another heading, or one in still air "
-            "(--weather FLIGHT=still), diagnosed together with this one tells them apart"
+            "(--weather FLIGHT=still), diagnosed together with this one separates them"
         )
     offered = {*found.offered} - {*found.named}
     if "ground_effect" in offered and not any(s.term == "ground_effect" and s.p_value < CHANCE for s in found.screened):
@@ -61,7 +61,7 @@ def parameter_in_words(name: str, row: ParameterRow) -> str:
 
 
 def what_separates(rival: str, term: str) -> str:
-    """The flight that tells two terms apart."""
+    """The flight that separates two terms."""
     if {rival, term} == {WIND_TERM, OFFSET_TERM}:
         return "fly a second heading, or declare a flight in still air"
     return f"fly {catalogue()[rival].reveals}"

@@ -20,7 +20,7 @@ LEAST_RATIO = 1.25
 GUESSED_RATIO = 4.0  # where no repeats say what the floor is, and it is known to a factor of two
 OUTRIGHT = 3.5  # floors: above it, times of one response that differ on their own count as several looks
 SIGNIFICANCE = 0.001
-# Residuals below these cannot be told from the resolution of the recording.
+# Residuals below these cannot be distinguished from the resolution of the recording.
 RESOLUTION = {"roll_rad": 3e-4, "pitch_rad": 3e-4, "r_rad_s": 1e-3} | {
     f"{k}_{axis}_{unit}": std
     for k, unit, std in (("f", "m_s2", 5e-3), ("a", "m_s2", 5e-3), ("v", "m_s", 3e-3))

@@ -39,7 +39,10 @@ def set_aside(estimator: Estimator, model: Model, start: Mapping[str, float]) ->
     odd = outlying(fitted, segments)
     if not odd:
         return segments, {}
-    aside: SetAside = {"segments": [segments[i].name for i in sorted(odd)], "sentence": told(odd, segments)}
+    aside: SetAside = {
+        "segments": [segments[i].name for i in sorted(odd)],
+        "sentence": outlying_in_words(odd, segments),
+    }
     return tuple(s for i, s in enumerate(segments) if i not in odd), aside
 
 
@@ -66,7 +69,7 @@ def outlying(state: Optimum, segments: Sequence[Segment]) -> dict[int, float]:
     return found if len(found) <= MOST * len(segments) else {}
 
 
-def told(found: Mapping[int, float], segments: Sequence[Segment]) -> str:
+def outlying_in_words(found: Mapping[int, float], segments: Sequence[Segment]) -> str:
     """A sentence on what was set aside."""
     times = [float(segments[i].t_s[0]) for i in found]
     runs = list(dict.fromkeys(segments[i].run for i in found))

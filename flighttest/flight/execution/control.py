@@ -179,7 +179,7 @@ class FlightControl:
 
     def _watch_link(self) -> None:
         if self.streams is None:
-            return  # preflight: whoever waits for an answer is told
+            return  # preflight: whoever waits for an answer is notified
         before, link = self._link, self.session.look_at_link()
         if link is not before:
             self._link = link
@@ -227,7 +227,7 @@ class FlightControl:
 
     @property
     def stop_asked(self) -> bool:
-        """Whether the flight is to end in order: the operator wants it, nothing can be recorded, or the vehicle was set up anew."""
+        """Whether the flight is to end in order: the operator asked for it, nothing can be recorded, or the vehicle was set up anew."""
         return self._stops.orderly or bool(self.recorder.failure) or bool(self.external_changes.vital)
 
     @property
@@ -239,7 +239,7 @@ class FlightControl:
 
     @property
     def stop_now(self) -> bool:
-        """Whether the operator wants to let go at once."""
+        """Whether the operator asked to let go at once."""
         return self._stops.now
 
     # -- targets -------------------------------------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ def rest(control: FlightControl, leg: Leg) -> LegResult:
 
 
 def begin(control: FlightControl, leg: Leg) -> None:
-    """Note that a leg begins, with all that tells it from others."""
+    """Note that a leg begins, with all that distinguishes it from others."""
     control.recorder.event(
         "leg",
         leg.id,

@@ -67,7 +67,7 @@ class Event(Enum):
     DOWNLINK_GONE = "no HEARTBEAT for 30 s"
     UPLINK_GONE = "heard, but no answer for 60 s"
     NOT_DOWN = "still armed 120 s after HEARTBEAT showed LAND"
-    GIVEN_UP = "the operator wants an end, and the vehicle does not answer"
+    GIVEN_UP = "the operator asks for an end, and the vehicle does not answer"
     OVER = "the program ends the flight"
 
 

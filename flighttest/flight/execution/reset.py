@@ -30,7 +30,7 @@ _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
 _ASK_AGAIN_S = 0.1
 _SOON_S = 5.0  # after the link has come back
-_SHORTEST_S = 0.3  # over which a change of the climb rate tells an acceleration
+_SHORTEST_S = 0.3  # over which a change of the climb rate gives an acceleration
 _YAW_SLEW_RAD_S = 0.8
 
 
@@ -197,7 +197,7 @@ def attitude(control: FlightControl, start: Start, angle_boost: bool) -> Arrived
 def by_pilot(control: FlightControl, timeout_s: float = 300.0) -> Arrived:
     """The pilot flies to the start and switches to GUIDED_NOGPS when ready; until then nothing is sent but heartbeats.
 
-    The pilot is told by the live view. Never re-enters the mode by itself.
+    The pilot sees it in the live view. Never re-enters the mode by itself.
     """
     control.on(Event.HAND_OVER)
     control.alarm("the pilot flies to the start")

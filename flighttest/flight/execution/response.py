@@ -1,7 +1,7 @@
 """How late thrust follows throttle, seen while flying: what the plan's prior assumes, measured on this vehicle.
 
 Climb rate after a throttle step is the integral of the commanded thrust, shifted by the thrust's mean age (delay and lag together) and
-damped by the air; so one step whose height and climb rate were heard tells the age by a line fit, without any model of the vehicle. Of a
+damped by the air; so one step whose height and climb rate were heard gives the age by a line fit, without any model of the vehicle. Of a
 tilted thrust its vertical part does the same, as long as the tilt is moderate.
 """
 
@@ -31,7 +31,7 @@ _MISFIT_MAX_M_S = 0.25  # rms; a gust, or a throttle that is not followed, would
 class Learnt:
     """What a hover and the legs flown so far say of the vehicle's thrust.
 
-    hover_throttle at voltage_v; thrust_age_s: from sending a throttle to its mean effect, None as long as no leg told.
+    hover_throttle at voltage_v; thrust_age_s: from sending a throttle to its mean effect, None as long as no leg determined it.
     """
 
     hover_throttle: float

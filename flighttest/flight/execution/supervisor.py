@@ -70,7 +70,7 @@ def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
 def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
     """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
 
-    FlightEnded when the pilot takes over, the link stays away (`control`), or the operator wants an end and the vehicle does not answer.
+    FlightEnded when the pilot takes over, the link stays away (`control`), or the operator asks for an end and the vehicle does not answer.
     """
     let_go_s = math.inf
     began = control.session.now_s()

@@ -129,7 +129,7 @@ class ParameterChanges:
     def apply(
         self, wanted: Mapping[str, float], note: Callable[[str], None], keep: Callable[[Mapping[str, Left]], None]
     ) -> None:
-        """Set parameters. keep: told what has to be restored before anything is set, so that a program that dies leaves word of it.
+        """Set parameters. keep: called with what has to be restored before anything is set, so that a program that dies leaves word of it.
 
         LinkError where one does not take.
         """
@@ -166,7 +166,7 @@ class ParameterChanges:
             if airborne and name.startswith("FENCE_"):
                 continue
             tried = True
-            with contextlib.suppress(LinkError):  # it is told as left
+            with contextlib.suppress(LinkError):  # it is reported as left
                 params.write(self._session, name, value, self._known)
                 del self._before[name]
         return self.pending

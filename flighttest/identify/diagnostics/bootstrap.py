@@ -18,8 +18,8 @@ def bootstrap_std(normal: Normal, active: tuple[str, ...], draws: int = DRAWS, s
     """Standard errors by resampling responses, by name of the `active` parameters. Fewer than four responses tell nothing: empty."""
     pick = np.array([normal.names.index(n) for n in active], dtype=np.intp)
     hessian, score = normal.hessian[:, pick[:, None], pick], normal.score[:, pick]
-    told = np.abs(hessian).sum(axis=(1, 2)) > 0
-    hessian, score = hessian[told], score[told]
+    determined = np.abs(hessian).sum(axis=(1, 2)) > 0
+    hessian, score = hessian[determined], score[determined]
     if len(score) < 4 or not pick.size:
         return {}
     total = hessian.sum(axis=0)

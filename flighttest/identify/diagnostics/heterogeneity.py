@@ -1,8 +1,8 @@
 """Does one number do? A parameter of the vehicle is the same in small steps and in large ones; one of a wrong model is not.
 
-At the solution every response tells by its score where it alone would have the parameters. Taken together by the size of their steps,
+At the solution the score of every response gives where it alone would have the parameters. Taken together by the size of their steps,
 responses of a wrong model pull apart by far more than like ones scatter: a ramped reference looks slower the larger the step, a boosted
-throttle stronger the steeper the tilt. A standard error knows nothing of it.
+throttle stronger the steeper the tilt. A standard error does not contain it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
 
-# Told from one another within one response: a lag and its delay, or a single coefficient.
+# Distinguished from one another within one response: a lag and its delay, or a single coefficient.
 SETS: tuple[tuple[str, ...], ...] = (
     ("omega_phi", "zeta_phi", "omega_theta", "zeta_theta", "T_d_attitude"),
     ("sigma_r", "T_d_yaw_rate"),
@@ -60,10 +60,10 @@ class Heterogeneity:
 
 def heterogeneity(problem: Problem, solution: Solution, covariance: Covariance) -> Mapping[str, Heterogeneity]:
     """Parameters that differ between sizes of steps by more than like steps scatter, by name; one Gauss-Newton step per group."""
-    told = np.abs(solution.normal.hessian).sum(axis=(1, 2)) > 0
+    determined = np.abs(solution.normal.hessian).sum(axis=(1, 2)) > 0
     groups: dict[str, list[int]] = {}
-    lively = _lively([s for s, t in zip(problem.segments, told, strict=True) if t])
-    for i in np.flatnonzero(told):
+    lively = _lively([s for s, t in zip(problem.segments, determined, strict=True) if t])
+    for i in np.flatnonzero(determined):
         label = size_of(problem.segments[i]) or lively.get(problem.segments[i].name)
         if label is not None:
             groups.setdefault(label, []).append(int(i))

@@ -112,10 +112,14 @@ def judge(
         missed = f"{100 * diagnostics.missed:.0f} % of how the vehicle moved is neither explained nor noise"
         return Known(False, f"{missed}; `flighttest diagnose` looks for what is behind it", fly)
     if diagnostics.responses < FEWEST_RESPONSES:
-        few = "one response tells" if diagnostics.responses == 1 else f"{diagnostics.responses} responses tell"
-        return Known(False, f"only {few} of it: without repeats its error is not known", fly)
+        few = (
+            "one response holds information"
+            if diagnostics.responses == 1
+            else f"{diagnostics.responses} responses hold information"
+        )
+        return Known(False, f"only {few} on it: without repeats its error is not known", fly)
     if diagnostics.bound is not None:
-        return Known(False, f"{diagnostics.bound} sits at its bound, and the two cannot be told apart here", fly)
+        return Known(False, f"{diagnostics.bound} sits at its bound, and the two cannot be distinguished here", fly)
     if diagnostics.other_optimum is not None:
         return Known(False, diagnostics.other_optimum.sentence(param.unit), fly)
     if diagnostics.spread is not None and diagnostics.spread.width > allowance(param, value):
@@ -123,7 +127,9 @@ def judge(
         return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)
     if diagnostics.partner is not None:
         return Known(
-            False, f"{diagnostics.partner} differs between sizes of steps, and the two cannot be told apart here", fly
+            False,
+            f"{diagnostics.partner} differs between sizes of steps, and the two cannot be distinguished here",
+            fly,
         )
     share = std / abs(value) if value else float("inf")
     # More than half of the variance.
@@ -147,7 +153,7 @@ def judge(
         limit = f"{std:{'.2g' if std < 100 else '.0f'}}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
     if good:
         return Known(True)
-    with_whom = f"; it can hardly be told from {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
+    with_whom = f"; it is nearly collinear with {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
     return Known(False, f"its standard error is {limit}{with_whom}{steered}", fly)
 
 
@@ -199,7 +205,7 @@ def flown_voltage(segments: Sequence[Segment], model: Model) -> float:
 
 def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> list[str]:
     """What an assumed alpha leaves open. still: whether the voltage was recorded with one and the same value."""
-    notes = [f"{never_changing(['voltage_v'])}: alpha cannot be told from it"] if still else []
+    notes = [f"{never_changing(['voltage_v'])}: alpha cannot be determined from it"] if still else []
     if assumed_share(segments, model) > FAR_SHARE:
         notes.append(
             f"K is carried to {model.nominal_voltage_v:g} V by an assumed alpha from the {flown_voltage(segments, model):.1f} V flown: "
@@ -209,7 +215,7 @@ def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> lis
 
 
 def throttle_varies(segments: Sequence[Segment]) -> bool:
-    """Whether any segment moves its throttle: without that, nothing tells the thrust lag or its delay."""
+    """Whether any segment moves its throttle: without that, nothing determines the thrust lag or its delay."""
     return any(
         "throttle" in s.u and float(np.ptp(zero_order_hold(s.u["throttle"], s.t_s))) > THROTTLE_STEP for s in segments
     )

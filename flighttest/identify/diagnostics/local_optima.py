@@ -90,7 +90,7 @@ def _between(
     found: dict[str, LocalOptimum],
     robust: bool,
 ) -> tuple[Solution, dict[str, LocalOptimum]]:
-    """After another optimum: the best so far, and what cannot be told from it."""
+    """After another optimum: the best so far, and what cannot be distinguished from it."""
     mine, theirs = covariance_of(problem, best), covariance_of(problem, other)
     taken: dict[str, float] = {}
     for group in groups:

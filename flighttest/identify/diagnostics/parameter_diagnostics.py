@@ -16,7 +16,7 @@ from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.identify.diagnostics.quality import ChannelQuality
 from flighttest.physics.model import Model
 
-MEETS = 0.1  # correlation of two parameters that are told by the same samples
+MEETS = 0.1  # correlation of two parameters that are determined by the same samples
 WORTH_A_NOTE = 0.3  # of how wide a parameter may be and still be called known
 
 
@@ -71,9 +71,9 @@ def parameter_diagnostics(
     loops = _lags_with(wide)
     bounds = {**_leaning_on(solution.at_bound, solution), **_pushed_by_bounds(solution, covariance)}
     partners = _leaning_on([n for n in wide if n in loops], solution)
-    told = _responses_telling(solution)
+    determined = _responses_telling(solution)
     explained = _described(problem, solution, {c: q.r2 for c, q in quality.items()})
-    # How fast a loop answers is told by the course of each response: what the model misses of that, it puts into the lag.
+    # How fast a loop answers is seen in the course of each response: what the model misses of that, it puts into the lag.
     followed = _described(problem, solution, {c: 1.0 - q.missed for c, q in quality.items()})
     lags = _lags_with(solution.free)
     return {
@@ -81,7 +81,7 @@ def parameter_diagnostics(
             differing.get(n),
             bounds.get(n),
             partners.get(n) if n in loops else None,
-            told.get(n, 0),
+            determined.get(n, 0),
             explained.get(n, 1.0),
             1.0 - followed.get(n, 1.0) if n in lags else 0.0,
             optima.get(n),
@@ -117,8 +117,8 @@ def differing_notes(
 
 def _responses_telling(solution: Solution, share: float = 1e-3) -> dict[str, int]:
     """How many responses hold at least this share of what is known of each free parameter."""
-    told = np.einsum("sii->si", solution.normal.hessian)
-    enough = told > share * np.maximum(told.sum(axis=0), 1e-300)
+    determined = np.einsum("sii->si", solution.normal.hessian)
+    enough = determined > share * np.maximum(determined.sum(axis=0), 1e-300)
     return dict(zip(solution.normal.names, enough.sum(axis=0).tolist(), strict=True))
 
 
@@ -130,9 +130,9 @@ def _described(problem: Problem, solution: Solution, r2: Mapping[str, float], sh
     found: dict[str, float] = {}
     for part, made in zip(problem.parts, solution.evaluations, strict=True):
         std = np.array([solution.noise.channel[c] for c in part.outputs])
-        told = np.einsum("mnci,c->ic", made.jacobian**2, 1.0 / std**2)
+        determined = np.einsum("mnci,c->ic", made.jacobian**2, 1.0 / std**2)
         names = made.columns[: len(made.columns) - len(part.locals)]
-        for name, by_channel in zip(names, told[: len(names)], strict=True):
+        for name, by_channel in zip(names, determined[: len(names)], strict=True):
             read = {c for c, t in zip(part.outputs, by_channel, strict=True) if t > share * by_channel.sum() > 0}
             read |= {"f_z_m_s2"} if "v_z_m_s" in read and "f_z_m_s2" in part.outputs else set()
             values = [r2[c] for c in read if np.isfinite(r2.get(c, np.nan))]

@@ -164,7 +164,7 @@ def export(stored: ModelFile, kind: Kind, folder: Path) -> tuple[Path, ...]:
 
 
 def _finite(value: Any) -> Any:
-    """JSON knows no NaN."""
+    """JSON has no NaN."""
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

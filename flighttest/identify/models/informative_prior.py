@@ -42,7 +42,7 @@ def carry_over(data: ModelData, base: ModelFile, names: Sequence[str]) -> ModelD
         parameters[name] |= {
             "value": stored.value, "std": stored.std, "source": stored.source, "identifiable": True,
             "interval_95": None if stored.interval_95 is None else list(stored.interval_95),
-            "why": "as the base model has it: these flights do not tell it",
+            "why": "as the base model has it: these flights do not determine it",
         }  # fmt: skip
         parameters[name].pop("fly", None)
     delays = [n for n in DELAY_PARAM.values() if n in order]
@@ -56,7 +56,7 @@ def carry_over(data: ModelData, base: ModelFile, names: Sequence[str]) -> ModelD
         parameters[MEAN_DELAY] |= {"value": mean, "std": float(f"{std:.7g}"), "interval_95": [low, high]}
         matrix = np.block([[matrix, row[:, None]], [row[None, :], np.array([[std**2]])]])
         order = [*order, MEAN_DELAY]
-    told = f"as the base model has them, since these flights do not tell them: {', '.join(names)}"
+    words = f"as the base model has them, since these flights do not determine them: {', '.join(names)}"
     return {
         **data,
         "parameters": parameters,
@@ -66,5 +66,5 @@ def carry_over(data: ModelData, base: ModelFile, names: Sequence[str]) -> ModelD
             if n in names
         },
         "covariance": {"order": order, "matrix": matrix.tolist()},
-        "notes": [*data["notes"], told],
+        "notes": [*data["notes"], words],
     }  # fmt: skip

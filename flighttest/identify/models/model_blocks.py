@@ -1,4 +1,4 @@
-"""The blocks of model.yaml that are no parameters: read or checked one by one, so that a bad file tells everything wrong with it."""
+"""The blocks of model.yaml that are no parameters: read or checked one by one, so that everything wrong with a file is reported at once."""
 
 from __future__ import annotations
 

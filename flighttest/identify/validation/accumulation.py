@@ -82,7 +82,7 @@ def _of(estimate: Estimate | None, i: int, shift: FloatArray, std: FloatArray) -
     ratio = std[:, i] / std[-1, i]
     half = 0.5 * (estimate.interval_95[1] - estimate.interval_95[0]) * ratio
     value = estimate.value + shift[:, i] - shift[-1, i]
-    # A response that tells nothing of the parameter adds no point.
+    # A response that contains no information on the parameter adds no point.
     news = np.concatenate([[True], ~np.isclose(ratio[1:], ratio[:-1], rtol=1e-9, equal_nan=True)])
     news[-1] = True
     at = np.flatnonzero(np.isfinite(value) & (ratio < WIDEST) & news)

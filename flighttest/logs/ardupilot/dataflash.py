@@ -116,11 +116,11 @@ class _Reader:
         present = np.flatnonzero(np.bincount(types, minlength=256))
         for kind in present:
             format = self.formats.get(int(kind))
-            if format is not None and self._wants(format.name):
+            if format is not None and self._needed(format.name):
                 self._gather(format, buffer, hits[types == kind], base)
         return done
 
-    def _wants(self, name: str) -> bool:
+    def _needed(self, name: str) -> bool:
         return self.wanted is None or name in self.wanted
 
     def _learn(self, buffer: NDArray[np.uint8], hits: NDArray[np.int64]) -> None:

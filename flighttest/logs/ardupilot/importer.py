@@ -237,7 +237,7 @@ class _Importer:
         self._gps(series)
 
     def _made_up(self, name: str, t_s: FloatArray) -> NDArray[np.bool_]:
-        """Where the EKF had nothing that tells of horizontal motion (n,): it takes its position as constant then, its velocity drifts."""
+        """Where the EKF had nothing that measures horizontal motion (n,): it takes its position as constant then, its velocity drifts."""
         status = self._instance(_STATUS.get(name, ""), "C")
         if status is None or "SS" not in status[0]:
             return np.zeros(t_s.size, dtype=bool)
@@ -310,7 +310,7 @@ class _Importer:
         return ordered(t_s, columns, table.format.name, self.losses)
 
     def _drop_unmonitored(self, name: str) -> None:
-        """Leave out batteries that were set up for their current alone, where another one tells its voltage."""
+        """Leave out batteries that were set up for their current alone, where another one measures its voltage."""
         table, t_s = self.tables.get(name, (None, None))
         field = next((f for f in ("Inst", "Instance") if table is not None and f in table), None)
         if table is None or t_s is None or field is None or "Volt" not in table:

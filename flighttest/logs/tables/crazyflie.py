@@ -35,7 +35,7 @@ _KNOWN: dict[str, Source] = {
     "voltage_v": Source(("pm.vbatMV",), 1e-3),
     **{f"motor_{k}": Source((f"motor.m{k}",), _THRUST) for k in range(1, 5)},
 }  # fmt: skip
-# The first that was logged: the command, else what the motors were told.
+# The first that was logged: the command, else what the motors were commanded.
 _THROTTLE = (
     Source(("controller.cmd_thrust",), _THRUST),
     Source(("stabilizer.thrust",), _THRUST),

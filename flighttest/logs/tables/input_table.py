@@ -87,6 +87,6 @@ def levels(measured: FloatArray) -> InputTable | None:
     bounds = np.unique(np.quantile(known[:, 0], np.linspace(0.0, 1.0, LEVELS + 1)))
     which = np.clip(np.searchsorted(bounds, known[:, 0], side="right") - 1, 0, max(bounds.size - 1, 0))
     count = np.bincount(which)
-    told = count > 0
-    inputs, outputs = (np.bincount(which, known[:, k])[told] / count[told] for k in (0, 1))
+    determined = count > 0
+    inputs, outputs = (np.bincount(which, known[:, k])[determined] / count[determined] for k in (0, 1))
     return InputTable(tuple(inputs.tolist()), tuple(outputs.tolist())) if inputs.size > 1 else None

@@ -116,7 +116,7 @@ def _shaping(s: Signals, p: Values, x: Values) -> Contribution:
         # The wanted rate falls on the way to the target; without its slope the target would brake late and run past.
         asked = (wanted - target_rate) / _CATCH_UP_S - slope * target_rate
         rates[f"{axis}_target_rate_rad_s"] = _within(asked, acceleration)
-        # What the rate loop is told beforehand: the second order then follows the target's angle and rate.
+        # What the rate loop is given beforehand: the second order then follows the target's angle and rate.
         ahead = 2 * s.base[f"zeta_{greek}"] / s.base[f"omega_{greek}"] * target_rate
         targets |= {f"target_{axis}": target, f"{axis}_ref": target + p["shaping_ff"] * ahead}
     return Contribution(targets, rates)
@@ -137,7 +137,7 @@ reference_shaping = Term(
             "ATC_INPUT_TC, 0.15 s by default", "shape", None, (0.08, 0.15, 0.3),
         ),
         Param(
-            "shaping_ff", "k_ff", "1", 1.0, -0.2, 1.5, 0.2, "share of the target's rate that the rate loop is told beforehand",
+            "shaping_ff", "k_ff", "1", 1.0, -0.2, 1.5, 0.2, "share of the target's rate that the rate loop is given beforehand",
             "ATC_RATE_FF_ENAB: 1", "shape", None, (0.0, 1.0),
         ),
     ),

@@ -107,27 +107,27 @@ def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle
     where = vehicle if vehicle is not None and vehicle.flies else flown_vehicle(recordings)
     if where is None or not found.next_script:
         return found
-    told: NextReason
+    words: NextReason
     try:
         script = parse_script(write_text(found.next_script), "next.yaml")
         prior = _prior(found.model, found.values, where)
         plan = compile_plan(script, where, prior)
     except FlighttestError as error:
-        told = {"fits_zone": None, "zone": f"Whether it fits the zone of {where.name} is not known: {error.message}."}
-        return replace(found, next_reason={**found.next_reason, **told})
+        words = {"fits_zone": None, "zone": f"Whether it fits the zone of {where.name} is not known: {error.message}."}
+        return replace(found, next_reason={**found.next_reason, **words})
     asked = len(plan.legs) + len({leg for leg, _, _ in plan.refusals})
     if not plan.refusals:
-        told = {"fits_zone": True, "zone": f"All its {asked} steps fit the zone of {where.name}."}
-        return replace(found, next_reason={**found.next_reason, **told})
+        words = {"fits_zone": True, "zone": f"All its {asked} steps fit the zone of {where.name}."}
+        return replace(found, next_reason={**found.next_reason, **words})
     leg, what, remedy = plan.refusals[0]
     short = f"{asked - len(plan.legs)} of its {asked} steps do not fit the zone of {where.name}"
-    told = {
+    words = {
         "fits_zone": False,
         "zone": f"As it is it cannot be flown: {short}. {leg}: {what}; {remedy}. `flighttest check` names them all. "
         f"{larger_zone(script, where, prior)}".strip(),
     }
     doc = f"{found.next_script.get('doc', '')}; {short}".removeprefix("; ")
-    return replace(found, next_script={**found.next_script, "doc": doc}, next_reason={**found.next_reason, **told})
+    return replace(found, next_script={**found.next_script, "doc": doc}, next_reason={**found.next_reason, **words})
 
 
 def flown_vehicle(recordings: Sequence[Recording]) -> Vehicle | None:

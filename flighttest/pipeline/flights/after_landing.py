@@ -23,17 +23,17 @@ from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import words_of
 from flighttest.pipeline.store.history import DEFAULT_RUNS, FIT_NAME, as_good
 from flighttest.pipeline.store.identities import whose
-from flighttest.pipeline.store.lineage import model_of, together, worse
+from flighttest.pipeline.store.lineage import joint_fit_command, model_of, worse
 from flighttest.pipeline.store.models import accepted
 from flighttest.pipeline.validity.reflights import reflights
 from flighttest.pipeline.validity.status import Today, judge
 from flighttest.recording import Recording
 from flighttest.report.document import Bullets, Document, Section, Tone
+from flighttest.report.fit_views import FitView
 from flighttest.report.render import html
 from flighttest.report.sections import fit as fit_sections
 from flighttest.report.sections.diagnosis import missing_sections
 from flighttest.report.sections.validity import TONES, status_document
-from flighttest.report.views import FitView
 from flighttest.segments import Segment
 from flighttest.validity.model import Assessment, Verdict
 from flighttest.vehicle.model import Vehicle
@@ -101,8 +101,8 @@ def analyse(
     if found.diagnosis is not None:
         data["diagnosis"] = found.diagnosis
     status = _status(found, landed.usable)
-    told = how_to_accept(found, status, folders[-1], name, out, keep)
-    return Result(_summary(found, view, landed, page, told), data, status, found)
+    words = how_to_accept(found, status, folders[-1], name, out, keep)
+    return Result(_summary(found, view, landed, page, words), data, status, found)
 
 
 def _out_words(out: Path) -> str:
@@ -122,7 +122,7 @@ def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out:
     words = f"flighttest accept {shlex.quote(str(folder))}{_out_words(out)}"
     used, own = found.previous, found.improved or found.fit
     if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
-        return f"with the flights of the model in use, which knows more: {together(out, used, folder)}"
+        return f"with the flights of the model in use, which knows more: {joint_fit_command(out, used, folder)}"
     if not name:
         return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
     if not keep:

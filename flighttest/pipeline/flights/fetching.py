@@ -26,13 +26,13 @@ def fetch_log(
             "name a vehicle that keeps one, as tcp:HOST:PORT; `flighttest sim --backend sitl` starts an ArduPilot that does",
         )
     progress.stage(f"connecting to {url}")
-    told = -1
+    words = -1
 
     def tell(share: float) -> None:
-        nonlocal told
+        nonlocal words
         tenth = int(share * 10)
-        if tenth > told:
-            told = tenth
+        if tenth > words:
+            words = tenth
             progress.stage(f"downloading: {tenth * 10} %")
 
     log = fetch(url, path, number, tell, read_key(key) if key is not None else None)

@@ -317,16 +317,16 @@ def _say_changes(previous: ModelFile, today: FingerprintData, said: set[str], pr
     if not changes:
         return
     since = flown_until(previous)
-    told = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:MOST_CHANGES_SAID]]
+    words = [f"{c.name} ({c.before} is now {c.after})" for c in changes[:MOST_CHANGES_SAID]]
     if len(changes) > MOST_CHANGES_SAID:
-        told.append(f"{len(changes) - MOST_CHANGES_SAID} more")
+        words.append(f"{len(changes) - MOST_CHANGES_SAID} more")
     subsets = [s for s in SUBSETS if any(s in c.touches for c in changes)]
     least = scripts_for(tuple(subsets))
     again = join(list(ALL_SCRIPTS)) + (
         f" again (at least {join(list(least))})" if set(least) < set(ALL_SCRIPTS) else " again"
     )
     progress.stage(
-        f"the last model is stale: {join(told)}{f'; changed {since}' if since else ''}; touches {join(subsets)}; fly {again}"
+        f"the last model is stale: {join(words)}{f'; changed {since}' if since else ''}; touches {join(subsets)}; fly {again}"
     )
 
 

@@ -45,7 +45,7 @@ from flighttest.vehicle.model import Vehicle
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What a fit may be told: terms beside the model's, parameters to hold at a value, parameters to tie to another, how many processes.
+    """Options of a fit: terms beside the model's, parameters to hold at a value, parameters to tie to another, how many processes.
 
     model: where it is not the paper's; its nominal voltage and the height of its rotors count where neither vehicle nor recordings state
     them. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT.

@@ -24,11 +24,11 @@ from flighttest.pipeline.store.history import FIT_NAME
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report.document import Document, Section, Tone
+from flighttest.report.fit_views import FitView
 from flighttest.report.numbers import duration, join
 from flighttest.report.render import html
 from flighttest.report.sections import fit as fit_sections
 from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
-from flighttest.report.views import FitView
 from flighttest.segments import Segment
 from flighttest.version import __version__
 

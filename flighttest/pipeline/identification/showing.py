@@ -114,7 +114,7 @@ def _judged(model: Any, one: Expected) -> ParameterOutlook:
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
     fly = maneuver_for(param, reveals.get(one.name, ""))
     enough = one.std is not None and one.std <= allowance(param, one.value)
-    return ParameterOutlook(one, enough, "" if enough else fly, "" if one.std is not None else "nothing tells it")
+    return ParameterOutlook(one, enough, "" if enough else fly, "" if one.std is not None else "not identifiable")
 
 
 def _figures(recording: Recording) -> tuple[tuple[str, str], ...]:
@@ -198,13 +198,13 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
         doubts.append(f"{count} thing{'s' if count > 1 else ''} lost or odd in reading it")
     good = [one.expected.name for one in look.outlook if one.enough]
     if not any(one.expected.std is not None for one in look.outlook):
-        tells, tone = "Nothing of it can be used for a fit.", "bad"
+        outlook, tone = "Nothing of it can be used for a fit.", "bad"
     elif len(good) == len(look.outlook):
-        tells, tone = f"All {len(good)} parameters may become known by a fit.", "good"
+        outlook, tone = f"All {len(good)} parameters may become known by a fit.", "good"
     else:
-        tells = f"At best {len(good)} of {len(look.outlook)} parameters become known by a fit."
+        outlook = f"At best {len(good)} of {len(look.outlook)} parameters become known by a fit."
         tone = "warn"
-    return f"{kind}{'; ' + join(doubts) if doubts else ''}. {tells}", tone  # type: ignore[return-value]
+    return f"{kind}{'; ' + join(doubts) if doubts else ''}. {outlook}", tone  # type: ignore[return-value]
 
 
 def _data(look: Look, page: Path, verdict: str, losses: Sequence[str]) -> dict[str, Any]:

@@ -58,7 +58,7 @@ def declared_weather(said: Sequence[str], recordings: Sequence[Recording], vehic
 def wind_section(
     segments: Sequence[Segment], model: Model, weather: Mapping[str, str]
 ) -> tuple[Section | None, WindsData]:
-    """Table of the wind in every flight and the same as data; neither where no free flight tells of it."""
+    """Table of the wind in every flight and the same as data; neither where no free flight determines it."""
     if not any(s.usable and s.kind == "free" for s in segments):
         return None, {}
     try:

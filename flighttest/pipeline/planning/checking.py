@@ -99,9 +99,9 @@ def check(
         return list(zip(made, planned_information(made, prior.model, prior.values), strict=True))
 
     loaded = [load_script(resolve(name)) for name in scripts]
-    compiled, told = zip(*in_parallel(rehearsed, loaded, [_steps_asked(script) for script in loaded]), strict=True)
-    forecast = [expected_of_information([one], prior.model, prior.values) for one in told]
-    altogether = expected_of_information(told, prior.model, prior.values)
+    compiled, planned = zip(*in_parallel(rehearsed, loaded, [_steps_asked(script) for script in loaded]), strict=True)
+    forecast = [expected_of_information([one], prior.model, prior.values) for one in planned]
+    altogether = expected_of_information(planned, prior.model, prior.values)
     results = tuple(
         replace(check_plan(plan), expected_std={e.name: e.std for e in expected if e.std is not None and _useful(e)})
         for plan, expected in zip(compiled, forecast, strict=True)
@@ -132,7 +132,7 @@ def _steps_asked(script: Script) -> int:
 
 
 def _useful(expected: Expected) -> bool:
-    """Whether a script tells anything worth printing about a parameter."""
+    """Whether a script determines anything worth printing about a parameter."""
     return expected.std is not None and expected.std < max(0.5 * abs(expected.value), 1e-9)
 
 
@@ -143,7 +143,7 @@ def _expected_section(altogether: Sequence[Expected]) -> Section | None:
     rows: list[tuple[Cell | str, ...]] = []
     for e in altogether:
         if e.std is None or e.std_twice is None:
-            rows.append((e.name, "-", unit(e.unit), "-", "-", Cell("nothing here tells it", "quiet")))
+            rows.append((e.name, "-", unit(e.unit), "-", "-", Cell("not identifiable here", "quiet")))
             continue
         share = percent(e.std / abs(e.value)) if e.value else "-"
         best = "; ".join(cell for cell, _ in e.best[:2])

@@ -1,4 +1,4 @@
-"""The prior model as `plan` wants it: many vehicles flown at once through targets that may depend on where they are.
+"""The prior model as `plan` takes it: many vehicles flown at once through targets that may depend on where they are.
 
 The equations are those of `physics.model`; nothing is written twice.
 """

@@ -13,13 +13,13 @@ from flighttest.identify.response_analysis.comparison import fitted_responses, o
 from flighttest.identify.response_analysis.frequency_response import frequency_responses, residual_correlations
 from flighttest.identify.validation.accumulation import accumulations
 from flighttest.physics.model import Model
+from flighttest.report.fit_views import FitView, ParameterView, QualityView, SegmentView
 from flighttest.report.numbers import join, number, percent
-from flighttest.report.views import FitView, ParameterView, QualityView, SegmentView
 from flighttest.segments import Metrics, Segment, metrics_of
 
 METRICS = tuple(f.name for f in fields(Metrics) if f.name != "channel")
 CORRELATED = 0.9
-TOLD_R2 = 0.05
+DETERMINED_R2 = 0.05
 
 
 def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
@@ -62,7 +62,7 @@ def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
 def _warnings(found: Fit) -> tuple[str, ...]:
     """What speaks against each parameter; those of which the same is said in one sentence."""
     blind = [e.name for e in found.estimates.values() if e.std is None and e.source == "assumed" and e.why]
-    lines = [f"nothing in these recordings tells {join(blind)}"] if blind else []
+    lines = [f"nothing in these recordings determines {join(blind)}"] if blind else []
     alike: dict[str, list[str]] = {}
     for e in found.estimates.values():
         if e.why and e.name not in blind:
@@ -104,7 +104,7 @@ def _verdict(found: Fit, unknown: Sequence[str]) -> str:
 def _accuracy(found: Fit) -> str:
     """The one number that says how good the model is at what it is for: thrust and attitude, as shares explained."""
     # A channel that hardly moved is noise about its mean, of which there is nothing to explain.
-    shares = {c: q.r2 for c, q in found.quality.items() if isfinite(q.r2) and q.r2 > TOLD_R2}
+    shares = {c: q.r2 for c, q in found.quality.items() if isfinite(q.r2) and q.r2 > DETERMINED_R2}
     named = [
         (w, shares[c])
         for c, w in (("f_z_m_s2", "thrust"), ("roll_rad", "roll"), ("r_rad_s", "yaw rate"))

@@ -1,4 +1,4 @@
-"""Why a fit knows nothing: ten lines at most, before any table."""
+"""Why a fit determines nothing: ten lines at most, before any table."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _reasons(doubtful: Sequence[Estimate]) -> list[str]:
     """Parameters by what is said of them, the reason of most first; those with a reason of their own by their errors."""
     alike: dict[str, list[Estimate]] = {}
     for e in doubtful:
-        alike.setdefault("no segment tells them" if e.source == "assumed" else e.why, []).append(e)
+        alike.setdefault("no segment determines them" if e.source == "assumed" else e.why, []).append(e)
     shared = sorted((row for row in alike.items() if len(row[1]) > 1), key=lambda row: -len(row[1]))
     single = [members[0] for _, members in alike.items() if len(members) == 1]
     wide = [e for e in single if e.std is not None]

@@ -126,7 +126,7 @@ def open_recordings(
 
 
 def untold(path: Path, recording: Recording) -> tuple[str, ...]:
-    """What reading a table in passing found wrong with it, columns that were not read among it: of a run folder `import` has told it."""
+    """What reading a table in passing found wrong with it, columns that were not read among it; of a run folder `import` reported it."""
     source = recording.provenance
     return source.losses if source.importer == "table" and not path.is_dir() else ()
 

@@ -21,9 +21,9 @@ from flighttest.validity.declared import declared_changes
 from flighttest.validity.model import SUBSETS
 
 FIT_NAME = "fit.yaml"
-DEFAULT_RUNS = Path("runs")  # where runs go unless told otherwise; not there before the first
+DEFAULT_RUNS = Path("runs")  # where runs go unless stated otherwise; not there before the first
 TOGETHER = ("K", "alpha")  # may say together what a throttle gives where neither is known alone
-# Where a delay hangs at its bound, the loop behind it takes up what the delay cannot: it is not told.
+# Where a delay hangs at its bound, the loop behind it takes up what the delay cannot: it is not determined.
 LAGS: dict[str, tuple[str, ...]] = {
     "T_d_attitude": SUBSETS["attitude"],
     "T_d_yaw_rate": SUBSETS["yaw"],
@@ -64,7 +64,10 @@ def watched(model: ModelFile, name: str, tested: Sequence[str] = TESTED) -> Esti
     names = tuple(
         n
         for n in model.order
-        if n in tested and n in model.parameters and n not in lost and (n in TOGETHER or _tells(model.parameters[n]))
+        if n in tested
+        and n in model.parameters
+        and n not in lost
+        and (n in TOGETHER or _determines(model.parameters[n]))
     )
     values = np.array([model.parameters[n].value for n in names])
     pick = np.array([model.order.index(n) for n in names], dtype=np.intp)
@@ -88,7 +91,7 @@ def _at_bound(delay: StoredParameter | None) -> bool:
     return delay is not None and delay.source == "fit" and delay.std is None
 
 
-def _tells(p: StoredParameter) -> bool:
+def _determines(p: StoredParameter) -> bool:
     """Whether a parameter can be compared: also one that too few responses tell to say how well it is known, as in a spot check, if it
     came out sharply: what campaigns differ by is allowed for anyway."""
     return p.identifiable or (p.std is not None and p.std < KNOWN_STD * abs(p.value))

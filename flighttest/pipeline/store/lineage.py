@@ -176,7 +176,8 @@ def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[L
         if lost and not changes:
             raise InputError(
                 f"{path} knows less than the model in use, of {join(lost)}",
-                f"fit its flights with those of the model in use: {together(out, old, path)}; or declare in vehicle.yaml what has changed",
+                f"fit its flights with those of the model in use: {joint_fit_command(out, old, path)}; "
+                "or declare in vehicle.yaml what has changed",
             )
         generations[-1] = replace(last, ended=tuple(_ended(changes, made)), ended_on=now)
     whole = Lineage(name, before.folder, (*generations, made))
@@ -208,7 +209,7 @@ def worse(new: ModelFile, old: ModelFile) -> list[str]:
     return [n for n, std in theirs.items() if n not in mine or mine[n] > AS_GOOD * std]
 
 
-def together(out: Path, old: ModelFile, path: Path) -> str:
+def joint_fit_command(out: Path, old: ModelFile, path: Path) -> str:
     """The command that diagnoses a run with the flights of a model, and accepts what comes out."""
     runs = [*(out / str(r) for r in old.runs), path]
     words = " ".join(shlex.quote(str(r)) for r in runs)
@@ -216,7 +217,7 @@ def together(out: Path, old: ModelFile, path: Path) -> str:
 
 
 def _known(stored: ModelFile) -> dict[str, float]:
-    """The parameters that a model tells, with their standard errors."""
+    """The parameters that a model determines, with their standard errors."""
     kept = {n: p for n, p in stored.parameters.items() if n in stored.model.names}  # without T_d, a mean of others
     return {n: p.std for n, p in kept.items() if p.identifiable and p.std is not None}
 

@@ -44,12 +44,12 @@ def untested(
 ) -> tuple[Untested, ...]:
     """Parameters of the model that no test is about, with the smallest relative change that would have raised the alarm. stds: standard
     errors from the new recording alone; spread: relative, what campaigns of an unchanged vehicle differ by."""
-    told = {n for t in tests for n in t.shifts}
+    determined = {n for t in tests for n in t.shifts}
     level = tests[0].level if tests else FALSE_ALARM / max(len(subsets), 1)
     known = catalogue()
     found = []
     for subset, names in subsets.items():
-        for name in (n for n in names if n not in told and n in stored.parameters):
+        for name in (n for n in names if n not in determined and n in stored.parameters):
             kept, new = stored.parameters[name], stds.get(name)
             smallest = None
             if new is not None and kept.std is not None and kept.value:
@@ -71,13 +71,13 @@ def in_words(missed: Sequence[Untested]) -> tuple[str, ...]:
     found = []
     for subset in dict.fromkeys(u.subset for u in missed):
         mine = [u for u in missed if u.subset == subset]
-        told = [
+        determined = [
             f"{u.parameter} would have shown from {percent(u.smallest, 0)} on" for u in mine if u.smallest is not None
         ]
         blind = [u.parameter for u in mine if u.smallest is None]
         if blind:
-            told.append(f"{join(blind)} not at all")
-        found.append(f"{subset}: {', '.join(told)}; fly {join(mine[0].fly)}")
+            determined.append(f"{join(blind)} not at all")
+        found.append(f"{subset}: {', '.join(determined)}; fly {join(mine[0].fly)}")
     return tuple(found)
 
 

@@ -53,7 +53,7 @@ from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
-ALPHA_TELLS = 2.0
+ALPHA_DETERMINED = 2.0
 VAGUE = 0.2  # relative standard error beyond which the stored value serves better
 ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter replaces the stated allowance
 
@@ -199,7 +199,7 @@ def today_fingerprint(recordings: Sequence[Recording], vehicle: Vehicle | None) 
 def reestimate(
     stored: ModelFile, usable: Sequence[Segment], name: str, progress: Progress = SILENT
 ) -> tuple[Estimates, dict[str, float | None]]:
-    """The stored model's parameters from new responses alone, and the standard error of each, None where nothing tells it.
+    """The stored model's parameters from new responses alone, and the standard error of each, None where nothing determines it.
 
     What the new recordings cannot tell (alpha over a short flight, say) is held at the stored value, so that it does not blur
     the rest; the test's covariance carries the stored doubt anyway.
@@ -218,7 +218,7 @@ def reestimate_segments(
     found = identify(segments, stored.model, start=start)
     tested = [n for names in subsets_of(stored.model).values() for n in names]
     stds = {n: found.estimates[n].std for n in tested if n in found.estimates}
-    weak = {n: stored.values[n] for n in stds if _tells_less(found, stored, n)}
+    weak = {n: stored.values[n] for n in stds if _determines_less(found, stored, n)}
     if weak:
         found = identify(segments, stored.model, start=start, frozen=weak)
     estimates = watched(model_file.from_fit(found), name, tested)
@@ -252,7 +252,7 @@ def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:
     return math.log(float(np.mean([np.nanmean(s.y["voltage_v"]) for s in chosen])) / nominal_v)
 
 
-def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
+def _determines_less(found: Fit, stored: ModelFile, name: str) -> bool:
     """Whether the new recordings know a parameter so badly that the stored value serves the others better.
 
     alpha, which moves K along, already when it is known half as well as before: the voltage range of a short flight is no change
@@ -265,7 +265,7 @@ def _tells_less(found: Fit, stored: ModelFile, name: str) -> bool:
     size = DELAY_S if name.startswith("T_d") else abs(new.value)
     if new.std is None or (not new.identifiable and new.std > VAGUE * size):
         return True
-    return name == "alpha" and kept.std is not None and new.std > ALPHA_TELLS * kept.std
+    return name == "alpha" and kept.std is not None and new.std > ALPHA_DETERMINED * kept.std
 
 
 def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:

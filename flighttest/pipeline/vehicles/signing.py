@@ -51,7 +51,7 @@ def sign(url: str, path: Path, remove: bool = False, progress: Progress = SILENT
             _send(session, bytes(KEY_BYTES))
         with _talk(url, None) as session:
             if session.offset is None:
-                raise LinkError("the vehicle still wants signed frames", "try again over its USB port")
+                raise LinkError("the vehicle still takes signed frames only", "try again over its USB port")
         return _result(f"The vehicle at {url} takes unsigned frames again.", url, path, False)
     if known is not None and _takes(url, known):
         return _result(f"The vehicle at {url} has this key already.", url, path, True)

@@ -1,4 +1,4 @@
-"""The built-in vehicle, or a real ArduPilot SITL, for whoever wants to connect to it."""
+"""The built-in vehicle, or a real ArduPilot SITL, for any client."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def serve(asked: Served) -> Iterator[str | Serving]:
         stored = model_file.read(model, whole=True)
         made = of_model(stored, hide, seed, speed, lockstep)
         if assumed(stored):
-            yield f"no flight of this model told {join(assumed(stored))}: assumed"
+            yield f"no flight of the model determined {join(assumed(stored))}: assumed"
     with start_simulator(made, port=port) as simulation:
         yield Serving(
             simulation.url, airframe, backend, seed, speed, lockstep, tuple(hide), str(model) if model else ""

@@ -188,7 +188,7 @@ def _blocks(table: Table, chosen: Sequence[int], room: int) -> list[dict[int, in
 
 
 def room_shared(spans: Mapping[int, tuple[int, int]], room: int) -> dict[int, int]:
-    """A width per column between its least and its wanted one; what is over goes to the narrowest that wants more, sign by sign."""
+    """A width per column between its least and its wanted one; what is over goes to the narrowest that needs more, sign by sign."""
     widths = {i: least for i, (least, _) in spans.items()}
     for _ in range(room - sum(w + 1 for w in widths.values())):
         wanting = [i for i in widths if widths[i] < spans[i][1]]

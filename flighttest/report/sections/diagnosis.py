@@ -20,7 +20,7 @@ _VERDICT_TONES: dict[str, Tone] = {
 TERM_TONES: dict[str, Tone] = {"SUPPORTED": "good", "CONFUSABLE": "warn", "NOT_NEEDED": "quiet", "UNTESTABLE": "quiet"}
 TERM_WORDS = {
     "SUPPORTED": "supported",
-    "CONFUSABLE": "cannot be told from a rival",
+    "CONFUSABLE": "cannot be distinguished from a rival",
     "NOT_NEEDED": "not needed",
     "UNTESTABLE": "could not be seen",
 }
@@ -277,7 +277,7 @@ def _limits(data: DiagnosisData) -> Section:
     notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
     if notes:
         blocks.append(Bullets(notes))
-    return Section("limits", "What was ruled out, and what cannot be told", tuple(blocks))
+    return Section("limits", "What was ruled out, and what cannot be determined", tuple(blocks))
 
 
 def _next(data: DiagnosisData, script: str) -> Section | None:

@@ -18,10 +18,10 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
+from flighttest.report.fit_views import FitView, ParameterView, SegmentView
 from flighttest.report.numbers import interval, join, number, to_error, unit
 from flighttest.report.packing import coarse
 from flighttest.report.sections.responses import response_sections
-from flighttest.report.views import FitView, ParameterView, SegmentView
 
 MAX_CORRELATIONS = 6
 MANY_OUTLIERS = 6

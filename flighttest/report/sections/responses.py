@@ -10,10 +10,10 @@ from flighttest.identify.response_analysis.comparison import FittedResponse
 from flighttest.identify.response_analysis.frequency_response import FrequencyResponse, ResidualCorrelation
 from flighttest.identify.validation.accumulation import Accumulation
 from flighttest.report.document import Choice, Figure, Panel, Role, Section, Trace
+from flighttest.report.fit_views import FitView
 from flighttest.report.numbers import unit
 from flighttest.report.packing import coarse
 from flighttest.report.sections.show import word
-from flighttest.report.views import FitView
 
 POINTS = 80  # of a trace
 MOST_CORRELATED = 9

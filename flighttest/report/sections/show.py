@@ -41,7 +41,7 @@ SPECTRUM_POINTS, MAP_POINTS = 600, 3000
 
 @dataclass(frozen=True)
 class ParameterOutlook:
-    """What a parameter's error would be from this recording; enough: within what a fit calls known; why: where nothing tells it."""
+    """What a parameter's error would be from this recording; enough: within what a fit calls known; why: where nothing determines it."""
 
     expected: Expected
     enough: bool
@@ -147,7 +147,7 @@ def what(look: Look) -> Section:
             )
         blocks.append(
             Table(
-                ("parameter", "expected error", "unit", "of its value", "can be told", "what would tell it"), tuple(rows),
+                ("parameter", "expected error", "unit", "of its value", "can be determined", "what would identify it"), tuple(rows),
                 ("left", "right", "left", "right", "left", "left"),
                 "Before any fit: Fisher information of the recorded commands at nominal parameters, with the noise of a usual outdoor "
                 "vehicle. A fit knows less where repeats are few or differ, or where the model misses something.",
@@ -333,7 +333,9 @@ def spectrum(look: Look) -> Section | None:
             )
         )
     blocks.append(
-        Paragraph("Vibration above half the recorded rate is folded below it and cannot be told apart here.", "quiet")
+        Paragraph(
+            "Vibration above half the recorded rate is folded below it and cannot be distinguished here.", "quiet"
+        )
     )
     return Section("vibration", "Vibration", tuple(blocks))
 

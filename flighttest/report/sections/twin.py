@@ -38,7 +38,7 @@ class FlownRow(TypedDict):
 
 class TwinData(TypedDict, total=False):
     """A twin beside recordings (format twin/1). near_floor: ratio up to which it flies as recorded; above: channels beyond it; assumed:
-    parameters that no flight told."""
+    parameters that no flight determined."""
 
     format: str
     verdict: str
@@ -156,7 +156,7 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
         tables.append(_flown_table(data, flown))
     lines = [*data["notes"]]
     if data["assumed"]:
-        lines.append(f"no flight of the model told {join(data['assumed'])}: the twin flies with what was assumed")
+        lines.append(f"no flight of the model determined {join(data['assumed'])}: the twin flies with what was assumed")
     lines.append(f"the recordings by themselves: {data['diagnosis']['sentence']}")
     flights = data["flights"]
     where = " under the real firmware" if data.get("backend") == "sitl" else ""

@@ -104,7 +104,7 @@ def _tilted(settings: Settings, throttle_unit: float) -> list[Cell]:
 
 TILT_THROTTLE = Profile(
     "tilt_throttle",
-    "a throttle step while tilted: tells drag that scales with thrust from drag that does not",
+    "a throttle step while tilted: separates drag that scales with thrust from drag that does not",
     (
         AXIS,
         Field("tilt_rad", "numbers", "tilt asked for", "rad", 0.02, 1.05),

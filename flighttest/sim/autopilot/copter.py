@@ -29,7 +29,7 @@ from flighttest.sim.wire import Encoder
 _CONTROL_S = 0.02
 _SLOW_S = 0.1
 _THRUST_AS_THRUST = 8  # GUID_OPTIONS bit 3
-_TOLD_AT_ARMING = (book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, book.MAVLINK_MSG_ID_HOME_POSITION)
+_REPORTED_AT_ARMING = (book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, book.MAVLINK_MSG_ID_HOME_POSITION)
 
 
 class Autopilot:
@@ -172,7 +172,7 @@ class Autopilot:
         seen = self.measured()
         self.navigator.enter(self.mode, seen)
         self._start_angle(seen)
-        home = (telemetry.MAKERS[i](self) for i in _TOLD_AT_ARMING)
+        home = (telemetry.MAKERS[i](self) for i in _REPORTED_AT_ARMING)
         self.outbox += [frame for frame in home if frame is not None]
         self.say("Arming motors")
         self.outbox.append(telemetry.heartbeat(self))

@@ -1,4 +1,4 @@
-"""What each mode that flies by itself wants: a `Setpoint` for the controllers, renewed fifty times a second."""
+"""What each mode that flies by itself asks for: a `Setpoint` for the controllers, renewed fifty times a second."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Navigator:
             self.hold = Setpoint(velocity=(0.0, 0.0), height=max(seen.pz, 0.0), yaw=seen.yaw)
 
     def setpoint(self, mode: int, seen: Measured, stick_climb: float, has_position: bool) -> Setpoint:
-        """What the mode wants now. stick_climb: m/s that the pilot's throttle stick asks for."""
+        """What the mode asks for now. stick_climb: m/s that the pilot's throttle stick asks for."""
         if mode == modes.GUIDED:
             return self._guided(seen)
         if mode == modes.LAND:

@@ -2,7 +2,7 @@
 
 The firmware sends motor outputs and waits; we step the plant once and answer with what its inertial sensors, its position and its
 velocity would be; no time passes in between. Vibration is added here; the firmware simulates the other sensors' errors and runs its own
-filters and estimator, so what it records are measurements. The interface knows no battery: voltage and current travel as two range-finder
+filters and estimator, so what it records are measurements. The interface has no battery: voltage and current travel as two range-finder
 distances, which `sitl/scripts/battery.lua` hands to the firmware's scripting battery monitor.
 
 On the wire NED and FRD (`frames` pins the signs); the plant is NWU and FLU.

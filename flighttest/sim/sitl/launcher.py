@@ -294,7 +294,7 @@ def free_ports(candidates: Sequence[int] = _PORTS) -> int:
 
 
 def _asked_for(base: int) -> int:
-    """A port that somebody wants, if it and the nine after it are free."""
+    """A port that is asked for, if it and the nine after it are free."""
     taken = [base + i for i in range(_PORTS_EACH) if base + i > _LAST_PORT or not _is_free(base + i)]
     if taken:
         raise LinkError(
