@@ -1,5 +1,5 @@
 """Which effects leave the same behind? `python -m benchmarks.aliased --cache DIR` flies one vehicle of the proof with each effect of usual
-size, without noise and gusts (a quarter of a minute each, kept in DIR), and prints what `flighttest/proof/aliased.py` holds.
+size, without noise and gusts (a quarter of a minute each, kept in DIR), and prints what `flighttest/proof/cases.py` holds.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from flighttest.script.load import PARAMETERS
 from flighttest.segments import Segment, cut
 from flighttest.sim import SimOptions
 from flighttest.sim.plants.plant_paper import PaperParameters
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 SCRIPTS = ("thrust", "roll_pitch", "yaw_rate")
 CHANNELS = ("T_d_attitude", "T_d_yaw_rate", "T_d_thrust")

@@ -33,7 +33,7 @@ from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import Plan
 from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 PERIOD_S = 0.02
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)

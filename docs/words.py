@@ -24,7 +24,7 @@ GLOSSARY = (
     Entry(
         "attitude target",
         "roll, pitch, yaw rate and throttle asked of the autopilot at one moment",
-        "script/target.py",
+        "script/model.py",
         "MAVLink SET_ATTITUDE_TARGET",
     ),
     Entry("batched rehearsal", "predicted flights of many steps integrated together", "plan/batched.py"),

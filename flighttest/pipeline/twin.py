@@ -33,8 +33,7 @@ from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.planning.checking import plans
-from flighttest.pipeline.planning.predictor import ModelPredictor
-from flighttest.pipeline.planning.replanning import ScriptReplanner
+from flighttest.pipeline.planning.predictor import ModelPredictor, ScriptReplanner
 from flighttest.pipeline.recordings.consistency import deduplicate
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
@@ -62,9 +61,8 @@ from flighttest.twin.replay import HORIZON_S
 from flighttest.twin.replay import replay as run_commands
 from flighttest.twin.vehicle import assumed, fly_able, options_of
 from flighttest.twin.what_if import outside, what_if
-from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
-from flighttest.vehicle.model import Vehicle
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 NEAR_FLOOR = 1.2  # noise floors that the twin's error may have in a channel that it predicts
 _DOF = 30.0  # of the model's own standard errors, which a model file does not keep

@@ -9,9 +9,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.script.model import Limits, Reset, Script
+from flighttest.script.model import AttitudeTarget, Limits, Reset, Script
 from flighttest.script.profiles import Timeline
-from flighttest.script.target import AttitudeTarget
 from flighttest.vehicle.model import Vehicle
 
 FloatArray = NDArray[np.float64]

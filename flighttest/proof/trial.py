@@ -17,8 +17,7 @@ from flighttest.identify.fit import fit
 from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from flighttest.proof import oracle
-from flighttest.proof.aliased import ALIASED
-from flighttest.proof.cases import Case
+from flighttest.proof.cases import ALIASED, Case
 from flighttest.proof.flying import fly_campaign, options_of
 from flighttest.proof.outcome import Outcome, judged
 from flighttest.segments import Segment

@@ -103,3 +103,14 @@ class ScriptData(TypedDict, total=False):
     reset: ResetData
     steps: list[dict[str, PlainData]]
     repeat: dict[str, PlainData]
+
+
+@dataclass(frozen=True)
+class AttitudeTarget:
+    """One attitude target, NWU/FLU: attitude references rad, yaw rate rad/s (left positive), throttle 0..1, t_s from the leg's start."""
+
+    t_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rate_rad_s: float
+    throttle: float

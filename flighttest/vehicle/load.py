@@ -12,8 +12,7 @@ from flighttest.documents import Document, Node, kind_of, require
 from flighttest.errors import VehicleError
 from flighttest.frames import yaw_from_compass
 from flighttest.recording.manifest import Component
-from flighttest.vehicle.default import DEFAULT_VEHICLE
-from flighttest.vehicle.model import Vehicle, Zone
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle, Zone
 
 KEYS = (
     "format",

@@ -15,8 +15,7 @@ from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget, Leg, Phase, Plan
 from flighttest.script.model import Limits, Repeat, Reset, Script
 from flighttest.sim import InProcess, SimOptions
-from flighttest.vehicle.default import DEFAULT_VEHICLE
-from flighttest.vehicle.model import Zone
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Zone
 
 LIMITS = Limits(
     tilt_target_max_rad=0.61,

@@ -13,7 +13,7 @@ from flighttest.mavlink import CopterMode
 from flighttest.pipeline.diagnosis.next_flight import flown_vehicle
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run, read_manifest
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 from tests.flight.faulty import LIMITS, FaultyLink, fly, make_leg, make_plan, options
 
 

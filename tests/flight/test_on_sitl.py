@@ -22,7 +22,7 @@ from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import parser
 from flighttest.pipeline.planning.checking import predictor_for
-from flighttest.pipeline.planning.replanning import ScriptReplanner
+from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.compile import compile_plan
 from flighttest.script.load import parse_script

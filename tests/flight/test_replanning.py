@@ -9,12 +9,12 @@ from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.response import Learnt, ThrottleTrace
 from flighttest.flight.execution.scheduler import REFUSED_CELL_MAX
 from flighttest.pipeline.planning.checking import predictor_for
-from flighttest.pipeline.planning.replanning import ScriptReplanner
+from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
 from flighttest.plan.compile import compile_plan
 from flighttest.recording.store import open_run
 from flighttest.script.load import parse_script
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 SCRIPT = """format: maneuver/1

@@ -10,7 +10,7 @@ import pytest
 from flighttest.identify import expected_information as expected
 from flighttest.identify.expected_information import expected_of_plans
 from flighttest.pipeline.planning.checking import plans, predictor_for
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 
 def test_what_scripts_tell_together_is_what_each_shows_alone():

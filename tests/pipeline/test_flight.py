@@ -30,7 +30,7 @@ from flighttest.pipeline.store import flown_with as repeating
 from flighttest.pipeline.store import resuming
 from flighttest.recording.store import open_run, read_manifest
 from flighttest.report.sections.diagnosis import diagnosis_sections
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 SHORT = """
 format: maneuver/1

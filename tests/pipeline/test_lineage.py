@@ -14,7 +14,7 @@ from flighttest.pipeline.planning.checking import prior_of
 from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import lineage
 from flighttest.report.sections.diagnosis import missing_sections
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 PAPER = ("body", "linear_drag")
 

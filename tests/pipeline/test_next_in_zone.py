@@ -16,8 +16,7 @@ from flighttest.report.render.plain import plain
 from flighttest.report.sections.diagnosis import diagnosis_sections
 from flighttest.script.load import parse_script
 from flighttest.script.shipped import resolve
-from flighttest.vehicle.default import DEFAULT_VEHICLE
-from flighttest.vehicle.model import Zone
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Zone
 
 SMALL = replace(DEFAULT_VEHICLE, name="small", zone=Zone(0.0, (-3.0, 3.0), (-3.0, 3.0), (1.0, 6.0), 1.0))
 

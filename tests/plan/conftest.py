@@ -11,7 +11,7 @@ from flighttest.plan import compile_plan
 from flighttest.plan.model import Motion, Snapshot
 from flighttest.script.load import load_script, parse_script
 from flighttest.script.shipped import resolve
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 W = np.array([25.43, 23.40])
 Z = np.array([0.44, 0.39])

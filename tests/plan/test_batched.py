@@ -11,7 +11,7 @@ from flighttest.plan.rehearse import Row, rehearse
 from flighttest.script.load import load_script
 from flighttest.script.profiles import Piece
 from flighttest.script.shipped import resolve
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 PRIOR = predictor_for(None, DEFAULT_VEHICLE)
 STOP = (0.05, 0.33)

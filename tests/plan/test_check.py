@@ -5,7 +5,7 @@ import pytest
 from flighttest.plan import check
 from flighttest.plan.check import battery
 from flighttest.script.shipped import shipped_names
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 
 def test_a_spot_check_takes_under_two_minutes_in_the_air(planned):

@@ -10,8 +10,7 @@ from flighttest.plan import compile_plan
 from flighttest.plan.rehearse import sample
 from flighttest.script.load import load_script, parse_script
 from flighttest.script.shipped import resolve, shipped_names
-from flighttest.vehicle.default import DEFAULT_VEHICLE
-from flighttest.vehicle.model import Zone
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Zone
 
 
 @pytest.mark.parametrize("name", shipped_names())

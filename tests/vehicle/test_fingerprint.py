@@ -1,7 +1,7 @@
 import pytest
 
-from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.fingerprint import fingerprint, shaping_parameters
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 SHAPING = [
     "ATC_RAT_RLL_P",

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flighttest.errors import FlighttestError, VehicleError
-from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_components, load_vehicle, parse_vehicle
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 # The example of design/formats.md.
 FORMATS = """\

@@ -16,8 +16,7 @@ from flighttest.channels import CHANNELS
 from flighttest.datafiles import MOST_VALUES
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
-from flighttest.logs.tables.sheet import TIME, Sheet
-from flighttest.logs.tables.time_bases import joined
+from flighttest.logs.tables.sheet import TIME, Sheet, joined
 
 FloatArray = NDArray[np.float64]
 HEAD, HDF5 = b"MATLAB 5.0", b"MATLAB 7.3"

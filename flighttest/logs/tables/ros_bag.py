@@ -18,8 +18,7 @@ from flighttest.datafiles import MOST_VALUES
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
 from flighttest.logs.tables.columns import ColumnMap, Source
-from flighttest.logs.tables.sheet import Sheet
-from flighttest.logs.tables.time_bases import joined
+from flighttest.logs.tables.sheet import Sheet, joined
 
 FloatArray = NDArray[np.float64]
 MAGIC = b"\x89MCAP0\r\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -133,3 +133,17 @@ def _vector(value: Any) -> Any:
             except ValueError:
                 return None
     return value
+
+
+def joined(tables: Sequence[tuple[FloatArray, Mapping[str, FloatArray]]]) -> dict[str, FloatArray]:
+    """Columns of all tables, each (t_s (n,), name to (n,)), under `t_s`; times that are not finite are left out."""
+    every = np.unique(np.concatenate([t[np.isfinite(t)] for t, _ in tables]))
+    raw: dict[str, FloatArray] = {TIME: every}
+    for t, columns in tables:
+        known = np.isfinite(t)
+        at = np.searchsorted(every, t[known])
+        for name, values in columns.items():
+            column = np.full(every.size, np.nan)
+            column[at] = values[known]
+            raw[name] = column
+    return raw

@@ -18,10 +18,9 @@ from flighttest.channels import CHANNELS, GROUPS, HELD_GROUPS, names
 from flighttest.documents import nearest
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
-from flighttest.logs.tables.agreement import disagreements
+from flighttest.logs.tables.agreement import disagreements, gravity_warnings
 from flighttest.logs.tables.columns import STEP, ColumnMap, Source, load_columns, plain_map
 from flighttest.logs.tables.crazyflie import crazyflie_map
-from flighttest.logs.tables.gravity import gravity_warnings
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
 from flighttest.logs.tables.sheet import TIME, Sheet

@@ -20,7 +20,7 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.flights.after_landing import Landed, analyse
 from flighttest.pipeline.planning.checking import plans, prior_of
-from flighttest.pipeline.planning.replanning import ScriptReplanner
+from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import FlownWith, flown_with, keep
@@ -38,10 +38,9 @@ from flighttest.report.render.plain import plain
 from flighttest.sim import start_simulator
 from flighttest.validity.declared import declared_changes, scripts_for
 from flighttest.validity.model import ALL_SCRIPTS, SUBSETS
-from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.fingerprint import FingerprintData
 from flighttest.vehicle.load import load_vehicle
-from flighttest.vehicle.model import Vehicle
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 BUILTIN_SPEED = 20.0
 STOPPING = b"\r\nCtrl-C: stopping; a vehicle in the air is made safe and lands (again: let go of it at once)\r\n"

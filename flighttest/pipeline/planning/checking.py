@@ -31,9 +31,8 @@ from flighttest.script.load import load_script
 from flighttest.script.model import Script
 from flighttest.script.profiles import PROFILES
 from flighttest.script.shipped import resolve
-from flighttest.vehicle.default import DEFAULT_VEHICLE
 from flighttest.vehicle.load import load_vehicle
-from flighttest.vehicle.model import Vehicle
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 HOVERS = (0.03, 0.97)  # of full throttle: a model that hovers outside is not of this vehicle
 

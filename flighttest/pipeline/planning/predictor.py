@@ -12,8 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
+from flighttest.flight.execution.response import Learnt
 from flighttest.physics.model import Model
 from flighttest.physics.stepping import SIDEWAYS, Forms, Stepping
+from flighttest.plan import Plan
+from flighttest.plan.compile import compile_plan
 from flighttest.plan.model import Motion, Policy, Snapshot, Trail
 
 FloatArray = NDArray[np.float64]
@@ -204,3 +207,28 @@ class ModelPredictor:
         """The shortest way to fly on from these states."""
         sideways = [i for i, n in enumerate(self._states) if n in SIDEWAYS]
         return Stepping(self.forms, u, dt_s, straight=not x[sideways].any())
+
+
+# Below these, start heights and durations change by less than the gate's slack.
+HOVER_CHANGE = 0.04
+AGE_CHANGE_S = 0.03
+
+
+class ScriptReplanner:
+    """Keeps the prior that the present plan rests on, and corrects it. The script's throttles stay what they are."""
+
+    def __init__(self, plan: Plan, prior: ModelPredictor) -> None:
+        self._plan = plan
+        self._prior = prior
+
+    def due(self, learnt: Learnt) -> bool:
+        """Whether hover throttle or age differ from the prior's by more than the plan can bear."""
+        expected = float(self._prior.hover_throttle(np.array([learnt.voltage_v]))[0])
+        if abs(learnt.hover_throttle / expected - 1.0) > HOVER_CHANGE:
+            return True
+        return learnt.thrust_age_s is not None and abs(learnt.thrust_age_s - self._prior.thrust_age_s) > AGE_CHANGE_S
+
+    def plan(self, learnt: Learnt) -> Plan:
+        """The script compiled with the corrected prior, which becomes the one that is compared with."""
+        self._prior = self._prior.corrected(learnt.hover_throttle, learnt.voltage_v, learnt.thrust_age_s)
+        return compile_plan(self._plan.script, self._plan.vehicle, self._prior)

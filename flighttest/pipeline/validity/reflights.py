@@ -17,8 +17,7 @@ from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
 from flighttest.validity.model import Assessment
 from flighttest.validity.reflight import Need, needs
-from flighttest.vehicle.default import DEFAULT_VEHICLE
-from flighttest.vehicle.model import Vehicle
+from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 SPOT_CHECK = "spot_check"
 ABSOLUTE, RELATIVE = "thrust", "thrust_hover"  # the same steps, in throttle and in multiples of hover

@@ -16,7 +16,7 @@ from flighttest.mavlink.dialect import book
 from flighttest.pipeline.results import SILENT, Progress
 from flighttest.pipeline.vehicles.simulator import options
 from flighttest.sim import start_simulator
-from flighttest.vehicle.default import DEFAULT_VEHICLE
+from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 BUILTIN = "sim"
 _NAMES = {book.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduCopter", book.MAV_AUTOPILOT_PX4: "PX4"}

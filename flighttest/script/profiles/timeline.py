@@ -15,7 +15,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.script.target import AttitudeTarget
+from flighttest.script.model import AttitudeTarget
 
 
 @dataclass(frozen=True)
