@@ -262,7 +262,7 @@ def _kind(row: Difference, model: Model, errors: Sequence[Mapping[str, tuple[flo
     return {(True, False): Kind.LACKS, (False, True): Kind.TOO_MUCH}.get((there[0], there[1]), Kind.OTHER_VALUE)
 
 
-def predicted(
+def prediction_quality(
     segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise
 ) -> dict[str, ChannelQuality]:
     """Residuals of responses whose parameters are all held: only initial states and each response's disturbance are estimated."""
@@ -288,7 +288,7 @@ def _prediction(
     model, noise = real.model, real.noise
     keep = {d.name: simulated.values[d.name] for d in found if not d.differs and d.name in simulated.values}
     keep = {n: v for n, v in keep.items() if n in model.names}
-    before = predicted(segments, simulated.model, simulated.values, noise)
+    before = prediction_quality(segments, simulated.model, simulated.values, noise)
     fitted, held_out = real.quality, True
     if not any(d.differs for d in found):
         same = {c: Prediction(q.rmse, q.rmse, fitted[c].rmse, floors[c]) for c, q in before.items() if c in fitted}
@@ -301,12 +301,12 @@ def _prediction(
             rest = [s for s, g in zip(segments, group, strict=True) if g != half]
             here = [s for s, g in zip(segments, group, strict=True) if g == half]
             values = fit(rest, model, select="all", start=corrected, frozen=keep).values
-            for c, q in predicted(here, model, values, noise).items():
+            for c, q in prediction_quality(here, model, values, noise).items():
                 squares.setdefault(c, []).append((q.rmse**2 * q.count, q.count))
         after = {c: math.sqrt(sum(s for s, _ in both) / sum(n for _, n in both)) for c, both in squares.items()}
     except FitError:  # too little for halves
         held_out = False
-        after = {c: q.rmse for c, q in predicted(segments, model, corrected, noise).items()}
+        after = {c: q.rmse for c, q in prediction_quality(segments, model, corrected, noise).items()}
     made = {
         c: Prediction(q.rmse, after[c], fitted[c].rmse, floors[c])
         for c, q in before.items()

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from flighttest.datafiles import check_writable
-from flighttest.diagnose.against import predicted
+from flighttest.diagnose.against import prediction_quality
 from flighttest.diagnose.model import short
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.identify.models import model_file
@@ -100,7 +100,7 @@ def composed(
     base, improved = (model_file.read(folder / name, whole=True) for name in (FIT_NAME, MODEL_NAME))
     verified = twins.verify(folder / MODEL_NAME, [unused], out / "twin", progress=progress)
     segments = [s for s in cut_all(open_recordings([unused], progress=progress), progress) if s.usable]
-    before = predicted(segments, base.model, base.values, verified.value.fit.noise)
+    before = prediction_quality(segments, base.model, base.values, verified.value.fit.noise)
     floors = diagnosis["noise_floor"]  # of the campaign, whose steps were repeated
     prediction: dict[str, ErrorRow] = {
         c: {"before": before[c].rmse, "after": v["rmse"], "floor": floors[short(c)]["value"]}

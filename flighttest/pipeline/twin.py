@@ -19,7 +19,7 @@ from flighttest.diagnose.against import (
     errors_of,
     floors_of,
     notes_of,
-    predicted,
+    prediction_quality,
     side_of,
     step_by_step,
 )
@@ -255,7 +255,7 @@ def compare_with_recordings(
     real, twin = side_of(found.fit, found), Side(model, values, errors)
     rows = differences_of(real, twin)
     usable = [s for s in segments if s.usable]
-    made = predicted(usable, model, stored.values, found.fit.noise)
+    made = prediction_quality(usable, model, stored.values, found.fit.noise)
     floors, fitted = floors_of(found.fit, found), found.fit.quality
     channels = {
         c: {"rmse": q.rmse, "floor": floors[c], "ratio": q.rmse / floors[c], "fitted": fitted[c].rmse / floors[c]}
