@@ -1,5 +1,6 @@
 """The parts of a diagnosis against answers known without it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -250,3 +251,25 @@ def test_a_rehearsed_channel_that_was_never_recorded_says_nothing():
     assert made.channel == {"roll_rad": 0.02, "pitch_rad": next_flight.UNRECORDED}
     assert made.disturbance["roll_d_rad"] == 0.3
     assert made.disturbance["pitch_d_rad"] > 0.0
+
+
+@pytest.mark.parametrize(("kind", "located"), [("free", False), ("roll_step", True)])
+def test_in_free_flight_a_disturbance_of_each_response_is_no_mismatch(rng, kind, located):
+    noise, push = rng.normal(0, 0.02, 1000), np.repeat(rng.normal(0, 0.5, 20), 50)
+    rows = replace(
+        rows_of(noise, np.zeros((1000, 0)), channel=np.ones(1000, dtype=int)), unprofiled_residual=noise + push
+    )
+    flown = tuple(replace(s, kind=kind) for s in responses())
+    assert bool(locate.locate(rows, flown, NoiseFloor({"v_z_m_s": 0.03}, frozenset(), {}))) is located
+
+
+@pytest.mark.parametrize(("jumps", "located"), [(True, False), (False, True)])
+def test_in_free_flight_jumps_of_a_position_are_noise_and_what_lasts_is_not(rng, jumps, located):
+    x = rng.normal(0, 0.01, 1000)
+    if jumps:
+        x[rng.choice(1000, 20, replace=False)] += 1.0
+    else:
+        x += 0.14 * np.sin(np.arange(1000) / 15.0)
+    rows = rows_of(x, np.zeros((1000, 0)), channel=np.ones(1000, dtype=int))
+    flown = tuple(replace(s, kind="free") for s in responses())
+    assert bool(locate.locate(rows, flown, NoiseFloor({"v_z_m_s": 0.03}, frozenset(), {}))) is located

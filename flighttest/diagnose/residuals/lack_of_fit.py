@@ -102,6 +102,17 @@ def high_frequency(rows: Linearisation) -> dict[str, float]:
     return found
 
 
+def power_of_noise(x: FloatArray, segment: IntArray) -> float:
+    """Std of white noise with the power of the second differences of x (n,), samples in order; segment (n,): the response of each.
+
+    Unlike the median of `high_frequency`, it holds the jumps of an estimator and of a differentiated position. Only where no step was
+    flown: around steps it would hold the model's errors.
+    """
+    same = segment[2:] == segment[:-2]
+    second = (x[2:] - 2 * x[1:-1] + x[:-2])[same]
+    return float(np.sqrt(np.mean(second**2) / 6.0)) if second.size else 0.0
+
+
 def covariates(segment: Segment) -> FloatArray:
     """What differs between repeats of one step: ln U, initial velocity, heading, height; 0 where not recorded."""
 

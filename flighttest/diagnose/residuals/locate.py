@@ -15,7 +15,7 @@ from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.records import MapCell, Regime, RegimeCurve
 from flighttest.diagnose.residuals.discrepancy import correlation_times
-from flighttest.diagnose.residuals.lack_of_fit import DRIFT, NoiseFloor
+from flighttest.diagnose.residuals.lack_of_fit import DRIFT, NoiseFloor, power_of_noise
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
@@ -157,7 +157,13 @@ def explained_by(
 
 
 def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
-    """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable."""
+    """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable.
+
+    In free flight no repeats say how far a response's disturbance alone drives a velocity away, nor how heavy the tails of the noise are:
+    unless a variable orders the whole, what is left beside each response's own disturbance, which is part of the noise model, is compared
+    with the floor, or with the power of its own high frequencies where that is more.
+    """
+    beside = rows.residual * rows.scale
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
@@ -174,7 +180,12 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             least = floor.at(name, str(kind))
             excess = float(np.sum(r**2)) / least**2 - at.size
             here = {v: x[at] for v, x in variables.items()}
-            if floor.exceeded(name, str(kind), float(np.mean(r**2)), at.size / tau[c]) or ordered_by_a_variable(
+            mean_square = float(np.mean(r**2))
+            if kind == "free":
+                at_once = at[np.lexsort((rows.sample[at], rows.segment[at]))]
+                noise = power_of_noise(beside[at_once], rows.segment[at_once])
+                mean_square = float(np.mean(beside[at] ** 2)) * min(least / max(noise, 1e-12), 1.0) ** 2
+            if floor.exceeded(name, str(kind), mean_square, at.size / tau[c]) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed
             ):
                 places.append((excess, name, str(kind), at))
