@@ -18,10 +18,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.problem import Problem, prior_std
 from flighttest.estimation.responses import nodes_of, zero_order_hold
 from flighttest.estimation.solver import Start, solve
-from flighttest.estimation.weighing import start_noise
 from flighttest.frames import G_M_S2
 from flighttest.identify.fit import fit
 from flighttest.identify.selection import problem_of

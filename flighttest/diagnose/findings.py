@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import stats
 
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
@@ -13,6 +12,7 @@ from flighttest.diagnose.selection.comparison import Evidence
 from flighttest.diagnose.selection.held_out import gains_held_out, held_out
 from flighttest.diagnose.selection.search import Search
 from flighttest.estimation.linearisation import FloatArray, IntArray
+from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.identify.fit import Fit
 
 
@@ -87,7 +87,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
             "floors": evidence.floors,
             "where": {"channel": short(evidence.place[0]), "kind": evidence.place[1]},
             "heldout_gain": held_out_gain(heldout, evidence),
-            "p_value": float(stats.chi2.sf(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1))),
+            "p_value": chi2_beyond(max(2.0 * evidence.nats, 0.0), max(len(parameters), 1)),
             "rms_force_m_s2": _rms_force(search, evidence.effect),
             "rms_force_left_m_s2": _rms_force(search, evidence.profiled),
         },

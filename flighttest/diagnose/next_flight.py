@@ -23,9 +23,9 @@ from flighttest.diagnose.selection.search import Search
 from flighttest.documents import write_text
 from flighttest.errors import FlighttestError
 from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.linearisation import Optimum, orthonormal
 from flighttest.estimation.problem import Noise, Problem
-from flighttest.estimation.weighing import start_noise
 from flighttest.identify.selection import able
 from flighttest.physics.blocks import Block
 from flighttest.physics.core import Term

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 MOST_LAGS = 40  # 0.8 s at 50 Hz: beyond it, gusts of multirotor flights are predicted by their last value
-FEWEST_GROUPS = 3  # of which a variance between them can be told
+FEWEST_GROUPS = 3  # of which a variance between them can be determined
 LEAST_POWER = 0.01  # of the most informative group: one with less says nothing of a parameter
 BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of correlation ends within a second
 WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
@@ -218,11 +218,11 @@ def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray)
         parts.append((inverse @ score, np.diag(inverse), mine, follow, np.diag(hessian) > 0.0))
     for k in np.flatnonzero(~own):
         power = np.array([1.0 / v[k] if seen[k] and v[k] > 0.0 else 0.0 for _, v, _, _, seen in parts])
-        told = power > power.max() * LEAST_POWER if power.max() > 0.0 else np.zeros(power.size, dtype=bool)
-        if told.sum() < FEWEST_GROUPS:
+        informative = power > power.max() * LEAST_POWER if power.max() > 0.0 else np.zeros(power.size, dtype=bool)
+        if informative.sum() < FEWEST_GROUPS:
             continue
-        value = np.array([one[k] for one, *_ in parts])[told]
-        w = power[told]
+        value = np.array([one[k] for one, *_ in parts])[informative]
+        w = power[informative]
         mean = float(np.sum(w * value) / w.sum())
         chance = float(np.sum(w * (value - mean) ** 2)) - (w.size - 1)
         variance = max(chance, 0.0) / float(w.sum() - np.sum(w**2) / w.sum())

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from flighttest.estimation.gauss_newton import Tolerances
+from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.linearisation import (
     FloatArray,
     Linearisation,
@@ -24,12 +25,11 @@ from flighttest.estimation.linearisation import (
 from flighttest.estimation.problem import Problem, prior_std
 from flighttest.estimation.solver import Start, log_likelihood, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
-from flighttest.estimation.weighing import start_noise
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
-# Two models are told apart by several nats: an optimum is looked for to a quarter of one (half the cost), a fifth of a standard error.
+# Two models are distinguished by several nats: an optimum is looked for to a quarter of one (half the cost), a fifth of a standard error.
 COMPARED = Tolerances(step=0.2, decrease=0.5, flat=2)
 BLOCKS = ("roll_pitch", "yaw", "translation")
 INSENSITIVE = (

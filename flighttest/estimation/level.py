@@ -34,7 +34,7 @@ def taken_as_level(segment: Segment) -> bool:
 
 
 def tilt_rad(segment: Segment) -> float:
-    """Root mean square tilt that the recorded channels show at least, rad; 0 where none of them tells."""
+    """Root mean square tilt that the recorded channels show at least, rad; 0 where none of them shows any."""
     t = segment.t_s
     found = [0.0]
     for axis in ("roll", "pitch"):
@@ -69,7 +69,7 @@ def level_notes(segments: Sequence[Segment], share: float) -> list[str]:
         return []
     level = [s for s in unknown if taken_as_level(s)]
     notes = [
-        "attitude was not recorded throughout: where it was not, only level flight tells of thrust, and nothing of drag"
+        "attitude was not recorded throughout: where it was not, only level flight determines thrust, and nothing drag"
     ]
     if level:
         largest = max(tilt_rad(s) for s in level)

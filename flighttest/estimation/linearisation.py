@@ -135,7 +135,7 @@ def orthonormal_each(columns: FloatArray) -> FloatArray:
         for _ in range(2):
             factor = np.linalg.cholesky(np.matmul(found.swapaxes(1, 2), found))
             found = np.matmul(found, np.linalg.inv(factor).swapaxes(1, 2))
-    except np.linalg.LinAlgError:  # nearly dependent: the product has lost what tells them apart
+    except np.linalg.LinAlgError:  # nearly dependent: the product has lost what separates them
         return np.asarray(np.linalg.qr(columns)[0])
     return np.asarray(found)
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from flighttest.errors import FitError
 from flighttest.estimation.gauss_newton import MAX_ITERATIONS, FitStatus, Space, Tolerances, minimise
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem, prior_std
-from flighttest.estimation.weighing import Normal, State, Weighing
 
 FloatArray = NDArray[np.float64]
 Backs = list[tuple[FloatArray, FloatArray]]
@@ -53,7 +53,7 @@ class _PenalisedCost:
     problem: Problem
     names: tuple[str, ...]
     base: Mapping[str, float]
-    weighing: Weighing
+    weighing: LikelihoodWeights
     robust_from: int | None  # iteration from which responses are weighted down
     estimate_noise: bool
 
@@ -75,7 +75,7 @@ class _PenalisedCost:
         return _settled(previous, self.weighing.noise) or not self.estimate_noise
 
     def cost(self, at: State) -> float:
-        """`Weighing.cost`."""
+        """`LikelihoodWeights.cost`."""
         return self.weighing.cost(at)
 
     def log_likelihood(self, cost: float) -> float:
@@ -144,7 +144,7 @@ def solve(
         problem,
         names,
         problem.full_values(begin.values),
-        Weighing.even(problem, begin.noise, robust=robust),
+        LikelihoodWeights.even(problem, begin.noise, robust=robust),
         robust_from=None if not robust else 1 if warm else 3,
         estimate_noise=estimate_noise,
     )

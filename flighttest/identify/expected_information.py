@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
 from flighttest.estimation.problem import Noise, Problem
-from flighttest.estimation.weighing import State, Weighing
 from flighttest.identify.selection import able, problem_of, segments_for
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import PAPER_TERMS, Model
@@ -148,7 +148,7 @@ def _information(problem: Problem, noise: Noise) -> dict[str, FloatArray]:
             one = replace(problem, parts=(alike,))
             local = [alike.start_local()]
             at = State(theta, local, one.evaluate(problem.values, local, problem.names))
-            normal, _ = Weighing.even(one, noise, robust=False).normal_equations(at, problem.names)
+            normal, _ = LikelihoodWeights.even(one, noise, robust=False).normal_equations(at, problem.names)
             found[part.block.name] += normal.hessian
     return found
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, Normal, State, start_noise
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem
-from flighttest.estimation.weighing import Normal, State, Weighing, start_noise
 
 FloatArray = NDArray[np.float64]
 
@@ -42,5 +42,5 @@ def normal_at(
     noise = Noise({**known.channel, **noise.channel}, {**known.disturbance, **noise.disturbance})
     at = State(np.zeros(0), [part.start_local() for part in problem.parts] if local is None else list(local), [])
     at.made = problem.evaluate(values, at.local, free)
-    normal, backs = Weighing.even(problem, noise, robust=True).by_response(at.made).normal_equations(at, free)
+    normal, backs = LikelihoodWeights.even(problem, noise, robust=True).by_response(at.made).normal_equations(at, free)
     return AtFixedParameters(normal, tuple(at.made), noise, tuple(at.local), tuple(backs))

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.weighing import Normal
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.segments import Segment
 from flighttest.validity.model import FloatArray
 

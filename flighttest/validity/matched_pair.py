@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from flighttest.documents import PlainData
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, variance_inflation_of
-from flighttest.estimation.weighing import Normal
 from flighttest.identify.fixed_parameters import normal_at
 from flighttest.identify.models.model_blocks import StepsBlock
 from flighttest.segments import Segment

@@ -17,8 +17,8 @@ from flighttest.diagnose.against import (
     shared_limits,
     step_by_step,
 )
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.uncertainty.covariance import cluster_covariance
-from flighttest.estimation.weighing import Normal
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 

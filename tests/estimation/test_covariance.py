@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.uncertainty.covariance import (
     clock_std_s,
     cluster_covariance,
@@ -14,7 +15,6 @@ from flighttest.estimation.uncertainty.covariance import (
     variance_inflation_of,
     with_clock_error,
 )
-from flighttest.estimation.weighing import Normal
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
 
 

@@ -9,10 +9,10 @@ from scipy.optimize import least_squares
 
 from flighttest.estimation.estimator import COMPARED, Estimator
 from flighttest.estimation.gauss_newton import Tolerances
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, State, start_noise, variance_between_repeats
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise, prior_std
 from flighttest.estimation.solver import solve
-from flighttest.estimation.weighing import State, Weighing, start_noise, variance_between_repeats
 from flighttest.identify.fit import default_model
 from flighttest.identify.selection import able
 from tests.diagnose.flight import campaign, fly
@@ -211,7 +211,7 @@ def test_variances_and_disturbances_are_found_together(throttled):
     found = solve(problem, robust=False)
     state = State(np.zeros(0), list(found.local), problem.evaluate(found.values, found.local, FREE))
     loud = Noise({c: 4.0 * std for c, std in found.noise.channel.items()}, dict(found.noise.disturbance))
-    once = Weighing.even(problem, loud, robust=False).with_noise_of(state, FREE)
+    once = LikelihoodWeights.even(problem, loud, robust=False).with_noise_of(state, FREE)
     twice = once.with_noise_of(state, FREE)
     assert once.noise.channel["f_z_m_s2"] < 0.3 * loud.channel["f_z_m_s2"]
     assert twice.noise.channel == pytest.approx(once.noise.channel, rel=0.01)
@@ -229,11 +229,11 @@ def test_between_two_steps_a_channels_noise_falls_to_half_of_its_residual_at_mos
 
     def learned():
         return np.array(
-            list(Weighing.even(problem, wide, robust=False).with_noise_of(state, FREE).noise.channel.values())
+            list(LikelihoodWeights.even(problem, wide, robust=False).with_noise_of(state, FREE).noise.channel.values())
         )
 
     half = learned()
-    monkeypatch.setattr("flighttest.estimation.weighing.LEAST_LEFT", 1.0)
+    monkeypatch.setattr("flighttest.estimation.likelihood_weights.LEAST_LEFT", 1.0)
     assert (half / learned()).min() == pytest.approx(0.5)
 
 

@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from flighttest.estimation.gauss_newton import FitStatus, Minimum, Space, Tolerances, minimise
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.uncertainty.covariance import cluster_covariance
-from flighttest.estimation.weighing import Normal
 from tests.estimation.nist import REFERENCES, Reference
 
 SHARP = Tolerances(step=1e-8, end=1e-5, cost=1e-15, decrease=0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flighttest.estimation.weighing import Normal
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.segments import Segment

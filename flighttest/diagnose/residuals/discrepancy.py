@@ -22,11 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from flighttest.diagnose.residuals.lack_of_fit import SIGNIFICANCE, NoiseFloor
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation
 from flighttest.estimation.problem import cells_of
+from flighttest.estimation.uncertainty.distributions import chi2_beyond
 from flighttest.segments.model import Segment
 
 BIN_S = 0.05  # residuals are averaged over it before they are correlated
@@ -83,7 +83,7 @@ def discrepancy_of(
             share[k] = max(0.0, 1.0 - floor.whole(name) ** 2 / mean_square) if lacking else 0.0
         else:
             # Whitened by the variance between repeats: above one is what repeats have in common.
-            lacking = stats.chi2.sf(variance[k] * at.size, at.size) < SIGNIFICANCE
+            lacking = chi2_beyond(variance[k] * at.size, at.size) < SIGNIFICANCE
             share[k] = max(0.0, 1.0 - 1.0 / variance[k]) if lacking else 0.0
             variance[k] = max(variance[k], 1.0)
         inflation[k] = (1.0 - share[k]) * tau[k] + share[k] * max(at.size / n_cells, tau[k])

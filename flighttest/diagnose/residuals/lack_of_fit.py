@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from flighttest.estimation.linearisation import IntArray, Linearisation
+from flighttest.estimation.uncertainty.distributions import fisher_quantile
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -83,8 +83,8 @@ class NoiseFloor:
             lack, cells, repeats, times = self.lack_by_kind[channel, kind]
             # A response whose samples all went astray together is one observation. What stands out by far needs no such caution.
             looks = times if ratio > OUTRIGHT**2 else 1.0
-            return bool(lack > stats.f.ppf(1 - SIGNIFICANCE, max(cells * looks, 1.0), max(repeats * looks, 1.0)))
-        return bool(ratio > stats.f.ppf(1 - SIGNIFICANCE, max(count, 1.0), 1e3))
+            return bool(lack > fisher_quantile(1 - SIGNIFICANCE, max(cells * looks, 1.0), max(repeats * looks, 1.0)))
+        return bool(ratio > fisher_quantile(1 - SIGNIFICANCE, max(count, 1.0), 1e3))
 
 
 def high_frequency(rows: Linearisation) -> dict[str, float]:

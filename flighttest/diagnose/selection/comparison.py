@@ -74,7 +74,7 @@ class Evidence:
         if self.inadmissible:
             return self.inadmissible
         if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
-            return f"its effect is {self.floors:.2g} noise floors, too small to be told from a clean vehicle"
+            return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
         if not self.improved:
             return "no channel of what was not used is predicted better with it"
         if len(self.worsened) > len(self.improved):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from flighttest.estimation.integration.compiled import CHAIN, Slopes, chain, differentiated, observed
 from flighttest.estimation.integration.filters import Butterworth
 from flighttest.estimation.integration.native import library
-from flighttest.estimation.integration.native_block import NativeBlock, Rows
+from flighttest.estimation.integration.native_block import NativeBlock, NodeRows
 from flighttest.estimation.responses import Nodes
 from flighttest.physics.blocks import Block
 
@@ -69,7 +69,9 @@ class Kernel:
         m, k, _ = nodes.shape
         if (native := self._native()) is not None:
             first, target = k * np.arange(m + 1), np.tile(np.arange(k), m)
-            return native.run(p, local, Rows(nodes.reshape(m * k, -1), first, target), k, None, slopes=sensitivities)
+            return native.run(
+                p, local, NodeRows(nodes.reshape(m * k, -1), first, target), k, None, slopes=sensitivities
+            )
         y = np.empty((m, k, len(self.outputs)))
         dy = np.empty((m, k, len(self.outputs), self.n_columns if sensitivities else 0))
         # A trial step of a solver may diverge: its cost is then infinite, and it is refused.
@@ -86,7 +88,7 @@ class Kernel:
         n_outputs) is."""
         m, n, n_y = mask.shape
         if (native := self._native()) is not None:
-            rows = Rows(nodes.rows, nodes.first, nodes.target)
+            rows = NodeRows(nodes.rows, nodes.first, nodes.target)
             return native.run(p, local, rows, n, mask, slopes=sensitivities)
         y = np.zeros((m, n, n_y))
         dy = np.zeros((m, n, n_y, self.n_columns if sensitivities else 0))
@@ -116,9 +118,9 @@ class Kernel:
         m, k, _ = nodes.shape
         flown = self._flown(p, local, nodes)
         n_c = dy.shape[3]
-        told = (self.outputs, tuple(self.filters_hz.items()))
-        if not n_c and told in flown.y:
-            y[:] = flown.y[told]
+        key = (self.outputs, tuple(self.filters_hz.items()))
+        if not n_c and key in flown.y:
+            y[:] = flown.y[key]
             return
         x, middle = flown.x, flown.middle
         data = np.ascontiguousarray(nodes.transpose(2, 1, 0))
@@ -167,7 +169,7 @@ class Kernel:
                 )
             y[:, pieces] = made.reshape(-1, *shape).transpose(2, 1, 0)
             dy[:, pieces] = d_made.reshape(*shape, *d_made.shape[1:]).swapaxes(0, 1)
-        flown.y[told] = y.copy()
+        flown.y[key] = y.copy()
 
     def _flown(self, p: FloatArray, local: FloatArray, nodes: FloatArray) -> _Flown:
         """The states of these responses; the last ones are kept, since a point is asked for again: its values, then its slopes."""

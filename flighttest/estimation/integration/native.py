@@ -66,9 +66,9 @@ def _compiled(compiler: str) -> Path:
     """The library of this source, compiler and processor, compiled where it is not there yet."""
     with contextlib.suppress(OSError):
         compiler = str(Path(compiler).resolve())
-    told = "\n".join((SOURCE.read_text(encoding="utf-8"), compiler, *FLAGS, _processor()))
+    built_from = "\n".join((SOURCE.read_text(encoding="utf-8"), compiler, *FLAGS, _processor()))
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flighttest"
-    found = folder / f"kernel-{hashlib.sha256(told.encode()).hexdigest()[:16]}.so"
+    found = folder / f"kernel-{hashlib.sha256(built_from.encode()).hexdigest()[:16]}.so"
     if found.exists():
         return found
     folder.mkdir(parents=True, exist_ok=True)

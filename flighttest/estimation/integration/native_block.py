@@ -54,7 +54,7 @@ class _Task(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class Rows:
+class NodeRows:
     """Nodes of m responses, one response after the other: rows (N, n_data), as for `Kernel.run`; first (m + 1,): where each begins; target
     (N,): the sample of its response that a node is, -1 for none."""
 
@@ -120,7 +120,7 @@ class NativeBlock:
         self,
         p: FloatArray,
         local: FloatArray,
-        nodes: Rows,
+        nodes: NodeRows,
         n: int,
         mask: NDArray[np.bool_] | None,
         *,

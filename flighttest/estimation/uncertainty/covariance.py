@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.problem import Noise, PartEvaluation, Problem
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
 from flighttest.estimation.uncertainty.distributions import quantile
-from flighttest.estimation.weighing import Normal
 
 FloatArray = NDArray[np.float64]
 
@@ -67,8 +67,8 @@ def cluster_covariance(normal: Normal, active: tuple[str, ...], inflation: float
         return Covariance((), empty, empty, np.zeros(0))
     hessian = normal.hessian[:, pick[:, None], pick]
     score = normal.score[:, pick]
-    told = np.abs(hessian).sum(axis=(1, 2)) > 0
-    hessian, score = hessian[told], score[told]
+    informative = np.abs(hessian).sum(axis=(1, 2)) > 0
+    hessian, score = hessian[informative], score[informative]
     total = hessian.sum(axis=0)
     scale = 1.0 / np.sqrt(np.diag(total))
     hessian, score = hessian * np.outer(scale, scale), score * scale

@@ -13,7 +13,7 @@ the part of g along J). Counting g once per kind k of n_k samples (variance infl
     cov = H^-1 [sum_k s_g^2 n_k J_k' J_k] H^-1,      H = sum J' J,
 
 per channel. Where noise is large, that limit says little: no more than `SHARE` of what the model makes the responses do is taken for an
-error of its equations; more is a lack of fit, which other tests name. Without repeats nothing tells g from e, and the limit is all of the
+error of its equations; more is a lack of fit, which other tests name. Without repeats nothing separates g from e; the limit is all of the
 residual, or that share.
 """
 
@@ -24,10 +24,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
 from flighttest.estimation.problem import Noise, Part, Problem, kinds_of
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.distributions import fisher_quantile
-from flighttest.estimation.weighing import State, Weighing
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ FEWEST_DIFFERENCES = 5.0  # degrees of freedom between repeats below which they 
 def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequence[str]) -> FloatArray:
     """(p, p) of the `active` names, in their units: see the module's text."""
     at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
-    weighing = Weighing(problem, solution.noise, solution.response_weight, robust=True)
+    weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
     kinds = kinds_of(problem.segments)
     total, spread = np.zeros((len(active), len(active))), np.zeros((len(active), len(active)))
     for i, (residual, jacobian) in enumerate(weighing.profiled(at, active)):

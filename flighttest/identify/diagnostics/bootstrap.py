@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.uncertainty.covariance import FloatArray
-from flighttest.estimation.weighing import Normal
 
 DRAWS = 400
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.estimation.likelihood_weights import regular, sample_weights
 from flighttest.estimation.problem import Part, PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution
-from flighttest.estimation.weighing import regular, sample_weights
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]

@@ -65,7 +65,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Weighing:
+class LikelihoodWeights:
     """How a problem's residuals are weighed. response (n_segments,): weight of each; robust: whether single samples far out count less."""
 
     problem: Problem
@@ -74,11 +74,11 @@ class Weighing:
     robust: bool
 
     @classmethod
-    def even(cls, problem: Problem, noise: Noise | None, *, robust: bool) -> Weighing:
+    def even(cls, problem: Problem, noise: Noise | None, *, robust: bool) -> LikelihoodWeights:
         """Every response alike. noise: None for what is assumed before anything is known."""
         return cls(problem, noise or start_noise(problem), np.ones(len(problem.segments)), robust)
 
-    def by_response(self, made: Sequence[PartEvaluation]) -> Weighing:
+    def by_response(self, made: Sequence[PartEvaluation]) -> LikelihoodWeights:
         """The same with responses that are far worse than their like weighted down."""
         return replace(self, response=response_weights(self.problem, made, self.noise))
 
@@ -155,7 +155,7 @@ class Weighing:
         response = self.response[[r.index for r in part.responses]]
         return np.asarray(sample_weights(made.residual, std, self.robust) * part.mask * response[:, None, None])
 
-    def with_noise_of(self, at: State, free: Sequence[str]) -> Weighing:
+    def with_noise_of(self, at: State, free: Sequence[str]) -> LikelihoodWeights:
         """Channel noise from the residuals, disturbance variances from the locals, together, at these parameters.
 
         The fixed point of MacKay's updates, the locals where they have their minimum in each noise (linearised: no simulation is needed).
