@@ -28,7 +28,7 @@ from flighttest.flight.preparation.changes import (
     still_left,
     values_of,
 )
-from flighttest.flight.preparation.rates import Telemetry
+from flighttest.flight.preparation.rates import Telemetry, fitted_to_seen
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.result import FlightResult
 from flighttest.link import lockstep
@@ -248,7 +248,7 @@ class _Flight:
         self._external_changes.known.update(self._parameters)
         self._checklist = checklist(self.plan, replace(situation, parameters=self._parameters), tuple(sorted(waived)))
         session.clock.hold()
-        control.streams = Streams(vehicle, telemetry.granted_hz, rates)
+        control.streams = Streams(vehicle, telemetry.granted_hz, rates, fitted_to_seen)
         return control
 
     def _enter_lock_step(self, offered: float) -> None:

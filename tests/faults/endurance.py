@@ -6,13 +6,16 @@ import ctypes
 import random
 import resource
 import tempfile
+import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flighttest.flight import LegOutcome
+from flighttest.flight import FlightResult, LegOutcome
 from flighttest.sim import SimOptions
 from tests.faults.cells import FAULTS, FOR_GOOD_S, Cell, judge
+from tests.faults.lines import Line
 from tests.faults.proxy import EPOCH_S, Fault, Proxy, When
 from tests.flight.faulty import fly, make_leg, make_plan
 
@@ -21,9 +24,11 @@ WARM_S = 300.0  # by then every module is loaded, and every buffer as large as i
 GROWTH_MAX_MB = 20.0
 FLIGHT_S = 600.0
 RANDOM_FLIGHTS = 20
-_LEG_S = 3.8  # a step of make_leg with its way back
+_LEG_S = 3.8  # a step of make_leg with its way back, in virtual time
+_LIVE_LEG_S = 5.4  # the same in the host's time
 _CAPACITY_AH = 400.0  # a pack that lasts: what is looked at is the program
 _EVERY_S = 60.0
+_LIVE_BAUD = 921600  # a flight controller's USB or fast UART: it carries all rates
 
 
 def resident_mb() -> float:
@@ -81,19 +86,63 @@ def soak(span_s: float = HOUR_S, warm_s: float = WARM_S) -> Soak:
         run = Path(folder) / "run"
         result = fly(plan, "proxy", run, transport=proxy, clock=proxy.clock())
         written = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) / 1e6
+    return _judged(result, len(plan.legs), proxy.now_s - EPOCH_S, span_s, time.monotonic() - began, warm_s, proxy.memory, written)
+
+
+def live_soak(span_s: float = HOUR_S, warm_s: float = WARM_S) -> Soak:
+    """Steps one after the other over span_s of the host's own time: the vehicle runs in this process, the client in another, by a pty.
+
+    memory, growth_mb: of the client alone.
+    """
+    line = Line(_LIVE_BAUD, options=options())
+    with line, ProcessPoolExecutor(1) as other:
+        return other.submit(_live_client, line.url, span_s, warm_s).result()
+
+
+def _live_client(url: str, span_s: float, warm_s: float) -> Soak:
+    """The client's process of `live_soak`."""
+    plan = make_plan(*(make_leg(f"s{k}") for k in range(round(span_s / _LIVE_LEG_S))))
+    over, began = threading.Event(), time.monotonic()
+    memory: list[tuple[float, float]] = []
+
+    def watch() -> None:
+        while not over.wait(max(_EVERY_S * len(memory) - (time.monotonic() - began), 0.0)):
+            memory.append((time.monotonic() - began, resident_mb()))
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        result = fly(plan, url, run)
+        written = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) / 1e6
+    over.set()
+    watcher.join()
+    seconds = time.monotonic() - began
+    return _judged(result, len(plan.legs), seconds, span_s, seconds, warm_s, memory, written)
+
+
+def _judged(
+    result: FlightResult,
+    legs: int,
+    seconds: float,
+    span_s: float,
+    host_s: float,
+    warm_s: float,
+    memory: list[tuple[float, float]],
+    written_mb: float,
+) -> Soak:
+    """A long flight, and what is wrong with it."""
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in result.legs)
-    seconds = proxy.now_s - EPOCH_S
     wrong = []
     found = Soak(
-        f"{result.outcome.name}, {result.left.name}", seconds, time.monotonic() - began, flown, len(plan.legs),
-        warm_s, tuple(proxy.memory), written, (),
-    )  # fmt: skip
+        f"{result.outcome.name}, {result.left.name}", seconds, host_s, flown, legs, warm_s, tuple(memory), written_mb, ()
+    )
     if found.growth_mb > GROWTH_MAX_MB:
         wrong.append(f"memory grew by {found.growth_mb:.1f} MB")
     if found.ended != "COMPLETED, LANDED":
         wrong.append(found.ended)
-    if flown < len(plan.legs):
-        wrong.append(f"{len(plan.legs) - flown} steps were not flown")
+    if flown < legs:
+        wrong.append(f"{legs - flown} steps were not flown")
     if seconds < span_s:
         wrong.append(f"it lasted only {seconds:.0f} s")
     return replace(found, wrong=tuple(wrong))

@@ -115,7 +115,7 @@ def listen_to_packets(count: int, folder: Path, seed: int = 1) -> int:
             stops=Stops(lambda: 0),
             external_changes=ExternalChanges({"GUID_OPTIONS": 8.0}),
         )
-        control.streams = Streams(vehicle, {"ATTITUDE": 50.0}, {})
+        control.streams = Streams(vehicle, {"ATTITUDE": 50.0}, {}, lambda wanted, _seen: wanted)
         try:
             control.on(Event.ARM)
             control.on(Event.ARMED)

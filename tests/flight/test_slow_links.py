@@ -12,7 +12,9 @@ from flighttest.flight import FlightOutcome, LegOutcome, fly
 from flighttest.flight.preparation.preflight import BLIND_RATES_HZ, RATES_HZ
 from flighttest.flight.preparation.rates import bytes_s, declared_bytes_s, fitted
 from flighttest.mavlink.dialect import parser
-from flighttest.recording.store import open_run, read_manifest
+from flighttest.recording.store import open_run, read_events, read_manifest
+from flighttest.sim import SimOptions
+from tests.faults.proxy import Fault, Proxy, When
 from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
 
 WAITING_BYTES = 1024  # of a vehicle's serial port; what does not fit in is dropped
@@ -92,3 +94,16 @@ def test_rates_fit_into_what_a_link_carries() -> None:
     assert bytes_s(fitted(RATES_HZ, 5760.0)) <= 0.86 * 5760.0
     assert declared_bytes_s("serial:/dev/ttyACM0:57600") == 5760.0
     assert declared_bytes_s("tcp:127.0.0.1:5760") is None
+
+
+def test_a_link_that_slows_down_in_flight_is_asked_for_less_and_later_for_all_again(tmp_path: Path) -> None:
+    """At 5760 bytes/s HEARTBEAT is lost among what does not fit: without fewer messages the flight ends as if the link were gone."""
+    fault = Fault("5760 bytes/s", 12.0, bytes_per_s=5760.0)
+    proxy = Proxy(SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0), fault, When.FLYING)
+    plan = make_plan(*(make_leg(f"s{k}") for k in range(7)))
+    result = fly(plan, "proxy", tmp_path / "run", transport=proxy, clock=proxy.clock())  # type: ignore[arg-type]
+    labels = [e.label for e in read_events(result.run_dir)[0] if e.kind == "note"]
+    assert (result.outcome.name, result.left.name) == ("COMPLETED", "LANDED")
+    less = next(k for k, text in enumerate(labels) if text.startswith("the link carries less"))
+    assert any(text.startswith("the link carries what is asked for") for text in labels[less:])
+    assert sum(text.startswith("asked again") for text in labels) <= 12

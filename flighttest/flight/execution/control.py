@@ -185,9 +185,8 @@ class FlightControl:
             self._link = link
             if link in BROKEN:
                 self.recorder.event("note", f"link: {link.value}", self.state.t_s)
-        fallen = self.streams.keep() if self.machine.ours else []
-        if fallen:
-            text = f"asked again for {', '.join(fallen)}: somebody else may have changed the rate"
+        text = self.streams.keep() if self.machine.ours else ""
+        if text:
             self.recorder.event("note", text, self.state.t_s)
         if self.session.others - self._others:
             self._others |= self.session.others

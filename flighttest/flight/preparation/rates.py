@@ -47,6 +47,11 @@ def fitted(wanted_hz: Mapping[str, float], capacity_bytes_s: float | None) -> di
     return {name: round(least[name] + share * (rate - least[name]), 1) for name, rate in wanted_hz.items()}
 
 
+def fitted_to_seen(wanted_hz: Mapping[str, float], seen_hz: Mapping[str, float]) -> dict[str, float]:
+    """The rates wanted, Hz, fitted to a link that carries what arrives of them and no more."""
+    return fitted(wanted_hz, bytes_s(seen_hz) / _STREAMS_SHARE)
+
+
 class Telemetry:
     """The streams of one flight. rates_hz: as asked for now; notes: sentences for the record."""
 
