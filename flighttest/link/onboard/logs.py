@@ -11,17 +11,18 @@ from pathlib import Path
 from typing import IO
 
 from flighttest.errors import InputError, LinkError
+from flighttest.link.onboard.files import DATA_BYTES, SILENCE_S, Files, crc32_of
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import URL_FORMS, full_url, open_transport
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
 
-SILENCE_S = 20.0  # without progress for so long a download is given up
+LOG_FOLDERS = ("/APM/LOGS", "logs")  # of ArduPilot on a flight controller, and of its SITL
 _WINDOW_BYTES = 90 * 512  # asked for at once; a LOG_DATA message has 90
 _TRIES = 4
 _LIST_QUIET_S, _DATA_QUIET_S = 2.0, 0.5  # without one of its messages a request is repeated
 _LOOK_EVERY_S = 0.02
-_OVERLAP_BYTES = 90 * 50
+_OVERLAP_BYTES = 18 * DATA_BYTES
 _SCHEMES = {
     "udpin": "udpin",
     "udp": "udpin",
@@ -34,11 +35,12 @@ _SCHEMES = {
 
 @dataclass(frozen=True)
 class OnboardLog:
-    """One log on the vehicle. date: as the vehicle states it, empty where it has no clock."""
+    """One log on the vehicle. date: as the vehicle states it, empty where it has no clock. by: how it was downloaded."""
 
     number: int
     date: str
     size_bytes: int
+    by: str = ""
 
 
 def mavsdk_url(url: str) -> str:
@@ -72,11 +74,14 @@ def fetch(
 
 
 class LogDownload:
-    """Logs of a vehicle by LOG_REQUEST_LIST and LOG_REQUEST_DATA, a window at a time; what a link loses is asked for again."""
+    """Logs of a vehicle, listed by LOG_REQUEST_LIST; downloaded by MAVLink FTP where the vehicle offers the same file by it, else by
+    LOG_REQUEST_DATA, a window at a time. What a link loses is asked for again."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
         self._system = session.vehicle_system
+        self._files = Files(session)
+        self._path: str | None = None  # by MAVLink FTP
 
     def entries(self) -> dict[int, Message]:
         """LOG_ENTRY by number, of logs with anything in them. LinkError where the vehicle lists none."""
@@ -104,7 +109,7 @@ class LogDownload:
         return found
 
     def fetch(self, target: Path, number: int | None, on_progress: Callable[[float], None]) -> OnboardLog:
-        """One log into a file."""
+        """One log into a file. LinkError where there is none, it stops coming, or is not what the vehicle has."""
         found = self.entries()
         chosen = max(found) if number is None else number
         if chosen not in found:
@@ -113,13 +118,46 @@ class LogDownload:
         entry = found[chosen]
         part = target.with_name(f"{target.name}.{chosen}.part")
         target.parent.mkdir(parents=True, exist_ok=True)
+        self._path = self._path_of(chosen, {n: int(e.size) for n, e in found.items()})
         with part.open("a+b") as file:
             if not self._is_part(chosen, int(entry.size), file):
                 file.truncate(0)
             self._download(chosen, int(entry.size), file, on_progress)
+            damaged = self._path is not None and self._differs(self._path, int(entry.size), file)
+        if damaged:
+            part.unlink()
+            raise LinkError(f"log {chosen} is not what the vehicle has: its checksum differs", "download it again")
         part.replace(target)
         date = dt.datetime.fromtimestamp(entry.time_utc, dt.UTC).isoformat() if entry.time_utc else ""
-        return OnboardLog(chosen, date, int(entry.size))
+        return OnboardLog(
+            chosen, date, int(entry.size), "MAVLink FTP" if self._path is not None else "LOG_REQUEST_DATA"
+        )
+
+    def _path_of(self, number: int, sizes: dict[int, int]) -> str | None:
+        """Where MAVLink FTP has a log: the file of its size, of several that at its place in the order. None where it is not certain."""
+        for folder in LOG_FOLDERS:
+            listed = self._files.listing(folder)
+            if listed is None:
+                if not self._files.offered:
+                    return None
+                continue
+            names = sorted(name for name, size in listed.items() if name.upper().endswith(".BIN") and size)
+            same = [name for name in names if listed[name] == sizes[number]]
+            place = sorted(sizes).index(number)
+            if len(same) > 1:  # of files that are alike in size, the one that every other log's size agrees with
+                agrees = [listed[name] for name in names] == [sizes[n] for n in sorted(sizes)]
+                same = [names[place]] if agrees else []
+            if same:
+                return f"{folder}/{same[0]}"
+        return None
+
+    def _differs(self, path: str, size: int, file: IO[bytes]) -> bool:
+        """Whether the vehicle's own checksum is another one; one that has grown since landing has none."""
+        theirs = self._files.crc32(path, size)
+        folder, _, name = path.rpartition("/")
+        if theirs is None or (self._files.listing(folder) or {}).get(name) != size:
+            return False
+        return theirs != crc32_of(file)
 
     def _is_part(self, number: int, size: int, file: IO[bytes]) -> bool:
         """Whether what a file holds is the beginning of this log, which may have grown: by its end, asked for again."""
@@ -138,6 +176,9 @@ class LogDownload:
     ) -> None:
         """Add to a file what it lacks up to `size`, from `begin` on where it is not the file's own length."""
         have, progress_s = file.seek(0, os.SEEK_END) if begin is None else begin, self._session.now_s()
+        if self._path is not None:
+            self._download_file(self._path, (have, size), file, on_progress)
+            return
         ahead: dict[int, bytes] = {}  # what has come, by its place
 
         def take(message: Message) -> int:
@@ -168,6 +209,27 @@ class LogDownload:
                     "move closer, and give the same command again: it goes on from there",
                 )
         self._session.send(book.MAVLink_log_request_end_message(self._system, COMPONENT_AUTOPILOT))
+
+    def _download_file(
+        self, path: str, span: tuple[int, int], file: IO[bytes], on_progress: Callable[[float], None]
+    ) -> None:
+        """The same by MAVLink FTP. LinkError where it stops."""
+        have, size = span
+
+        def take(data: bytes) -> None:
+            nonlocal have
+            file.write(data)
+            file.flush()
+            have += len(data)
+            on_progress(min(have / size, 1.0))
+
+        try:
+            self._files.read(path, have, size, take)
+        except LinkError as error:
+            raise LinkError(
+                f"the download of {path} stopped at {100.0 * have / size:.0f} %: {error.message}",
+                "move closer, and give the same command again: it goes on from there",
+            ) from error
 
     def _until(self, enough: Callable[[Message], bool], quiet_s: float) -> None:
         """Take messages in until one is enough, or for so long none of a log has come."""
