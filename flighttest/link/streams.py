@@ -20,7 +20,9 @@ class Streams:
     rates_hz: as wanted; seen_hz: as measured before the flight, where it was; fit: rates wanted and rates that arrive to rates that fit.
     """
 
-    def __init__(self, vehicle: ArduPilot, rates_hz: Rates, seen_hz: Rates, fit: Callable[[Rates, Rates], Rates]) -> None:
+    def __init__(
+        self, vehicle: ArduPilot, rates_hz: Rates, seen_hz: Rates, fit: Callable[[Rates, Rates], Rates]
+    ) -> None:
         self._vehicle = vehicle
         self._wanted_hz, self._seen_hz, self._fit = dict(rates_hz), dict(seen_hz), fit
         self._since_s = vehicle.session.now_s()
@@ -61,7 +63,9 @@ class Streams:
             said = "the link carries what is asked for: the rates before are asked for again"
         for name in fallen:
             self._vehicle.ask_rate(name, self._asked_hz[name])
-        return said or (f"asked again for {', '.join(fallen)}: somebody else may have changed the rate" if fallen else "")
+        return said or (
+            f"asked again for {', '.join(fallen)}: somebody else may have changed the rate" if fallen else ""
+        )
 
     def _lower(self, seen_hz: Rates) -> str:
         """Ask for what fits into what arrives; '' where that is what is asked for already."""

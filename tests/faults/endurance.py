@@ -86,7 +86,9 @@ def soak(span_s: float = HOUR_S, warm_s: float = WARM_S) -> Soak:
         run = Path(folder) / "run"
         result = fly(plan, "proxy", run, transport=proxy, clock=proxy.clock())
         written = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) / 1e6
-    return _judged(result, len(plan.legs), proxy.now_s - EPOCH_S, span_s, time.monotonic() - began, warm_s, proxy.memory, written)
+    return _judged(
+        result, len(plan.legs), proxy.now_s - EPOCH_S, span_s, time.monotonic() - began, warm_s, proxy.memory, written
+    )
 
 
 def live_soak(span_s: float = HOUR_S, warm_s: float = WARM_S) -> Soak:
@@ -135,7 +137,15 @@ def _judged(
     flown = sum(leg.outcome is LegOutcome.FLOWN for leg in result.legs)
     wrong = []
     found = Soak(
-        f"{result.outcome.name}, {result.left.name}", seconds, host_s, flown, legs, warm_s, tuple(memory), written_mb, ()
+        f"{result.outcome.name}, {result.left.name}",
+        seconds,
+        host_s,
+        flown,
+        legs,
+        warm_s,
+        tuple(memory),
+        written_mb,
+        (),
     )
     if found.growth_mb > GROWTH_MAX_MB:
         wrong.append(f"memory grew by {found.growth_mb:.1f} MB")

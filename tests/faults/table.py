@@ -113,7 +113,7 @@ def of_endurance(hours: tuple[Soak, Soak], flights: list[Drawn]) -> str:
     right = sum(d.cell.ok for d in flights)
     lines = [
         ENDURANCE_HEADING, "",
-        "Written by `make faults-endurance`: an hour by the clock on the wall, and an hour of virtual time (as many targets, messages, clock",
+        "Written by `make faults-endurance`: an hour of real time, and an hour of virtual time (as many targets, messages, clock",
         "questions and records, computed faster).",
         "", of_soak(hours[0], "Real time, the vehicle at the other end of a pty, memory of the client's process"),
         "", of_soak(hours[1], "Virtual time, memory of client and vehicle in one process"),
