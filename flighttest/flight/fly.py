@@ -173,7 +173,7 @@ class _Flight:
         if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
             raise LinkError(
                 "the vehicle is not ArduPilot, the only firmware whose flights this version schedules",
-                "fly it with its own tools and import the log (.ulg of PX4)",
+                "fly it with its own tools and import the log (.ulg of PX4); link.px4 was never tried on a real PX4",
             )
         offered = params.offered(session, lockstep.PARAMETER)
         if offered is not None:

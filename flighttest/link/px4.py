@@ -1,7 +1,7 @@
 """PX4 through MAVSDK: arming, positions and attitude targets in its offboard mode. What passes here has passed the gate already.
 
 PX4 needs setpoints at more than 2 Hz before it lets offboard begin, and leaves it when they stop. MAVSDK's attitude setpoint
-carries no yaw rate: a turn is flown by the heading of each target.
+carries no yaw rate: a turn is flown by the heading of each target. Flown against a double of PX4's protocol only, never PX4 itself.
 """
 
 from __future__ import annotations
