@@ -119,8 +119,9 @@ def judge(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], tru
         with full_disk(proxy):
             result = flight(_presses(proxy))
     except FlighttestError as error:
-        wrong = () if not truth().armed else (f"an error left an armed vehicle: {error.message}",)
-        return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - EPOCH_S, wrong)
+        wrong = [] if not truth().armed else [f"an error left an armed vehicle: {error.message}"]
+        wrong += [] if proxy.began_s is not None else ["refused before the fault began"]
+        return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - EPOCH_S, tuple(wrong))
     except Endless as endless:
         return Cell(fault, when, "ENDLESS", proxy.now_s - EPOCH_S, (str(endless),))
     seconds = proxy.now_s - EPOCH_S

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from flighttest.flight import LegOutcome
+from flighttest.sim import SimOptions
 from tests.faults.cells import FAULTS, QUICK, fly_cell
-from tests.faults.proxy import Fault, When
+from tests.faults.proxy import Fault, Proxy, When
+from tests.flight.faulty import fly, make_leg, make_plan
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 
@@ -39,3 +42,15 @@ def test_the_tool_sees_a_vehicle_that_is_called_landed_in_the_air(
     monkeypatch.setitem(TABLE, (FlightState.ASKING, Event.LANDS), Next(FlightState.LANDED))
     cell = fly_cell(BY_NAME["nothing"], When.LANDING, tmp_path / "run")
     assert not cell.ok
+
+
+def test_a_second_vehicle_heard_in_flight_costs_a_step_and_not_all_of_its_kind(tmp_path: Path) -> None:
+    """Its HEARTBEAT shows another mode, and disarmed: what one frame shows is no fault of the step."""
+    proxy = Proxy(
+        SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0), Fault("twin", 2.0, twin=True), When.FLYING, after_s=0.05
+    )
+    plan = make_plan(*(make_leg(f"s{k}") for k in range(6)))
+    result = fly(plan, "proxy", tmp_path / "run", transport=proxy, clock=proxy.clock())
+    flown = [leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN]
+    assert (result.outcome.name, result.left.name) == ("COMPLETED", "LANDED")
+    assert len(flown) == 6

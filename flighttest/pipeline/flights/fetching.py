@@ -39,6 +39,11 @@ def fetch_log(
     if not is_file and not (output / MANIFEST_NAME).exists():
         progress.stage("reading the log")
         write_recording(output, open_recording(path))
-    facts = {"log": f"{log.number} {log.date}".strip(), "size": f"{log.size_bytes / 1e6:.1f} MB", "by": log.by, "file": str(path)}
+    facts = {
+        "log": f"{log.number} {log.date}".strip(),
+        "size": f"{log.size_bytes / 1e6:.1f} MB",
+        "by": log.by,
+        "file": str(path),
+    }
     document = Document("fetch-log", f"Log {log.number} is in {path}.", "good", (), facts)
     return Result(document, {"file": str(path), "number": log.number, "date": log.date, "size_bytes": log.size_bytes})
