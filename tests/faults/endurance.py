@@ -24,8 +24,7 @@ WARM_S = 300.0  # by then every module is loaded, and every buffer as large as i
 GROWTH_MAX_MB = 20.0
 FLIGHT_S = 600.0
 RANDOM_FLIGHTS = 20
-_LEG_S = 3.8  # a step of make_leg with its way back, in virtual time
-_LIVE_LEG_S = 5.4  # the same in the host's time
+_LEG_S = 3.8  # a step of make_leg with its way back
 _CAPACITY_AH = 400.0  # a pack that lasts: what is looked at is the program
 _EVERY_S = 60.0
 _LIVE_BAUD = 921600  # a flight controller's USB or fast UART: it carries all rates
@@ -103,7 +102,7 @@ def live_soak(span_s: float = HOUR_S, warm_s: float = WARM_S) -> Soak:
 
 def _live_client(url: str, span_s: float, warm_s: float) -> Soak:
     """The client's process of `live_soak`."""
-    plan = make_plan(*(make_leg(f"s{k}") for k in range(round(span_s / _LIVE_LEG_S))))
+    plan = make_plan(*(make_leg(f"s{k}") for k in range(round(span_s / _LEG_S))))
     over, began = threading.Event(), time.monotonic()
     memory: list[tuple[float, float]] = []
 
