@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.execution import supervisor
 from flighttest.flight.preparation.preflight import Check
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book
-from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
+from tests.flight.faulty import GOOD, FaultyLink, fly, make_leg, make_plan, options
 
 
 def marked(link: FaultyLink, word: str, *, then: object = None) -> list[float]:
@@ -121,3 +122,23 @@ def test_an_estimator_that_fell_silent_vouches_for_nothing(run_dir: Path) -> Non
     result = fly(make_plan(*(make_leg(name) for name in "abc")), "sim", run_dir, transport=link)
     assert result.outcome is not FlightOutcome.COMPLETED
     assert not link.sim.vehicle.armed
+
+
+@pytest.mark.parametrize(
+    ("position", "stick", "modes"),
+    [
+        (True, 0.5, ["BRAKE", "LOITER", "LAND"]),
+        (True, 0.41, ["BRAKE", "LOITER", "LAND"]),
+        (True, 0.39, ["BRAKE", "LAND"]),
+        (True, 0.61, ["BRAKE", "LAND"]),
+        (True, None, ["BRAKE", "LAND"]),
+        (False, 0.59, ["ALT_HOLD", "LAND"]),
+        (False, 0.0, ["LAND"]),
+        (False, None, ["LAND"]),
+    ],
+)
+def test_a_mode_that_reads_the_throttle_stick_is_only_asked_for_with_the_stick_at_mid(
+    position: bool, stick: float | None, modes: list[str]
+) -> None:
+    state = replace(GOOD, position_ok=position, throttle_stick=stick)
+    assert [mode.name for mode in supervisor.abort_modes(state)] == modes
