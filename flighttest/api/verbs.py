@@ -176,15 +176,18 @@ def check_validity(
     """Does a stored model still hold for this vehicle: declared changes, its parameters today, and new recordings, possibly none.
 
     model: the vehicle's model in use in `runs` where none is given; vehicle: vehicle.yaml as it is today; connect: URL of the vehicle,
-    whose firmware and parameters are read, and nothing is set. output: folder for status.html and the scripts to fly.
+    whose firmware and parameters are read, and nothing is set (with the signing key that `vehicle` names, where it names one). output: folder for status.html and the scripts to fly.
     """
     from flighttest.api.answers import Validity
     from flighttest.pipeline.recordings.sources import Reading, open_recordings
     from flighttest.pipeline.validity.status import status
+    from flighttest.pipeline.vehicles.live import key_for
     from flighttest.pipeline.vehicles.live import read as read_vehicle
 
     words = as_progress(progress)
-    present = None if connect is None else read_vehicle(connect, words)
+    present = None
+    if connect is not None:
+        present = read_vehicle(connect, words, key_for(None, as_path(vehicle)))
     given: Sequence[Path | Recording] = as_sources(sources) if sources else []
     if columns is not None:
         given = open_recordings(given, Reading(Path(columns)), words)

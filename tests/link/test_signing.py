@@ -14,7 +14,8 @@ from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import Message, book, parser
 from flighttest.mavlink.signing import SignedLink, make_key, read_key, setup_message, ticks
-from flighttest.sim import InProcess
+from flighttest.pipeline.vehicles import live
+from flighttest.sim import InProcess, SimOptions, start_simulator
 from tests.flight.faulty import FaultyLink, fly, make_plan, options
 
 KEY = bytes(range(32))
@@ -115,3 +116,14 @@ def test_the_vehicle_takes_a_key_and_gives_it_back() -> None:
     ours = SignedLink(245, 191, KEY)
     link.send(bytes(setup_message(1, 1, bytes(32)).pack(ours)))
     assert signing.key == b""
+
+
+def test_status_reads_a_vehicle_that_signs_with_its_key_only(tmp_path: Path) -> None:
+    path = tmp_path / "hexa.key"
+    key = make_key(path)
+    (tmp_path / "vehicle.yaml").write_text("format: vehicle/1\nname: hexa\nsigning_key: hexa.key\n")
+    with start_simulator(SimOptions(signing_key=key.hex(), speed=10.0), in_thread=True) as simulation:
+        for named, vehicle in ((path, None), (None, tmp_path / "vehicle.yaml")):
+            assert "GUID_OPTIONS" in live.read(simulation.url, key=live.key_for(named, vehicle)).parameters
+        with pytest.raises(LinkError, match="signs what it sends"):
+            live.read(simulation.url)

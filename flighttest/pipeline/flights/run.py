@@ -17,7 +17,6 @@ from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOut
 from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.flights.after_landing import Landed, analyse
 from flighttest.pipeline.planning.checking import plans, prior_of
 from flighttest.pipeline.planning.predictor import ScriptReplanner
@@ -29,7 +28,7 @@ from flighttest.pipeline.store.lineage import model_of
 from flighttest.pipeline.store.resuming import chain, flown_in, left_behind, script_of, worth_resuming
 from flighttest.pipeline.validity.reflights import SPOT_CHECK
 from flighttest.pipeline.validity.status import flown_until
-from flighttest.pipeline.vehicles.live import BUILTIN
+from flighttest.pipeline.vehicles.live import BUILTIN, key_for
 from flighttest.pipeline.vehicles.simulator import options
 from flighttest.plan import Plan
 from flighttest.report.document import Block, Bullets, Document, Section
@@ -146,10 +145,7 @@ def connection(request: FlightRequest) -> Iterator[str]:
 
 def key_of(request: FlightRequest) -> bytes | None:
     """The key that frames are signed with: --signing-key, else the vehicle file's."""
-    if request.signing_key is not None:
-        return read_key(request.signing_key)
-    declared = load_vehicle(request.vehicle).signing_key if request.vehicle is not None else None
-    return read_key(Path(declared)) if declared is not None else None
+    return key_for(request.signing_key, request.vehicle)
 
 
 def new_run(out: Path, script: str, now: datetime.datetime) -> Path:

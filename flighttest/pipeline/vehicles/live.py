@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 
 from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
 from flighttest.link import parameters as params
@@ -13,9 +14,11 @@ from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.mavlink.dialect import book
+from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.results import SILENT, Progress
 from flighttest.pipeline.vehicles.simulator import options
 from flighttest.sim import start_simulator
+from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 BUILTIN = "sim"
@@ -36,11 +39,11 @@ class LiveVehicle:
         return f"{self.url}: {self.firmware or 'firmware not stated'}, {len(self.parameters)} parameters read"
 
 
-def read(url: str, progress: Progress = SILENT) -> LiveVehicle:
-    """Connect, read, let go. `sim` is the built-in vehicle. LinkError when nothing answers."""
+def read(url: str, progress: Progress = SILENT, key: bytes | None = None) -> LiveVehicle:
+    """Connect, read, let go. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")
-        session = Session(Port(open_transport(where)))
+        session = Session(Port(open_transport(where), key=None if url == BUILTIN else key))
         try:
             beat = session.connect()
             found = params.read_all(session)
@@ -52,6 +55,12 @@ def read(url: str, progress: Progress = SILENT) -> LiveVehicle:
         # Every flight sets this bit before it arms, and restores it: a model knows the vehicle with it.
         found["GUID_OPTIONS"] = float(int(found["GUID_OPTIONS"]) | THRUST_AS_THRUST)
     return LiveVehicle(url, f"{family} {version}".strip() if version else "", found)
+
+
+def key_for(signing_key: Path | None, vehicle: Path | None) -> bytes | None:
+    """The key that frames are signed with: of the file named, else of the one that the vehicle file names."""
+    named = signing_key or (load_vehicle(vehicle, to_fly=False).signing_key if vehicle is not None else None)
+    return read_key(Path(named)) if named is not None else None
 
 
 @contextmanager
