@@ -176,7 +176,8 @@ def check_validity(
     """Does a stored model still hold for this vehicle: declared changes, its parameters today, and new recordings, possibly none.
 
     model: the vehicle's model in use in `runs` where none is given; vehicle: vehicle.yaml as it is today; connect: URL of the vehicle,
-    whose firmware and parameters are read, and nothing is set (with the signing key that `vehicle` names, where it names one). output: folder for status.html and the scripts to fly.
+    whose firmware and parameters are read, and nothing is set (with the signing key that `vehicle` names, where it
+    names one). output: folder for status.html and the scripts to fly.
     """
     from flighttest.api.answers import Validity
     from flighttest.pipeline.recordings.sources import Reading, open_recordings

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.transmitter import LOST
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import parser
+from flighttest.mavlink.dialect import book, parser
 from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
@@ -215,3 +216,29 @@ def _fly_to_be_killed(url: str, run_dir: str, profile: str) -> None:
 
 if __name__ == "__main__":
     _fly_to_be_killed(*sys.argv[1:])
+
+
+def test_a_lost_transmitter_is_said_at_once(sitl, tmp_path):
+    """SIM_RC_FAIL 1: no pulses. What the firmware then does by its own failsafe is its own."""
+    witness, said = second_link(sitl), []
+    link, failed = Watched(open_transport(sitl.url)), []
+
+    def fail() -> None:
+        if not failed:
+            failed.append(time.monotonic())
+            message = book.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 1.0, book.MAV_PARAM_TYPE_REAL32)
+            witness.session.send(message)
+
+    link.on_step = fail
+    try:
+        result = fly(
+            make_plan(make_leg("a"), make_leg("b")), sitl.url, tmp_path / "run", transport=link,
+            on_progress=lambda p: said.append((time.monotonic(), p.alarm)) if p.alarm else None,
+        )  # fmt: skip
+    finally:
+        back = book.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 0.0, book.MAV_PARAM_TYPE_REAL32)
+        witness.session.send(back)
+        witness.session.port.close()
+    told = [t for t, text in said if text == LOST]
+    assert told, (result.outcome, said)
+    assert SPEEDUP * (told[0] - failed[0]) < 1.5, "vehicle seconds"
