@@ -254,6 +254,14 @@ def test_a_step_is_judged_by_the_zone_wherever_the_vehicle_has_a_position() -> N
     assert refusals(TILTED, outside, replace(blind, zone_placed=True), step=True) == (Refusal.ZONE,)
 
 
+def test_only_a_steps_target_is_judged_by_a_position_that_the_plan_does_not_need() -> None:
+    """What brings the vehicle back from outside must pass, and what has no velocity is judged by the rest."""
+    placed = replace(GATE, needs_position=False, zone_placed=True)
+    outside = replace(GOOD, position_m=(20.0, 0.0, 5.0))
+    assert refusals(TILTED, outside, placed) == ()
+    assert refusals(TILTED, replace(outside, velocity_m_s=None), placed, step=True) == ()
+
+
 @pytest.mark.parametrize("change", [{"position_ok": False}, {"position_age_s": 0.5 + JUST}])
 def test_a_step_that_needs_no_position_is_not_judged_by_one_that_is_lost(change: dict[str, object]) -> None:
     placed = replace(GATE, needs_position=False, zone_placed=True)
