@@ -144,6 +144,17 @@ def test_stopping_heights_by_hand() -> None:
     low, high = stopping_heights(0.18, 5.0, 2.0, GATE)
     assert low == 5.0
     assert high == pytest.approx(5.0 + 0.5 + 4.0 / (2 * 0.7 * 9.81))
+    # Sinking, it is stopped by the other throttle: 1.8 of hover.
+    assert GATE.stop_throttle == pytest.approx((0.3 * 0.18, 1.8 * 0.18))
+    low, high = stopping_heights(0.18, 5.0, -2.0, GATE)
+    assert low == pytest.approx(5.0 - 0.5 - 4.0 / (2 * 0.8 * 9.81))
+    assert high == 5.0
+
+
+def test_a_position_of_unknown_age_is_taken_as_it_is() -> None:
+    moving = replace(GOOD, velocity_m_s=(1.0, 0.0, 0.0))
+    known, unknown = (replace(moving, position_age_s=age) for age in (0.0, math.inf))
+    assert zone_clearance_m(unknown, GATE) == zone_clearance_m(known, GATE)
 
 
 def test_without_position_zone_and_speed_are_not_judged_but_height_and_tilt_are() -> None:
