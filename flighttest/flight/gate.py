@@ -48,6 +48,8 @@ class Refusal(Enum):
 
 LINK = frozenset({Refusal.LINK, Refusal.UPLINK, Refusal.HELD_UP, Refusal.TELEMETRY_OLD, Refusal.POSITION_OLD})
 """What comes of the link, not of the vehicle: such a step is tried once more."""
+SHOWN = frozenset({Refusal.MODE, Refusal.DISARMED})
+"""What one HEARTBEAT shows, which may be another vehicle's or damaged: two of them end the flight, one refuses a target."""
 
 
 @dataclass(frozen=True)

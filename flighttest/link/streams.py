@@ -33,7 +33,7 @@ class Streams:
         self._ask_for(self._wanted_hz)
 
     def _ask_for(self, rates_hz: Rates) -> None:
-        """From now on these are the rates; the vehicle is not told."""
+        """From now on these are the rates; the vehicle is not asked here."""
         self._asked_hz = dict(rates_hz)
         self._usual_hz = {name: min(hz, self._seen_hz.get(name, hz)) for name, hz in rates_hz.items()}
 

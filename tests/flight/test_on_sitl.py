@@ -239,6 +239,6 @@ def test_a_lost_transmitter_is_said_at_once(sitl, tmp_path):
         back = book.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 0.0, book.MAV_PARAM_TYPE_REAL32)
         witness.session.send(back)
         witness.session.port.close()
-    told = [t for t, text in said if text == LOST]
-    assert told, (result.outcome, said)
-    assert SPEEDUP * (told[0] - failed[0]) < 1.5, "vehicle seconds"
+    alarmed = [t for t, text in said if text == LOST]
+    assert alarmed, (result.outcome, said)
+    assert SPEEDUP * (alarmed[0] - failed[0]) < 1.5, "vehicle seconds"

@@ -67,7 +67,7 @@ def test_arming_that_px4_refuses_is_an_error() -> None:
 
 
 def test_offboard_ends_by_the_vehicle_when_targets_stop() -> None:
-    """MAVSDK repeats the last target by itself until it is told to stop: a client that dies is what PX4 notices."""
+    """MAVSDK repeats the last target by itself until it is stopped: a client that dies is what PX4 notices."""
     with Px4Double(armed=True, height_m=3.0) as vehicle:
         px4 = Px4.connect(vehicle.url)
         stream(px4, 0.0, 0.2)

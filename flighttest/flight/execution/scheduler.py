@@ -16,7 +16,7 @@ from flighttest.flight.execution.legs import Airframe
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
 from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace
-from flighttest.flight.gate import LINK, Refusal, readiness
+from flighttest.flight.gate import LINK, SHOWN, Refusal, readiness
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
@@ -34,10 +34,7 @@ _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
 PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
 HOVER_WARNING = 0.10
 # What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
-_SHOWN = frozenset(
-    {Refusal.MODE, Refusal.DISARMED}
-)  # by one HEARTBEAT, which may be another vehicle's or damaged; two end the flight
-_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT}) | _SHOWN
+_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT}) | SHOWN
 
 
 @dataclass
@@ -239,7 +236,7 @@ class Scheduler:
                 return FlightOutcome.NOT_SETTLED
             in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
             if result.outcome is LegOutcome.REFUSED:
-                refused_cells[cell] += not (result.refused and _SHOWN.issuperset(result.refused))
+                refused_cells[cell] += not (result.refused and SHOWN.issuperset(result.refused))
                 if Refusal.BATTERY in result.refused:
                     return FlightOutcome.BATTERY
                 if Refusal.EKF in result.refused or in_a_row >= REFUSED_IN_A_ROW_MAX:
