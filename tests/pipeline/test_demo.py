@@ -94,7 +94,7 @@ def test_the_simulator_alone_is_reported_and_the_printed_commands_exist(tmp_path
     monkeypatch.setattr(demos.model_file, "read", lambda *_args, **_more: stored())
     monkeypatch.setattr(demos.twins, "verify", lambda *_args, **_more: verified)
     monkeypatch.setattr(demos, "open_recordings", lambda *_args, **_more: ())
-    monkeypatch.setattr(demos, "predicted", lambda *_: {})
+    monkeypatch.setattr(demos, "prediction_quality", lambda *_: {})
     monkeypatch.setattr(demos, "predicted_stretch", lambda *_: None)
     out = tmp_path / "a demo"
     out.mkdir()

@@ -43,7 +43,7 @@ def test_it_asks_and_does_nothing_else(seen):
 
 @pytest.fixture
 def status(seen, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(present, "read", lambda _url, _progress: seen[0])
+    monkeypatch.setattr(present, "read", lambda *_: seen[0])
 
     def run(change=None, components=None):
         carried = fingerprint(None, seen[0].firmware, {**seen[0].parameters, **(change or {})}).as_data()

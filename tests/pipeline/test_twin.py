@@ -82,7 +82,7 @@ def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, chang
     fit = SimpleNamespace(quality={"f_z_m_s2": SimpleNamespace(rmse=0.1, floor=0.1)}, noise=None, values=values)
     found = diagnosed(fit, file.model)
     errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
-    monkeypatch.setattr(twin, "predicted", lambda *_: {"f_z_m_s2": quality})
+    monkeypatch.setattr(twin, "prediction_quality", lambda *_: {"f_z_m_s2": quality})
     monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, values, errors))
     data = twin.compare_with_recordings(file, [], found, ())
     data |= {"flights": 0, "assumed": []}
@@ -118,7 +118,7 @@ def test_under_the_firmware_steps_are_judged_as_flown(monkeypatch):
     fit = SimpleNamespace(quality=quality, noise=None, values=file.values)
     found = diagnosed(fit, file.model)
     errors = {n: (0.01 * file.values[n], 30.0) for n in file.model.names}
-    monkeypatch.setattr(twin, "predicted", lambda *_: quality)
+    monkeypatch.setattr(twin, "prediction_quality", lambda *_: quality)
     monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(file.model, file.values, errors))
     for ratio, verdict in ((1.1, "NOTHING_MISSING"), (1.3, "DIFFERS")):
         row = {"rmse": ratio, "floor": 1.0, "ratio": ratio, "later_s": 0.0, "later_std_s": 0.001, "steps": 4}
