@@ -16,6 +16,7 @@ import numpy as np
 import plotly.graph_objects as go
 import pyarrow.parquet as pq
 import pytest
+from plotly.offline import get_plotlyjs
 from rich.console import Console
 
 from flighttest.report.document import (
@@ -32,7 +33,7 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
-from flighttest.report.packing import figures_in, unpacked
+from flighttest.report.packing import figures_in, plotly_without_maps, unpacked
 from flighttest.report.render import figures, html, terminal
 from flighttest.report.render.figure_files import write_figures
 from flighttest.report.render.plain import plain
@@ -333,3 +334,10 @@ def test_a_long_command_keeps_the_indent_of_its_lines_and_goes_on_deeper():
         "      --replay demo/spot_check --set \\",
         "        battery=-1",
     ]
+
+
+def test_a_page_carries_no_program_for_street_maps():
+    """It was a tenth of every report, which took one of 116 responses beyond 2 MB."""
+    whole, own = get_plotlyjs(), plotly_without_maps()
+    assert len(own) < 0.95 * len(whole)
+    assert own.count("Plotly") == whole.count("Plotly")

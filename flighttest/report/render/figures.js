@@ -28,7 +28,7 @@
     }
     return value;
   }
-  window.pageColours = () => palette(false);
+  window.pageColours = palette;
   window.paint = paint;
   window.repaint = [];  // what else is drawn anew when the palette changes
   const drawn = [];
@@ -53,10 +53,12 @@
     }
     return box;
   };
+  const PAPER = 690, GAP = 14;  // CSS pixels: what A4 and Letter hold upright within their margins, and between two pictures
+  window.printedWidth = (columns) => Math.floor((PAPER - GAP * (columns - 1)) / columns);
   function draw(printing) {
     const colours = palette(printing);
     for (const item of drawn) {
-      if (!item.plots[0].offsetParent && !printing) continue;
+      if (!item.plots[0].offsetParent) continue;
       for (const chip of item.chips) chip.querySelector("i").style.borderColor = colours[chip.dataset.role] || colours.other;
       item.spec.panels.forEach((panel, index) => {
         const data = panel.data.map((t) => {
@@ -65,7 +67,8 @@
           else if (trace.visible === "legendonly") trace.visible = true;
           return trace;
         });
-        const layout = Object.assign(paint(panel.layout, colours), { height: item.spec.height, font: { family: getComputedStyle(document.body).fontFamily, size: 11, color: colours.ink } });
+        const size = printing ? { autosize: false, width: printedWidth(Math.min(item.spec.columns, item.spec.panels.length)) } : { autosize: true };
+        const layout = Object.assign(paint(panel.layout, colours), size, { height: item.spec.height, font: { family: getComputedStyle(document.body).fontFamily, size: 11, color: colours.ink } });
         Plotly.react(item.plots[index], data, layout, { displayModeBar: false, responsive: true });
       });
     }
@@ -101,7 +104,7 @@
   }
   const everything = (printing) => {
     draw(printing);
-    for (const again of window.repaint) again(printing ? light : palette(false));
+    for (const again of window.repaint) again(printing);
   };
   function revive(specs, data) {
     const column = (v) => {
@@ -118,6 +121,9 @@
     everything(false);
     document.body.dataset.drawn = "yes";
     wantsDark.addEventListener("change", () => everything(false));
+    const closed = [];  // lists that are folded on a screen are printed whole
+    window.addEventListener("beforeprint", () => document.querySelectorAll("details:not([open])").forEach((one) => { one.open = true; closed.push(one); }));
+    window.addEventListener("afterprint", () => closed.splice(0).forEach((one) => (one.open = false)));
     window.addEventListener("beforeprint", () => everything(true));
     window.addEventListener("afterprint", () => everything(false));
     for (const choice of document.querySelectorAll(".choice")) {

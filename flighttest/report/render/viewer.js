@@ -38,7 +38,7 @@
     const [about, data] = await Promise.all([window.unpack(`${key}-about`), window.unpack(`${key}-data`), window.plotlyReady]);
     const words = JSON.parse(text.decode(about)), channels = decode(words, data), shown = new Set(words.shown.filter((n) => channels.has(n)));
     const all = [...channels.values()], whole = [Math.min(...all.map((c) => c.t[0])), Math.max(...all.map((c) => c.t[c.t.length - 1]))];
-    let range = whole.slice(), strips = [], busy = false;
+    let range = whole.slice(), strips = [], busy = false, onPaper = false;
     const chips = box.querySelector(".channels"), place = box.querySelector(".strips");
     const modes = [...new Set(words.marks.filter((m) => m[3] === "mode").map((m) => m[2]))];
     for (const group of [...new Set(all.map((c) => c.group))]) {
@@ -81,7 +81,7 @@
         await Plotly.downloadImage(strips[i].plot, { format, filename: `${key}-${i + 1}`, width: at.width, height: at.height, scale: format === "png" ? 2 : 1 });
       }
     }
-    const colours = () => window.pageColours();
+    const colours = () => window.pageColours(onPaper);
     function traces(strip, paintIt = true) {
       return strip.names.map((name, i) => {
         const [label, unit, held] = words.words[name], cut = windowed(channels.get(name), range[0], range[1]);
@@ -111,8 +111,10 @@
       .map((m) => ({ ...m, from: Math.max(m[0], range[0]), to: Math.min(m[1], range[1]) }))
       .filter((m) => m[3] === "mode" && m.to - m.from > 0.06 * (range[1] - range[0]))
       .map((m) => ({ x: m.from, y: 1.3, xref: "x", yref: "paper", xanchor: "left", showarrow: false, text: m[2], font: { size: 11, color: c.reference } }));
-    function draw() {
-      strips.forEach((s, i) => Plotly.react(s.plot, traces(s), layout(s, i === strips.length - 1, i === 0), { displayModeBar: false, responsive: true }));
+    function draw(printing = false) {
+      onPaper = printing;
+      const size = printing ? { autosize: false, width: window.printedWidth(1) } : { autosize: true };
+      strips.forEach((s, i) => Plotly.react(s.plot, traces(s), { ...layout(s, i === strips.length - 1, i === 0), ...size }, { displayModeBar: false, responsive: true }));
     }
     function zoom(to) {
       range = [Math.max(to[0], whole[0]), Math.min(to[1], whole[1])];
