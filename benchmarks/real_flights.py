@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import resource
 import subprocess
 import sys
@@ -22,8 +21,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.page import write_block
+
 REPOSITORY = Path(__file__).resolve().parents[1]
-BLOCK = re.compile(r"(<!-- measured: benchmarks/real_flights.py -->\n).*?(<!-- end -->)", re.DOTALL)
 NEURAL_FLY = REPOSITORY / "examples" / "columns" / "neural_fly.yaml"
 CALM = ("NOTHING_MISSING", "EXPLAINED")
 ANY = (*CALM, "PARTLY")
@@ -209,10 +209,7 @@ def main() -> None:
     if asked.write is None:
         print(table, end="")
         return
-    text = asked.write.read_text(encoding="utf-8")
-    if not BLOCK.search(text):
-        raise SystemExit(f"{asked.write} has no block for this benchmark")
-    asked.write.write_text(BLOCK.sub(lambda m: m.group(1) + table + m.group(2), text), encoding="utf-8")
+    write_block(asked.write, "benchmarks/real_flights.py", table)
 
 
 if __name__ == "__main__":

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
+from benchmarks.page import write_block
 from flighttest.pipeline.identification import fitting as analysis
 from flighttest.pipeline.validity.status import status
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 UNDAMAGED = "normal_flight"
-BLOCK = re.compile(r"(<!-- measured: benchmarks/validity_recorded.py -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def folder_of_recordings() -> Path:
@@ -71,10 +70,7 @@ def main() -> None:
     if asked.write is None:
         print(table, end="")
         return
-    text = asked.write.read_text(encoding="utf-8")
-    if not BLOCK.search(text):
-        raise SystemExit(f"{asked.write} has no block for this benchmark")
-    asked.write.write_text(BLOCK.sub(lambda m: m.group(1) + table + m.group(2), text), encoding="utf-8")
+    write_block(asked.write, "benchmarks/validity_recorded.py", table)
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def kind_of(value: object) -> str:
     return f"text ({str(value)[:30]!r})"
 
 
-# What YAML and JSON carry: the type of blocks whose keys nobody but the user knows.
+# Plain data as YAML and JSON hold it: the type of blocks whose keys the user chooses.
 PlainData: TypeAlias = "bool | int | float | str | Sequence[PlainData] | Mapping[str, PlainData] | None"
 
 

@@ -17,7 +17,7 @@ from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_ve
 CONNECT_S = 10.0  # host seconds
 HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.25  # also how the uplink is seen to be alive; 120 bytes a second each way
-LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): whoever waits for an answer is notified
+LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): waiting for an answer ends with a LinkError
 UNANSWERED_S = 10.0
 QUIET_S = (
     1.5  # more than from one HEARTBEAT to the next: a vehicle that is not heard for longer cannot show whether it hears

@@ -39,7 +39,7 @@ class Identity:
 
     @property
     def key(self) -> str:
-        """What a vehicle is called where nobody named it: by its autopilot; '' where nothing distinguishes it from another."""
+        """Default name of a vehicle, made of its autopilot's identity; '' where that does not distinguish it from others."""
         if self.name or self.autopilot:
             return self.name or f"autopilot {re.sub('(00)+$', '', self.autopilot)}"
         if len(self.calibration) < LEAST_CALIBRATION:

@@ -1,4 +1,4 @@
-"""`Vehicle`: what a person declares about a vehicle and the place it flies in; and the one that is flown when nobody names one."""
+"""`Vehicle`: what a person declares about a vehicle and the place it flies in; and the default vehicle."""
 
 from __future__ import annotations
 

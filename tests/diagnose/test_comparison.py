@@ -19,7 +19,7 @@ from flighttest.diagnose.selection.comparison import (
     probability_of,
     standard_errors,
 )
-from flighttest.diagnose.selection.held_out import Predicted, cross_validated, gains
+from flighttest.diagnose.selection.held_out import CrossValidation, cross_validated, stratum_gains
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue
@@ -133,23 +133,27 @@ def predictions(rng, factors):
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20, channel=channel)
     group = (np.arange(20) // 2)[rows.segment] % 10
     squares = rng.normal(size=1000) ** 2
-    return Predicted(rows, squares), Predicted(rows, squares * np.asarray(factors)[channel, group]), np.arange(20) // 2
+    return (
+        CrossValidation(rows, squares),
+        CrossValidation(rows, squares * np.asarray(factors)[channel, group]),
+        np.arange(20) // 2,
+    )
 
 
 def test_a_stratum_is_predicted_better_where_groups_agree_on_it(rng):
     """A channel in every group, half of the sum of squares; another in five of ten groups, and as much worse in the others."""
     mixed = np.where(np.arange(10) < 5, 0.5, 1.0 / 0.5)
     before, after, groups = predictions(rng, [np.full(10, 0.49), mixed])
-    found = gains(before, after, groups)
+    found = stratum_gains(before, after, groups)
     assert found["f_z_m_s2"] == pytest.approx((0.3, 0.3))
     assert found["v_z_m_s"][0] < 0.0
-    assert gains(after, before, groups)["f_z_m_s2"][1] < 0.0
+    assert stratum_gains(after, before, groups)["f_z_m_s2"][1] < 0.0
 
 
-def test_a_stratum_that_nobody_measured_has_no_interval(rng):
+def test_a_stratum_without_measurements_has_no_interval(rng):
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)
-    one = Predicted(rows, rng.normal(size=1000) ** 2)
-    assert list(gains(one, one, np.arange(20) // 2)) == ["f_z_m_s2"]
+    one = CrossValidation(rows, rng.normal(size=1000) ** 2)
+    assert list(stratum_gains(one, one, np.arange(20) // 2)) == ["f_z_m_s2"]
 
 
 def test_predictive_squares_are_those_of_weighted_fits_without_the_fold(rng):

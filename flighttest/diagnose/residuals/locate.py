@@ -16,7 +16,7 @@ from flighttest.diagnose.model import Located, brief, flown, short
 from flighttest.diagnose.records import MapCell, Regime, RegimeCurve
 from flighttest.diagnose.residuals.discrepancy import correlation_times
 from flighttest.diagnose.residuals.lack_of_fit import DRIFT, NoiseFloor, power_of_noise
-from flighttest.estimation.linearisation import Linearisation
+from flighttest.estimation.linearisation import IntArray, Linearisation
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.frames import compass_from_yaw, rotation_from_euler, wrap_angle
 from flighttest.segments.model import Segment
@@ -156,6 +156,14 @@ def explained_by(
     return value - float(np.mean(null)), float((1 + np.sum(null >= value)) / (FLIPS + 1))
 
 
+def _beside_disturbance(rows: Linearisation, at: IntArray, floor: float) -> float:
+    """Mean square of the residual at these rows with each response's disturbance estimated, in the channel's unit squared; divided by the
+    power of its own high frequencies over the floor's, where that is above one."""
+    at = at[np.lexsort((rows.sample[at], rows.segment[at]))]
+    residual = rows.residual[at] * rows.scale[at]
+    return float(np.mean(residual**2)) / max(power_of_noise(residual, rows.segment[at]) / floor, 1.0) ** 2
+
+
 def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
     """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable.
 
@@ -163,7 +171,6 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
     unless a variable orders the whole, what is left beside each response's own disturbance, which is part of the noise model, is compared
     with the floor, or with the power of its own high frequencies where that is more.
     """
-    beside = rows.residual * rows.scale
     tau = correlation_times(rows, rows.unprofiled_residual, segments)
     variables = sampled(rows, segments)
     kinds = np.array([s.kind for s in segments])[rows.segment]
@@ -180,11 +187,7 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             least = floor.at(name, str(kind))
             excess = float(np.sum(r**2)) / least**2 - at.size
             here = {v: x[at] for v, x in variables.items()}
-            mean_square = float(np.mean(r**2))
-            if kind == "free":
-                at_once = at[np.lexsort((rows.sample[at], rows.segment[at]))]
-                noise = power_of_noise(beside[at_once], rows.segment[at_once])
-                mean_square = float(np.mean(beside[at] ** 2)) * min(least / max(noise, 1e-12), 1.0) ** 2
+            mean_square = _beside_disturbance(rows, at, least) if kind == "free" else float(np.mean(r**2))
             if floor.exceeded(name, str(kind), mean_square, at.size / tau[c]) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed
             ):

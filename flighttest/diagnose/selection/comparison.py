@@ -16,7 +16,13 @@ import numpy as np
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
-from flighttest.diagnose.selection.held_out import Predicted, cross_validated, gains, places, size_in_floors
+from flighttest.diagnose.selection.held_out import (
+    CrossValidation,
+    cross_validated,
+    places,
+    size_in_floors,
+    stratum_gains,
+)
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import kinds_of
@@ -51,8 +57,8 @@ class Evidence:
     """What a term adds. nats: difference of the log predictive densities; probability: that it is needed, against its absence; floors: its
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
-    estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: channels
-    in which groups that were not used are predicted better or worse with it (95 % bootstrap interval of the fall in RMSE); nothing: the
+    estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: strata
+    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`); nothing: the
     estimate, where its 95 % interval holds its null value."""
 
     term: str
@@ -112,16 +118,18 @@ def standard_errors(fitted: Fitted, segments: Sequence[Segment]) -> dict[str, fl
     return dict(zip(fitted.names, (np.sqrt(np.maximum(np.diag(inverse), 0.0)) / length).tolist(), strict=True))
 
 
-def predicted(
+def cross_validations(
     larger: Fitted, smaller: Fitted, estimator: Estimator, groups: IntArray, floor: NoiseFloor
-) -> tuple[Predicted, Predicted]:
-    """Larger and smaller model cross-validated over groups, in the noise and discrepancy of the larger."""
+) -> tuple[CrossValidation, CrossValidation]:
+    """Of the larger and of the smaller model over groups, in the noise and discrepancy of the larger."""
     weights = weights_of(larger, estimator.segments, floor)
     at = replace(smaller.at, noise=larger.at.noise)
     rows = smaller.rows if at.noise == smaller.at.noise else estimator.linearise(smaller.model, at, smaller.names)
-    both = (larger.rows, larger.names), (rows, smaller.names)
-    first, second = (Predicted(r, cross_validated(r, names, groups, weights(r))) for r, names in both)
-    return first, second
+
+    def of(rows: Linearisation, names: Sequence[str]) -> CrossValidation:
+        return CrossValidation(rows, cross_validated(rows, names, groups, weights(rows)))
+
+    return of(larger.rows, larger.names), of(rows, smaller.names)
 
 
 def log_evidence(
@@ -129,10 +137,10 @@ def log_evidence(
 ) -> dict[str, float]:
     """Stratum (channel, disturbance; '' for initial states) to the difference of cross-validated log predictive densities, nats; their sum
     is the log evidence."""
-    return _difference(*predicted(larger, smaller, estimator, groups, floor))
+    return _difference(*cross_validations(larger, smaller, estimator, groups, floor))
 
 
-def _difference(larger: Predicted, smaller: Predicted) -> dict[str, float]:
+def _difference(larger: CrossValidation, smaller: CrossValidation) -> dict[str, float]:
     after = larger.by_stratum()
     return {name: 0.5 * (before - after[name]) for name, before in smaller.by_stratum().items()}
 
@@ -148,7 +156,7 @@ def evidence_of(
 ) -> Evidence:
     """One term of a fitted model against the model without it. floor: of the base model, in which sizes are counted."""
     segments = estimator.segments
-    after, before = predicted(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
+    after, before = cross_validations(fitted, without, estimator, groups, floor_of(fitted.rows, segments, RESOLUTION))
     by_stratum = _difference(after, before)
     aside = redundant(term, by_stratum)
     nats = sum(value for stratum, value in by_stratum.items() if stratum not in aside)
@@ -157,7 +165,7 @@ def evidence_of(
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
-    intervals = {name: interval for name, interval in gains(before, after, groups).items() if name not in aside}
+    intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     return Evidence(
         term=term.id,
         nats=nats,

@@ -110,8 +110,8 @@ def mean_squares(
 
 
 @dataclass(frozen=True)
-class Predicted:
-    """Rows of a model with its cross-validated squares (n,), as of `cross_validated`."""
+class CrossValidation:
+    """Rows of a model with its squared prediction errors (n,), as of `cross_validated`."""
 
     rows: Linearisation
     squares: FloatArray
@@ -129,11 +129,14 @@ class Predicted:
         )
 
 
-def gains(before: Predicted, after: Predicted, groups: IntArray, seed: int = 0) -> dict[str, tuple[float, float]]:
-    """Stratum to the 95 % interval (bootstrap over groups) of the fall of the root sum of squares, as a share of that before.
+def stratum_gains(
+    before: CrossValidation, after: CrossValidation, groups: IntArray, seed: int = 0
+) -> dict[str, tuple[float, float]]:
+    """Stratum to the 95 % percentile bootstrap interval (groups resampled) of the relative fall of the root sum of squares.
 
-    Each response is predicted by parameters from other groups and its own nuisance parameters, whose departure from their priors has
-    strata of its own: what a constant disturbance takes up of a response does not hide whether its course is predicted better."""
+    A response is predicted by parameters from other groups and by its own nuisance parameters, which are strata of their own. So the
+    constant disturbance of a response does not hide whether the rest of it is predicted better.
+    """
     n = int(groups.max()) + 1
     draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
     found = {}

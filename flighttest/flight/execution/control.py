@@ -179,7 +179,7 @@ class FlightControl:
 
     def _watch_link(self) -> None:
         if self.streams is None:
-            return  # preflight: whoever waits for an answer is notified
+            return  # preflight: the code that waits for an answer reports the silence
         before, link = self._link, self.session.look_at_link()
         if link is not before:
             self._link = link
