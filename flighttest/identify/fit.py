@@ -49,7 +49,7 @@ from flighttest.identify.diagnostics.quality import ChannelQuality, ValidRange, 
 from flighttest.identify.equality_constraints import TieTest, tie_tests
 from flighttest.identify.selection import Select, moves, problem_of
 from flighttest.physics.body import DELAY, DELAY_PARAM
-from flighttest.physics.model import Model
+from flighttest.physics.model import NOMINAL_VOLTAGE_V, Model, pack_voltage
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -127,8 +127,10 @@ def has_attitude_references(segments: Sequence[Segment]) -> bool:
 
 
 def default_model(segments: Sequence[Segment]) -> Model:
-    """The model the paper would fit to these segments."""
-    return Model(attitude_loops=has_attitude_references(segments))
+    """The model the paper would fit to these segments, at the nominal voltage of their battery."""
+    read = [s.y["voltage_v"] for s in segments if s.usable and "voltage_v" in s.y]
+    volts = pack_voltage(np.concatenate(read)) if read else None
+    return Model(attitude_loops=has_attitude_references(segments), nominal_voltage_v=volts or NOMINAL_VOLTAGE_V)
 
 
 def fit(

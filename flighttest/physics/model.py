@@ -11,6 +11,7 @@ A model without attitude loops (`attitude_loops=False`) takes the attitude as in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -35,8 +36,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NOMINAL_VOLTAGE_V = 22.2
+CELL_V, FULL_CELL_V = 3.7, 4.25  # of a lithium polymer cell: nominal, and the most that a charged one shows
+LEAST_VOLTAGE_V = 2.0  # less is no reading of a battery
 ROTOR_HEIGHT_M = 0.2
 PAPER_TERMS = ("body", "linear_drag")
+
+
+def pack_voltage(voltage_v: ArrayLike) -> float | None:
+    """Nominal voltage, V, of the lithium pack that readings (n,), V, are of: 3.7 V times the fewest cells that reach the highest of them
+    (99th percentile); None where there is no reading. Thrust is K T where the voltage is nominal: far from it K and alpha are one."""
+    volts = np.asarray(voltage_v, dtype=float)
+    volts = volts[np.isfinite(volts) & (volts > LEAST_VOLTAGE_V)]
+    return CELL_V * math.ceil(float(np.quantile(volts, 0.99)) / FULL_CELL_V) if volts.size else None
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from typing import Any
 
 from flighttest.errors import ModelError
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.model import CELL_V
 from flighttest.sim import SimOptions
 from flighttest.sim.plants.plant import BatteryFields, IdentifiedVehicle
 
-CELL_V = 3.7  # nominal, of lithium polymer
 _ACCEL_FILTER_HZ = 20.0  # ArduPilot's default
 _BUTTERWORTH_2 = 1.11  # noise bandwidth over cut-off of a second-order Butterworth low-pass
 _ACCEL_RATE_HZ = 400.0  # that `SensorNoise.accel_m_s2` and gyro_rad_s are of

@@ -1,5 +1,7 @@
 """model.yaml goes out and comes back; a bad one lists everything wrong with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,18 @@ def test_a_model_does_not_differ_from_itself_and_does_from_another(found, writte
     assert other[0].differs
     assert "differs" in other[0].sentence
     assert sum(d.differs for d in other) == 1
+
+
+def test_gains_are_compared_at_one_voltage(found, written):
+    """K (U / U_n)^alpha is the same thrust at either nominal voltage."""
+    first = model_file.read(written)
+    gain, alpha = first.parameters["K"], first.parameters["alpha"]
+    stated = replace(gain, value=gain.value * 0.5**alpha.value)
+    half = replace(first.model, nominal_voltage_v=0.5 * first.model.nominal_voltage_v)
+    other = replace(first, model=half, parameters={**first.parameters, "K": stated})
+    row = next(d for d in compare(first, other) if d.name == "K")
+    assert row.second == pytest.approx(gain.value)
+    assert not row.differs
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,13 @@
 """What a model takes from the declaration of its vehicle."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from flighttest.physics.model import Model
 from flighttest.pipeline.identification.fitting import base_model
-from flighttest.recording import Provenance, Recording
+from flighttest.recording import Provenance, Recording, Series
 from flighttest.vehicle.model import Vehicle
 
 
@@ -20,6 +23,18 @@ def test_the_vehicle_file_is_believed_before_the_recordings_and_these_before_the
     assert base_model([recorded(nominal_voltage_v="?")], None) == Model()
     assert base_model([], Vehicle("v", None, "ardupilot", 22.2, 0.3)) == Model(), "the usual is one and the same"
     assert base_model([], None, ["ground_effect"]).terms == ("body", "linear_drag", "ground_effect")
+
+
+@pytest.mark.parametrize(
+    ("highest_v", "nominal_v"), [(4.1, 3.7), (12.6, 11.1), (16.75, 14.8), (21.5, 22.2), (25.2, 22.2), (0.3, 22.2)]
+)
+def test_the_nominal_voltage_that_nobody_states_is_that_of_the_battery_recorded(highest_v, nominal_v):
+    """At 22.2 V the gain of a single cell is bound up with the exponent: fits of three hops ended between 92 and 605 m/s^2 for 14."""
+    volts = np.linspace(0.8 * highest_v, highest_v, 50)
+    read = replace(recorded(), series={"battery": Series(np.arange(50.0), {"voltage_v": volts})})
+    assert base_model([read], None).nominal_voltage_v == pytest.approx(nominal_v)
+    assert base_model([read], None, model=Model(nominal_voltage_v=7.4)).nominal_voltage_v == 7.4
+    assert base_model([read, recorded(nominal_voltage_v=25.2)], None).nominal_voltage_v == 25.2
 
 
 @pytest.mark.parametrize("rotor_height_m", [0.0, 0.4])

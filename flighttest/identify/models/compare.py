@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from flighttest.estimation.uncertainty.distributions import normal_beyond
-from flighttest.identify.models.model_file import ModelFile
+from flighttest.identify.models.model_file import ModelFile, StoredParameter
 
 LEVEL = (
     0.05  # chance that any parameter of two equal vehicles is called different (Holm's correction over the parameters)
@@ -30,8 +30,9 @@ class Difference:
 
 
 def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
-    """Every parameter of either model; those that differ first, then by z."""
+    """Every parameter of either model; those that differ first, then by z. K of the second at the nominal voltage of the first."""
     rows = []
+    second = replace(second, parameters={**second.parameters, **_gain_at(first.model.nominal_voltage_v, second)})
     names = list(dict.fromkeys([*first.parameters, *second.parameters]))
     for name in names:
         a, b = first.parameters.get(name), second.parameters.get(name)
@@ -63,6 +64,19 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
         decided[row.name] = still
     final = [_decide(r, decided.get(r.name)) for r in rows]
     return tuple(sorted(final, key=lambda r: (not r.differs, -(abs(r.z) if r.z is not None else -1.0))))
+
+
+def _gain_at(nominal_v: float, model: ModelFile) -> dict[str, StoredParameter]:
+    """K of a model at another nominal voltage, K (U / U_n)^alpha, with what alpha leaves open; empty where it needs no change."""
+    gain, exponent = model.parameters.get("K"), model.parameters.get("alpha")
+    far = math.log(nominal_v / model.model.nominal_voltage_v)
+    if gain is None or exponent is None or not far:
+        return {}
+    factor = math.exp(far * exponent.value)
+    scatter = None
+    if gain.scatter is not None and exponent.scatter is not None:
+        scatter = factor * math.hypot(gain.scatter, gain.value * far * exponent.scatter)
+    return {"K": replace(gain, value=gain.value * factor, scatter=scatter)}
 
 
 def _decide(row: Difference, differs: bool | None) -> Difference:

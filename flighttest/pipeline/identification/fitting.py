@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
+import numpy as np
+
 from flighttest.datafiles import check_writable
 from flighttest.documents import nearest
 from flighttest.errors import FitError, InputError
@@ -17,7 +19,7 @@ from flighttest.identify.models.model_blocks import ModelData, QualityBlock
 from flighttest.identify.validation.block_coordinate_descent import cross_checked
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
-from flighttest.physics.model import PAPER_TERMS, Model
+from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model, pack_voltage
 from flighttest.pipeline.identification.motors import motor_section
 from flighttest.pipeline.identification.winds import declared_weather, wind_section
 from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views
@@ -117,12 +119,19 @@ def _segment_data(s: Segment) -> dict[str, Any]:
     }
 
 
+def _recorded_pack(recordings: Sequence[Recording]) -> float | None:
+    """Nominal voltage of the battery by its readings, V; None where nothing was read."""
+    batteries = [r.series["battery"].columns for r in recordings if "battery" in r.series]
+    read = [b["voltage_v"] for b in batteries if "voltage_v" in b]
+    return pack_voltage(np.concatenate(read)) if read else None
+
+
 def base_model(
     recordings: Sequence[Recording], vehicle: Vehicle | None, terms: Sequence[str] = (), model: Model | None = None
 ) -> Model:
     """The paper's model, or the one given, and further terms, with U_n and the height of the rotors: the vehicle file's, else what the
-    recordings carry, else the model's own."""
-    base = model or Model()
+    recordings carry, else the model's own; of the paper's, U_n of the battery that was recorded."""
+    base = model or Model(nominal_voltage_v=_recorded_pack(recordings) or NOMINAL_VOLTAGE_V)
     stated = [r.provenance.vehicle for r in recordings] if vehicle is None else [cast(VehicleData, asdict(vehicle))]
 
     def said(key: Literal["nominal_voltage_v", "rotor_height_m"], least: float, otherwise: float) -> float:
