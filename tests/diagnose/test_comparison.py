@@ -16,12 +16,14 @@ from flighttest.diagnose.selection.comparison import (
     inadmissible,
     log_evidence,
     log_odds_asked,
+    may_be_nothing,
     probability_of,
     standard_errors,
 )
 from flighttest.diagnose.selection.held_out import CrossValidation, cross_validated, stratum_gains
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
+from flighttest.estimation.uncertainty.covariance import Covariance
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
@@ -129,7 +131,7 @@ def test_models_are_compared_in_the_noise_of_the_larger(rng):
 
 def predictions(rng, factors):
     """Squares of both channels of ten groups, and the same times factors (2, 10): channel, group."""
-    channel = np.repeat([0, 1], 500)
+    channel = np.tile([0, 1], 500)
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20, channel=channel)
     group = (np.arange(20) // 2)[rows.segment] % 10
     squares = rng.normal(size=1000) ** 2
@@ -290,6 +292,35 @@ def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert "not used" in replace(found(), improved=()).why_not
     assert replace(found(), worsened=("f_x_m_s2",)).why_not == ""
     assert "worse" in replace(found(), worsened=("f_x_m_s2", "v_x_m_s")).why_not
+
+
+@pytest.mark.parametrize(
+    ("term", "values", "stds", "named"),
+    [
+        ("slung_payload", {"payload_ratio": 0.94}, {"payload_ratio": 0.44}, True),  # 1.96 standard errors are 0.86
+        ("slung_payload", {"payload_ratio": 0.94}, {"payload_ratio": 0.49}, False),
+        ("quadratic_drag", {"k_x": 0.1, "k_y": 0.1, "k_z": 0.1}, {"k_x": 0.06, "k_y": 0.06, "k_z": 0.01}, True),
+        ("quadratic_drag", {"k_x": 0.1, "k_y": 0.1, "k_z": 0.1}, {"k_x": 0.06, "k_y": 0.06, "k_z": 0.06}, False),
+        ("reference_shaping", {"shaping_tc": 0.1}, {"shaping_tc": 1.0}, True),  # has no coefficient
+    ],
+)
+def test_a_coefficient_whose_intervals_all_hold_its_null_value_may_be_nothing(term, values, stds, named):
+    names = tuple(values)
+    known = Covariance(names, np.diag([s**2 for s in stds.values()]), np.eye(len(names)), np.full(len(names), 1e6))
+    estimator = SimpleNamespace(covariance=lambda *_: known)
+    model = Fitted(Model((term,)), names, Optimum(values, {}, NOISE, 0.0), None)
+    said = may_be_nothing(catalogue()[term], model, estimator)
+    assert (said == "") is named
+    assert named or names[-1] in said
+
+
+def test_few_groups_neither_carry_a_name_nor_refuse_it(rng):
+    """The sign test of n groups cannot reach 2.5 % below six: then the evidence decides."""
+    rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)
+    one, other = (CrossValidation(rows, f * rng.normal(size=1000) ** 2) for f in (1.0, 0.1))
+    assert stratum_gains(one, other, np.arange(20) % 6)["f_z_m_s2"][0] > 0.0
+    assert stratum_gains(one, other, np.arange(20) % 5) == {}
+    assert replace(found(), improved=(), tested=False).why_not == ""
 
 
 def test_an_estimate_that_may_be_nothing_is_not_named():

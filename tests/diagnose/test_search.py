@@ -17,9 +17,14 @@ from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
+NUMBERS = SimpleNamespace(residual=np.zeros(1), jacobian=np.zeros((1, 1)), unprofiled_jacobian=np.zeros((1, 1)))
+NO_NUMBERS = SimpleNamespace(
+    residual=np.zeros(1), jacobian=np.full((1, 1), np.nan), unprofiled_jacobian=np.zeros((1, 1))
+)
+
 
 def fitted(*terms):
-    return Fitted(SimpleNamespace(terms=tuple(sorted(terms))), (), SimpleNamespace(objective=1.0), None)
+    return Fitted(SimpleNamespace(terms=tuple(sorted(terms))), (), SimpleNamespace(objective=1.0), NUMBERS)
 
 
 def evidence(term, nats=100.0, inadmissible="", floors=5.0, without=None):
@@ -178,12 +183,13 @@ def test_an_interrupted_search_keeps_what_it_had(searched, made, monkeypatch):
     assert made[0].named == set(made[0].evidence) == {"a"}
 
 
-def test_a_refit_that_is_not_finite_is_a_dropped_candidate(searched, monkeypatch):
+@pytest.mark.parametrize("what", [{"at": SimpleNamespace(objective=np.inf)}, {"rows": NO_NUMBERS}])
+def test_a_refit_that_is_not_finite_is_a_dropped_candidate(searched, monkeypatch, what):
     usual = Scripted.refitted
 
     def diverging(self, among, members, scored):
         found = usual(self, among, members, scored)
-        return replace(found, at=SimpleNamespace(objective=np.inf)) if "a" in found.model.terms else found
+        return replace(found, **what) if "a" in found.model.terms else found
 
     monkeypatch.setattr(Scripted, "refitted", diverging)
     search = searched({"a": 10.0, "b": 8.0}, {})
@@ -263,14 +269,15 @@ def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated(
             return SimpleNamespace(values={**start.values, "w_up": -3.0 if "w_up" in names else start.values["w_up"]})
 
         def moved(self, model, at, values):
-            return SimpleNamespace(values={**at.values, **values})
+            return SimpleNamespace(values={**at.values, **values}, objective=0.0)
 
         def linearise(self, model, at, names):
             return None
 
     model = Model(("linear_drag", "steady_wind"))
     search = Search(Estimator(), (), np.zeros(1, dtype=int))
-    fitted = search.fit_of(model, SimpleNamespace(values={"K": 50.0, "w_north": 2.0, "w_up": 0.0}), frozenset())
+    start = SimpleNamespace(values={"K": 50.0, "w_north": 2.0, "w_up": 0.0}, objective=0.0)
+    fitted = search.fit_of(model, start, frozenset())
     assert asked == [("K", "w_north", "w_up"), ("K", "w_north")]
     assert fitted.names == ("K", "w_north")
     assert fitted.at.values["w_up"] == 0.0
@@ -320,6 +327,27 @@ class Named:
 
 def found(*terms, likelihood):
     return Fitted(Named(terms), (), SimpleNamespace(values={}, log_likelihood=likelihood, objective=0.0), None)
+
+
+def test_a_model_that_diverges_without_one_of_its_terms_is_fitted_from_the_base():
+    class Diverging(Likelihoods):
+        def moved(self, model, at, values=None):
+            stable = all(at.values[n] >= 0.0 for n in at.values)
+            return SimpleNamespace(
+                values=at.values | (values or {}), log_likelihood=0.0, objective=0.0 if stable else np.inf
+            )
+
+        def fit(self, model, start, names, *, compared_with=None):
+            self.compared.append(start)
+            return start
+
+    estimator = Diverging()
+    drag = SimpleNamespace(id="a", amplitudes=(SimpleNamespace(name="k", off=0.0),))
+    base = Fitted(Named(()), (), SimpleNamespace(values={"d": 1.0}, objective=0.0), NUMBERS)
+    search = Search(estimator, (drag, SimpleNamespace(id="b", amplitudes=())), np.zeros(1, dtype=int), base=base)
+    at = SimpleNamespace(values={"d": -2.0, "k": 5.0}, log_likelihood=9.0, objective=0.0)
+    search.without("b", Fitted(Named(("a", "b")), (), at, NUMBERS))
+    assert [s.values for s in estimator.compared] == [{"d": 1.0, "k": 0.0}]
 
 
 def test_a_smaller_model_is_fitted_once_for_comparisons_and_again_where_one_is_closer_or_it_stays():

@@ -23,7 +23,7 @@ from flighttest.diagnose.selection.held_out import (
     size_in_floors,
     stratum_gains,
 )
-from flighttest.estimation.estimator import Estimator
+from flighttest.estimation.estimator import Estimator, finite
 from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import kinds_of
 from flighttest.estimation.responses import zero_order_hold
@@ -51,6 +51,12 @@ class Fitted:
         basis = orthonormal(self.rows.columns(self.names))
         return np.asarray(self.rows.residual - basis @ (basis.T @ self.rows.residual))
 
+    @property
+    def finite(self) -> bool:
+        """Whether the simulation and its derivatives are numbers."""
+        rows = self.rows
+        return bool(np.isfinite(self.at.objective)) and finite((rows.residual, rows.jacobian, rows.unprofiled_jacobian))
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -58,8 +64,8 @@ class Evidence:
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: strata
-    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`); nothing: the
-    estimate, where its 95 % interval holds its null value."""
+    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`); tested: whether there are
+    groups enough to say so; nothing: the estimate, where its 95 % interval holds its null value."""
 
     term: str
     nats: float
@@ -72,6 +78,7 @@ class Evidence:
     without: Fitted
     improved: tuple[str, ...]
     worsened: tuple[str, ...] = ()
+    tested: bool = True
     nothing: str = ""
 
     @property
@@ -81,7 +88,7 @@ class Evidence:
             return self.inadmissible
         if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
             return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
-        if not self.improved:
+        if self.tested and not self.improved:
             return "no channel of what was not used is predicted better with it"
         if len(self.worsened) > len(self.improved):
             counts = f"{len(self.worsened)} and {len(self.improved)}"
@@ -176,18 +183,18 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates),
         without=without,
-        nothing=_nothing(term, fitted, estimator) if floor.repeated(*place) else "",
+        nothing=may_be_nothing(term, fitted, estimator),
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
+        tested=bool(intervals),
     )
 
 
-def _nothing(term: Term, fitted: Fitted, estimator: Estimator) -> str:
-    """The estimate of a linear term all of whose 95 % intervals, what the equations may err included, hold the null value: what is printed
-    beside a name must not say that there may be nothing. Empty for others; a nonlinear parameter bends such intervals. Not asked where no
-    step was repeated: nothing then limits what the equations err but the residual itself."""
-    own = [p for p in term.params if p.name in fitted.names]
-    if not own or any(p.kind != "amplitude" for p in own):
+def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator) -> str:
+    """The linear coefficients of a term all of whose 95 % intervals, what the equations may err included, hold the null value: what is
+    printed beside a name must not say that there may be nothing. Empty where one does not, and for terms without any."""
+    own = [p for p in term.amplitudes if p.name in fitted.names]
+    if not own:
         return ""
     known = estimator.covariance(fitted.model, fitted.at, fitted.names)
     said = ""

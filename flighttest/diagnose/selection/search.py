@@ -122,11 +122,16 @@ class Search:
             proposed = self.subsets.terms(scored)
             if proposed & set(self.rejected):
                 continue
-            self.progress(f"refitting with {' and '.join(sorted(proposed))}")
-            fitted = self.refitted(before, [self.candidates[j] for j in scored.members], scored)
-            if not np.isfinite(fitted.at.objective):
+            names = " and ".join(sorted(proposed))
+            self.progress(f"refitting with {names}")
+            try:
+                fitted = self.refitted(before, [self.candidates[j] for j in scored.members], scored)
+                if not fitted.finite:
+                    continue
+                kept, evidence, left = self._pruned(fitted, proposed)
+            except np.linalg.LinAlgError as trouble:  # of a trial, which ends the trial and not the search
+                self.progress(f"{names} cannot be computed: {trouble}")
                 continue
-            kept, evidence, left = self._pruned(fitted, proposed)
             if not self._better(kept, before):
                 self.rejected |= {t: e for t, e in left.items() if t in proposed}
                 continue
@@ -231,8 +236,7 @@ class Search:
                 self.progress(f"trying {name} in place of {term}")
                 scored = Scored((j,), 0.0, np.zeros(self.candidates[j].columns.shape[1]))
                 other = self.refitted(without, [self.candidates[j]], scored)
-                finite = bool(np.isfinite(other.at.objective))
-                if finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
+                if other.finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
                     floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
                     nats = sum(log_evidence(now, other, self.estimator, self.groups, floor).values())
             if cosine > 0.6:
@@ -250,11 +254,12 @@ class Search:
         """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with: as of
         `Estimator.fit`."""
         names = self._free(model, inactive)
-        at = self.estimator.fit(model, start, names, compared_with=compared_with)
+        at = self.estimator.fit(model, self._finite_start(model, start), names, compared_with=compared_with)
         if stuck := self._not_estimates(model, at, names):
             # What drove them there is not their effect: the rest of the term is judged without them.
             names = tuple(n for n in names if n not in stuck)
-            at = self.estimator.fit(model, self.estimator.moved(model, at, stuck), names, compared_with=compared_with)
+            start = self._finite_start(model, self.estimator.moved(model, at, stuck))
+            at = self.estimator.fit(model, start, names, compared_with=compared_with)
         fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
         members, rough = self._members(fitted), -np.inf if compared_with is None else compared_with
         known = self._fits.get(members)
@@ -262,6 +267,14 @@ class Search:
             fitted, rough = known, min(rough, self._rough[members])
         self._fits[members], self._rough[members] = fitted, rough
         return fitted
+
+    def _finite_start(self, model: Model, start: Optimum) -> Optimum:
+        """A start from which the simulation is finite: what a model holds without one of its terms may diverge where it was stable with it.
+        Then the base's optimum, with every coefficient of a term at its null value, where the model is the base."""
+        if np.isfinite(start.objective) or self.base is None:
+            return start
+        null = {p.name: null_value(p) for t in self.pool if t.id in model.terms for p in t.amplitudes}
+        return self.estimator.moved(model, self.base.at, null)
 
     def _not_estimates(self, model: Model, at: Optimum, names: tuple[str, ...]) -> dict[str, float]:
         """Coefficients that are their term's effect only beside its others (an upward wind) and ran to a bound: name to null value."""
