@@ -35,6 +35,11 @@ AUTOPILOT = frozenset(
      "rotor_speed_lag", "attitude_extra_pole", "roll_pitch_coupling"}
 )  # fmt: skip
 
+# What ArduPilot's own simulator flies: drag by areaCd v^2, rotors that lose outflow with the speed of the air into them, momentum drag
+# with the square root of thrust, a battery with a resistance (libraries/SITL: SIM_Frame.cpp calculate_forces, SIM_Motor.cpp
+# calculate_forces and calc_thrust, SIM_Battery.cpp).
+ARDUPILOT_SITL = frozenset({"quadratic_drag", "axial_inflow", "thrust_scaled_drag", "voltage_sag"})
+
 
 @dataclass(frozen=True)
 class Recordings:
@@ -94,7 +99,11 @@ def flights_of(data: Path) -> list[Recordings]:
     for file in ("sitl_4.7dev_steps.BIN", "sitl_4.7dev_steps.tlog"):
         found.append(
             Recordings(
-                f"ArduCopter SITL, {file}", (f"arducopter_logs/{file}",), "the autopilot's own", ANY, AUTOPILOT | THRUST
+                f"ArduCopter SITL, {file}",
+                (f"arducopter_logs/{file}",),
+                "the autopilot's own, and what its simulator flies",
+                ANY,
+                AUTOPILOT | THRUST | ARDUPILOT_SITL,
             )
         )
     for file in ("recording.BIN.xz", "recording.tlog.gz"):

@@ -13,7 +13,7 @@ from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
-from flighttest.diagnose.records import CandidateRow, Description, NextReason, ParameterRow
+from flighttest.diagnose.records import CandidateRow, Description, HeldOutRow, NextReason, ParameterRow
 from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.residuals.outlying import set_aside
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
@@ -185,7 +185,9 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
-        sentence=sentence_of(so_far, findings, share, located, complete) + moved_parameters(asked.previous, after),
+        sentence=sentence_of(so_far, findings, share, located, complete)
+        + predicted_worse(_merged(answers, "heldout"))
+        + moved_parameters(asked.previous, after),
         located=tuple(located),
         findings=tuple(findings),
         not_needed=tuple(sorted(tried - named)),
@@ -319,6 +321,18 @@ def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: 
     words = ", ".join(f"{n} {100 * changes[n]:+.0f} %" for n in largest[:3])
     more = f" and {len(largest) - 3} more" if len(largest) > 3 else ""
     return f" The model given does not hold as it is ({words}{more}): its parameters were fitted anew."
+
+
+def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
+    """Channels (short) that the model with what is named predicts worse, of responses not used: the 95 % interval of the drop in RMSE is
+    below zero, and the error is above the noise floor."""
+    worse = {c: rows["all"] for c, rows in held.items() if rows["all"]["gain_95"][1] < 0.0}
+    said = [
+        f"{c} ({row['rmse_after'] / row['rmse_before']:.2g} times the error)"
+        for c, row in worse.items()
+        if row["rmse_after"] > row["floor"]
+    ]
+    return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
 
 
 def _delays(table: Mapping[str, ParameterRow]) -> list[str]:

@@ -26,7 +26,7 @@ STEP_OF_POLE = {"translation": 1.0, "attitude": 0.25}  # step x pole (1/s), at m
 _BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
-_HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
+HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
 _START_STD = {
     "v_x_m_s": (0.5, 3.0), "v_y_m_s": (0.5, 3.0), "v_z_m_s": (0.5, 3.0), "a_t_m_s2": (5.0, 10.0), "roll_rad": (0.1, 0.3),
@@ -191,7 +191,7 @@ def prepare(
         if has_force and name.startswith("a_"):  # world acceleration is derived from f: the same sample twice
             y[:, i] = np.nan
     if block.name == "translation" and not knows_attitude(segment):
-        y[:, [i for i, name in enumerate(outputs) if name in _HORIZONTAL]] = np.nan
+        y[:, [i for i, name in enumerate(outputs) if name in HORIZONTAL]] = np.nan
     start, std = _start(segment, block, hover_throttle_gain)
     edges_s, values = merged_edges(segment, block.inputs)
     e = np.stack([exogenous(segment, name, nominal_voltage_v, attitude_delay_s) for name in block.exogenous], axis=1) \

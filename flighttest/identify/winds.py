@@ -7,7 +7,7 @@ vehicle share drag and offset and differ in the wind; flights that are known to 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -148,3 +148,19 @@ def turned(flown: Sequence[Segment]) -> bool:
     mean = np.angle(np.mean(np.exp(1j * yaw)))
     off = np.abs(np.angle(np.exp(1j * (yaw - mean))))
     return bool(np.quantile(off, 0.9) > TURNED_RAD / 2)
+
+
+def in_still_air(segments: Sequence[Segment], winds: Sequence[FlightWind]) -> tuple[Segment, ...]:
+    """Segments in the frame of their flight's air: velocity less the wind, position less its way since the segment's start."""
+    known = {w.flight: (w.north, w.west) for w in winds}
+    made = []
+    for s in segments:
+        wind, y = known.get(s.run), dict(s.y)
+        if wind is not None:
+            for axis, w in zip("xy", wind, strict=True):
+                if f"v_{axis}_m_s" in y:
+                    y[f"v_{axis}_m_s"] = y[f"v_{axis}_m_s"] - w
+                if f"p_{axis}_m" in y:
+                    y[f"p_{axis}_m"] = y[f"p_{axis}_m"] - w * (s.t_s - s.t_s[0])
+        made.append(replace(s, y=y))
+    return tuple(made)

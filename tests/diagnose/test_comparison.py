@@ -314,6 +314,19 @@ def test_a_coefficient_whose_intervals_all_hold_its_null_value_may_be_nothing(te
     assert named or names[-1] in said
 
 
+def test_the_error_of_a_nonlinear_parameter_is_none_of_its_coefficient():
+    """0.14 +- 0.18 with a time constant of which nothing is known; at that time constant 0.14 +- 0.03."""
+    names = ("fade_depth", "fade_tau")
+    depth, tau, correlation = 0.09, 30.0, np.sqrt(1.0 - (0.015 / 0.09) ** 2)
+    matrix = np.array([[depth**2, correlation * depth * tau], [correlation * depth * tau, tau**2]])
+    estimator = SimpleNamespace(covariance=lambda *_: Covariance(names, matrix, matrix, np.full(2, 1e6)))
+    at = Optimum({"fade_depth": 0.14, "fade_tau": 40.0}, {}, NOISE, 0.0)
+    term = catalogue()["thrust_fade"]
+    assert may_be_nothing(term, Fitted(Model((term.id,)), names, at, None), estimator) == ""
+    at = replace(at, values={"fade_depth": 0.028, "fade_tau": 40.0})
+    assert "may be nothing" in may_be_nothing(term, Fitted(Model((term.id,)), names, at, None), estimator)
+
+
 def test_few_groups_neither_carry_a_name_nor_refuse_it(rng):
     """The sign test of n groups cannot reach 2.5 % below six: then the evidence decides."""
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)

@@ -106,6 +106,16 @@ def test_what_was_not_recorded_is_untestable_by_name():
     assert missing_channels(term, blind) == ("height_m",)
 
 
+def test_what_shows_in_horizontal_motion_needs_the_attitude():
+    """Of hops without a recorded pitch only the vertical is compared: a slung load of 1.2 vehicle masses took the place of their gain."""
+    flown = tilts()
+    blind = [replace(s, y={k: v for k, v in s.y.items() if k != "pitch_rad"}) for s in flown]
+    for term, needed in (("slung_payload", ("pitch_rad",)), ("steady_wind", ("pitch_rad",)), ("axial_inflow", ())):
+        assert missing_channels(catalogue()[term], flown) == ()
+        assert missing_channels(catalogue()[term], blind) == needed
+        assert missing_channels(catalogue()[term], [*blind, flown[0]]) == ()
+
+
 def test_physics_outside_the_catalogue_gets_no_name_but_a_place():
     found = diagnose(
         fly(campaign(2, tilts=False, yaws=False), seed=4, strange=1.5), only=("steady_wind", "accelerometer_bias")

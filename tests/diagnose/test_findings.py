@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose.findings import held_out_gain, parameter_table
+from flighttest.diagnose.records import HeldOutRow
+from flighttest.diagnose.run import predicted_worse
 from flighttest.identify.fit import Estimate
 from flighttest.physics.model import Model
 
@@ -45,3 +47,16 @@ def test_what_was_not_estimated_is_not_in_the_table():
 def test_the_gain_is_the_share_of_what_lies_above_the_floor(before, after, gain):
     held = {"f_z": {"rmse_before": before, "rmse_after": after, "floor": 1.0}}
     assert held_out_gain(held, SimpleNamespace(place=("f_z_m_s2", "roll_step"))) == pytest.approx(gain)
+
+
+@pytest.mark.parametrize(
+    ("after", "high", "said"),
+    [(0.66, -0.28, "a_y (3.3 times the error)"), (0.66, 0.02, ""), (0.03, -0.01, ""), (0.1, 0.15, "")],
+)
+def test_what_is_predicted_worse_with_what_is_named_is_said_in_the_headline(after, high, said):
+    """Only what is surely worse, and above the noise floor."""
+    row = HeldOutRow(rmse_before=0.2, rmse_after=after, floor=0.04, gain_95=[-0.6, high])
+    other = HeldOutRow(rmse_before=0.2, rmse_after=0.3, floor=0.04, gain_95=[-0.2, 0.1])
+    sentence = predicted_worse({"a_y": {"all": row}, "v_z": {"all": other}})
+    assert (said in sentence) if said else sentence == ""
+    assert "v_z" not in sentence

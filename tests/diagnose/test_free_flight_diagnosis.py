@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from flighttest.diagnose import Verdict
-from flighttest.diagnose.free_flight import diagnose_free_flight, in_still_air, is_free_flight
+from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
 from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import held_out_table
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
-from flighttest.identify.winds import WindVerdict
+from flighttest.identify.winds import WindVerdict, in_still_air
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis.diagnose import looked_for
@@ -87,7 +87,7 @@ def test_flights_in_two_winds_share_one_model_in_still_air():
 
 def test_the_model_in_still_air_holds_for_motion_relative_to_the_air():
     found = find_terms(stretches(windy()), ALONE, POOL)
-    before, after = windy()[5], in_still_air(windy(), found)[5]
+    before, after = windy()[5], in_still_air(windy(), found.winds)[5]
     (wind,) = found.winds
     assert after.y["v_x_m_s"] == pytest.approx(before.y["v_x_m_s"] - wind.north)
     assert np.array_equal(after.y["pitch_rad"], before.y["pitch_rad"])

@@ -29,7 +29,14 @@ from flighttest.diagnose.model import Diagnosis, Finding, Rival, TermVerdict, Un
 from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
-from flighttest.diagnose.run import UNMOVED, compensated_voltage, moved_parameters, sentence_of, verdict_of
+from flighttest.diagnose.run import (
+    UNMOVED,
+    compensated_voltage,
+    moved_parameters,
+    predicted_worse,
+    sentence_of,
+    verdict_of,
+)
 from flighttest.diagnose.selection.candidates import usual_size
 from flighttest.diagnose.selection.comparison import probability_of
 from flighttest.diagnose.selection.detectability import PLAUSIBLE, POWER, UNSEEN, missing_channels
@@ -41,7 +48,7 @@ from flighttest.identify.equation_fit import with_equation_error
 from flighttest.identify.fit import Fit, fit, has_attitude_references
 from flighttest.identify.free_flight import FreeFlight, stretches
 from flighttest.identify.selection import able
-from flighttest.identify.winds import CHANCE, WIND_TERM, wind_rows
+from flighttest.identify.winds import CHANCE, WIND_TERM, in_still_air, wind_rows
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -91,22 +98,6 @@ def diagnose_free_flight(
     found = find_terms(flown, alone, translation, weather=weather, start=start, progress=progress)
     answers, asked = _attitude(usable, model, pool, found, previous or {}, progress) if found.complete else ([], None)
     return _Assembly(usable, model, pool, found, answers, asked, progress).made(previous or {})
-
-
-def in_still_air(segments: Sequence[Segment], found: EquationSearch) -> tuple[Segment, ...]:
-    """Segments in the frame of their flight's air: velocity less the wind, position less its way since the segment's start."""
-    winds = {w.flight: (w.north, w.west) for w in found.winds}
-    made = []
-    for s in segments:
-        wind, y = winds.get(s.run), dict(s.y)
-        if wind is not None:
-            for axis, w in zip("xy", wind, strict=True):
-                if f"v_{axis}_m_s" in y:
-                    y[f"v_{axis}_m_s"] = y[f"v_{axis}_m_s"] - w
-                if f"p_{axis}_m" in y:
-                    y[f"p_{axis}_m"] = y[f"p_{axis}_m"] - w * (s.t_s - s.t_s[0])
-        made.append(replace(s, y=y))
-    return tuple(made)
 
 
 def values_of(found: FreeFlight, model: Model) -> dict[str, float]:
@@ -174,7 +165,7 @@ class _Assembly:
         own = [t for t in found.final.model.terms if t not in model.terms and t != WIND_TERM]
         self.loops = [t for s in self.searches for t in s.evidence]
         self.final = model.with_terms(*own, *self.loops)
-        self.air = in_still_air(segments, found)
+        self.air = in_still_air(segments, found.winds)
 
     def made(self, previous: Mapping[str, tuple[float, float | None]]) -> Diagnosis:
         """Everything that terminal, JSON and report show."""
@@ -197,6 +188,7 @@ class _Assembly:
         located = [*places, *(p for a in self.answers for p in a.located)]
         staying = [*left, *(c for a in self.answers for c in a.staying)]
         held = held_out_table(found) if found.named else {}
+        whole = {**held, **{k: v for a in self.answers for k, v in a.heldout.items()}}
         before, after = table_of(found.base, self.model), parameter_table(fitted)
         findings = [self._finding(n, held, after) for n in found.named.values()]
         findings += [
@@ -210,7 +202,9 @@ class _Assembly:
         units = {p.name: p.unit for t in self.pool for p in t.params}
         return Diagnosis(
             verdict=verdict,
-            sentence=sentence_of(verdict, findings, share, located, self.complete) + moved_parameters(previous, after),
+            sentence=sentence_of(verdict, findings, share, located, self.complete)
+            + predicted_worse(whole)
+            + moved_parameters(previous, after),
             located=tuple(located),
             findings=tuple(findings),
             not_needed=tuple(sorted(tried - set(accepted) - set(hidden) - set(found.beside_wind))),
@@ -224,7 +218,7 @@ class _Assembly:
             accepted=accepted,
             before=before,
             after=after,
-            heldout={**held, **{k: v for a in self.answers for k, v in a.heldout.items()}},
+            heldout=whole,
             noise_floor={
                 **{short(c): FloorRow({"value": v, "from": FROM_EQUATIONS}) for c, v in floor.std.items()},
                 **{k: v for a in self.answers for k, v in a.floors.items()},

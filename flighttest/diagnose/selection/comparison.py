@@ -192,16 +192,21 @@ def evidence_of(
 
 def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator) -> str:
     """The linear coefficients of a term all of whose 95 % intervals, what the equations may err included, hold the null value: what is
-    printed beside a name must not say that there may be nothing. Empty where one does not, and for terms without any."""
+    printed beside a name must not say that there may be nothing. Empty where one does not, and for terms without any. Nonlinear parameters
+    are held: they mean nothing where a coefficient has its null value (Davies 1977), so their error is none of its."""
     own = [p for p in term.amplitudes if p.name in fitted.names]
     if not own:
         return ""
     known = estimator.covariance(fitted.model, fitted.at, fitted.names)
+    shapes = [known.names.index(p.name) for p in term.shapes if p.name in known.names]
     said = ""
     for p in own:
         if p.name not in known.names:
             continue
-        std, dof = known.of(np.eye(len(known.names))[known.names.index(p.name)])
+        at = known.names.index(p.name)
+        weights = np.eye(len(known.names))[at]
+        weights[shapes] = -np.linalg.pinv(known.whole[np.ix_(shapes, shapes)]) @ known.whole[shapes, at]
+        std, dof = known.of(weights)
         value, half = fitted.at.values[p.name], interval_factor(dof) * std
         if abs(value - null_value(p)) > half:
             return ""
