@@ -112,10 +112,11 @@ class Estimator:
         noise: bool = True,
         iterations: int = 30,
         compared_with: float | None = None,
+        reported: bool = False,
     ) -> Optimum:
         """Damped Gauss-Newton over `names` and all nuisance parameters (`solver.solve`); noise: whether variances are estimated, too.
         compared_with: log likelihood that the optimum's is only compared with, for which it needs not be found to the last nat
-        (`Tolerances`).
+        (`Tolerances`); reported: found as a fit is, whose values are printed.
 
         The variance of a response's disturbance is that between repeats of a cell: what repeats have in common is the model's error and
         stays in the residual. A start from which the simulation is not finite is given back as it is.
@@ -135,7 +136,7 @@ class Estimator:
             robust=False,
             estimate_noise=noise,
             max_iterations=iterations,
-            tolerances=replace(COMPARED, compared_with=compared_with),
+            tolerances=Tolerances() if reported else replace(COMPARED, compared_with=compared_with),
         )
         columns: dict[str, FloatArray] = {}
         for part, values in zip(problem.parts, found.local, strict=True):

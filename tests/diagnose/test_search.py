@@ -46,8 +46,8 @@ class Scripted(Search):
     lacking: bool = False
     bare: tuple = ()  # terms without a linear coefficient
 
-    def fit_of(self, model, start, inactive):
-        return fitted()
+    def fit_of(self, model, start, inactive, reported=False):
+        return fitted(*model.terms) if reported else fitted()
 
     def linearise(self):
         self.candidates = [
@@ -133,7 +133,7 @@ def test_a_term_that_left_beside_another_that_left_later_is_tried_again(searched
 
 def test_an_older_term_is_asked_only_once_the_newcomers_stay(searched):
     search = searched({"a": 10.0, "b": 8.0}, {("ab", "b"): 0.0})
-    assert search.asked == ["a", "b", "a"]  # a alone; b beside it, which leaves; what stays
+    assert search.asked == ["a", "b", "a", "a"]  # a alone; b beside it, which leaves; what stays, and as it is reported
 
 
 def test_beside_another_term_it_may_be_needed_unless_it_cannot_be(searched):
@@ -143,6 +143,20 @@ def test_beside_another_term_it_may_be_needed_unless_it_cannot_be(searched):
     search = searched({"a": 10.0, "b": 8.0}, {("a", "a"): "it is at its bound"})
     assert search.refits == ["a", "b"]
     assert search.named == {"b"}
+
+
+def test_what_is_not_needed_at_the_optimum_that_is_reported_leaves(searched, monkeypatch):
+    """An interval that held nothing was printed beside a name: the search had stopped where it did not."""
+
+    def reported(self, model, start, inactive, reported=False):
+        self.finds["a"] = 0.0 if reported else 100.0
+        return fitted(*model.terms) if reported else fitted()
+
+    monkeypatch.setattr(Scripted, "fit_of", reported)
+    monkeypatch.setattr(Scripted, "refined", lambda self, one: one)
+    search = searched({"a": 10.0}, {})
+    assert search.named == frozenset()
+    assert set(search.rejected) == {"a"}
 
 
 def test_a_model_is_never_replaced_by_one_that_holds_less(searched):
@@ -264,7 +278,7 @@ def test_an_upward_wind_at_its_bound_is_held_and_the_rest_of_the_term_estimated(
         def problem(self, model):
             return SimpleNamespace(names=("K", "w_north", "w_up"))
 
-        def fit(self, model, start, names, *, compared_with=None):
+        def fit(self, model, start, names, *, compared_with=None, reported=False):
             asked.append(names)
             return SimpleNamespace(values={**start.values, "w_up": -3.0 if "w_up" in names else start.values["w_up"]})
 
@@ -302,7 +316,7 @@ class Likelihoods:
     def problem(self, model):
         return SimpleNamespace(names=model.names)
 
-    def fit(self, model, start, names, *, compared_with=None):
+    def fit(self, model, start, names, *, compared_with=None, reported=False):
         self.compared.append(("".join(sorted(model.terms)), compared_with))
         return SimpleNamespace(values=dict.fromkeys(names, 1.0), log_likelihood=start.log_likelihood, objective=0.0)
 
@@ -337,7 +351,7 @@ def test_a_model_that_diverges_without_one_of_its_terms_is_fitted_from_the_base(
                 values=at.values | (values or {}), log_likelihood=0.0, objective=0.0 if stable else np.inf
             )
 
-        def fit(self, model, start, names, *, compared_with=None):
+        def fit(self, model, start, names, *, compared_with=None, reported=False):
             self.compared.append(start)
             return start
 

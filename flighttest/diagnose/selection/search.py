@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -110,7 +111,8 @@ class Search:
         self.progress("base model fitted")
         for _ in range(MOST_ROUNDS):
             if not self._round():
-                return
+                break
+        self._judge_as_reported()
 
     def _round(self) -> bool:
         """One linearisation; whether anything was tried from it that may lead further."""
@@ -143,6 +145,18 @@ class Search:
             self.rejected = {t: e for t, e in self.rejected.items() if e.inadmissible} | beside
             return True
         return False
+
+    def _judge_as_reported(self) -> None:
+        """Ask again of every named term whether it is needed, at the optimum that is reported: the search stops a fifth of a standard error
+        short of it."""
+        while self.evidence:
+            assert self.now is not None
+            self.progress(f"fitting {' and '.join(sorted(self.evidence))} to the end")
+            fitted = self.fit_of(self.now.model, self.now.at, self.now.inactive, reported=True)
+            self.now, self.evidence, left = self._pruned(fitted, frozenset(self.evidence))
+            self.rejected |= left
+            if not left:
+                return
 
     def _better(self, kept: Fitted, before: Fitted) -> bool:
         """Whether a model holds more than one before, or predicts better with other terms."""
@@ -249,17 +263,23 @@ class Search:
         return frozenset(t.id for t in self.pool if t.id in fitted.model.terms and t.id not in fitted.inactive)
 
     def fit_of(
-        self, model: Model, start: Optimum, inactive: frozenset[str], compared_with: float | None = None
+        self,
+        model: Model,
+        start: Optimum,
+        inactive: frozenset[str],
+        compared_with: float | None = None,
+        reported: bool = False,
     ) -> Fitted:
-        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with: as of
-        `Estimator.fit`."""
+        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with,
+        reported: as of `Estimator.fit`."""
         names = self._free(model, inactive)
-        at = self.estimator.fit(model, self._finite_start(model, start), names, compared_with=compared_with)
+        fit = partial(self.estimator.fit, compared_with=compared_with, reported=reported)
+        at = fit(model, self._finite_start(model, start), names)
         if stuck := self._not_estimates(model, at, names):
             # What drove them there is not their effect: the rest of the term is judged without them.
             names = tuple(n for n in names if n not in stuck)
             start = self._finite_start(model, self.estimator.moved(model, at, stuck))
-            at = self.estimator.fit(model, start, names, compared_with=compared_with)
+            at = fit(model, start, names)
         fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
         members, rough = self._members(fitted), -np.inf if compared_with is None else compared_with
         known = self._fits.get(members)
