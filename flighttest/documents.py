@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar, cast
 
 import yaml
 
@@ -22,6 +22,7 @@ from flighttest.errors import InputError, Problem
 MAX_NODES = 100_000
 
 Plain = str | int | float | bool | None
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,11 @@ class Document:
         if self.root is not None and not isinstance(self.root.value, dict):
             self.problem(self.root.line, "", f"expected keys and values, found {kind_of(self.root.value)}")
             self.root = None
+
+    @property
+    def line(self) -> int:
+        """Where its keys begin: the line of what is missing at its top."""
+        return self.root.line if self.root is not None else 1
 
     def problem(self, line: int, path: str, what: str, hint: str = "") -> None:
         """Note one thing that is wrong."""
@@ -319,6 +325,27 @@ def require(document: Document, fields: Mapping[str, Node], names: Iterable[str]
     for name in names:
         if name not in fields:
             document.problem(line, f"{path}.{name}" if path else name, "this key is missing", f"add `{name}:`")
+
+
+@dataclass(frozen=True)
+class Form:
+    """A kind of file that people write: it says `format: <name>/1` and has only these keys at its top. error: of its problems."""
+
+    name: str
+    keys: tuple[str, ...]
+    error: type[InputError]
+
+
+def read_form(text: str, file: str, form: Form, build: Callable[[Document, dict[str, Node]], T]) -> T:
+    """What `build` makes of the keys at the top of a document; all problems found until then are raised at once, with `file` as their file.
+
+    build: notes what is wrong in the document and goes on; what it returns counts only where it noted nothing.
+    """
+    document = Document(file, text)
+    document.check_format(form.name)
+    built = build(document, document.mapping(document.root, form.keys)) if document.root is not None else None
+    document.raise_problems(form.error)  # a document without a root has problems
+    return cast(T, built)
 
 
 class _Plain(yaml.SafeDumper):

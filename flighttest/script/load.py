@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Node, kind_of, nearest, require
+from flighttest.documents import Document, Form, Node, kind_of, nearest, read_form, require
 from flighttest.errors import ScriptError
 from flighttest.frames import yaw_from_compass
 from flighttest.script.model import Limits, Maneuver, Repeat, Reset, ResetBy, Script, ThrottleUnit
@@ -60,16 +60,12 @@ def load_script(path: str | Path) -> Script:
 
 def parse_script(text: str, file: str = "script.yaml") -> Script:
     """`load_script` for text; `file` names it in messages."""
-    document = Document(file, text)
-    document.check_format("maneuver")
-    if document.root is None:
-        document.raise_problems(ScriptError)
-        raise ScriptError(f"{file}: empty")  # unreachable: a document without root has problems
-    fields = document.mapping(document.root, KEYS)
-    require(document, fields, ("steps",), document.root.line)
-    script = _Reader(document, fields).script(text, file)
-    document.raise_problems(ScriptError)
-    return script
+
+    def build(document: Document, fields: Mapping[str, Node]) -> Script:
+        require(document, fields, ("steps",), document.line)
+        return _Reader(document, fields).script(text, file)
+
+    return read_form(text, file, Form("maneuver", KEYS, ScriptError), build)
 
 
 class _Reader:

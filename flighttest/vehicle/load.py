@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.datafiles import parse_json, read_text
-from flighttest.documents import Document, Node, kind_of, require
+from flighttest.documents import Document, Form, Node, kind_of, read_form, require
 from flighttest.errors import VehicleError
 from flighttest.frames import yaw_from_compass
 from flighttest.recording.manifest import Component
@@ -56,17 +56,13 @@ def load_vehicle(path: str | Path, *, to_fly: bool = True) -> Vehicle:
 
 def parse_vehicle(text: str, file: str = "vehicle.yaml", *, to_fly: bool = True) -> Vehicle:
     """`load_vehicle` for text; `file` names it in messages, and relative component files are looked for beside it."""
-    document = Document(file, text)
-    document.check_format("vehicle")
-    if document.root is None:
-        document.raise_problems(VehicleError)
-        raise VehicleError(f"{file}: empty")  # unreachable: a document without root has problems
-    fields = document.mapping(document.root, KEYS)
     needed = REQUIRED if to_fly else ("format", "name")
-    require(document, fields, [key for key in needed if key != "format"], document.root.line)
-    vehicle = _vehicle(document, fields, file)
-    document.raise_problems(VehicleError)
-    return vehicle
+
+    def build(document: Document, fields: Mapping[str, Node]) -> Vehicle:
+        require(document, fields, [key for key in needed if key != "format"], document.line)
+        return _vehicle(document, fields, file)
+
+    return read_form(text, file, Form("vehicle", KEYS, VehicleError), build)
 
 
 def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehicle:

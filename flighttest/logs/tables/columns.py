@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 from flighttest.channels import CHANNELS, GROUPS
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Node, nearest
+from flighttest.documents import Document, Form, Node, nearest, read_form
 from flighttest.errors import RecordingError
 from flighttest.logs.tables.input_table import InputTable, parse_table
 from flighttest.logs.tables.sheet import TIME
@@ -71,16 +71,14 @@ def load_columns(path: Path | str) -> ColumnMap:
 
 def parse_columns(text: str, file: str = "columns.yaml") -> ColumnMap:
     """`load_columns` for text."""
-    document = Document(file, text)
-    document.check_format("columns")
-    if document.root is None:
-        document.raise_problems(RecordingError)
-        raise RecordingError(f"{file}: empty")  # unreachable: a document without root has problems
-    fields = document.mapping(document.root, _KEYS)
+    return read_form(text, file, Form("columns", _KEYS, RecordingError), _column_map)
+
+
+def _column_map(document: Document, fields: Mapping[str, Node]) -> ColumnMap:
     columns, quaternions = _columns(document, fields["columns"]) if "columns" in fields else ({}, {})
     if not columns and not quaternions and not document.problems:
         document.problem(
-            document.root.line, "columns", "the map names no column", "add `columns:` with channel: {from: ...}"
+            document.line, "columns", "the map names no column", "add `columns:` with channel: {from: ...}"
         )
     world, body = _frame(document, fields)
     rate = document.number(fields["rate_hz"], 0.1, 1e5, "Hz") if "rate_hz" in fields else None
@@ -90,8 +88,9 @@ def parse_columns(text: str, file: str = "columns.yaml") -> ColumnMap:
         document.problem(
             fields["constants"].line, f"constants.{name}", "the channel has a column already", "take one of the two out"
         )
-    document.raise_problems(RecordingError)
-    return ColumnMap(columns, quaternions, cast(World, world), cast(Body, body), rate, constants, filters, file)
+    return ColumnMap(
+        columns, quaternions, cast(World, world), cast(Body, body), rate, constants, filters, document.file
+    )
 
 
 def plain_map(names: tuple[str, ...]) -> ColumnMap:
