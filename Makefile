@@ -50,7 +50,9 @@ docs-site:  ## the documentation as a web site that needs no network, in build/s
 	build/docs-venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock; }
 	build/docs-venv/bin/mkdocs build --strict --quiet
 
-docs-figures: .venv/installed  ## measure the figures of docs/validity.md on recordings beside the checkout again
+docs-figures: .venv/installed  ## draw the figures of docs/terms.md, and measure those of docs/validity.md on recordings beside the checkout, again
+	$(BIN)/python docs/term_figures.py
+	$(BIN)/python docs/generate.py
 	$(BIN)/python -m benchmarks.validity_recorded --write docs/validity.md
 
 notebooks: .venv/installed  ## execute the notebooks in examples/ and write what they show

@@ -83,10 +83,16 @@ def term_pages() -> str:
             parts += [
                 f"### `{t.id}`: {t.title}", "", f"{t.plain[0].upper()}{t.plain[1:]}.", "", "```text", t.equation, "```", "",
                 *(f"- {name}: {text}" for name, text in facts.items() if text), "",
+                f"![{figure_caption(t.id)}](terms/{t.id}.svg)", "", figure_caption(t.id), "",
                 "| parameter | unit | kind | nominal | bounds | meaning | where the size is from |",
                 "|---|---|---|---|---|---|---|", *rows, "",
             ]  # fmt: skip
     return "\n".join(parts)
+
+
+def figure_caption(term_id: str) -> str:
+    """What the figure of a term shows, as docs/term_figures.py wrote it into the figure."""
+    return (DOCS / "terms" / f"{term_id}.svg").read_text(encoding="utf-8").split("<title>")[1].split("</title>")[0]
 
 
 def maneuvers() -> str:

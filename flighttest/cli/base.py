@@ -81,7 +81,7 @@ def _is_list(option: click.Option) -> bool:
 
 
 def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
-    """A click command called `name` whose function gets the `Context` first. It has the options of every command: `--all`, `--csv`,
+    """A click command called `name` whose function gets the `Context` first. It has the options of every command: `--all` (`-v`), `--csv`,
     `--parquet` and `--json`; one that may be given several times and whose metavar ends in dots takes several values at once, too."""
 
     def wrap(function: Callable[..., int]) -> click.Command:
@@ -102,8 +102,9 @@ def command(name: str) -> Callable[[Callable[..., int]], click.Command]:
         body.__name__ = function.__name__
         made = click.command(name, cls=_Lists)(click.pass_obj(body))
         made.help = (function.__doc__ or "").strip()
+        short = () if any("-v" in p.opts for p in made.params) else ("-v",)
         made.params += [
-            click.Option(["--all", "everything"], is_flag=True, help="Tables whole: every row and column."),
+            click.Option([*short, "--all", "everything"], is_flag=True, help="Everything: rows, columns, stages."),
             click.Option(["--csv"], type=FOLDER, metavar="DIR", help="Write every table of the answer as CSV."),
             click.Option(["--parquet"], type=FOLDER, metavar="DIR", help="The same as Parquet."),
             click.Option(["--json"], is_flag=True, help="Print the result as JSON."),

@@ -87,7 +87,7 @@ def run(context: Context, scripts: tuple[str, ...], view: str, yes: bool, **opti
     context.show.say(asked.sentence)
     if not yes and asked.real and not sys.stdin.isatty():
         raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
-    with LiveProgress(context.show, view=view) as progress:
+    with LiveProgress(context.show, view=view, keep=True) as progress:
         answer = asked.fly(yes or context.show.ask, progress)
     return context.finish(answer)
 
@@ -129,7 +129,7 @@ def sim(context: Context, **options: Unpack[ServeOptions]) -> int:
 @click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
 def fetch_log(context: Context, connect: str, output: Path, log_id: int | None, signing_key: Path | None) -> int:
     """Download the onboard log over MAVLink into a run folder. Given again after a cut, it goes on where it stopped."""
-    with LiveProgress(context.show) as progress:
+    with LiveProgress(context.show, keep=True) as progress:
         answer = ft.fetch_log(connect, output, number=log_id, signing_key=signing_key, progress=progress)
     return context.finish(answer)
 
@@ -143,7 +143,7 @@ def sign(context: Context, key: Path, connect: str, remove: bool) -> int:
 
     The key crosses the link in the clear: use a cable.
     """
-    with LiveProgress(context.show) as progress:
+    with LiveProgress(context.show, keep=True) as progress:
         return context.finish(ft.sign(connect, key, remove=remove, progress=progress))
 
 
@@ -159,7 +159,7 @@ def demo(context: Context, hide: tuple[str, ...], seed: int, airframe: Literal["
 
     Two minutes, no vehicle needed. What was concealed is shown last.
     """
-    with LiveProgress(context.show) as progress:
+    with LiveProgress(context.show, keep=True) as progress:
         return context.finish(ft.demo(out, hide=hide, seed=seed, airframe=airframe, progress=progress))
 
 

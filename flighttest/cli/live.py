@@ -34,7 +34,8 @@ _OUTPUT_CLOSED = (OSError, SystemExit)
 class LiveProgress:
     """Implements `flighttest.Progress`. Use as a context manager, so that the terminal is left as it was.
 
-    clock: seconds; durations: of earlier stages; both injected by tests. view: normal, or large to be read from afar.
+    clock: seconds; durations: of earlier stages; both injected by tests. view: normal, or large to be read from afar. keep: stages stay
+    on a terminal above the answer, as those of a flight do; otherwise only with `-v`, so that an answer is one screen.
     """
 
     def __init__(
@@ -43,8 +44,10 @@ class LiveProgress:
         clock: Callable[[], float] = time.monotonic,
         durations: Durations | None = None,
         view: str = "normal",
+        keep: bool = False,
     ) -> None:
         self._show = show
+        self._keep = keep or show.everything or not show.live
         self._picture_of = large if view == "large" else picture
         self._alarms = 0
         self._clock = clock
@@ -68,11 +71,12 @@ class LiveProgress:
             self._timed()
 
     def stage(self, text: str) -> None:
-        """A new step of the pipeline begins: one line with the time since the start."""
+        """A new step of the pipeline begins: one line with the time since the start, which stays where stages are kept."""
         with suppress(*_OUTPUT_CLOSED):
             self._stop()
             self._timed()
-            self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
+            if self._keep:
+                self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
             self._stage, self._stage_s, self._part = text, self._clock(), None
             if self._show.live:
                 self._live = Live(
@@ -110,14 +114,19 @@ class LiveProgress:
         return f"{share:.0%}, about {duration(took_s * (1.0 - share) / share)} left"
 
     def bar(self) -> Grid:
-        """The stage as a bar with its words; empty while it is short."""
+        """The stage as a bar with its words, empty while it is short; below its line where that is not kept."""
         grid = Grid.grid(padding=(0, 2, 0, 0))
         words = self.words()
         if words:
             share = self.share()
             drawn = ProgressBar(1.0, share or 0.0, width=BAR_WIDTH, pulse=share is None)
             grid.add_row(Text(" " * 7), drawn, Text(words, style="quiet"))
-        return grid
+        if self._keep:
+            return grid
+        stage = Grid.grid()
+        stage.add_row(Text(f"{self._clock() - self._started_s:6.1f} s  {self._stage}", style="quiet"))
+        stage.add_row(grid)
+        return stage
 
     def _timed(self) -> None:
         """Keep how long the stage took that ends now."""

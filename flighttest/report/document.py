@@ -50,6 +50,7 @@ class Bullets:
     """A list of sentences."""
 
     items: tuple[str, ...]
+    brief: str = ""  # as of a table
 
 
 @dataclass(frozen=True)

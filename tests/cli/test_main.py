@@ -134,6 +134,7 @@ def test_a_flight_goes_on_where_nobody_reads_its_progress(error):
 
     class Gone:
         live = False
+        everything = False
 
         def say(self, *_words, **_style):
             raise error
@@ -219,6 +220,17 @@ def test_a_stage_shows_its_share_and_the_time_left(tmp_path):
         assert progress.words() == "50%, about 5 s left", "ten took 20 s last time"
         now_s[0] = 60.0
         assert progress.words().startswith("97%")
+
+
+def test_on_a_terminal_stages_stay_only_where_they_are_asked_for():
+    for keep, everything, stays in ((False, False, False), (True, False, True), (False, True, True)):
+        out = io.StringIO()
+        show = Show(out=out, width=80, colour=True)
+        show.everything = everything
+        with LiveProgress(show, keep=keep) as progress:
+            progress.stage("reading 4 recordings")
+        last = out.getvalue().rpartition("\x1b[2K")[2] if not stays else out.getvalue()
+        assert ("reading 4 recordings" in last) is stays
 
 
 def test_a_damaged_list_of_durations_is_no_error(tmp_path):

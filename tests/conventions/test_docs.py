@@ -20,6 +20,38 @@ def test_generated_docs_are_current(generate):
     assert generate.stale() == [], "run make docs"
 
 
+@pytest.fixture(scope="module")
+def term_figures(repository):
+    spec = importlib.util.spec_from_file_location("term_figures", repository / "docs" / "term_figures.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def numbers_of(caption):
+    """Residual without the term, with it, and noise floor, as a figure's caption says."""
+    found = re.search(r"residual ([\d.]+) .* without the term, ([\d.]+) with it, noise floor ([\d.]*\d)", caption)
+    return [float(number) for number in found.groups()]
+
+
+def test_every_term_has_a_figure_in_which_its_absence_shows(generate, term_figures):
+    assert {p.stem for p in term_figures.FOLDER.glob("*.svg")} == set(term_figures.catalogue())
+    for term_id in term_figures.catalogue():
+        without, with_term, floor = numbers_of(generate.figure_caption(term_id))
+        shows = without - with_term > term_figures.SHOWS * floor
+        # No shipped maneuver turns while it is banked: its yaw rate reference would have to move.
+        assert shows or term_id == "heading_rate_reference", term_id
+        assert (term_figures.FOLDER / f"{term_id}.svg").stat().st_size < 20_000
+
+
+def test_a_figure_is_what_the_program_draws(generate, term_figures):
+    drawn = term_figures.draw(term_figures.catalogue()["heading_hold"])
+    again = drawn.split("<title>")[1].split("</title>")[0]
+    kept = generate.figure_caption("heading_hold")
+    assert again.partition("residual")[0] == kept.partition("residual")[0]
+    assert numbers_of(again) == pytest.approx(numbers_of(kept), rel=0.2)
+
+
 def test_the_check_sees_a_stale_page(generate, tmp_path, monkeypatch):
     monkeypatch.setattr(generate, "DOCS", tmp_path)
     (tmp_path / "terms.md").write_text("<!-- generated: terms -->\nold\n<!-- end -->\n")

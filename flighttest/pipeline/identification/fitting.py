@@ -95,7 +95,7 @@ def segment(runs: Sequence[Source], columns: Path | None = None, progress: Progr
         "time": time_data(recordings, segments),
         "losses": losses_of(recordings),
     }
-    sections = (time_section(recordings, segments), replace(section, lead=""))
+    sections = (replace(section, lead=""), time_section(recordings, segments, brief=bool(used)))
     document = Document("responses", verdict, tone, sections)  # type: ignore[arg-type]
     return Result(document, data, Status.DONE if used else Status.UNUSABLE, segments)
 

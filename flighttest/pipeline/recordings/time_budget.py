@@ -43,8 +43,8 @@ def time_data(recordings: Sequence[Recording], segments: Sequence[Segment]) -> l
     ]
 
 
-def time_section(recordings: Sequence[Recording], segments: Sequence[Segment]) -> Section:
-    """The same as a table."""
+def time_section(recordings: Sequence[Recording], segments: Sequence[Segment], *, brief: bool = False) -> Section:
+    """The same as a table. brief: a sentence stands for it on a terminal, unless everything is asked for."""
     data = time_data(recordings, segments)
     used = sum(row["seconds"] for row in data if row["used"])
     total = sum(row["seconds"] for row in data)
@@ -57,5 +57,9 @@ def time_section(recordings: Sequence[Recording], segments: Sequence[Segment]) -
         )
         for row in data
     )
-    table = Table(("what became of it", "s", "share", "stretches"), rows, ("left", "right", "right", "right"))
-    return Section("time", "Time budget", (table,), f"{number(used, 3)} of {number(total, 3)} s are used.")
+    heads = ("what became of it", "s", "share", "stretches")
+    sentence = f"{number(used, 3)} of {number(total, 3)} s are used"
+    if brief:
+        short = f"{sentence}; --all shows what became of the rest."
+        return Section("time", "", (Table(heads, rows, ("left", "right", "right", "right"), brief=short),))
+    return Section("time", "Time budget", (Table(heads, rows, ("left", "right", "right", "right")),), f"{sentence}.")

@@ -74,6 +74,8 @@ def _section(section: Section, everything: bool) -> RenderableType | None:
 
 
 def _block(block: Block, everything: bool) -> RenderableType | None:
+    if isinstance(block, Table | Code | Bullets) and block.brief and not everything:
+        return Text(block.brief)
     if isinstance(block, Paragraph):
         return Text(block.text, style=STYLE[block.tone])
     if isinstance(block, Bullets):
@@ -85,8 +87,6 @@ def _block(block: Block, everything: bool) -> RenderableType | None:
         return grid
     if isinstance(block, Facts):
         return _facts(block)
-    if isinstance(block, Table | Code) and block.brief and not everything:
-        return Text(block.brief)
     if isinstance(block, Table):
         return _Sized(block, everything)
     if isinstance(block, Code):

@@ -68,7 +68,7 @@ def status_document(
     if found.could_also_be:
         sections.append(_listed("rivals", "It could also be", found.could_also_be, brief))
     if found.cannot_tell:
-        sections.append(_listed("unknown", "What could not be compared", found.cannot_tell, brief))
+        sections.append(_not_compared(found.cannot_tell, brief))
     return Document("Is the model current?", found.sentence, TONES[found.verdict], tuple(sections), dict(facts))
 
 
@@ -77,6 +77,14 @@ def _listed(name: str, title: str, items: tuple[str, ...], brief: bool) -> Secti
     if brief:
         return Section(name, "", (Paragraph(f"{title}: {'; '.join(items)}."),))
     return Section(name, title, (Bullets(items),))
+
+
+def _not_compared(items: tuple[str, ...], brief: bool) -> Section:
+    """What these recordings could not show; on a terminal how much of it, unless everything is asked for."""
+    count = (
+        f"{len(items)} thing{'s' if len(items) > 1 else ''} could not be compared: --all lists them, with what to fly."
+    )
+    return Section("unknown", "" if brief else "What could not be compared", (Bullets(items, count if brief else ""),))
 
 
 def _changes(found: Assessment, brief: bool) -> Section:
