@@ -1,4 +1,4 @@
-"""Runs the commands shown in README.md and writes what they print: `python docs/transcript.py`.
+"""Runs the commands shown in docs/look.md and writes what they print: `python docs/transcript.py`.
 
 A transcript stands between `<!-- transcript: COMMAND -->` and `<!-- end -->`. With words as arguments, only transcripts whose command
 contains one of them are run again.
@@ -13,8 +13,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-README = Path(__file__).resolve().parents[1] / "README.md"
-PICTURE = README.parent / "docs" / "demo.svg"  # of the demo whose transcript is shown
+PAGE = Path(__file__).resolve().parent / "look.md"
+PICTURE = PAGE.parent / "demo.svg"  # of the demo whose transcript is shown
 BLOCK = re.compile(r"(<!-- transcript: (.+?) -->\n```\n).*?(```\n<!-- end -->)", re.DOTALL)
 WIDTH = 96
 
@@ -61,10 +61,10 @@ def shown(text: str, command: str) -> str:
 
 def main() -> None:
     """Run and write."""
-    text = README.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     wanted = [c for c in commands_in(text) if not sys.argv[1:] or any(word in c for word in sys.argv[1:])]
     with tempfile.TemporaryDirectory() as folder:
-        README.write_text(written(text, outputs_of(wanted, Path(folder))), encoding="utf-8")
+        PAGE.write_text(written(text, outputs_of(wanted, Path(folder))), encoding="utf-8")
         made = Path(folder) / "demo" / "figure.svg"
         if made.is_file():
             PICTURE.write_bytes(made.read_bytes())

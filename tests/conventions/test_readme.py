@@ -1,4 +1,4 @@
-"""The README's transcripts are what the program prints: exactly where that is cheap, in their stable parts where it is a flight."""
+"""The transcripts of docs/look.md are what the program prints: exactly where that is cheap, in their stable parts where it is a flight."""
 
 import importlib.util
 import re
@@ -21,7 +21,7 @@ def transcript(repository):
 
 @pytest.fixture(scope="module")
 def text(repository):
-    return (repository / "README.md").read_text(encoding="utf-8")
+    return (repository / "docs" / "look.md").read_text(encoding="utf-8")
 
 
 def test_the_check_transcript_is_what_check_prints(transcript, text, tmp_path):
@@ -58,6 +58,8 @@ def test_the_demo_transcript_shows_what_the_demo_hides_and_its_picture_is_small(
     assert 1_000 < (repository / "docs" / "demo.svg").stat().st_size < 100_000
 
 
-def test_links_in_the_readme_exist(repository, text):
-    for target in re.findall(r"\]\(([^)#]+)\)", text):
+def test_the_readme_is_short_and_its_links_and_files_exist(repository):
+    text = (repository / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 110
+    for target in [*re.findall(r"\]\(([^)#]+)\)", text), *re.findall(r"(?:examples|tests)/[\w./]+", text)]:
         assert (repository / target).exists(), target
