@@ -115,7 +115,8 @@ class ArduPilot:
 
     def _command_long(self, command: int, params: tuple[float, ...], confirmation: int) -> Message:
         p = (*params, *([0.0] * (7 - len(params))))
-        if command == book.MAV_CMD_DO_SET_MODE:
+        if command == book.MAV_CMD_DO_SET_MODE and not self.session.held and not self.session.port.muted:
+            # One that does not leave is no request: the mode it names may be the pilot's own choice.
             self.session.mode_requests.sent(int(params[1]), self.session.now_s())
         return book.MAVLink_command_long_message(
             self.session.vehicle_system, COMPONENT_AUTOPILOT, command, confirmation, *p

@@ -85,3 +85,21 @@ def test_a_request_stays_open_until_a_round_trip_closes_it() -> None:
     assert requests.shows(GUIDED, 12.0) is True
     assert requests.open == set()
     assert requests.shows(GUIDED, 12.1) is False
+
+
+@pytest.mark.parametrize("mode", [CopterMode.BRAKE, CopterMode.LAND])
+def test_a_pilot_who_chooses_the_mode_that_an_abort_would_ask_for_keeps_it(mode: CopterMode, run_dir: Path) -> None:
+    """The first HEARTBEAT with it ends the step, and so begins an abort into BRAKE; the second is the pilot's all the same."""
+    link = FaultyLink(options())
+    steps: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            steps.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", float(mode))
+
+    link.hook = look
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.TAKE_OVER
+    assert len(steps) == 1, "nothing is flown after it"
+    assert link.sim.vehicle.mode == mode
