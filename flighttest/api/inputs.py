@@ -87,13 +87,15 @@ class DiagnoseOptions(ReadingOptions, total=False):
 class FlightOptions(TypedDict, total=False):
     """Further options of `fly`. speed: of the built-in vehicle, times real time; airframe: the built-in vehicle's; resume: folder of an
     interrupted run whose missing steps are flown; set_params: set what the preflight asks for, and restore it; waive: names of
-    preflight checks; weather: kept with the run; signing_key: file with the key of MAVLink 2 signing; sysid: our own MAVLink system id."""
+    preflight checks; extend_fence: add the zone's polygon to a fence that the vehicle keeps; weather: kept with the run; signing_key: file
+    with the key of MAVLink 2 signing; sysid: our own MAVLink system id."""
 
     speed: float | None
     airframe: Literal["paper", "rotor"]
     resume: AnyPath | None
     set_params: bool
     waive: Sequence[str]
+    extend_fence: bool
     weather: str
     signing_key: AnyPath | None
     sysid: int | None

@@ -64,6 +64,7 @@ def check(
 @click.option("--resume", type=FOLDER, metavar="RUN", help="Fly what is missing in an interrupted run.")
 @click.option("--set-params", is_flag=True, help="Set what the preflight asks for and restore it afterwards.")
 @click.option("--waive", multiple=True, metavar="CHECK", help="Waive one preflight check by name.")
+@click.option("--extend-fence", is_flag=True, help="Add the zone's polygon to a fence of the vehicle, for the flight.")
 @click.option("--weather", default="", metavar="TEXT", help="Kept with the run: wind, temperature, pressure.")
 @click.option("--signing-key", type=FILE, metavar="FILE", help="Key of MAVLink 2 signing (see `sign`).")
 @click.option("--sysid", type=click.IntRange(1, 255), help="Our own MAVLink system id, where 245 is somebody else's.")

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from flighttest.flight.execution.control import FlightControl
-from flighttest.flight.preparation.preflight import Situation
+from flighttest.flight.preparation.situation import Situation
 from flighttest.plan import Plan
 
 _LOOK_EVERY_S = 0.1
@@ -39,7 +39,7 @@ def checklist(plan: Plan, seen: Situation, waived: tuple[str, ...]) -> str:
         ),
         ("zone", f"{_span(zone.x_m)} along, {_span(zone.y_m)} across, {_span(zone.z_m)} up, no people"),
         ("battery", f"{voltage}, lands at {plan.limits.voltage_min_v:.1f} V"),
-        ("fence", f"{'on' if fence else 'off'}{_fence(seen) if fence else ''}"),
+        ("fence", f"{'on' if fence else 'off'}{_fence(seen, zone.fence) if fence else ''}"),
         ("pilot", "ready, throttle stick at mid, transmitter " + ("heard" if seen.rc_live else "NOT heard")),
         ("stop", "the mode switch takes over; Ctrl-C lands, Ctrl-C twice stops sending"),
     ]
@@ -52,6 +52,8 @@ def _span(ends_m: tuple[float, float]) -> str:
     return f"{ends_m[0]:g} to {ends_m[1]:g} m"
 
 
-def _fence(seen: Situation) -> str:
+def _fence(seen: Situation, kind: str) -> str:
     radius, top = seen.value("FENCE_RADIUS"), seen.value("FENCE_ALT_MAX")
+    if kind == "polygon" and top is not None:
+        return f", polygon along the zone and {top:g} m high"
     return "" if radius is None or top is None else f", {radius:g} m about home and {top:g} m high"

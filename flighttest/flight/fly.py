@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from flighttest.flight.execution.legs import Airframe
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.placing import place_home, place_zone
 from flighttest.flight.execution.scheduler import Scheduler
-from flighttest.flight.gate import GateLimits, stop_throttles
+from flighttest.flight.gate import GateLimits
 from flighttest.flight.options import FlightOptions
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.preparation import preflight, priority
@@ -28,7 +27,10 @@ from flighttest.flight.preparation.changes import (
     still_left,
     values_of,
 )
+from flighttest.flight.preparation.fence import ZoneFence
+from flighttest.flight.preparation.fence_limits import fence_words
 from flighttest.flight.preparation.rates import Telemetry, fitted_to_seen
+from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.flight.result import FlightResult
 from flighttest.link import lockstep
@@ -42,10 +44,10 @@ from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
 from flighttest.mavlink.dialect import book
 from flighttest.plan import Plan
+from flighttest.recording.manifest import FenceData
 
 POSITION_WAIT_S = 90.0
 _POSITION_PATIENCE_S = 5.0  # where none is needed
-BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _LISTEN_AFTER_TAKE_OVER_S = 2.0
 
 
@@ -94,6 +96,7 @@ class _Flight:
         self._say = options.on_stage
         self._parameters: dict[str, float] = {}
         self._changes: ParameterChanges | None = None
+        self._fence: ZoneFence | None = None
         self._checklist = ""
         self._unrestored = values_of(options.left_behind)  # also where the vehicle is never reached
         recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
@@ -110,7 +113,7 @@ class _Flight:
             if confirm is not None and not asked(control, confirm, self._checklist):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
             scheduler = Scheduler(
-                control, self.plan, self._airframe(), frozenset(self.options.skip), self.options.replanner
+                control, self.plan, Airframe.of(self._parameters), frozenset(self.options.skip), self.options.replanner
             )
             scheduler.on_armed = lambda: place_home(control, self.plan.vehicle.zone)
             try:
@@ -214,7 +217,7 @@ class _Flight:
         rates = telemetry.measure(real_time)
         self.notes += telemetry.notes
         control.after()
-        situation = preflight.Situation(
+        situation = Situation(
             self.plan, self._parameters, control.state, rates, firmware, beat.type, simulator,
             rc_live=simulator or preflight.rc_live(vehicle), pace=self._pace, others=frozenset(session.others),
         )  # fmt: skip
@@ -229,14 +232,19 @@ class _Flight:
         self._inherit(set_params or simulator)
         found = preflight.checks(situation)
         if simulator:
-            self.notes.append("a simulator: live RC input and a fence were not asked for; parameters are set as needed")
+            what = (
+                "live RC input was" if self.plan.vehicle.zone.fence == "polygon" else "live RC input and a fence were"
+            )
+            self.notes.append(f"a simulator: {what} not asked for; parameters are set as needed")
         if set_params or simulator:
             found = self._mend(found, waived)
         self.options.on_vehicle(self.recorder.manifest["firmware"], dict(self._parameters))
         self.notes += preflight.waiver_notes(found, waived)
         preflight.refuse(found, waived)
-        self._tell_battery(control)
-        far = preflight.fence_words(replace(situation, parameters=self._parameters))
+        low = preflight.battery_words(situation)
+        if low:
+            self._note(low)
+        far = fence_words(replace(situation, parameters=self._parameters))
         if far:
             self._note(far)
             self._say(far)
@@ -245,6 +253,7 @@ class _Flight:
             self.notes.append(said)
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
+        self._bring_fence(control, set_params or simulator)
         self._external_changes.known.update(self._parameters)
         self._checklist = checklist(self.plan, replace(situation, parameters=self._parameters), tuple(sorted(waived)))
         session.clock.hold()
@@ -258,7 +267,7 @@ class _Flight:
         self.session.enter_lock_step()
         self.recorder.use_clock(self.session.clock.ground_s)
 
-    def _mend(self, found: list[preflight.Check], waived: frozenset[str]) -> list[preflight.Check]:
+    def _mend(self, found: list[Check], waived: frozenset[str]) -> list[Check]:
         assert self._changes is not None
         mended = [check for check in found if check.set and check.name not in waived]
         wanted = {name: value for check in mended for name, value in check.set.items()}
@@ -282,58 +291,45 @@ class _Flight:
         for name, value in values_of(left).items():
             is_and_should = f"{preflight.figure(known[name])} instead of {preflight.figure(value)}"
             words.append(f"an earlier flight left {name} at {is_and_should}: {after}")
+        self._fence = ZoneFence(self.vehicle, self.recorder.run_dir.name, self._keep_fence)
+        words += filter(None, [self._fence.inherit(self.options.fence_behind, restoring=restoring)])
         for text in words:
             self._note(text)
             self._say(text)
         self._keep_changed(left)
 
-    def _tell_battery(self, control: FlightControl) -> None:
-        """A pack that is not full spreads a script's repeats over less than was asked for."""
-        wanted = max((leg.voltage_v or 0.0 for leg in self.plan.legs), default=0.0)
-        voltage = control.state.voltage_v
-        if voltage is not None and voltage < BEGIN_SHARE * wanted:
-            self._note(
-                f"the battery begins at {voltage:.1f} V, the script's repeats at {wanted:.1f} V: what depends on voltage (alpha) "
-                "will be known less well than with a full pack"
-            )
+    def _keep_fence(self, record: FenceData) -> None:
+        self.recorder.manifest["fence_set"] = record
+        self.recorder.save_manifest()
+
+    def _bring_fence(self, control: FlightControl, may_set: bool) -> None:
+        """The zone's polygon, where the zone asks for one."""
+        if self.plan.vehicle.zone.fence != "polygon" or "fence" in self.options.waive:
+            return
+        assert self._fence is not None
+        self._say("bringing the zone's fence onto the vehicle")
+        control.until(self.session.now_s() + 0.3)  # a position about the zone's origin
+        said = self._fence.put(
+            self.plan, control.state, control.reader.origin_m, may_set=may_set, extend=self.options.extend_fence
+        )
+        self._note(said)
+        if "FENCE_TOTAL" in self._parameters:
+            self._parameters["FENCE_TOTAL"] = params.read(self.session, "FENCE_TOTAL") or 0.0
 
     def _note(self, text: str) -> None:
         self.notes.append(text)
         self.recorder.event("note", text, self.session.now_s())
 
     def _gate(self) -> GateLimits:
-        plan = self.plan
-        hover = plan.vehicle.hover_throttle
-        return GateLimits(
-            plan.limits,
-            plan.vehicle.zone,
-            hover,
-            stop_throttles(plan.limits, hover),
-            needs_position=plan.reset.by == "guided",
-            reaction_s=plan.reaction_s,
-            attitude_age_max_s=0.3 * self._pace,
-            position_age_max_s=0.5 * self._pace,
-            silence_max_s=0.5 * self._pace,
-            uplink_silence_max_s=1.5 * self._pace,
-            mode_age_max_s=2.5 * self._pace,
-            held_up_max_s=0.5 * self._pace
-            if preflight.is_simulator(self._parameters)
-            else 0.5 * preflight.TIMEOUT_S + 1.0 / plan.rate_hz,
-        )
+        simulator = preflight.is_simulator(self._parameters)
+        held_up_max_s = 0.5 * self._pace if simulator else 0.5 * preflight.TIMEOUT_S + 1.0 / self.plan.rate_hz
+        return GateLimits.of(self.plan, self._pace, held_up_max_s)
 
     @property
     def _pace(self) -> float:
         """How much faster than real time the vehicle runs, at least 1: what the host takes a moment for is longer for it. A real vehicle
         keeps real time, whatever a stalling link makes of it."""
         return max(self.session.clock.pace, 1.0) if preflight.is_simulator(self._parameters) else 1.0
-
-    def _airframe(self) -> Airframe:
-        accel_deg = params.by_either_name(self._parameters, "ATC_ACC_Y_MAX")
-        shaped = self._parameters.get("ATC_RATE_FF_ENAB", 1.0) != 0.0
-        return Airframe(
-            angle_boost=self._parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0,
-            yaw_accel_max_rad_s2=math.radians(accel_deg) if accel_deg and shaped else 0.0,
-        )
 
     def _wait_for_position(self, control: FlightControl) -> None:
         """After boot the estimate needs half a minute and more; without a position only its absence is noted."""
@@ -375,6 +371,9 @@ class _Flight:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
+        if self._fence is not None and (said := self._fence.restore(airborne=self.vehicle.armed)):
+            self._note(said)
+            self._say(said)
         if self._changes is not None and self._changes.pending:
             self._say("restoring parameters")
             try:

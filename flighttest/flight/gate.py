@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from flighttest.flight.state import VehicleState
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.mavlink import CopterMode
-from flighttest.plan import AttitudeTarget
+from flighttest.plan import AttitudeTarget, Plan
 from flighttest.plan.clearance import BRAKE_M_S2
 from flighttest.script.model import Limits
 from flighttest.vehicle.model import Zone
@@ -80,6 +80,25 @@ class GateLimits:
     uplink_silence_max_s: float = 1.5
     mode_age_max_s: float = 2.5
     held_up_max_s: float = 0.5
+
+    @classmethod
+    def of(cls, plan: Plan, pace: float, held_up_max_s: float) -> GateLimits:
+        """Of a plan. pace: vehicle seconds per second of the host, by which ages are longer."""
+        hover = plan.vehicle.hover_throttle
+        return cls(
+            plan.limits,
+            plan.vehicle.zone,
+            hover,
+            stop_throttles(plan.limits, hover),
+            needs_position=plan.reset.by == "guided",
+            reaction_s=plan.reaction_s,
+            attitude_age_max_s=0.3 * pace,
+            position_age_max_s=0.5 * pace,
+            silence_max_s=0.5 * pace,
+            uplink_silence_max_s=1.5 * pace,
+            mode_age_max_s=2.5 * pace,
+            held_up_max_s=held_up_max_s,
+        )
 
 
 def stop_throttles(limits: Limits, hover_throttle: float) -> tuple[float, float]:

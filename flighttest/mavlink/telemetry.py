@@ -105,6 +105,13 @@ def offset_m(lat0_deg: float, lon0_deg: float, lat_deg: Any, lon_deg: Any) -> tu
     return north, -east
 
 
+def place_deg(lat0_deg: float, lon0_deg: float, north_m: float, west_m: float) -> tuple[float, float]:
+    """The reverse of `offset_m`: latitude and longitude, degrees."""
+    metres_per_deg = math.radians(1.0) * EARTH_RADIUS_M
+    east = -west_m / (metres_per_deg * math.cos(math.radians(lat0_deg)))
+    return lat0_deg + north_m / metres_per_deg, lon0_deg + east
+
+
 def _shaped(raw: Raw) -> Columns:
     roll, pitch, _ = attitude_columns(raw["q"])
     rates = frames.flip_vector(np.stack([raw["body_yaw_rate"]] * 3, axis=-1))

@@ -66,6 +66,17 @@ class ParametersSet(TypedDict, total=False):
     hardware: dict[str, str]
 
 
+class FenceData(TypedDict, total=False):
+    """A fence that a flight gave its vehicle: in which run, on which autopilot, what it kept before and what it was given (command, frame,
+    four parameters, x, y, z of each item), and whether it is still there."""
+
+    run: str
+    hardware: str
+    before: list[list[float]]
+    given: list[list[float]]
+    left: bool
+
+
 class LegData(TypedDict):
     """How one leg ended: the member of `LegOutcome` by name, and why."""
 
@@ -101,6 +112,7 @@ class Manifest(TypedDict, total=False):
     parameters_changed: Mapping[str, float]
     parameters_left: Mapping[str, float]
     parameters_set: ParametersSet
+    fence_set: FenceData
     rates_hz: Mapping[str, float]
     zone_origin_local_m: Sequence[float]
     outcome: str

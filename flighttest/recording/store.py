@@ -37,6 +37,7 @@ _BLOCKS = (
     "parameters_changed",
     "parameters_left",
     "parameters_set",
+    "fence_set",
     "components",
     "vehicle",
     "clock",

@@ -37,7 +37,8 @@ REQUIRED = (
     "zone",
 )  # to fly; a recording needs only the name
 WEATHERS = ("still", "unknown")
-ZONE_KEYS = ("origin", "heading_deg", "x_m", "y_m", "z_m", "margin_m")
+ZONE_KEYS = ("origin", "heading_deg", "x_m", "y_m", "z_m", "margin_m", "fence")
+FENCES = ("circle", "polygon")
 FIRMWARES = ("ardupilot", "px4")
 
 # Parts of MethodicConfigurator's file that carry no thrust and touch no attitude loop.
@@ -123,6 +124,7 @@ def _zone(document: Document, node: Node) -> Zone:
         for key, low, high in (("x_m", -2000.0, 2000.0), ("y_m", -2000.0, 2000.0), ("z_m", -5.0, 500.0))
     }
     margin = document.number(fields["margin_m"], 0.0, 100.0, "m") if "margin_m" in fields else default.margin_m
+    fence = document.choice(fields["fence"], FENCES) if "fence" in fields else None
     zone = Zone(
         heading_rad=yaw_from_compass(heading or 0.0),
         x_m=spans["x_m"] or default.x_m,
@@ -130,6 +132,7 @@ def _zone(document: Document, node: Node) -> Zone:
         z_m=spans["z_m"] or default.z_m,
         margin_m=default.margin_m if margin is None else margin,
         origin=origin,
+        fence=fence or default.fence,
     )
     for key in ("x_m", "y_m", "z_m"):
         low, high = getattr(zone, key)

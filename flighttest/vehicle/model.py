@@ -15,7 +15,8 @@ from flighttest.recording.manifest import Components
 class Zone:
     """The box that must not be left, m, in its own frame: x along `heading_rad` (NWU yaw), y to the left, z up from the ground.
 
-    origin: None for the home position, else (latitude, longitude) in degrees.
+    origin: None for the home position, else (latitude, longitude) in degrees. fence: 'circle' where a fence of the autopilot about home
+    is enough, 'polygon' where one along the zone is brought onto the vehicle for each flight.
     """
 
     heading_rad: float = 0.0
@@ -24,6 +25,7 @@ class Zone:
     z_m: tuple[float, float] = (1.0, 10.0)
     margin_m: float = 1.5
     origin: tuple[float, float] | None = None
+    fence: str = "circle"
 
     def to_world(self, point: ArrayLike) -> NDArray[np.float64]:
         """Zone coordinates to NWU about the zone's origin: (..., 3) m."""

@@ -8,7 +8,9 @@ import pytest
 
 from flighttest.errors import PreflightError
 from flighttest.flight.preparation import preflight
-from flighttest.flight.preparation.preflight import Check, Situation, checks, is_simulator, refuse
+from flighttest.flight.preparation.fence_limits import fence_words
+from flighttest.flight.preparation.preflight import checks, is_simulator, refuse
+from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.link.session import Heard
 from flighttest.mavlink.dialect import book
 from tests.flight.faulty import GOOD, LIMITS, make_leg, make_plan
@@ -178,15 +180,28 @@ def test_a_circle_far_beyond_the_zone_is_no_fence_for_it(fence: dict[str, float]
     assert all(check.set["FENCE_RADIUS"] == 30.0 for check in refused)
 
 
+def test_a_zone_that_asks_for_a_polygon() -> None:
+    """By parameters; on a simulator as well. What is drawn on the vehicle is read later (`test_fence`)."""
+    plan = make_plan()
+    plan = replace(plan, vehicle=replace(plan.vehicle, zone=replace(plan.vehicle.zone, fence="polygon")))
+    assert found(plan=plan) == []
+    for simulator in (False, True):
+        (check,) = found(plan=plan, simulator=simulator, parameters={"FENCE_TYPE": 2.0})
+        assert check.name == "fence"
+        assert check.set == {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 7.0, "FENCE_ACTION": 4.0, "FENCE_ALT_MAX": 15.0}
+    (union,) = found(plan=plan, parameters={"FENCE_OPTIONS": 3.0})
+    assert union.remedy == "set FENCE_OPTIONS to 1"
+    far = {"FENCE_TYPE": 7.0, "FENCE_RADIUS": 90.0, "FENCE_TOTAL": 0.0}
+    assert fence_words(situation(plan=replace(plan, fenced=3), parameters=far)) == ""
+
+
 def test_a_plan_that_counts_on_a_fence_is_reported_how_far_a_circle_lets_it_go() -> None:
     counting = replace(make_plan(), fenced=3)
-    words = preflight.fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0}))
+    words = fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0}))
     assert words.startswith("3 kinds of steps count on a fence along the zone where the link is lost")
     assert "of 30 m lies up to 22 m beyond it" in words
-    assert (
-        preflight.fence_words(situation(plan=make_plan(), parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0})) == ""
-    )
-    assert preflight.fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 5.0, "FENCE_TOTAL": 6.0})) == ""
+    assert fence_words(situation(plan=make_plan(), parameters={"FENCE_TYPE": 3.0, "FENCE_RADIUS": 30.0})) == ""
+    assert fence_words(situation(plan=counting, parameters={"FENCE_TYPE": 5.0, "FENCE_TOTAL": 6.0})) == ""
 
 
 def test_a_second_vehicle_on_the_link_is_refused() -> None:

@@ -13,6 +13,7 @@ from flighttest.flight.execution.response import ThrottleTrace
 from flighttest.flight.gate import LINK, Refusal
 from flighttest.flight.outcome import LegOutcome, LegResult
 from flighttest.flight.recorder import mark_id
+from flighttest.link import parameters as params
 from flighttest.link.ardupilot import LaggedYaw
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
@@ -26,6 +27,16 @@ class Airframe:
 
     angle_boost: bool = False
     yaw_accel_max_rad_s2: float = 0.0
+
+    @classmethod
+    def of(cls, parameters: dict[str, float]) -> Airframe:
+        """By the vehicle's parameters."""
+        accel_deg = params.by_either_name(parameters, "ATC_ACC_Y_MAX")
+        shaped = parameters.get("ATC_RATE_FF_ENAB", 1.0) != 0.0
+        return cls(
+            angle_boost=parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0,
+            yaw_accel_max_rad_s2=math.radians(accel_deg) if accel_deg and shaped else 0.0,
+        )
 
 
 def rest(control: FlightControl, leg: Leg) -> LegResult:

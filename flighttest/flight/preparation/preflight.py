@@ -5,18 +5,15 @@ A simulator is excused from what only a field has (a live RC link, a fence), and
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
 
 from flighttest.errors import PreflightError
-from flighttest.flight.state import VehicleState
+from flighttest.flight.preparation.fence_limits import fence_checks
+from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.flight.transmitter import received
-from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink.dialect import book
-from flighttest.plan import Plan
 
 THRUST_AS_THRUST = 8
 TIMEOUT_S = 0.2
@@ -27,11 +24,8 @@ _LOG_NEEDED = {
     18: "fast IMU: the thrust response",
     17: "MOTB: battery compensation",
 }
-_FENCE_BRAKE = 4
-_FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_POLYGON = 1, 2, 4
-_FENCE_MARGIN_M = 10.0  # between the zone and a fence that is still one for it
-_FENCE_LEAST_M = 30.0  # the smallest circle the firmware is meant for
 _FS_CONTINUE_GUIDED = 4
+BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
 _RC_IGNORED = 1
 RATE_SHARE = 0.8
 
@@ -53,37 +47,6 @@ RATES_HZ: dict[str, float] = {
 
 BLIND_RATES_HZ: dict[str, float] = {"SCALED_PRESSURE": 10.0, "DISTANCE_SENSOR": 10.0, "VFR_HUD": 20.0}
 """What height is read from where there may be no position."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One finding. name: what `--waive` takes. what and remedy: for the reader. set: parameters that would mend it."""
-
-    name: str
-    what: str
-    remedy: str
-    set: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Situation:
-    """All that the checks look at. parameters by the vehicle's names; rates_hz as measured; pace: vehicle seconds per second;
-    others: system ids of further autopilots on the link."""
-
-    plan: Plan
-    parameters: dict[str, float]
-    state: VehicleState
-    rates_hz: Mapping[str, float]
-    firmware: str
-    vehicle_type: int
-    simulator: bool
-    rc_live: bool
-    pace: float = 1.0
-    others: frozenset[int] = frozenset()
-
-    def value(self, name: str) -> float | None:
-        """A parameter by either name."""
-        return params.by_either_name(self.parameters, name)
 
 
 def rc_live(vehicle: ArduPilot) -> bool:
@@ -216,7 +179,7 @@ def _safety(s: Situation) -> list[Check]:
             )
         )
     if s.simulator:
-        return found
+        return found + (fence_checks(s) if s.plan.vehicle.zone.fence == "polygon" else [])
     if not s.rc_live:
         found.append(
             Check(
@@ -225,63 +188,18 @@ def _safety(s: Situation) -> list[Check]:
                 "switch the transmitter on; its mode switch is how the pilot takes over",
             )
         )
-    found += _transmitter(s)
-    zone = s.plan.vehicle.zone
-    reach = max(math.ceil(_corner_m(s.plan)) + 1.0, _FENCE_LEAST_M)
-    kinds = int(s.value("FENCE_TYPE") or 0)
-    # A circle is about home; one about a zone elsewhere is the pilot's to draw.
-    near = _drawn(s) or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _FENCE_MARGIN_M
-    good = (
-        int(s.value("FENCE_ENABLE") or 0) == 1
-        and kinds & _FENCE_ALTITUDE
-        and (kinds & _FENCE_CIRCLE or _drawn(s))
-        and near
-        and int(s.value("FENCE_ACTION") or 0) == _FENCE_BRAKE
-        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _FENCE_MARGIN_M
-    )
-    if not good:
-        wanted_fence = {
-            "FENCE_ENABLE": 1.0,
-            "FENCE_TYPE": float(kinds | _FENCE_ALTITUDE | _FENCE_CIRCLE),
-            "FENCE_ACTION": float(_FENCE_BRAKE),
-            # What the pilot has drawn tighter stays as tight.
-            "FENCE_ALT_MAX": min(float(round(zone.z_m[1] + 5.0)), s.value("FENCE_ALT_MAX") or math.inf),
-            "FENCE_RADIUS": min(reach, s.value("FENCE_RADIUS") or math.inf),
-        }
-        text = ", ".join(f"{k} {v:g}" for k, v in wanted_fence.items())
-        found.append(
-            Check(
-                "fence",
-                "no fence that brakes at the height and distance of the flight zone",
-                f"set {text} (or use --set-params)",
-                wanted_fence,
-            )
-        )
-    return found
+    return found + _transmitter(s) + fence_checks(s)
 
 
-def _corner_m(plan: Plan) -> float:
-    """From the zone's origin to its farthest corner."""
-    zone = plan.vehicle.zone
-    return math.hypot(max(map(abs, zone.x_m)), max(map(abs, zone.y_m)))
-
-
-def _drawn(s: Situation) -> bool:
-    """Whether there is a polygon: its kind alone, without points, stops nothing. Where it lies is not read."""
-    return bool(int(s.value("FENCE_TYPE") or 0) & _FENCE_POLYGON) and s.value("FENCE_TOTAL") != 0.0
-
-
-def fence_words(s: Situation) -> str:
-    """Where the plan counts on a fence along the zone, and the vehicle's is a circle beyond it: how far; else ''."""
-    zone, radius_m = s.plan.vehicle.zone, s.value("FENCE_RADIUS")
-    if s.simulator or not s.plan.fenced or _drawn(s) or zone.origin is not None or radius_m is None:
-        return ""
-    beyond_m = radius_m - min(map(abs, (*zone.x_m, *zone.y_m)))
-    if beyond_m <= 0:
+def battery_words(s: Situation) -> str:
+    """A pack that is not full spreads a script's repeats over less than was asked for: a sentence, else ''."""
+    wanted = max((leg.voltage_v or 0.0 for leg in s.plan.legs), default=0.0)
+    voltage = s.state.voltage_v
+    if voltage is None or voltage >= BEGIN_SHARE * wanted:
         return ""
     return (
-        f"{s.plan.fenced} kinds of steps count on a fence along the zone where the link is lost; the circle of {radius_m:.0f} m lies up to "
-        f"{beyond_m:.0f} m beyond it, and so far such a vehicle may get (a polygon fence along the zone keeps it inside)"
+        f"the battery begins at {voltage:.1f} V, the script's repeats at {wanted:.1f} V: what depends on voltage (alpha) "
+        "will be known less well than with a full pack"
     )
 
 

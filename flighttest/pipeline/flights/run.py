@@ -25,7 +25,7 @@ from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import FlownWith, flown_with, keep
 from flighttest.pipeline.store.history import DEFAULT_RUNS
 from flighttest.pipeline.store.lineage import model_of
-from flighttest.pipeline.store.resuming import chain, flown_in, left_behind, script_of, worth_resuming
+from flighttest.pipeline.store.resuming import chain, fence_behind, flown_in, left_behind, script_of, worth_resuming
 from flighttest.pipeline.validity.reflights import SPOT_CHECK
 from flighttest.pipeline.validity.status import flown_until
 from flighttest.pipeline.vehicles.live import BUILTIN, key_for
@@ -65,6 +65,7 @@ class FlightRequest:
     resume: Path | None = None
     set_params: bool = False
     waive: tuple[str, ...] = ()
+    extend_fence: bool = False
     weather: str = ""
     accept: bool = False
     signing_key: Path | None = None
@@ -219,7 +220,11 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             number = f"{index + 1} of {len(compiled)}"
             progress.stage(f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}")
             asked = FlightOptions(
-                left_behind=behind, skip=flown_in(earlier), replanner=ScriptReplanner(plan, prior), on_vehicle=compare
+                left_behind=behind,
+                fence_behind=fence_behind(request.out, plan.vehicle.name),
+                skip=flown_in(earlier),
+                replanner=ScriptReplanner(plan, prior),
+                on_vehicle=compare,
             )
             ended = _one(replace(request, seed=request.seed + index), plan, folder, asked, progress)
         except FlighttestError as error:
@@ -333,6 +338,7 @@ def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions,
             asked,
             set_params=request.set_params,
             waive=request.waive,
+            extend_fence=request.extend_fence,
             resume=request.resume,
             on_progress=progress.flight,
             on_stage=progress.stage,

@@ -8,6 +8,7 @@ from pathlib import Path
 from flighttest.errors import InputError
 from flighttest.flight import legs_flown
 from flighttest.flight.preparation.changes import Left
+from flighttest.flight.preparation.fence import FenceSet, fence_set
 from flighttest.pipeline.store.history import vehicle_name
 from flighttest.pipeline.store.identities import run_folders
 from flighttest.plan import Plan
@@ -55,6 +56,12 @@ def left_behind(folder: Path, vehicle: str) -> dict[str, Left]:
         for name, value in values.items()
         if name in given
     }
+
+
+def fence_behind(folder: Path, vehicle: str) -> FenceSet | None:
+    """The fence that the last flight of a vehicle gave it and did not take away, by a record written for this run folder."""
+    last = next((run for run in reversed(run_folders(folder)) if vehicle_name(run) == vehicle), None)
+    return fence_set(read_manifest(last).get("fence_set") or {}, last.name) if last is not None else None
 
 
 def flown_in(runs: Sequence[Path]) -> frozenset[str]:

@@ -15,11 +15,13 @@ from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot import modes, telemetry
 from flighttest.sim.autopilot.control import Measured, PositionControl, heading_rate
+from flighttest.sim.autopilot.fences.breach import fence_breaches
+from flighttest.sim.autopilot.fences.upload import FenceUpload
 from flighttest.sim.autopilot.guided import AngleControl
 from flighttest.sim.autopilot.mailbox import Mailbox
 from flighttest.sim.autopilot.navigation import Navigator
 from flighttest.sim.autopilot.parameters import ParameterStore
-from flighttest.sim.autopilot.safety import LIFT_S, ORIGIN_S, Boot, arming_refusal, fence_breaches
+from flighttest.sim.autopilot.safety import LIFT_S, ORIGIN_S, Boot, arming_refusal
 from flighttest.sim.autopilot.vehicle import Target
 from flighttest.sim.autopilot.watch import Watch
 from flighttest.sim.plants.plant import Command, Plant
@@ -74,6 +76,7 @@ class Autopilot:
         self._control_every = max(round(_CONTROL_S / plant.tick_s), 1)
         self._slow_every = max(round(_SLOW_S / plant.tick_s), 1)
         self._second_every = max(round(1.0 / plant.tick_s), 1)
+        self.fence = FenceUpload(self)
         self.mailbox = Mailbox(self)
         self._watch = Watch(self)
 
@@ -182,7 +185,7 @@ class Autopilot:
         """Why it would not arm now, in the firmware's words; None when it would."""
         m, known = self.motion, self.has_position
         why = arming_refusal(self.time_s, self.boot, self.mode, self.store, m.voltage, has_position=known)
-        if why is None and fence_breaches(self.store, m.px, m.py, m.pz, has_position=known):
+        if why is None and fence_breaches(self.store, self.fence.areas, m.px, m.py, m.pz, has_position=known):
             why = "Arm: vehicle outside Fence"
         return why
 

@@ -1,4 +1,4 @@
-"""What the vehicle does with each message it is sent: parameters, commands, targets, mission stubs, time."""
+"""What the vehicle does with each message it is sent: parameters, commands, targets, the fence, mission stubs, time."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot import commands, modes, telemetry
+from flighttest.sim.autopilot.fences.upload import KIND
 from flighttest.sim.autopilot.guided import accept
 from flighttest.sim.autopilot.navigation import GuidedGoal
 from flighttest.sim.autopilot.vehicle import CommandedVehicle
@@ -38,6 +39,10 @@ class Mailbox:
             "SET_POSITION_TARGET_GLOBAL_INT": self._global_target,
             "REQUEST_DATA_STREAM": self._data_stream,
             "MISSION_REQUEST_LIST": self._mission_list,
+            "MISSION_REQUEST_INT": self._mission_request,
+            "MISSION_REQUEST": self._mission_request,
+            "MISSION_COUNT": self._mission_count,
+            "MISSION_ITEM_INT": self._mission_item,
             "MISSION_CLEAR_ALL": self._mission_clear,
             "LOG_REQUEST_LIST": self._log_list,
         }
@@ -185,15 +190,33 @@ class Mailbox:
         for i in _STREAM_GROUPS.get(m.req_stream_id, ()):
             v.streams.set(i, max(interval, v.plant.tick_s) if interval else 0.0, v.time_s)
 
+    def _mission_request(self, m: Any) -> None:
+        if m.mission_type == KIND:
+            self._v.fence.wanted(m)
+
+    def _mission_count(self, m: Any) -> None:
+        if m.mission_type == KIND:
+            self._v.fence.count(m)
+
+    def _mission_item(self, m: Any) -> None:
+        if m.mission_type == KIND:
+            self._v.fence.item(m)
+
     def _mission_list(self, m: Any) -> None:
         v = self._v
         kind = getattr(m, "mission_type", 0)
+        if kind == KIND:
+            v.fence.listed(m)
+            return
         sender = (m.get_srcSystem(), m.get_srcComponent())
         v.outbox.append(v.encoder.message(book.MAVLink_mission_count_message(*sender, int(v.has_home), kind)))
 
     def _mission_clear(self, m: Any) -> None:
         v = self._v
         kind = getattr(m, "mission_type", 0)
+        if kind == KIND:
+            v.fence.clear(m)
+            return
         sender = (m.get_srcSystem(), m.get_srcComponent())
         v.outbox.append(v.encoder.message(book.MAVLink_mission_ack_message(*sender, 0, kind)))
 

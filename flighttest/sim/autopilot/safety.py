@@ -1,4 +1,4 @@
-"""What the autopilot does on its own to be safe: arming checks, fence, crash check, battery. Pure functions of what is known."""
+"""What the autopilot does on its own to be safe: arming checks, crash check, battery. Pure functions of what is known."""
 
 from __future__ import annotations
 
@@ -44,29 +44,6 @@ def arming_refusal(
     if low > 0.0 and voltage_v < low:
         return "Arm: Battery 1 low voltage failsafe"
     return None
-
-
-def fence_breaches(store: ParameterStore, px: float, py: float, pz: float, *, has_position: bool) -> int:
-    """FENCE_TYPE bits that are breached now: 1 ceiling, 2 circle about home."""
-    if not store["FENCE_ENABLE"]:
-        return 0
-    kind, found = int(store["FENCE_TYPE"]), 0
-    if kind & 1 and pz > store["FENCE_ALT_MAX"]:
-        found |= 1
-    if kind & 2 and has_position and math.hypot(px, py) > store["FENCE_RADIUS"]:
-        found |= 2
-    return found
-
-
-def fence_mode(action: int, *, has_position: bool) -> int | None:
-    """The mode FENCE_ACTION asks for, or None for a report only."""
-    if action <= 0:
-        return None
-    if action in (1, 3):
-        return modes.RTL if has_position else modes.LAND
-    if action == 4:
-        return modes.BRAKE if has_position else modes.LAND
-    return modes.LAND
 
 
 class CrashCheck:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from flighttest.sim.autopilot.control import Measured, PositionControl
 from flighttest.sim.autopilot.guided import AngleControl
@@ -76,6 +77,43 @@ class Streaming(Protocol):
         """Send a message every interval_s, s, from t_s on; 0 or less stops it."""
 
 
+class FenceArea(Protocol):
+    """A polygon or circle of the fence: `fences.breach.Area`."""
+
+    @property
+    def inclusion(self) -> bool:
+        """Whether it must not be left, instead of not be entered."""
+
+    def holds(self, px: float, py: float) -> bool:
+        """Whether a place lies in it, NWU about home, m."""
+
+
+class KeepsFence(Protocol):
+    """The fence aboard and its transfer: `fences.upload.FenceUpload`. Each takes a message of the mission protocol."""
+
+    @property
+    def areas(self) -> Sequence[FenceArea]:
+        """What its items make."""
+
+    def count(self, m: Any) -> None:
+        """A station begins to write."""
+
+    def item(self, m: Any) -> None:
+        """One item of it."""
+
+    def clear(self, m: Any) -> None:
+        """The fence is removed."""
+
+    def listed(self, m: Any) -> None:
+        """How many items there are."""
+
+    def wanted(self, m: Any) -> None:
+        """One of them is read."""
+
+    def look(self, t_s: float) -> None:
+        """What does not come is asked for again, at vehicle time t_s, s."""
+
+
 class CommandedVehicle(Vehicle, Protocol):
     """What commands, targets and the slow duties read of the vehicle, and do to it. outbox: frames to be sent, in order."""
 
@@ -87,6 +125,10 @@ class CommandedVehicle(Vehicle, Protocol):
     outbox: list[bytes]
     landed_s: float
     disarmed_s: float
+
+    @property
+    def fence(self) -> KeepsFence:
+        """The fence aboard."""
 
     @property
     def streams(self) -> Streaming:

@@ -8,7 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.frames import G_M_S2
 from flighttest.sim.autopilot import modes, telemetry
-from flighttest.sim.autopilot.safety import CrashCheck, fence_breaches, fence_mode
+from flighttest.sim.autopilot.fences.breach import breach_words, fence_breaches, fence_mode
+from flighttest.sim.autopilot.safety import CrashCheck
 from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
 _LAND_DISARM_S = 1.5
@@ -41,6 +42,7 @@ class Watch:
         t_s = v.time_s
         self._speak(t_s)
         self._landing(t_s)
+        v.fence.look(t_s)
         if not v.armed:
             self._breaches = 0
             self._swap(t_s)
@@ -105,7 +107,7 @@ class Watch:
     def _fence(self) -> None:
         v = self._v
         m = v.motion
-        breaches = fence_breaches(v.store, m.px, m.py, m.pz, has_position=v.has_position)
+        breaches = fence_breaches(v.store, v.fence.areas, m.px, m.py, m.pz, has_position=v.has_position)
         new = breaches & ~self._breaches
         self._breaches = breaches
         if not breaches:
@@ -118,7 +120,7 @@ class Watch:
             v.outbox.append(frame)
         mode = fence_mode(int(v.store["FENCE_ACTION"]), has_position=v.has_position)
         moved = mode is not None and v.mode != mode and not v.landed and v.set_mode(mode)
-        v.say("Max Alt fence breached" if new & 1 else "Circle fence breached", book.MAV_SEVERITY_NOTICE)
+        v.say(breach_words(new), book.MAV_SEVERITY_NOTICE)
         if moved:
             v.say("Manual recovery started")
 

@@ -1,0 +1,83 @@
+"""Whether the autopilot's fence brakes at the flight zone, by its parameters."""
+
+from __future__ import annotations
+
+import math
+
+from flighttest.flight.preparation.situation import Check, Situation
+from flighttest.plan import Plan
+
+_BRAKE = 4
+_ALTITUDE, _CIRCLE, _POLYGON = 1, 2, 4
+_UNION = 2  # of FENCE_OPTIONS
+_MARGIN_M = 10.0  # between the zone and a fence that is still one for it
+_LEAST_M = 30.0  # the smallest circle the firmware is meant for
+
+
+def fence_checks(s: Situation) -> list[Check]:
+    """Whether the autopilot has a fence that brakes at the zone: by its parameters (see `preparation.fence` for a polygon's corners)."""
+    zone = s.plan.vehicle.zone
+    along = zone.fence == "polygon"
+    reach = max(math.ceil(_corner_m(s.plan)) + 1.0, _LEAST_M)
+    kinds = int(s.value("FENCE_TYPE") or 0)
+    # A circle is about home; one about a zone elsewhere is the pilot's to draw.
+    near = _drawn(s) or zone.origin is not None or (s.value("FENCE_RADIUS") or 0.0) <= reach + _MARGIN_M
+    around = bool(kinds & _POLYGON) if along else bool(kinds & _CIRCLE or _drawn(s)) and near
+    good = (
+        int(s.value("FENCE_ENABLE") or 0) == 1
+        and kinds & _ALTITUDE
+        and around
+        and int(s.value("FENCE_ACTION") or 0) == _BRAKE
+        and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _MARGIN_M
+    )
+    if along and int(s.value("FENCE_OPTIONS") or 0) & _UNION:
+        what = (
+            "FENCE_OPTIONS says that the inside of any one polygon is enough: the zone's would not hold beside others"
+        )
+        return [Check("fence", what, f"set FENCE_OPTIONS to {int(s.value('FENCE_OPTIONS') or 0) & ~_UNION}")]
+    if good:
+        return []
+    wanted_fence = {
+        "FENCE_ENABLE": 1.0,
+        "FENCE_TYPE": float(kinds | _ALTITUDE | (_POLYGON if along else _CIRCLE)),
+        "FENCE_ACTION": float(_BRAKE),
+        # What the pilot has drawn tighter stays as tight.
+        "FENCE_ALT_MAX": min(float(round(zone.z_m[1] + 5.0)), s.value("FENCE_ALT_MAX") or math.inf),
+    }
+    if not along:
+        wanted_fence["FENCE_RADIUS"] = min(reach, s.value("FENCE_RADIUS") or math.inf)
+    text = ", ".join(f"{k} {v:g}" for k, v in wanted_fence.items())
+    what = "no fence that brakes at the height and distance of the flight zone"
+    return [Check("fence", what, f"set {text} (or use --set-params)", wanted_fence)]
+
+
+def _corner_m(plan: Plan) -> float:
+    """From the zone's origin to its farthest corner."""
+    zone = plan.vehicle.zone
+    return math.hypot(max(map(abs, zone.x_m)), max(map(abs, zone.y_m)))
+
+
+def _drawn(s: Situation) -> bool:
+    """Whether there is a polygon: its kind alone, without points, stops nothing. Where it lies is not read."""
+    return bool(int(s.value("FENCE_TYPE") or 0) & _POLYGON) and s.value("FENCE_TOTAL") != 0.0
+
+
+def fence_words(s: Situation) -> str:
+    """Where the plan counts on a fence along the zone, and the vehicle's is a circle beyond it: how far; else ''."""
+    zone, radius_m = s.plan.vehicle.zone, s.value("FENCE_RADIUS")
+    if (
+        s.simulator
+        or not s.plan.fenced
+        or zone.fence == "polygon"
+        or _drawn(s)
+        or zone.origin is not None
+        or radius_m is None
+    ):
+        return ""
+    beyond_m = radius_m - min(map(abs, (*zone.x_m, *zone.y_m)))
+    if beyond_m <= 0:
+        return ""
+    return (
+        f"{s.plan.fenced} kinds of steps count on a fence along the zone where the link is lost; the circle of {radius_m:.0f} m lies up to "
+        f"{beyond_m:.0f} m beyond it, and so far such a vehicle may get (a polygon fence along the zone keeps it inside)"
+    )
