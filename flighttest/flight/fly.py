@@ -303,18 +303,19 @@ class _Flight:
         self.recorder.save_manifest()
 
     def _bring_fence(self, control: FlightControl, may_set: bool) -> None:
-        """The zone's polygon, where the zone asks for one."""
-        if self.plan.vehicle.zone.fence != "polygon" or "fence" in self.options.waive:
-            return
+        """The zone's polygon, where the zone asks for one; and into force what was changed."""
         assert self._fence is not None
-        self._say("bringing the zone's fence onto the vehicle")
-        control.until(self.session.now_s() + 0.3)  # a position about the zone's origin
-        said = self._fence.put(
-            self.plan, control.state, control.reader.origin_m, may_set=may_set, extend=self.options.extend_fence
-        )
-        self._note(said)
-        if "FENCE_TOTAL" in self._parameters:
-            self._parameters["FENCE_TOTAL"] = params.read(self.session, "FENCE_TOTAL") or 0.0
+        assert self._changes is not None
+        along = self.plan.vehicle.zone.fence == "polygon" and "fence" not in self.options.waive
+        if along:
+            self._say("bringing the zone's fence onto the vehicle")
+            control.until(self.session.now_s() + 0.3)  # a position about the zone's origin
+            place = control.state, control.reader.origin_m
+            self._note(self._fence.put(self.plan, *place, may_set=may_set, extend=self.options.extend_fence))
+            if "FENCE_TOTAL" in self._parameters:
+                self._parameters["FENCE_TOTAL"] = params.read(self.session, "FENCE_TOTAL") or 0.0
+        if along or any(name.startswith("FENCE_") for name in self._changes.pending):
+            self._fence.switch_on()
 
     def _note(self, text: str) -> None:
         self.notes.append(text)

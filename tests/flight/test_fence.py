@@ -163,6 +163,21 @@ def test_a_vehicle_that_crosses_it_is_braked(run_dir: Path) -> None:
     assert any("Polygon fence breached" in line for line in (run_dir / "events.jsonl").read_text().splitlines())
 
 
+def test_a_kind_of_fence_that_was_set_is_in_force(run_dir: Path) -> None:
+    """FENCE_ENABLE is 1 already, without the polygon's bit: as Copter 4.6 and newer, the vehicle goes on with the kinds it had."""
+    link = FaultyLink(options(parameters={"FENCE_ENABLE": 1.0, "FENCE_TYPE": 3.0, "FENCE_ACTION": 4.0}))
+    in_force: list[int] = []
+
+    def hook(message: object, _t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            in_force.append(link.sim.vehicle.fence.in_force)
+
+    link.hook = hook
+    assert fly(with_zone(make_plan()), "sim", run_dir, transport=link).outcome is FlightOutcome.COMPLETED
+    assert in_force == [7]
+    assert link.sim.vehicle.fence.in_force == 3
+
+
 def test_a_program_that_died_left_it(run_dir: Path) -> None:
     """The next flight takes it away, by a record of this vehicle whose fence is still as it was given."""
     corners = corners_e7(with_zone(make_plan()), (0.0, 0.0, 0.0), ORIGIN)

@@ -9,14 +9,19 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flighttest.errors import PreflightError
 from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.preparation.fence import ZoneFence
 from flighttest.flight.transmitter import LOST
+from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
+from flighttest.link.onboard.fence import Fence, FenceItem, polygon, same_fence
 from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
@@ -242,3 +247,48 @@ def test_a_lost_transmitter_is_said_at_once(sitl, tmp_path):
     alarmed = [t for t, text in said if text == LOST]
     assert alarmed, (result.outcome, said)
     assert SPEEDUP * (alarmed[0] - failed[0]) < 1.5, "vehicle seconds"
+
+
+def test_the_zones_fence_polygon_on_the_real_firmware(sitl, tmp_path):
+    """Uploaded beside the operator's own fence, read back, seen on another link in flight; then the operator's alone. And it brakes."""
+    witness = second_link(sitl)
+    fence = Fence(witness.session)
+    home = witness.request("HOME_POSITION", book.MAVLINK_MSG_ID_HOME_POSITION)
+    assert home is not None
+    lat, lon = home.latitude, home.longitude
+    own = (
+        FenceItem(book.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0, (4.0, 0.0, 0.0, 0.0), lat + 4000, lon),
+        *polygon([(lat + dx * 10000, lon + dy * 10000) for dx, dy in ((1, 1), (1, -1), (-1, -1), (-1, 1))]),
+    )
+    plan = make_plan()
+    plan = replace(plan, vehicle=replace(plan.vehicle, zone=replace(plan.vehicle.zone, fence="polygon")))
+    aboard: list[int] = []
+    try:
+        fence.write(own)
+        with pytest.raises(PreflightError, match="a fence of its own"):
+            fly(plan, sitl.url, tmp_path / "refused")
+        link = Watched(open_transport(sitl.url))
+        link.on_step = lambda: aboard.append(1)
+        result = fly(plan, sitl.url, tmp_path / "added", transport=link, extend_fence=True)
+        assert result.outcome is FlightOutcome.COMPLETED, result.notes
+        assert any("beside 5 items" in note for note in result.notes)
+        assert same_fence(fence.read(), own)
+        here = witness.request("GLOBAL_POSITION_INT", book.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
+        assert here is not None
+        lat, lon = here.lat, here.lon
+        half = round(1.2 / 0.0111319)  # degE7 of latitude: a box that the step leaves
+        box = polygon([(lat + dx * half, lon + dy * half) for dx, dy in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
+        fence.write(box)
+        known = params.read_all(witness.session)
+        for name, value in {"FENCE_TYPE": 4.0, "FENCE_ACTION": 4.0, "FENCE_ENABLE": 1.0}.items():
+            params.write(witness.session, name, value, known)
+        ZoneFence(witness, "", lambda _data: None).switch_on()
+        braked = fly(make_plan(make_leg("a", fast_tilt, 2.5), make_leg("b")), sitl.url, tmp_path / "braked")
+        assert braked.outcome is FlightOutcome.TAKE_OVER, braked.notes
+        assert braked.mode == "BRAKE"
+    finally:
+        known = params.read_all(witness.session)
+        params.write(witness.session, "FENCE_ENABLE", 0.0, known)
+        fence.write(())
+        witness.set_mode(CopterMode.LAND)
+        witness.session.port.close()

@@ -19,7 +19,7 @@ from flighttest.plan import Plan
 from flighttest.recording.manifest import FenceData
 
 ALONG_M = 0.5  # between the corners of a polygon on the vehicle and the zone's that are taken for one
-_UNION = 2  # FENCE_OPTIONS: a vehicle inside any of its polygons counts as inside
+_KINDS = 1 | 2 | 4  # ceiling, circle, polygon; the floor would be breached on the ground
 _ITEM_NUMBERS = 9
 _OURS = book.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 
@@ -173,6 +173,15 @@ class ZoneFence:
         where = f"{inset_m(plan):g} m inside the zone's walls" if inset_m(plan) else "at the zone's walls"
         kept = f" beside {len(before)} items of the vehicle's own fence" if before else ""
         return f"a fence polygon was uploaded {where}{kept} and read back; it is taken away after the flight"
+
+    def switch_on(self) -> None:
+        """Bring the kinds of FENCE_TYPE into force: since Copter 4.6 a change of it alone does not, while FENCE_ENABLE stays 1 (flown).
+
+        PreflightError where the vehicle refuses.
+        """
+        answer = self._vehicle.command(book.MAV_CMD_DO_FENCE_ENABLE, 1.0, float(_KINDS))
+        if not answer.accepted:
+            raise _refused(f"the vehicle does not switch its fence on ({answer.sentence})", "look at its fence")
 
     @staticmethod
     def _require_inside(plan: Plan, state: VehicleState) -> None:

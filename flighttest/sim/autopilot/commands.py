@@ -13,6 +13,7 @@ from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
 ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 _FORCE = 21196
+_EVERY_FENCE = 15
 
 
 def acknowledge(v: CommandedVehicle, message: Any, command: int, result: int) -> None:
@@ -171,6 +172,14 @@ def _denied(_: CommandedVehicle, __: Any) -> int:
     return DENIED
 
 
+def _fence_enable(v: CommandedVehicle, m: Any) -> int:
+    kinds = int(m.param2) or _EVERY_FENCE
+    if m.param1 not in (0.0, 1.0) or (m.param1 and not kinds & int(v.store["FENCE_TYPE"])):
+        return FAILED
+    v.fence.switch(bool(m.param1), kinds)
+    return ACCEPTED
+
+
 _ACTIONS: dict[int, Any] = {
     book.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
     book.MAV_CMD_DO_SET_MODE: _mode,
@@ -188,4 +197,5 @@ _ACTIONS: dict[int, Any] = {
     book.MAV_CMD_DO_FLIGHTTERMINATION: _denied,
     book.MAV_CMD_BATTERY_RESET: _battery_reset,
     book.MAV_CMD_GET_HOME_POSITION: _home,
+    book.MAV_CMD_DO_FENCE_ENABLE: _fence_enable,
 }

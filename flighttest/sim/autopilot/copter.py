@@ -185,9 +185,13 @@ class Autopilot:
         """Why it would not arm now, in the firmware's words; None when it would."""
         m, known = self.motion, self.has_position
         why = arming_refusal(self.time_s, self.boot, self.mode, self.store, m.voltage, has_position=known)
-        if why is None and fence_breaches(self.store, self.fence.areas, m.px, m.py, m.pz, has_position=known):
+        if why is None and self._breaches(known):
             why = "Arm: vehicle outside Fence"
         return why
+
+    def _breaches(self, has_position: bool) -> int:
+        m, fence = self.motion, self.fence
+        return fence_breaches(self.store, fence.in_force, fence.areas, m.px, m.py, m.pz, has_position=has_position)
 
     def disarm(self, *, force: bool = False) -> bool:
         """Disarm the motors; False in the air unless forced."""

@@ -110,6 +110,13 @@ class KeepsFence(Protocol):
     def wanted(self, m: Any) -> None:
         """One of them is read."""
 
+    @property
+    def in_force(self) -> int:
+        """FENCE_TYPE bits that are checked."""
+
+    def switch(self, on: bool, kinds: int) -> None:
+        """Kinds of fence, bits of FENCE_TYPE, are switched on or off."""
+
     def look(self, t_s: float) -> None:
         """What does not come is asked for again, at vehicle time t_s, s."""
 

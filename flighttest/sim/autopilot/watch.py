@@ -107,7 +107,9 @@ class Watch:
     def _fence(self) -> None:
         v = self._v
         m = v.motion
-        breaches = fence_breaches(v.store, v.fence.areas, m.px, m.py, m.pz, has_position=v.has_position)
+        breaches = fence_breaches(
+            v.store, v.fence.in_force, v.fence.areas, m.px, m.py, m.pz, has_position=v.has_position
+        )
         new = breaches & ~self._breaches
         self._breaches = breaches
         if not breaches:

@@ -66,12 +66,17 @@ def areas_of(items: Sequence[tuple[int, float, tuple[float, float]]]) -> tuple[A
 
 
 def fence_breaches(
-    store: ParameterStore, areas: Sequence[FenceArea], px: float, py: float, pz: float, *, has_position: bool
+    store: ParameterStore,
+    in_force: int,
+    areas: Sequence[FenceArea],
+    px: float,
+    py: float,
+    pz: float,
+    *,
+    has_position: bool,
 ) -> int:
-    """FENCE_TYPE bits that are breached now: 1 ceiling, 2 circle about home, 4 polygons and circles brought aboard."""
-    if not store["FENCE_ENABLE"]:
-        return 0
-    kind, found = int(store["FENCE_TYPE"]), 0
+    """FENCE_TYPE bits that are breached now, of those in force: 1 ceiling, 2 circle about home, 4 polygons and circles brought aboard."""
+    kind, found = in_force, 0
     if kind & MAX_ALTITUDE and pz > store["FENCE_ALT_MAX"]:
         found |= MAX_ALTITUDE
     if kind & CIRCLE and has_position and math.hypot(px, py) > store["FENCE_RADIUS"]:

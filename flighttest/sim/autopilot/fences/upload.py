@@ -30,6 +30,26 @@ class FenceUpload:
         self._count = 0
         self._sender = (0, 0)
         self._heard_s = self._asked_s = 0.0
+        self._enable = 0
+        self._switched_on = 0
+
+    @property
+    def in_force(self) -> int:
+        """FENCE_TYPE bits that are checked: as FENCE_TYPE was when FENCE_ENABLE changed last, and what was switched on by command."""
+        self._follow()
+        return self._switched_on & int(self._v.store["FENCE_TYPE"])
+
+    def switch(self, on: bool, kinds: int) -> None:
+        """MAV_CMD_DO_FENCE_ENABLE."""
+        self._follow()
+        kinds &= int(self._v.store["FENCE_TYPE"])
+        self._switched_on = self._switched_on | kinds if on else self._switched_on & ~kinds
+
+    def _follow(self) -> None:
+        enable = int(self._v.store["FENCE_ENABLE"])
+        if enable != self._enable:
+            self._enable = enable
+            self._switched_on = int(self._v.store["FENCE_TYPE"]) if enable else 0
 
     def count(self, m: Any) -> None:
         """MISSION_COUNT: a station begins to write."""
@@ -88,7 +108,8 @@ class FenceUpload:
         v.outbox.append(v.encoder.message(book.MAVLink_mission_item_int_message(*_sender(m), *fields)))
 
     def look(self, t_s: float) -> None:
-        """Ask again for what does not come."""
+        """Follow FENCE_ENABLE, and ask again for what does not come."""
+        self._follow()
         if self._incoming is None:
             return
         if t_s - self._heard_s > _OVER_S:
