@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import random
 import resource
+import sys
 import tempfile
 import threading
 import time
@@ -109,6 +110,8 @@ def _live_client(url: str, span_s: float, warm_s: float) -> Soak:
     def watch() -> None:
         while not over.wait(max(_EVERY_S * len(memory) - (time.monotonic() - began), 0.0)):
             memory.append((time.monotonic() - began, resident_mb()))
+            sys.stderr.write(f"{memory[-1][0]:.0f} s: {memory[-1][1]:.1f} MB\n")
+            sys.stderr.flush()
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()

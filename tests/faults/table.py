@@ -115,7 +115,7 @@ def of_endurance(hours: tuple[Soak, Soak], flights: list[Drawn]) -> str:
         ENDURANCE_HEADING, "",
         "Written by `make faults-endurance`: an hour of real time, and an hour of virtual time (as many targets, messages, clock",
         "questions and records, computed faster).",
-        "", of_soak(hours[0], "Real time, the vehicle at the other end of a pty, memory of the client's process"),
+        "", of_soak(hours[0], REAL_TIME),
         "", of_soak(hours[1], "Virtual time, memory of client and vehicle in one process"),
         "",
         f"{right} of {len(flights)} flights of ten minutes with faults drawn at random are right, by the same rules as above. ",
@@ -177,6 +177,17 @@ def endure(jobs: int) -> tuple[str, bool]:
     return of_endurance(hours, flights), not any(h.wrong for h in hours) and all(d.cell.ok for d in flights)
 
 
+REAL_TIME = "Real time, the vehicle at the other end of a pty, memory of the client's process"
+
+
+def of_hour(before: str, hour: Soak) -> str:
+    """The page's part of long flights, `before`, with its hour of real time flown again."""
+    lines = before.splitlines()
+    (place,) = (k for k, line in enumerate(lines) if line.startswith(REAL_TIME))
+    end = lines.index("", place)
+    return "\n".join([*lines[:place], of_soak(hour, REAL_TIME), *lines[end:]]) + "\n"
+
+
 def over_lines(jobs: int) -> tuple[str, bool]:
     """Flights over serial lines: the page's part, and whether all is right."""
     from flighttest.script.shipped import shipped_names
@@ -195,6 +206,7 @@ def main() -> int:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--sitl", action="store_true", help="the dangerous cells, on a real ArduCopter")
     what.add_argument("--endurance", action="store_true", help="an hour, and long flights with faults at random")
+    what.add_argument("--hour", action="store_true", help="of the endurance, the hour of real time alone")
     what.add_argument("--lines", action="store_true", help="flights over serial lines")
     words = parser.parse_args()
     if words.sitl:
@@ -202,6 +214,14 @@ def main() -> int:
         heading, part, right = SITL_HEADING, of_sitl(cells), all(cell.ok for cell in cells)
     elif words.endurance:
         heading, (part, right) = ENDURANCE_HEADING, endure(words.jobs)
+    elif words.hour:
+        hour = live_soak()
+        before = (
+            parts_of(words.output.read_text(encoding="utf-8"))[ENDURANCE_HEADING]
+            if words.output
+            else f"{REAL_TIME}\n\n"
+        )
+        heading, part, right = ENDURANCE_HEADING, of_hour(before, hour), not hour.wrong
     elif words.lines:
         heading, (part, right) = LINES_HEADING, over_lines(words.jobs)
     else:
