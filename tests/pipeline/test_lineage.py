@@ -1,6 +1,7 @@
 """One model in use per vehicle: accepted, found by the vehicle's name, with those before it; never another vehicle's."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -13,6 +14,8 @@ from flighttest.pipeline.flights import after_landing as campaign
 from flighttest.pipeline.planning.checking import prior_of
 from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import lineage
+from flighttest.pipeline.store.flown_with import FlownWith, keep, options_of
+from flighttest.pipeline.store.history import DEFAULT_RUNS
 from flighttest.report.sections.diagnosis import missing_sections
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 
@@ -75,6 +78,35 @@ def test_an_accepted_model_comes_with_the_command_for_its_twin(call, tmp_path):
     assert code == 0
     said = "".join(text.split())  # a line is broken where it ends
     assert f"flighttesttwin{out}/models/heron/001.yaml--verify{out}/flown" in said
+    assert "flynext" not in said
+
+
+def test_what_is_to_fly_after_accept_and_status_flies_the_vehicle_of_the_models_flights(call, tmp_path):
+    """Without these options the command would fly the built-in vehicle as it is: another vehicle."""
+    out = tmp_path / "runs"
+    flown = FlownWith("sim", airframe="rotor", hide=("quadratic_drag:k_x=0.05",))
+    keep(out / "flown", flown)
+    write_model(out / "flown", runs=("flown",))
+    (out / "flown" / "next.yaml").write_text("")
+    options = f" --airframe rotor --hide quadratic_drag:k_x=0.05 --out {out}"
+    _, text, _ = call("accept", out / "flown", "--out", out)
+    assert "".join(f"flynextflighttest run {out}/flown/next.yaml{options}".split()) in "".join(text.split())
+    _, text, _ = call("status", "--out", out, "--json")
+    (row,) = json.loads(text)["reflights"]
+    assert row["command"] == f"flighttest run spot_check{options}"
+    (out / "flown" / "diagnosis.json").write_text('{"next_reason": {"fits_zone": false}}')
+    assert "fly next" not in call("accept", out / "flown", "--out", out)[1]
+
+
+def test_the_options_are_those_of_the_newest_run_that_says_them(tmp_path):
+    keep(tmp_path / "old", FlownWith("udpin:0.0.0.0:14550"))
+    keep(tmp_path / "new", FlownWith("tcp:127.0.0.1:5760"))
+    runs = [tmp_path / "old", tmp_path / "new", tmp_path / "log.csv"]
+    assert options_of(runs, DEFAULT_RUNS) == " --connect tcp:127.0.0.1:5760"
+    assert options_of(runs, DEFAULT_RUNS, Path("v.yaml")) == " --vehicle v.yaml --connect tcp:127.0.0.1:5760"
+    assert options_of(runs[2:], DEFAULT_RUNS, Path("v.yaml")) == " --vehicle v.yaml"
+    (tmp_path / "new" / "command.yaml").write_text("no mapping")
+    assert options_of(runs, DEFAULT_RUNS) == " --connect udpin:0.0.0.0:14550"
 
 
 def test_a_component_change_ends_a_model_by_name(tmp_path):

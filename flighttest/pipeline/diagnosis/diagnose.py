@@ -36,7 +36,7 @@ from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, n
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import words_of
 from flighttest.pipeline.store.history import DEFAULT_RUNS
-from flighttest.pipeline.store.models import accepted
+from flighttest.pipeline.store.models import NEXT_NAME, accepted
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report.document import Document
@@ -48,7 +48,6 @@ from flighttest.segments import Segment
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
-NEXT_NAME = "next.yaml"
 MODEL_NAME = "model.yaml"
 UNFINISHED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
 

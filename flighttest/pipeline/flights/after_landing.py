@@ -14,17 +14,17 @@ from flighttest.errors import FitError
 from flighttest.identify.fit import Fit
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.pipeline.diagnosis.diagnose import MODEL_NAME, NEXT_NAME, UNFINISHED, run_diagnosis, write_diagnosis
+from flighttest.pipeline.diagnosis.diagnose import MODEL_NAME, UNFINISHED, run_diagnosis, write_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all, fit_segments, model_data
 from flighttest.pipeline.identification.reporting import REPORT_NAME, keep_segments, provenance, run_document
 from flighttest.pipeline.presenters.fit_view import fit_view, segment_views
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.store.flown_with import words_of
-from flighttest.pipeline.store.history import DEFAULT_RUNS, FIT_NAME, as_good
+from flighttest.pipeline.store.flown_with import out_words, words_of
+from flighttest.pipeline.store.history import FIT_NAME, as_good
 from flighttest.pipeline.store.identities import whose
 from flighttest.pipeline.store.lineage import joint_fit_command, model_of, worse
-from flighttest.pipeline.store.models import accepted
+from flighttest.pipeline.store.models import NEXT_NAME, accepted
 from flighttest.pipeline.validity.reflights import reflights
 from flighttest.pipeline.validity.status import Today, judge
 from flighttest.recording import Recording
@@ -105,11 +105,6 @@ def analyse(
     return Result(_summary(found, view, landed, page, words), data, status, found)
 
 
-def _out_words(out: Path) -> str:
-    """The option that names a folder of runs, '' for the usual one."""
-    return f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
-
-
 def _changed(found: Analysis) -> bool:
     """Whether what is declared of the vehicle has changed since the model in use: flights of both are not to be fitted together."""
     return found.validity is not None and bool(found.validity.changes)
@@ -119,7 +114,7 @@ def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out:
     """How the campaign's model becomes the vehicle's: done, or the command that does it; '' where it makes none."""
     if found.fit is None or not found.fit.status.good or not (renewed(found) or found.diagnosis is not None):
         return ""
-    words = f"flighttest accept {shlex.quote(str(folder))}{_out_words(out)}"
+    words = f"flighttest accept {shlex.quote(str(folder))}{out_words(out)}"
     used, own = found.previous, found.improved or found.fit
     if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
         return f"with the flights of the model in use, which knows more: {joint_fit_command(out, used, folder)}"
@@ -220,7 +215,12 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
     folders, notes = landed.folders, landed.notes
     sections: list[Section] = list(missing_sections(found.diagnosis)) if found.diagnosis is not None else []
     if found.validity is not None and found.previous is not None and not renewed(found):
-        rows, _, _ = reflights(found.validity, found.previous, landed.vehicle)
+        rows, _, _ = reflights(
+            found.validity,
+            found.previous,
+            landed.vehicle,
+            options=f"{words_of(folders[-1])}{out_words(landed.out)}",
+        )
         sections += status_document(found.validity, {}, rows, brief=True).sections
     elif view is not None:
         better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
@@ -242,7 +242,7 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         reason = found.diagnosis.get("next_reason") or {}
         command = (
-            f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{_out_words(landed.out)}"
+            f"flighttest run {shlex.quote(str(folders[-1] / NEXT_NAME))}{words_of(folders[-1])}{out_words(landed.out)}"
         )
         facts["fly next"] = (
             f"{reason.get('maneuver')}: {reason['zone']}" if reason.get("fits_zone") is False else command

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flighttest.datafiles import read_yaml
 from flighttest.documents import write_text
 from flighttest.errors import RecordingError
+from flighttest.pipeline.store.history import DEFAULT_RUNS
 from flighttest.pipeline.vehicles.live import BUILTIN
 
 COMMAND_NAME = "command.yaml"
@@ -70,3 +72,21 @@ def words_of(run_dir: Path) -> str:
     except RecordingError:  # a hint must not fail
         return ""
     return found.words if found is not None else ""
+
+
+def out_words(out: Path) -> str:
+    """The option that names a folder of runs, '' for the usual one."""
+    return f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
+
+
+def options_of(runs: Sequence[Path], out: Path, vehicle: Path | None = None) -> str:
+    """The options that fly the vehicle of the newest of these runs again, into the same folder of runs. vehicle: its vehicle file of now.
+    Where no run says what flew, the vehicle file alone; '' without one."""
+    for run_dir in reversed(runs):
+        try:
+            found = flown_with(run_dir)
+        except RecordingError:  # a hint must not fail
+            continue
+        if found is not None:
+            return (replace(found, vehicle=vehicle) if vehicle is not None else found).words + out_words(out)
+    return f" --vehicle {shlex.quote(str(vehicle))}" if vehicle is not None else ""

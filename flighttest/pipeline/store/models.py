@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -9,11 +10,14 @@ from pathlib import Path
 
 from flighttest.errors import FlighttestError
 from flighttest.pipeline.results import Result
+from flighttest.pipeline.store.flown_with import options_of
 from flighttest.pipeline.store.history import check_runs, when
 from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since, take_into_use
 from flighttest.report.document import Cell, Document, Paragraph, Section, Table
 from flighttest.report.numbers import join
 from flighttest.vehicle.load import load_vehicle
+
+NEXT_NAME = "next.yaml"  # the flight that a diagnosis proposes, beside its model
 
 
 def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
@@ -34,8 +38,21 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
     flown = [shlex.quote(str(out / name)) for name in made.runs if (out / name / "script.yaml").is_file()]
     if flown:
         facts["its twin"] = f"flighttest twin {shlex.quote(str(whole.current))} --verify {' '.join(flown)}"
+    script = path / NEXT_NAME
+    if script.is_file() and _fits_zone(path):
+        flies = options_of([*(out / name for name in made.runs), path], out, vehicle)
+        facts["fly next"] = f"flighttest run {shlex.quote(str(script))}{flies}"
     document = Document("accept", _sentence(whole, made), "good", (), facts)
     return Result(document, {"vehicle": whole.vehicle, "file": str(whole.current), **asdict(made)}, value=whole)
+
+
+def _fits_zone(folder: Path) -> bool:
+    """Whether the flight that a folder's diagnosis proposes fits the vehicle's zone; so where it does not say."""
+    try:
+        reason = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8")).get("next_reason") or {}
+    except (OSError, ValueError, AttributeError):
+        return True
+    return reason.get("fits_zone") is not False
 
 
 def accepted(path: Path, out: Path, vehicle: Path | None) -> str:

@@ -50,9 +50,10 @@ def thrust_script(stored: ModelFile, vehicle: Vehicle | None) -> str:
 
 
 def reflights(
-    found: Assessment, stored: ModelFile, vehicle: Vehicle | None, output: Path | None = None
+    found: Assessment, stored: ModelFile, vehicle: Vehicle | None, output: Path | None = None, options: str = ""
 ) -> tuple[tuple[Reflight, ...], dict[str, float], dict[str, Need]]:
-    """What to fly, minutes per script, and how often each step where it is stale. output: folder for the scripts with those repeats."""
+    """What to fly, minutes per script, and how often each step where it is stale. output: folder for the scripts with those repeats;
+    options: end of each command, by which it flies this vehicle."""
     thrust = thrust_script(stored, vehicle)
 
     def own(names: Sequence[str]) -> list[str]:
@@ -65,7 +66,9 @@ def reflights(
     repeats = {n.script: n for n in needs(wanted, known, flown)} if found.fly else {}
 
     def row(what: str, names: Sequence[str]) -> Reflight:
-        return Reflight(what, tuple(names), sum(minutes[n] for n in names), f"flighttest run {' '.join(names)}")
+        return Reflight(
+            what, tuple(names), sum(minutes[n] for n in names), f"flighttest run {' '.join(names)}{options}"
+        )
 
     rows = []
     if found.fly:
@@ -82,7 +85,7 @@ def reflights(
             each = ", ".join(f"{n}: {need.repeats} repeats, usually {need.usual}" for n, need in repeats.items())
             fewer = all(need.repeats <= need.usual for need in repeats.values())
             what = f"{'the shortest that serves' if fewer else 'for errors to plan with'} ({each})"
-            rows.append(Reflight(what, tuple(repeats), times, f"flighttest run {' '.join(map(str, paths))}"))
+            rows.append(Reflight(what, tuple(repeats), times, f"flighttest run {' '.join(map(str, paths))}{options}"))
     if not any(test.alarm for test in found.tests):
         rows.append(row("first, to see" if found.fly else "to be sure", [SPOT_CHECK]))
     return tuple(rows), minutes, repeats

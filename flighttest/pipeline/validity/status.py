@@ -23,6 +23,7 @@ from flighttest.pipeline.recordings.batteries import battery_of, battery_referen
 from flighttest.pipeline.recordings.fingerprints import of_recordings, of_vehicle
 from flighttest.pipeline.recordings.sources import Source, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.store.flown_with import options_of
 from flighttest.pipeline.store.history import campaigns, watched, when
 from flighttest.pipeline.store.identities import SAY, whose
 from flighttest.pipeline.store.lineage import in_use
@@ -83,7 +84,9 @@ def status(
         stored = in_use(out, name)
         name = name or stored.vehicle_name
     found = judge(stored, Today(recordings, declared, name, out, present), progress)
-    return finish(found, stored, declared, [named(r) for r in runs], output, present)
+    flown = [*(out / r for r in map(str, stored.runs)), *(r for r in runs if isinstance(r, Path))]
+    page = Page(output, options_of(flown, out, vehicle))
+    return finish(found, stored, declared, [named(r) for r in runs], page, present)
 
 
 def _one_vehicle(stored: ModelFile, name: str) -> None:
@@ -301,16 +304,25 @@ def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, floa
     return found or None
 
 
+@dataclass(frozen=True)
+class Page:
+    """Where the page and the scripts to fly go, if anywhere, and the options of the commands that fly them."""
+
+    output: Path | None = None
+    options: str = ""
+
+
 def finish(
     found: Assessment,
     stored: ModelFile,
     vehicle: Vehicle | None,
     runs: Sequence[str],
-    output: Path | None,
+    page: Page,
     present: LiveVehicle | None = None,
 ) -> Result:
-    """Document, data, and with `output` the page and the scripts to fly."""
-    rows, minutes, repeats = reflights(found, stored, vehicle, output)
+    """Document, data, and with an output folder the page and the scripts to fly."""
+    output = page.output
+    rows, minutes, repeats = reflights(found, stored, vehicle, output, page.options)
     facts = {"model": stored.path or "the last one fitted"}
     if vehicle is not None:
         facts["vehicle"] = vehicle.path or vehicle.name

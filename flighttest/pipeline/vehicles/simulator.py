@@ -64,7 +64,8 @@ class Serving:
             what = f"the vehicle of {self.model} (seed {self.seed}) at {self.url}"
         else:
             what = f"simulated copter ({self.airframe} airframe, seed {self.seed}) at {self.url}"
-        return f"{what}; Ctrl-C stops it", f"fly it: flighttest run thrust --connect {self.url}"
+        thrust = "thrust_hover" if self.model else "thrust"  # throttles of a model's vehicle go by its hover throttle
+        return f"{what}; Ctrl-C stops it", f"fly it: flighttest run {thrust} roll_pitch yaw_rate --connect {self.url}"
 
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
