@@ -73,3 +73,28 @@ def test_two_vehicles_are_not_one_side():
     recordings = [Recording(n, {}, (), Provenance("x", "table", vehicle={"name": n})) for n in ("a", "b")]
     with pytest.raises(InputError, match="a is of vehicle a and b of b"):
         against.of_one_vehicle(recordings)
+
+
+def board(name, number, vehicle=""):
+    named = {"name": vehicle} if vehicle else {}
+    return Recording(name, {}, (), Provenance("x", "table", vehicle=named, autopilot=number))
+
+
+@pytest.mark.parametrize(
+    ("other", "two"),
+    [
+        (board("b", "99"), True),
+        (board("b", "", "rotor"), True),
+        (board("b", "77", "heron"), False),  # its vehicle file was given for one of the flights only
+        (board("b", "77"), False),
+        (board("b", ""), False),
+    ],
+)
+def test_an_unnamed_recording_is_of_its_autopilots_vehicle(other, two):
+    """A flight of a named vehicle and one of another autopilot without a vehicle file were fitted in one model."""
+    recordings = [board("a", "77"), other]
+    if two:
+        with pytest.raises(InputError, match="a is of vehicle autopilot 77 and b of"):
+            against.of_one_vehicle(recordings)
+    else:
+        against.of_one_vehicle(recordings)

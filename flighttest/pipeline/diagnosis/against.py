@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import cast
 
@@ -19,6 +20,7 @@ from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.consistency import deduplicate
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.store.identities import of_recording
 from flighttest.recording import Recording
 from flighttest.report.document import Document, Tone
 from flighttest.report.numbers import paths
@@ -84,12 +86,14 @@ def _content(recording: Recording) -> str:
 
 
 def of_one_vehicle(recordings: Sequence[Recording]) -> None:
-    """InputError where recordings name two vehicles."""
-    named = {str(r.provenance.vehicle["name"]): r.name for r in recordings if r.provenance.vehicle.get("name")}
-    if len(named) > 1:
-        (one, here), (two, there) = list(named.items())[:2]
+    """InputError where recordings are of two vehicles, by declared name or by the autopilot's own number. A name and another recording's
+    number are two vehicles, unless the named one has that autopilot; a calibration alone may be of the same vehicle, calibrated again."""
+    known = [(r.name, one) for r in recordings if (one := of_recording(r)).name or one.autopilot]
+    for (here, one), (there, two) in combinations(known, 2):
+        if one.key == two.key or (not (one.name and two.name) and one.same_board(two)):
+            continue
         raise InputError(
-            f"{here} is of vehicle {one} and {there} of {two}: one model of both would be of neither",
+            f"{here} is of vehicle {one.key} and {there} of {two.key}: one model of both would be of neither",
             "give the recordings of one vehicle",
         )
 
