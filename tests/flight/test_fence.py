@@ -239,7 +239,7 @@ def test_nobody_takes_it_from_a_vehicle_in_the_air(run_dir: Path) -> None:
     assert any("left on the vehicle" in note for note in result.notes)
 
 
-def test_a_real_vehicle_without_set_params_is_told_what_to_do(run_dir: Path) -> None:
+def test_a_real_vehicle_without_set_params_is_given_the_remedy(run_dir: Path) -> None:
     link = FaultyLink(options())
     session = Session(Port(link))
     session.connect()
