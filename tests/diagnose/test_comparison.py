@@ -108,7 +108,9 @@ def test_what_only_the_velocity_shows_beside_a_recorded_specific_force_is_an_ins
     larger, smaller = fitted(y, column, names, Model((term,))), fitted(y, column[:, :0], (), Model(()))
     larger, smaller = (replace(m, rows=replace(m.rows, stratum=channel)) for m in (larger, smaller))
     segments = responses(SEGMENTS, EACH, REPEATS)
-    estimator = SimpleNamespace(segments=segments, covariance=lambda *_: SimpleNamespace(names=()))
+    estimator = SimpleNamespace(
+        segments=segments, covariance=lambda *_: Covariance((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
+    )
     floor = floor_of(smaller.rows, segments, {})
     e = evidence_of(catalogue()[term], larger, smaller, estimator, GROUPS, floor, 30)
     assert (e.nats > 100.0) is named
@@ -309,7 +311,7 @@ def test_a_coefficient_whose_intervals_all_hold_its_null_value_may_be_nothing(te
     known = Covariance(names, np.diag([s**2 for s in stds.values()]), np.eye(len(names)), np.full(len(names), 1e6))
     estimator = SimpleNamespace(covariance=lambda *_: known)
     model = Fitted(Model((term,)), names, Optimum(values, {}, NOISE, 0.0), None)
-    said = may_be_nothing(catalogue()[term], model, estimator)
+    said = may_be_nothing(catalogue()[term], model, estimator, repeated=True)
     assert (said == "") is named
     assert named or names[-1] in said
 
@@ -322,9 +324,23 @@ def test_the_error_of_a_nonlinear_parameter_is_none_of_its_coefficient():
     estimator = SimpleNamespace(covariance=lambda *_: Covariance(names, matrix, matrix, np.full(2, 1e6)))
     at = Optimum({"fade_depth": 0.14, "fade_tau": 40.0}, {}, NOISE, 0.0)
     term = catalogue()["thrust_fade"]
-    assert may_be_nothing(term, Fitted(Model((term.id,)), names, at, None), estimator) == ""
+    assert may_be_nothing(term, Fitted(Model((term.id,)), names, at, None), estimator, repeated=True) == ""
     at = replace(at, values={"fade_depth": 0.028, "fade_tau": 40.0})
-    assert "may be nothing" in may_be_nothing(term, Fitted(Model((term.id,)), names, at, None), estimator)
+    assert "may be nothing" in may_be_nothing(
+        term, Fitted(Model((term.id,)), names, at, None), estimator, repeated=True
+    )
+
+
+def test_what_the_equations_may_err_counts_where_repeats_limit_it():
+    """Without repeats it is the whole residual: a wind of 402 nats had 2.5 +- 3 m/s."""
+    names = ("k_inflow",)
+    limit = np.array([[0.09**2]])
+    known = Covariance(names, np.array([[0.02**2]]), np.eye(1), np.full(1, 1e6), limit)
+    estimator = SimpleNamespace(covariance=lambda *_: known)
+    model = Fitted(Model(("axial_inflow",)), names, Optimum({"k_inflow": 0.1}, {}, NOISE, 0.0), None)
+    term = catalogue()["axial_inflow"]
+    assert "may be nothing" in may_be_nothing(term, model, estimator, repeated=True)
+    assert may_be_nothing(term, model, estimator, repeated=False) == ""
 
 
 def test_few_groups_neither_carry_a_name_nor_refuse_it(rng):

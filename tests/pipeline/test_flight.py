@@ -261,7 +261,7 @@ def test_a_waiver_names_a_check(call, script, tmp_path):
 
 
 def test_every_check_can_be_waived_by_a_name_that_is_known():
-    source = Path(preflight.__file__).read_text()
+    source = "".join(p.read_text() for p in Path(preflight.__file__).parent.glob("*.py"))
     assert set(re.findall(r'Check\(\s*"([^"]+)"', source)) == set(preflight.NAMES)
 
 

@@ -44,4 +44,4 @@ def test_import_and_segment_account_for_every_second(flight_csv, tmp_path):
         assert sum(row["share"] for row in rows) == pytest.approx(1.0)
         assert rows[0]["used"]
         (section,) = (s for s in result.document.sections if s.id == "time")
-        assert "are used" in section.lead
+        assert "are used" in section.lead + "".join(getattr(block, "brief", "") for block in section.blocks)

@@ -183,21 +183,24 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates),
         without=without,
-        nothing=may_be_nothing(term, fitted, estimator),
+        nothing=may_be_nothing(term, fitted, estimator, repeated=floor.repeated(*place)),
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
         tested=bool(intervals),
     )
 
 
-def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator) -> str:
-    """The linear coefficients of a term all of whose 95 % intervals, what the equations may err included, hold the null value: what is
-    printed beside a name must not say that there may be nothing. Empty where one does not, and for terms without any. Nonlinear parameters
-    are held: they mean nothing where a coefficient has its null value (Davies 1977), so their error is none of its."""
+def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, repeated: bool) -> str:
+    """The linear coefficients of a term all of whose 95 % intervals hold the null value: a name must not stand beside what may be nothing.
+    Empty where one does not, and for terms without any. Nonlinear parameters are held: they mean nothing where a coefficient has its null
+    value (Davies 1977), so their error is none of its. repeated: whether steps were; if not, nothing but the residual itself limits what
+    the equations may err, and only the scatter between cells counts."""
     own = [p for p in term.amplitudes if p.name in fitted.names]
     if not own:
         return ""
     known = estimator.covariance(fitted.model, fitted.at, fitted.names)
+    if not repeated:
+        known = replace(known, discrepancy=None)
     shapes = [known.names.index(p.name) for p in term.shapes if p.name in known.names]
     said = ""
     for p in own:
