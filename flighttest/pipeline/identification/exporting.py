@@ -73,6 +73,11 @@ def _rotorpy(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
     said = [
         f"RotorPy's vehicle has no {join(list(lacking), 'or')}" if lacking else "no term of the model is left out",
         "drag follows the rotor speed instead of being constant, and is one number for forward and left",
+        *(
+            ["fuselage drag goes with the speed of the whole airflow, not of each axis"]
+            if "quadratic_drag" in stored.model.terms
+            else []
+        ),
         f"on tilt steps of 0.3 rad and throttle steps of a fifth, 3 s long, this leaves {number(error['velocity_m_s'], 2)} m/s and "
         f"{number(error['attitude_rad'], 2)} rad at most against the model's own simulation, in steps of 2 ms",
         "mass, arm and inertia are not identified: the forces per mass and the attitude loops are what holds",
