@@ -29,6 +29,7 @@ class Keeper:
         self._out: list[Message] = []
         self.now_s, self.given, self.asked_from = 1000.0, 0, []
         self._beat_s = 0.0
+        self.log, self.at_once = LOG, {"LOG_DATA": 5, "FILE_TRANSFER_PROTOCOL": 5}
 
     def send(self, data: bytes) -> None:
         for message in self._ours.parse_buffer(data) or []:
@@ -36,15 +37,15 @@ class Keeper:
                 continue
             if message.get_type() == "LOG_REQUEST_LIST":
                 for n in range(1, self._logs + 1) or (0,):
-                    size = len(LOG) if n == 2 else 50
+                    size = len(self.log) if n == 2 else 50
                     self._out.append(book.MAVLink_log_entry_message(n, self._logs, self._logs, 1_700_000_000, size))
             elif message.get_type() == "FILE_TRANSFER_PROTOCOL":
                 self.transfer(Packet.from_payload(bytes(message.payload)))
             elif message.get_type() == "LOG_REQUEST_DATA":
                 self.asked_from.append(message.ofs)
                 self._out = []
-                for at in range(message.ofs, min(message.ofs + message.count, len(LOG)), 90):
-                    data_ = LOG[at : min(at + 90, message.ofs + message.count)]
+                for at in range(message.ofs, min(message.ofs + message.count, len(self.log)), 90):
+                    data_ = self.log[at : min(at + 90, message.ofs + message.count)]
                     self._out.append(
                         book.MAVLink_log_data_message(message.id, at, len(data_), list(data_.ljust(90, b"\0")))
                     )
@@ -60,14 +61,15 @@ class Keeper:
         if self.now_s >= self._beat_s:
             self._beat_s = self.now_s + 1.0
             sent += self._pack(book.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3))
-        for message in self._out[:5]:
+        count = self.at_once.get(self._out[0].get_type(), 5) if self._out else 0
+        for message in self._out[:count]:
             if message.get_type() == "LOG_DATA":
                 self.given += message.count
             elif message.get_type() == "FILE_TRANSFER_PROTOCOL":
                 self.given += message.payload[4]
             frame = self._pack(message)
             sent += b"" if self._draw.random() < self._loss else frame
-        self._out = self._out[5:]
+        self._out = self._out[count:]
         return sent
 
     def _pack(self, message: Message) -> bytes:
@@ -83,9 +85,13 @@ class FileKeeper(Keeper):
     """The same with MAVLink FTP, as ArduPilot's GCS_FTP.cpp answers: one open file per session, bursts of 500 packets, an answer given
     again to a request of the same number. damaged: one byte that is not the file's."""
 
-    def __init__(self, loss: float = 0.0, cut_at: float = 1e9, damaged: bool = False) -> None:
+    def __init__(
+        self, loss: float = 0.0, cut_at: float = 1e9, damaged: bool = False, at_once: dict[str, int] | None = None
+    ) -> None:
         super().__init__(loss, cut_at)
-        self.files = {"00000001.BIN": bytes(50), "00000002.BIN": LOG, "LASTLOG.TXT": b"2"}
+        if at_once is not None:
+            self.log, self.at_once = 8 * LOG, at_once
+        self.files = {"00000001.BIN": bytes(50), "00000002.BIN": self.log, "LASTLOG.TXT": b"2"}
         self.open: tuple[int, bytes] | None = None
         self.bursts: list[int] = []
         self._damaged, self._last = damaged, Packet(0, 0, 0)
@@ -190,7 +196,7 @@ def test_a_log_comes_by_mavlink_ftp_where_the_vehicle_offers_it(loss: float, tmp
     assert (tmp_path / "a.BIN").read_bytes() == LOG
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
-    assert not keeper.asked_from, "LOG_REQUEST_DATA was used"
+    assert loss or not keeper.asked_from, "LOG_REQUEST_DATA was used"
     assert keeper.open is None, "the file was left open"
 
 
@@ -201,6 +207,21 @@ def test_a_file_that_was_cut_goes_on_where_it_stopped(tmp_path: Path) -> None:
     download(again, tmp_path / "a.BIN")
     assert min(again.bursts) > 40_000
     assert (tmp_path / "a.BIN").read_bytes() == LOG
+
+
+@pytest.mark.parametrize(
+    ("at_once", "by_data"),
+    [({"FILE_TRANSFER_PROTOCOL": 1, "LOG_DATA": 20}, True), ({"FILE_TRANSFER_PROTOCOL": 5, "LOG_DATA": 1}, False)],
+)
+def test_the_faster_of_two_ways_is_measured_and_taken(at_once: dict[str, int], by_data: bool, tmp_path: Path) -> None:
+    """One packet of 239 bytes at a time against twenty of 90, and five against one. Both ways give parts of one file."""
+    keeper = FileKeeper(at_once=at_once)
+    shares = download(keeper, tmp_path / "a.BIN")
+    assert (tmp_path / "a.BIN").read_bytes() == keeper.log
+    assert shares == sorted(shares)
+    assert keeper.asked_from, "it was not tried"
+    assert (max(keeper.asked_from) > max(keeper.bursts)) is by_data
+    assert keeper.open is None
 
 
 def test_a_file_that_is_not_what_the_vehicle_has_is_refused(tmp_path: Path) -> None:

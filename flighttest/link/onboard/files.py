@@ -119,19 +119,32 @@ class Files:
             return None
         return int.from_bytes(answer.data[:4], "little")
 
-    def read(self, path: str, begin: int, end: int, take: Callable[[bytes], object]) -> None:
-        """The bytes of a file from `begin` to `end`, in order, in pieces. LinkError where it cannot be opened or stops coming."""
+    def read(
+        self,
+        path: str,
+        begin: int,
+        end: int,
+        take: Callable[[bytes], object],
+        enough: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """The bytes of a file from `begin` to `end`, in order, in pieces. LinkError where it cannot be opened or stops coming.
+
+        enough: asked between bursts, which a vehicle does not break off: whether to end before `end`.
+        """
         self._close()  # what a download that was cut off left open
         answer = self._ask(Operation.OPEN_FILE_RO, path.encode())
         if answer is None or answer.refusal is not None:
             raise LinkError(f"the vehicle does not open {path}", "another station may be reading a file: try again")
         self._file_session = answer.session
         try:
-            self._read(path, begin, end, take)
+            self._read(path, (begin, end), take, enough)
         finally:
             self._close()
 
-    def _read(self, path: str, begin: int, end: int, take: Callable[[bytes], object]) -> None:
+    def _read(
+        self, path: str, span: tuple[int, int], take: Callable[[bytes], object], enough: Callable[[], bool]
+    ) -> None:
+        begin, end = span
         have, progress_s, ahead = begin, self._session.now_s(), dict[int, bytes]()
 
         def keep(packet: Packet) -> bool:
@@ -147,6 +160,8 @@ class Files:
                     self._send(Operation.READ_FILE, b"", offset, size)
                 wanted = {offset for offset, _ in gaps}
                 self._until(Operation.READ_FILE, lambda p, wanted=wanted: keep(p) or wanted <= ahead.keys())  # type: ignore[misc]
+            elif enough():
+                return
             else:
                 self._send(Operation.BURST_READ_FILE, b"", have, DATA_BYTES)
                 self._until(Operation.BURST_READ_FILE, keep)
