@@ -14,6 +14,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from tests.faults.cells import FAULTS, STATES, Cell, fly_cell
+from tests.faults.defects import HEADING as DEFECTS_HEADING
+from tests.faults.defects import table as of_defects
 from tests.faults.endurance import GROWTH_MAX_MB, RANDOM_FLIGHTS, Drawn, Soak, live_soak, random_flight, soak
 from tests.faults.lines import OverLine, fly_script
 from tests.faults.proxy import Fault, When
@@ -94,7 +96,7 @@ def tell(cell: Cell) -> None:
 
 ENDURANCE_HEADING = "## An hour, and faults at random"
 LINES_HEADING = "## Over serial lines"
-HEADINGS = (SITL_HEADING, ENDURANCE_HEADING, LINES_HEADING)
+HEADINGS = (SITL_HEADING, ENDURANCE_HEADING, LINES_HEADING, DEFECTS_HEADING)
 
 
 def of_soak(hour: Soak, what: str) -> str:
@@ -232,7 +234,7 @@ def main() -> int:
         return 0 if right else 1
     # Read only now: another part may have been written meanwhile.
     parts = parts_of(words.output.read_text(encoding="utf-8") if words.output.exists() else "")
-    parts[heading] = part
+    parts |= {heading: part, DEFECTS_HEADING: of_defects()}
     text = "\n".join(parts[h].strip("\n") + "\n" for h in ("", *HEADINGS) if parts.get(h, "").strip())
     words.output.write_text(text, encoding="utf-8")
     return 0 if right else 1

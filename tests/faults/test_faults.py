@@ -7,6 +7,7 @@ import pytest
 from flighttest.flight import LegOutcome
 from flighttest.sim import SimOptions
 from tests.faults.cells import FAULTS, QUICK, fly_cell
+from tests.faults.defects import DEFECTS, Defect
 from tests.faults.proxy import Fault, Proxy, When
 from tests.flight.faulty import fly, make_leg, make_plan
 
@@ -54,3 +55,15 @@ def test_a_second_vehicle_heard_in_flight_costs_a_step_and_not_all_of_its_kind(t
     flown = [leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN]
     assert (result.outcome.name, result.left.name) == ("COMPLETED", "LANDED")
     assert len(flown) == 6
+
+
+@pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.name)
+def test_each_defect_that_was_seen_has_its_tests(defect: Defect, repository: Path) -> None:
+    """By name, on the page; and what would take its cure out is in the code still."""
+    page = (repository / "docs" / "faults.md").read_text(encoding="utf-8")
+    for cure in defect.cures:
+        assert cure.text in (repository / "flighttest" / cure.file).read_text(encoding="utf-8")
+        for test in cure.tests:
+            file, _, name = test.partition("::")
+            assert not name or f"def {name}(" in (repository / file).read_text(encoding="utf-8")
+            assert test.removeprefix("tests/") in page
