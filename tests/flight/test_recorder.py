@@ -153,10 +153,10 @@ def test_the_space_kept_back_ends_the_record(run_dir: Path) -> None:
 
 
 def test_the_reserve_is_of_its_size_and_leaves_nothing(run_dir: Path) -> None:
-    before = os.statvfs(run_dir.parent)
     made = recorder(run_dir)
-    now = os.statvfs(run_dir)
-    assert (before.f_bavail - now.f_bavail) * now.f_frsize > 0.5 * RESERVE_BYTES
+    # Of the file itself: what is free on the disk changes by what others write and remove.
+    assert made.reserve._file is not None
+    assert os.fstat(made.reserve._file.fileno()).st_blocks * 512 >= RESERVE_BYTES
     assert sorted(p.name for p in run_dir.iterdir()) == [
         "events.jsonl",
         "manifest.yaml",
