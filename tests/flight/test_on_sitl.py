@@ -26,7 +26,7 @@ from flighttest.link.port import Port
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import book, is_armed, parser
 from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
@@ -244,6 +244,12 @@ def test_a_lost_transmitter_is_said_at_once(sitl, tmp_path):
         back = book.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 0.0, book.MAV_PARAM_TYPE_REAL32)
         witness.session.send(back)
         witness.session.port.close()
+    # The firmware lands by its own failsafe after the flight was left to it; the next test begins on the ground. A link of its own: what
+    # was sent during the flight waits on the other.
+    after = second_link(sitl)
+    landed = after.session.await_message(lambda m: m.get_type() == "HEARTBEAT" and not is_armed(m), 180.0)
+    after.session.port.close()
+    assert landed is not None
     alarmed = [t for t, text in said if text == LOST]
     assert alarmed, (result.outcome, said)
     assert SPEEDUP * (alarmed[0] - failed[0]) < 1.5, "vehicle seconds"
