@@ -252,6 +252,7 @@ def worst(
                         if side
                         else clearance.inner_low[axis] - clearance.outer_low[axis]
                     )
+                    # The product is infinite where the power of a float raises OverflowError: a model that diverges.
                     over[:, axis, side] = np.minimum(over[:, axis, side], speed * speed / (2.0 * BRAKE_M_S2) - margin)
         found = _larger(found, _excess(track, over, lost=True))
     return found

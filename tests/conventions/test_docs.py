@@ -8,12 +8,17 @@ import pytest
 import yaml
 
 
-@pytest.fixture(scope="module")
-def generate(repository):
-    spec = importlib.util.spec_from_file_location("docs_generate", repository / "docs" / "generate.py")
+def loaded(path):
+    """A program of docs/ as a module."""
+    spec = importlib.util.spec_from_file_location(f"docs_{path.stem}", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def generate(repository):
+    return loaded(repository / "docs" / "generate.py")
 
 
 def test_generated_docs_are_current(generate):
@@ -22,10 +27,7 @@ def test_generated_docs_are_current(generate):
 
 @pytest.fixture(scope="module")
 def term_figures(repository):
-    spec = importlib.util.spec_from_file_location("term_figures", repository / "docs" / "term_figures.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(repository / "docs" / "term_figures.py")
 
 
 def numbers_of(caption):

@@ -211,6 +211,19 @@ def test_a_refit_that_is_not_finite_is_a_dropped_candidate(searched, monkeypatch
     assert search.named == {"b"}
 
 
+def test_a_refit_whose_algebra_fails_is_a_dropped_candidate(searched, monkeypatch):
+    usual = Scripted.refitted
+
+    def failing(self, among, members, scored):
+        found = usual(self, among, members, scored)
+        if "a" in found.model.terms:
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return found
+
+    monkeypatch.setattr(Scripted, "refitted", failing)
+    assert searched({"a": 10.0, "b": 8.0}, {}).named == {"b"}
+
+
 @pytest.mark.parametrize(("nats", "confusable"), [(-5.0, True), (2.0, True), (2.9, True), (4.0, False), (5.9, False)])
 def test_a_rival_is_within_chance_up_to_odds_of_twenty(nats, confusable):
     assert Alias("b", 0.95, nats).confusable is confusable

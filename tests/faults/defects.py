@@ -147,7 +147,7 @@ DEFECTS: tuple[Defect, ...] = (
         "tests/flight/test_slow_links.py::test_rates_fit_into_what_a_link_carries",
         "tests/flight/test_slow_links.py::test_a_slow_link_flies_with_fewer_messages",
     ),
-    Defect("D19", "targets leave late on a loaded host, and nobody says so", (
+    Defect("D19", "targets leave late on a loaded host, and the flight does not report it", (
         Cure("flight/execution/legs.py", "if start + t_s - sent_s + port.late_s > control.gate.held_up_max_s:", "if False:",
              ("tests/flight/test_two_faults.py::test_a_step_whose_targets_left_too_late_is_flown_again_and_says_so",)),
         Cure("link/port.py", "if self._sender is None or self.muted:\n            return self.send(message)",

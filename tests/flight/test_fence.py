@@ -216,7 +216,7 @@ def test_a_record_that_is_none() -> None:
     assert fence_set({"run": "run", "left": True, "before": 5, "given": []}, "run") is None  # type: ignore[typeddict-item]
 
 
-def test_nobody_takes_it_from_a_vehicle_in_the_air(run_dir: Path) -> None:
+def test_a_vehicle_in_the_air_keeps_it(run_dir: Path) -> None:
     """Ctrl-C twice: the vehicle is left in BRAKE, and keeps its fence."""
     link = FaultyLink(options())
     presses: list[int] = []

@@ -28,7 +28,7 @@ def test_the_vehicle_file_is_believed_before_the_recordings_and_these_before_the
 @pytest.mark.parametrize(
     ("highest_v", "nominal_v"), [(4.1, 3.7), (12.6, 11.1), (16.75, 14.8), (21.5, 22.2), (25.2, 22.2), (0.3, 22.2)]
 )
-def test_the_nominal_voltage_that_nobody_states_is_that_of_the_battery_recorded(highest_v, nominal_v):
+def test_without_a_stated_nominal_voltage_it_is_that_of_the_recorded_battery(highest_v, nominal_v):
     """At 22.2 V the gain of a single cell is bound up with the exponent: fits of three hops ended between 92 and 605 m/s^2 for 14."""
     volts = np.linspace(0.8 * highest_v, highest_v, 50)
     read = replace(recorded(), series={"battery": Series(np.arange(50.0), {"voltage_v": volts})})

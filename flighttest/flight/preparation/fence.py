@@ -192,8 +192,8 @@ class ZoneFence:
                 raise _refused("the vehicle stands outside the zone's polygon", "carry it into the zone")
 
     def restore(self, *, airborne: bool) -> str:
-        """Put the fence back that the vehicle kept, verified; a sentence where it could not be, else ''. Nobody takes it from a vehicle
-        that is left in the air."""
+        """Put the fence back that the vehicle kept, verified; a sentence where it could not be, else ''. A vehicle
+        that is left in the air keeps the zone's."""
         if self._set is None:
             return ""
         if self._restores and not airborne and not self._vehicle.session.port.muted:

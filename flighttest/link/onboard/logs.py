@@ -45,6 +45,16 @@ class OnboardLog:
     by: str = ""
 
 
+@dataclass(frozen=True)
+class _Download:
+    """What is downloaded of a log, up to `size`, and where to."""
+
+    number: int
+    size: int
+    file: IO[bytes]
+    on_progress: Callable[[float], None]
+
+
 def mavsdk_url(url: str) -> str:
     """MAVSDK's form of one of our URLs. InputError for anything else."""
     kind, _, rest = full_url(url).partition(":")
@@ -182,31 +192,24 @@ class LogDownload:
         By MAVLink FTP where the log is a file that it offers, and by LOG_REQUEST_DATA from where that is measured to be faster: ArduPilot
         paces its bursts (flown on its SITL: 42 kB/s against 950 kB/s).
         """
-        have, into = file.seek(0, os.SEEK_END) if begin is None else begin, (file, on_progress)
+        have, to = file.seek(0, os.SEEK_END) if begin is None else begin, _Download(number, size, file, on_progress)
         if self._path is None:
-            self._by_data(number, (have, size), *into)
+            self._by_data(to, have)
             return
         rates: list[float] = []  # bytes per second of the one and the other
         for way in (self._by_file, self._by_data):
             before, began_s = have, self._session.now_s()
-            have = way(number, (have, size), *into, for_s=_TRIAL_S)
+            have = way(to, have, _TRIAL_S)
             rates.append((have - before) / max(self._session.now_s() - began_s, 1e-3))
             self.by.append("MAVLink FTP" if way == self._by_file else "LOG_REQUEST_DATA")
             if have >= size:
                 return
         quicker = self._by_data if rates[1] > rates[0] else self._by_file
-        quicker(number, (have, size), *into)
+        quicker(to, have)
 
-    def _by_data(
-        self,
-        number: int,
-        span: tuple[int, int],
-        file: IO[bytes],
-        on_progress: Callable[[float], None],
-        for_s: float = math.inf,
-    ) -> int:
-        """By LOG_REQUEST_DATA, for so long: how far it came. LinkError where it stops."""
-        have, size = span
+    def _by_data(self, to: _Download, have: int, for_s: float = math.inf) -> int:
+        """By LOG_REQUEST_DATA from byte `have` on, for so long: how far it came. LinkError where it stops."""
+        number, size = to.number, to.size
         began_s = progress_s = self._session.now_s()
         ahead: dict[int, bytes] = {}  # what has come, by its place
 
@@ -226,12 +229,12 @@ class LogDownload:
             before = have
             while have in ahead:
                 data = ahead.pop(have)
-                file.write(data)
+                to.file.write(data)
                 have += len(data)
-            file.flush()
+            to.file.flush()
             if have > before:
                 progress_s = self._session.now_s()
-                on_progress(min(have / size, 1.0))
+                to.on_progress(min(have / size, 1.0))
             elif self._session.now_s() - progress_s > SILENCE_S:
                 raise LinkError(
                     f"the download of log {number} stopped at {100.0 * have / size:.0f} %",
@@ -240,30 +243,22 @@ class LogDownload:
         self._session.send(book.MAVLink_log_request_end_message(self._system, COMPONENT_AUTOPILOT))
         return have
 
-    def _by_file(
-        self,
-        _number: int,
-        span: tuple[int, int],
-        file: IO[bytes],
-        on_progress: Callable[[float], None],
-        for_s: float = math.inf,
-    ) -> int:
+    def _by_file(self, to: _Download, have: int, for_s: float = math.inf) -> int:
         """The same by MAVLink FTP, in whole bursts."""
-        have, size = span
         path, began_s = self._path or "", self._session.now_s()
 
         def take(data: bytes) -> None:
             nonlocal have
-            file.write(data)
-            file.flush()
+            to.file.write(data)
+            to.file.flush()
             have += len(data)
-            on_progress(min(have / size, 1.0))
+            to.on_progress(min(have / to.size, 1.0))
 
         try:
-            self._files.read(path, have, size, take, lambda: self._session.now_s() - began_s >= for_s)
+            self._files.read(path, have, to.size, take, lambda: self._session.now_s() - began_s >= for_s)
         except LinkError as error:
             raise LinkError(
-                f"the download of {path} stopped at {100.0 * have / size:.0f} %: {error.message}",
+                f"the download of {path} stopped at {100.0 * have / to.size:.0f} %: {error.message}",
                 "move closer, and give the same command again: it goes on from there",
             ) from error
         return have
