@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from made_rows import autoregressive, responses, rows_of
 
-from flighttest.diagnose.residuals.lack_of_fit import floor_of
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import redundant
 from flighttest.diagnose.selection.comparison import (
     Evidence,
     Fitted,
     evidence_of,
     inadmissible,
+    least_size,
     log_evidence,
     log_odds_asked,
     may_be_nothing,
@@ -47,6 +48,21 @@ def evidence(y, columns):
     larger, smaller = fitted(y, columns, names), fitted(y, columns[:, :-1], names[:-1])
     floor = floor_of(larger.rows, segments, {})
     return sum(log_evidence(larger, smaller, SimpleNamespace(segments=segments), GROUPS, floor).values())
+
+
+@pytest.mark.parametrize("shapes", [(), ("tau",)])
+def test_the_size_of_a_linear_effect_beside_the_others_is_known_before_a_refit(rng, shapes):
+    segments = responses(SEGMENTS, EACH, REPEATS)
+    base, other, own = (rng.normal(size=SEGMENTS * EACH) for _ in range(3))
+    floor = NoiseFloor({"f_z_m_s2": 0.1, "v_z_m_s": 0.1}, frozenset(), {})
+    fit = fitted(rng.normal(size=base.size), base[:, None], ("p0",))
+    # A tenth of the second candidate is neither what the base nor what the first does, so a tenth of the first is its own.
+    members = [
+        SimpleNamespace(term=SimpleNamespace(shapes=what), names=("k",), columns=c[:, None], unprofiled=c[:, None])
+        for c, what in ((other, ()), (3.0 * base + other + 0.1 * own, shapes))
+    ]
+    size = least_size(fit, members, np.array([1.0, 0.2]), segments, floor)
+    assert size == pytest.approx(1.0 if shapes else 0.2, rel=0.1)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])

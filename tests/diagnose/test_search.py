@@ -22,6 +22,8 @@ NO_NUMBERS = SimpleNamespace(
     residual=np.zeros(1), jacobian=np.full((1, 1), np.nan), unprofiled_jacobian=np.zeros((1, 1))
 )
 
+QUIET = Noise({}, {})
+
 
 def fitted(*terms):
     return Fitted(SimpleNamespace(terms=tuple(sorted(terms))), (), SimpleNamespace(objective=1.0), NUMBERS)
@@ -45,6 +47,7 @@ class Scripted(Search):
     asked: list = field(default_factory=list)
     lacking: bool = False
     bare: tuple = ()  # terms without a linear coefficient
+    small: tuple = ()  # terms whose effect is known to be small before a refit
 
     def fit_of(self, model, start, inactive, reported=False):
         return fitted(*model.terms) if reported else fitted()
@@ -63,6 +66,9 @@ class Scripted(Search):
         ]
         self.subsets = SimpleNamespace(terms=lambda s: frozenset(self.candidates[j].term.id for j in s.members))
         self.lack_of_fit = self.lacking
+
+    def _least_size(self, members, scored):
+        return 0.0 if any(c.term.id in self.small for c in members) else np.inf
 
     def refitted(self, among, members, scored):
         made = fitted(*among.model.terms, *(c.term.id for c in members))
@@ -107,6 +113,10 @@ def test_the_best_subset_is_refitted_and_what_it_needs_is_named(searched):
 
 def test_what_has_odds_against_it_is_not_refitted(searched):
     assert searched({"a": -0.1, "b": -3.0}, {}).refits == []
+
+
+def test_a_subset_with_a_term_whose_effect_is_too_small_to_stay_is_not_refitted(searched):
+    assert searched({"a": 5.0, "b": 4.0, "ab": 9.0}, {}, small=("b",)).refits == ["a"]
 
 
 def test_where_something_is_missing_terms_without_a_coefficient_are_refitted_whatever_their_score(searched):
@@ -331,7 +341,7 @@ class Likelihoods:
 
     def fit(self, model, start, names, *, compared_with=None, reported=False):
         self.compared.append(("".join(sorted(model.terms)), compared_with))
-        return SimpleNamespace(values=dict.fromkeys(names, 1.0), log_likelihood=start.log_likelihood, objective=0.0)
+        return Optimum(dict.fromkeys(names, 1.0), {}, QUIET, 0.0, start.log_likelihood)
 
     def moved(self, model, at, values=None):
         return SimpleNamespace(values=at.values, log_likelihood=0.0, objective=0.0)
@@ -353,16 +363,14 @@ class Named:
 
 
 def found(*terms, likelihood):
-    return Fitted(Named(terms), (), SimpleNamespace(values={}, log_likelihood=likelihood, objective=0.0), None)
+    return Fitted(Named(terms), (), Optimum({}, {}, QUIET, 0.0, likelihood), None)
 
 
 def test_a_model_that_diverges_without_one_of_its_terms_is_fitted_from_the_base():
     class Diverging(Likelihoods):
         def moved(self, model, at, values=None):
             stable = all(at.values[n] >= 0.0 for n in at.values)
-            return SimpleNamespace(
-                values=at.values | (values or {}), log_likelihood=0.0, objective=0.0 if stable else np.inf
-            )
+            return Optimum(at.values | (values or {}), {}, QUIET, 0.0 if stable else np.inf, 0.0)
 
         def fit(self, model, start, names, *, compared_with=None, reported=False):
             self.compared.append(start)
@@ -372,7 +380,7 @@ def test_a_model_that_diverges_without_one_of_its_terms_is_fitted_from_the_base(
     drag = SimpleNamespace(id="a", amplitudes=(SimpleNamespace(name="k", off=0.0),))
     base = Fitted(Named(()), (), SimpleNamespace(values={"d": 1.0}, objective=0.0), NUMBERS)
     search = Search(estimator, (drag, SimpleNamespace(id="b", amplitudes=())), np.zeros(1, dtype=int), base=base)
-    at = SimpleNamespace(values={"d": -2.0, "k": 5.0}, log_likelihood=9.0, objective=0.0)
+    at = Optimum({"d": -2.0, "k": 5.0}, {}, QUIET, 0.0, 9.0)
     search.without("b", Fitted(Named(("a", "b")), (), at, NUMBERS))
     assert [s.values for s in estimator.compared] == [{"d": 1.0, "k": 0.0}]
 

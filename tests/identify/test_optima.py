@@ -56,6 +56,22 @@ def test_several_frequencies_tell_them_apart():
     assert found.values["T_d_attitude"] == pytest.approx(DELAY, abs=0.002)
 
 
+def test_a_start_that_ends_in_the_same_optimum_is_not_followed_with_all_responses(monkeypatch):
+    # Loops that err alike in no response: a part of them has its optimum elsewhere than all, and it is no other one for that.
+    windows = [w for seed in range(6) for w in rolled((5.0, 12.0, 17.5, 30.0), seed)]
+    problem = problem_of(windows, Model(), fixed=("omega_theta", "zeta_theta"))
+    solution = solve(problem, {"omega_phi": OMEGA, "zeta_phi": ZETA, "T_d_attitude": DELAY})
+    asked = []
+    monkeypatch.setattr(optima, "followed", lambda *_: False)
+    monkeypatch.setattr(
+        optima, "solve", lambda p, *a, **k: asked.append(len(p.parts[0].responses)) or solve(p, *a, **k)
+    )
+    best, rivals = optima.local_optima(problem, solution, robust=True)
+    assert best is solution
+    assert not rivals
+    assert asked == [24] * 3  # from here, from a slower and from a quicker loop
+
+
 def climbed(gust: float, seed: int = 1) -> list[Segment]:
     """A level flight up and down under a height loop; gusts act along the vertical."""
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
+from flighttest.diagnose.selection.candidates import Candidate, null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
     cross_validated,
@@ -24,8 +24,8 @@ from flighttest.diagnose.selection.held_out import (
     stratum_gains,
 )
 from flighttest.estimation.estimator import Estimator, finite
-from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
-from flighttest.estimation.problem import kinds_of
+from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal, regression
+from flighttest.estimation.problem import Noise, kinds_of
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.estimation.uncertainty.covariance import interval_factor
 from flighttest.physics.core import Param, Term
@@ -34,17 +34,21 @@ from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
+# Below this a term that is linear beside the present model, whose effect is known before it is refitted, is not: it would leave again.
+REFITTED_FLOORS = 0.5 * LEAST_FLOORS
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model at its optimum. names: what is estimated; rows: with columns for names; inactive: terms fixed at their null values."""
+    """A model at its optimum. names: what is estimated; rows: with columns for names, whitened in `noise`, the optimum's own where None;
+    inactive: terms fixed at their null values."""
 
     model: Model
     names: tuple[str, ...]
     at: Optimum
     rows: Linearisation
     inactive: frozenset[str] = frozenset()
+    noise: Noise | None = None
 
     def residual(self) -> FloatArray:
         """(n,) whitened, without what the model's own columns explain."""
@@ -93,11 +97,9 @@ class Evidence:
         if len(self.worsened) > len(self.improved):
             counts = f"{len(self.worsened)} and {len(self.improved)}"
             return f"of what was not used, more channels are predicted worse with it than better ({counts})"
-        if self.nothing:
-            return self.nothing
         if not self.probability >= PROBABILITY:
             return f"cross-validated evidence of {self.nats:.1f} nats: the probability that it is needed is {self.probability:.2g}"
-        return ""
+        return self.nothing
 
 
 def probability_of(nats: float, candidates: int) -> float:
@@ -131,7 +133,8 @@ def cross_validations(
     """Of the larger and of the smaller model over groups, in the noise and discrepancy of the larger."""
     weights = weights_of(larger, estimator.segments, floor)
     at = replace(smaller.at, noise=larger.at.noise)
-    rows = smaller.rows if at.noise == smaller.at.noise else estimator.linearise(smaller.model, at, smaller.names)
+    known = at.noise == (smaller.noise or smaller.at.noise)
+    rows = smaller.rows if known else estimator.linearise(smaller.model, at, smaller.names)
 
     def of(rows: Linearisation, names: Sequence[str]) -> CrossValidation:
         return CrossValidation(rows, cross_validated(rows, names, groups, weights(rows)))
@@ -173,7 +176,7 @@ def evidence_of(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
-    return Evidence(
+    found = Evidence(
         term=term.id,
         nats=nats,
         probability=probability_of(nats, candidates),
@@ -183,11 +186,38 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates),
         without=without,
-        nothing=may_be_nothing(term, fitted, estimator, repeated=floor.repeated(*place)),
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
         tested=bool(intervals),
     )
+    # Asked last: it takes a covariance.
+    return (
+        found
+        if found.why_not
+        else replace(found, nothing=may_be_nothing(term, fitted, estimator, repeated=floor.repeated(*place)))
+    )
+
+
+def least_size(
+    fitted: Fitted,
+    members: Sequence[Candidate],
+    coefficients: FloatArray,
+    segments: Sequence[Segment],
+    floor: NoiseFloor,
+) -> float:
+    """Size, in noise floors, of the smallest effect beside a fitted model and the other members, among members of linear coefficients
+    alone: of the others the refit may make more. coefficients: of the members' columns, one after the other."""
+    profiled = [fitted.rows.columns(fitted.names), *(c.columns for c in members)]
+    unprofiled = [fitted.rows.unprofiled_columns(fitted.names), *(c.unprofiled for c in members)]
+    ends, found = np.cumsum([c.columns.shape[1] for c in members]), math.inf
+    for k, c in enumerate(members):
+        if c.term.shapes or not c.names:
+            continue
+        own = coefficients[ends[k] - c.columns.shape[1] : ends[k]]
+        others, as_predicted = (np.concatenate([*a[: k + 1], *a[k + 2 :]], axis=1) for a in (profiled, unprofiled))
+        effect = c.unprofiled @ own - as_predicted @ regression(others, c.columns @ own)
+        found = min(found, size_in_floors(fitted.rows, effect, segments, floor)[0])
+    return found
 
 
 def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, repeated: bool) -> str:

@@ -12,7 +12,7 @@ another that left after it, is.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -21,10 +21,13 @@ from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at, null_value
 from flighttest.diagnose.selection.comparison import (
+    LEAST_FLOORS,
+    REFITTED_FLOORS,
     Evidence,
     Fitted,
     evidence_of,
     inadmissible,
+    least_size,
     log_evidence,
     probability_of,
 )
@@ -124,10 +127,13 @@ class Search:
             proposed = self.subsets.terms(scored)
             if proposed & set(self.rejected):
                 continue
+            members = [self.candidates[j] for j in scored.members]
+            if self._least_size(members, scored) < REFITTED_FLOORS:
+                continue
             names = " and ".join(sorted(proposed))
             self.progress(f"refitting with {names}")
             try:
-                fitted = self.refitted(before, [self.candidates[j] for j in scored.members], scored)
+                fitted = self.refitted(before, members, scored)
                 if not fitted.finite:
                     continue
                 kept, evidence, left = self._pruned(fitted, proposed)
@@ -178,6 +184,12 @@ class Search:
             found += [s for s in singles if not self.candidates[s.members[0]].names]
         return found
 
+    def _least_size(self, members: list[Candidate], scored: Scored) -> float:
+        """`least_size` beside the present model."""
+        assert self.now is not None
+        assert self.floor is not None
+        return least_size(self.now, members, scored.coefficients, self.estimator.segments, self.floor)
+
     def linearise(self) -> None:
         """Columns of every candidate outside the present model, and the subsets of them, best first."""
         assert self.now is not None
@@ -203,7 +215,7 @@ class Search:
             members = sorted(self._members(fitted))
             evidence = {t: self._evidence(t, fitted) for t in members if t in proposed}
             worst = _least_needed(evidence.values())
-            if worst is None or worst.inadmissible:
+            if worst is None or (worst.inadmissible and worst.floors >= LEAST_FLOORS):
                 evidence |= {t: self._evidence(t, fitted) for t in members if t not in proposed}
                 # An estimate outside its prior may be the fault of another term, or of the newcomer: these leave first.
                 old = _least_needed(e for t, e in evidence.items() if t not in proposed)
@@ -260,33 +272,40 @@ class Search:
     # Fits.
 
     def _members(self, fitted: Fitted) -> frozenset[str]:
-        return frozenset(t.id for t in self.pool if t.id in fitted.model.terms and t.id not in fitted.inactive)
+        return self._active(fitted.model, fitted.inactive)
+
+    def _active(self, model: Model, inactive: frozenset[str]) -> frozenset[str]:
+        return frozenset(t.id for t in self.pool if t.id in model.terms and t.id not in inactive)
 
     def fit_of(
         self,
         model: Model,
         start: Optimum,
         inactive: frozenset[str],
-        compared_with: float | None = None,
+        compared_with: Optimum | None = None,
         reported: bool = False,
     ) -> Fitted:
-        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with,
-        reported: as of `Estimator.fit`."""
+        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with:
+        optimum of a larger model that it is only compared with, in whose noise it is linearised; reported: as of `Estimator.fit`."""
         names = self._free(model, inactive)
-        fit = partial(self.estimator.fit, compared_with=compared_with, reported=reported)
+        best = None if compared_with is None else compared_with.log_likelihood
+        noise = None if compared_with is None else compared_with.noise
+        fit = partial(self.estimator.fit, compared_with=best, reported=reported)
         at = fit(model, self._finite_start(model, start), names)
         if stuck := self._not_estimates(model, at, names):
             # What drove them there is not their effect: the rest of the term is judged without them.
             names = tuple(n for n in names if n not in stuck)
             start = self._finite_start(model, self.estimator.moved(model, at, stuck))
             at = fit(model, start, names)
-        fitted = Fitted(model, names, at, self.estimator.linearise(model, at, names), inactive)
-        members, rough = self._members(fitted), -np.inf if compared_with is None else compared_with
-        known = self._fits.get(members)
+        members = self._active(model, inactive)
+        rough, known = -np.inf if best is None else best, self._fits.get(members)
         if known is not None and known.names == names and known.at.log_likelihood >= at.log_likelihood:
-            fitted, rough = known, min(rough, self._rough[members])
-        self._fits[members], self._rough[members] = fitted, rough
-        return fitted
+            at, rough = known.at, min(rough, self._rough[members])
+        if known is None or known.at is not at or known.noise != noise:
+            rows = self.estimator.linearise(model, at if noise is None else replace(at, noise=noise), names)
+            known = Fitted(model, names, at, rows, inactive, noise)
+        self._fits[members], self._rough[members] = known, rough
+        return known
 
     def _finite_start(self, model: Model, start: Optimum) -> Optimum:
         """A start from which the simulation is finite: what a model holds without one of its terms may diverge where it was stable with it.
@@ -344,10 +363,11 @@ class Search:
 
     def without(self, term: str, fitted: Fitted) -> Fitted:
         """A model refitted without one of its terms; kept."""
-        rest, best = self._members(fitted) - {term}, fitted.at.log_likelihood
+        rest = self._members(fitted) - {term}
         if rest in self._fits:
             # Good enough for one that is better still; not for one that is nearer.
-            return self._fits[rest] if self._rough[rest] <= best else self.refined(self._fits[rest], best)
+            near = self._rough[rest] > fitted.at.log_likelihood
+            return self.refined(self._fits[rest], fitted.at) if near else self._fits[rest]
         model, inactive, null = fitted.model, fitted.inactive, {}
         if term in self.inactive:
             null = {p.name: null_value(p) for p in self.terms[term].amplitudes}
@@ -355,9 +375,9 @@ class Search:
         else:
             model = model.without_terms(term)
         start = self.estimator.moved(model, fitted.at, null)
-        return self.fit_of(model, start, inactive, compared_with=best)
+        return self.fit_of(model, start, inactive, compared_with=fitted.at)
 
-    def refined(self, fitted: Fitted, compared_with: float | None = None) -> Fitted:
+    def refined(self, fitted: Fitted, compared_with: Optimum | None = None) -> Fitted:
         """A model that was only compared with a better one, at its own optimum, or near enough for another comparison."""
         if self._rough.get(self._members(fitted), -np.inf) == -np.inf:
             return fitted

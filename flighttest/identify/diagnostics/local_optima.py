@@ -56,59 +56,63 @@ class LocalOptimum:
 
 def local_optima(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, LocalOptimum]]:
     """The best of several optima, and by name the parameters of others that this data cannot tell from it."""
-    groups = [g for g in _groups(problem, solution) if not all(followed(problem, solution, i) for i in g)]
-    if not groups or not solution.status.good:
+    if not solution.status.good:
         return solution, {}
-    parts = tuple(problem.parts[i] for g in groups for i in g)
-    doubted = replace(problem, parts=parts, values={**problem.values, **solution.values})
-    free = tuple(n for n in solution.free if any(n in part.block.params for part in doubted.parts))
-    stride = -(-max(len(part.responses) for part in doubted.parts) // SCOUTED)
-    few = doubted.thinned(stride) if stride > 1 else doubted
+    known, taken, found = covariance_of(problem, solution), dict[str, float](), dict[str, LocalOptimum]()
+    for group in _groups(problem, solution):
+        if all(followed(problem, solution, i) for i in group):
+            continue
+        own = replace(
+            problem,
+            parts=tuple(problem.parts[i] for i in group),
+            values={**problem.values, **solution.values},
+        )
+        here = replace(solution, evaluations=tuple(solution.evaluations[i] for i in group))
+        better, rivals = _of_group(own, here, known, robust)
+        taken |= better
+        found |= rivals
+    if taken:
+        again = solve(problem, Start({**solution.values, **taken}, solution.noise), robust=robust)
+        if again.status.good:
+            return again, found
+    return solution, found
+
+
+def _of_group(
+    problem: Problem, best: Solution, known: Covariance, robust: bool
+) -> tuple[dict[str, float], dict[str, LocalOptimum]]:
+    """(values of a better optimum, empty where none is; the parameters of others that serve as well) of parts that share parameters.
+
+    Looked for in a part of the responses first: what is no other optimum of these, or serves them worse, is not followed further.
+    """
+    free = tuple(n for n in best.free if any(n in part.block.params for part in problem.parts))
+    stride = -(-max(len(part.responses) for part in problem.parts) // SCOUTED)
+    few = problem.thinned(stride) if stride > 1 else problem
+    here = solve(few, Start(best.values, best.noise), free=free, robust=robust, max_iterations=SCOUT_STEPS)
+    mine = covariance_of(few, here)
+    taken: dict[str, float] = {}
     found: dict[str, LocalOptimum] = {}
-    best = solution
     for factor in (SLOWER, QUICKER):
         start = _moved(problem, best, free, factor)
         scout = solve(few, start, free=free, robust=robust, max_iterations=SCOUT_STEPS)
         if scout.status is FitStatus.DIVERGED:
             continue
-        mine, theirs = covariance_of(problem, best), covariance_of(few, scout)
-        if not any(_apart(n, best, mine, scout, theirs) for n in free):
+        theirs = covariance_of(few, scout)
+        if not any(_apart(n, here, mine, scout, theirs) for n in free) or _better(few, here, scout) > BETTER:
             continue
         there = {**best.values, **{n: scout.values[n] for n in free}}
-        other = solve(problem, Start(there, best.noise), robust=robust, max_iterations=MANY_STEPS)
+        other = solve(problem, Start(there, best.noise), free=free, robust=robust, max_iterations=MANY_STEPS)
         if not other.status.good:
             continue
-        best, found = _between(problem, groups, best, other, found, robust)
-    return best, found
-
-
-def _between(
-    problem: Problem,
-    groups: Sequence[Sequence[int]],
-    best: Solution,
-    other: Solution,
-    found: dict[str, LocalOptimum],
-    robust: bool,
-) -> tuple[Solution, dict[str, LocalOptimum]]:
-    """After another optimum: the best so far, and what cannot be distinguished from it."""
-    mine, theirs = covariance_of(problem, best), covariance_of(problem, other)
-    taken: dict[str, float] = {}
-    for group in groups:
-        names = [n for n in best.free if any(n in problem.parts[i].block.params for i in group)]
-        apart = [n for n in names if _apart(n, best, mine, other, theirs)]
-        if not apart:
-            continue
-        better = _better(problem, group, best, other)
+        theirs = covariance_of(problem, other)
+        apart = [n for n in free if _apart(n, best, known, other, theirs)]
+        better = _better(problem, best, other) if apart else BETTER + 1.0
         if better < -BETTER:
-            taken |= {n: other.values[n] for n in names}
-            found = {n: r for n, r in found.items() if n not in names}
+            taken, found = {n: other.values[n] for n in free}, {}
+            best, known = other, theirs
         elif better <= BETTER:
             found = {**found, **{n: LocalOptimum(other.values[n], better) for n in apart if n not in found}}
-    if taken:
-        again = solve(problem, Start({**best.values, **taken}, best.noise), robust=robust)
-        if again.status.good:
-            return again, found
-    return best, found
+    return taken, found
 
 
 def _groups(problem: Problem, solution: Solution) -> list[list[int]]:
@@ -176,11 +180,10 @@ def _apart(name: str, a: Solution, known_a: Covariance, b: Solution, known_b: Co
     return difference > APART * math.hypot(*stds)
 
 
-def _better(problem: Problem, group: Sequence[int], a: Solution, b: Solution) -> float:
+def _better(problem: Problem, a: Solution, b: Solution) -> float:
     """By how many standard errors, over the responses, `a` leaves less than `b`: the logarithm of what each leaves of each response."""
     gains: dict[int, list[float]] = {}
-    for i in group:
-        part = problem.parts[i]
+    for i, part in enumerate(problem.parts):
         left = [_left(part, s.evaluations[i].residual, a) for s in (a, b)]
         for j, response in enumerate(part.responses):
             gains.setdefault(response.index, []).append(float(np.log(left[1][j] / left[0][j])))
