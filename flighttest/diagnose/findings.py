@@ -8,6 +8,7 @@ import numpy as np
 
 from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown, short
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
+from flighttest.diagnose.selection.aliases import aliases_of
 from flighttest.diagnose.selection.comparison import Evidence
 from flighttest.diagnose.selection.held_out import gains_held_out, held_out
 from flighttest.diagnose.selection.search import Search
@@ -57,7 +58,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
             a.cosine,
             search.terms[a.term].reveals,
         )
-        for a in search.aliases(term_id)
+        for a in aliases_of(search, term_id)
     )
     confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
     numbers = ", ".join(_in_words(n, v) for n, v in parameters.items())

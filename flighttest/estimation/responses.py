@@ -25,6 +25,7 @@ STEP_OF_POLE = {"translation": 1.0, "attitude": 0.25}  # step x pole (1/s), at m
 # Numbers of nodes are rounded up to one of these, so that responses of like length are integrated together.
 _BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
+_ATTITUDE = frozenset({"roll", "pitch"})
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
 HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
@@ -190,12 +191,16 @@ def prepare(
     for i, name in enumerate(outputs):
         if has_force and name.startswith("a_"):  # world acceleration is derived from f: the same sample twice
             y[:, i] = np.nan
-    if block.name == "translation" and not knows_attitude(segment):
+    level = block.name == "translation" and not knows_attitude(segment)
+    if level:
         y[:, [i for i, name in enumerate(outputs) if name in HORIZONTAL]] = np.nan
     start, std = _start(segment, block, hover_throttle_gain)
     edges_s, values = merged_edges(segment, block.inputs)
     e = np.stack([exogenous(segment, name, nominal_voltage_v, attitude_delay_s) for name in block.exogenous], axis=1) \
         if block.exogenous else np.empty((n, 0))  # fmt: skip
+    if level:
+        # Half an attitude would turn horizontal motion, which is not compared, into a vertical one that anything can be explained by.
+        e[:, [i for i, name in enumerate(block.exogenous) if _ATTITUDE & {*name.split("_")}]] = 0.0
     return Response(index, t, y, edges_s, values, e, start, std)
 
 

@@ -21,7 +21,7 @@ from flighttest.diagnose.selection.comparison import (
     probability_of,
     standard_errors,
 )
-from flighttest.diagnose.selection.held_out import CrossValidation, cross_validated, stratum_gains
+from flighttest.diagnose.selection.held_out import CrossValidation, cross_validated, plain_gains, stratum_gains
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
 from flighttest.estimation.uncertainty.covariance import Covariance
@@ -359,13 +359,18 @@ def test_what_the_equations_may_err_counts_where_repeats_limit_it():
     assert may_be_nothing(term, model, estimator, repeated=False) == ""
 
 
-def test_few_groups_neither_carry_a_name_nor_refuse_it(rng):
-    """The sign test of n groups cannot reach 2.5 % below six: then the evidence decides."""
+def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):
+    """The sign test of n groups cannot reach 2.5 % below six."""
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)
     one, other = (CrossValidation(rows, f * rng.normal(size=1000) ** 2) for f in (1.0, 0.1))
     assert stratum_gains(one, other, np.arange(20) % 6)["f_z_m_s2"][0] > 0.0
     assert stratum_gains(one, other, np.arange(20) % 5) == {}
-    assert replace(found(), improved=(), tested=False).why_not == ""
+
+    x = rng.normal(size=1000)
+    with_it, without = (fitted(2.0 * x + rng.normal(size=1000), c, ("p0",)) for c in (x[:, None], np.ones((1000, 1))))
+    groups = np.arange(SEGMENTS) % 5
+    fall, _ = plain_gains((without.rows, without.names), (with_it.rows, with_it.names), groups)["f_z_m_s2"]
+    assert fall == pytest.approx(1.0 - 1.0 / np.sqrt(5.0), abs=0.05)
 
 
 def test_an_estimate_that_may_be_nothing_is_not_named():

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from made_rows import rows_of
 
+from flighttest.diagnose.selection import aliases as aliases_module
 from flighttest.diagnose.selection import search as search_module
+from flighttest.diagnose.selection.aliases import Alias, aliases_of
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at
 from flighttest.diagnose.selection.comparison import Evidence, Fitted
-from flighttest.diagnose.selection.search import Alias, Search, astray
+from flighttest.diagnose.selection.search import Search, astray
 from flighttest.diagnose.selection.subsets import Scored
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
@@ -250,13 +252,13 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     alike = Candidate(SimpleNamespace(id="b"), {}, ("b0",), column, column)
     asked = []
     monkeypatch.setattr(Search, "refitted", lambda _self, _among, members, _s: asked.append(members) or without)
-    monkeypatch.setattr(search_module, "inadmissible", lambda *_: "")
-    monkeypatch.setattr(search_module, "floor_of", lambda *_: None)
-    monkeypatch.setattr(search_module, "log_evidence", lambda *_: {"": 1.0})
+    monkeypatch.setattr(aliases_module, "inadmissible", lambda *_: "")
+    monkeypatch.setattr(aliases_module, "floor_of", lambda *_: None)
+    monkeypatch.setattr(aliases_module, "log_evidence", lambda *_: {"": 1.0})
     pool = tuple(SimpleNamespace(id=t) for t in "ab")
     search = Search(SimpleNamespace(segments=()), pool, np.zeros(1, dtype=int), now=without, candidates=[alike])
     search.evidence = {"a": replace(evidence("a", without=without), profiled=5.0 * effect)}
-    (alias,) = search.aliases("a")
+    (alias,) = aliases_of(search, "a")
     assert alias.cosine == pytest.approx(cosine)
     assert bool(asked) is tried
     assert alias.confusable is tried

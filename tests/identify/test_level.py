@@ -32,6 +32,15 @@ def test_level_flight_is_assumed_and_the_doubt_stated():
     assert not found.estimates["d_x"].identifiable
 
 
+def test_of_half_an_attitude_nothing_horizontal_moves_the_vertical():
+    """Recorded roll alone turned lateral motion, which is not compared, into a climb: lateral drag and disturbances took up its errors."""
+    rolling = fit(blind(roll_rad=lambda t: 0.1 * np.sin(3.0 * t)), Model(attitude_loops=False))
+    level = fit(blind(), Model(attitude_loops=False))
+    assert rolling.solution.insensitive == level.solution.insensitive
+    assert {"d_x", "d_y"} <= set(rolling.solution.insensitive)
+    assert rolling.values["K"] == pytest.approx(level.values["K"], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     "says",
     [

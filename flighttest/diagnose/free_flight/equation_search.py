@@ -18,10 +18,10 @@ import numpy as np
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
 from flighttest.diagnose.residuals.lack_of_fit import DRIFT
+from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, probability_of
 from flighttest.diagnose.selection.detectability import missing_channels
-from flighttest.diagnose.selection.search import CHANCE_NATS
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond

@@ -20,6 +20,7 @@ from flighttest.diagnose.selection.held_out import (
     CrossValidation,
     cross_validated,
     places,
+    plain_gains,
     size_in_floors,
     stratum_gains,
 )
@@ -68,8 +69,8 @@ class Evidence:
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: strata
-    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`); tested: whether there are
-    groups enough to say so; nothing: the estimate, where its 95 % interval holds its null value."""
+    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`, of few groups `plain_gains`);
+    nothing: the estimate, where its 95 % interval holds its null value."""
 
     term: str
     nats: float
@@ -82,7 +83,6 @@ class Evidence:
     without: Fitted
     improved: tuple[str, ...]
     worsened: tuple[str, ...] = ()
-    tested: bool = True
     nothing: str = ""
 
     @property
@@ -92,7 +92,7 @@ class Evidence:
             return self.inadmissible
         if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
             return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
-        if self.tested and not self.improved:
+        if not self.improved:
             return "no channel of what was not used is predicted better with it"
         if len(self.worsened) > len(self.improved):
             counts = f"{len(self.worsened)} and {len(self.improved)}"
@@ -175,7 +175,10 @@ def evidence_of(
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
-    intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
+    intervals = stratum_gains(before, after, groups) or plain_gains(
+        (without.rows, without.names), (fitted.rows, fitted.names), groups
+    )
+    intervals = {name: interval for name, interval in intervals.items() if name not in aside}
     found = Evidence(
         term=term.id,
         nats=nats,
@@ -188,7 +191,6 @@ def evidence_of(
         without=without,
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
-        tested=bool(intervals),
     )
     # Asked last: it takes a covariance.
     return (

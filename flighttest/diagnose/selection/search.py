@@ -26,40 +26,22 @@ from flighttest.diagnose.selection.comparison import (
     Evidence,
     Fitted,
     evidence_of,
-    inadmissible,
     least_size,
     log_evidence,
     probability_of,
 )
 from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
-from flighttest.estimation.linearisation import IntArray, Optimum, orthonormal
+from flighttest.estimation.linearisation import IntArray, Optimum
 from flighttest.physics.core import Term
 from flighttest.physics.model import Model
 
 ASTRAY = 3.0  # factor off its shape-based start: lags and gains of real fits stay within it, bent ones came out at five
 MOST_ROUNDS = 12  # linearisations: two effects take two or three
-ALIASED = 0.9  # cosine of two effects beside the rest of the model above which the other is refitted in its place
-CHANCE_NATS = 3.0  # a rival this near is within chance of the best (odds of 20 to 1)
 
 
 def silent(_text: str) -> None:
     """Progress that is not shown."""
-
-
-@dataclass(frozen=True)
-class Alias:
-    """A candidate in place of a named term. cosine: of their effects beside the rest of the model; nats: evidence of the named term's model
-    over the model with this one in its place."""
-
-    term: str
-    cosine: float
-    nats: float
-
-    @property
-    def confusable(self) -> bool:
-        """Whether both models are in the confidence set."""
-        return self.nats < CHANCE_NATS
 
 
 @dataclass
@@ -240,35 +222,6 @@ class Search:
         self._found[key] = fitted, evidence
         return evidence
 
-    def aliases(self, term: str) -> tuple[Alias, ...]:
-        """Candidates whose effect beside the rest of the present model points as a named term's does, refitted in its place."""
-        now, without = self.now, self.evidence[term].without
-        assert now is not None
-        basis = orthonormal(now.rows.columns([n for n in now.names if now.model.term_of(n) != term]))
-        effect = np.zeros(now.rows.residual.size)
-        own = self.evidence[term].profiled
-        effect[: own.size] = own / now.rows.scale[: own.size]
-        effect -= basis @ (basis.T @ effect)
-        length = float(np.linalg.norm(effect))
-        near: dict[str, tuple[float, int]] = {}
-        for j, c in enumerate(self.candidates):
-            span = orthonormal(c.columns - basis @ (basis.T @ c.columns))
-            cosine = float(np.linalg.norm(span.T @ effect)) / max(length, 1e-300)
-            near[c.term.id] = max(near.get(c.term.id, (0.0, j)), (cosine, j))
-        found = []
-        for name, (cosine, j) in sorted(near.items(), key=lambda kv: -kv[1][0])[:2]:
-            nats = np.inf
-            if cosine > ALIASED and name not in self.rejected:
-                self.progress(f"trying {name} in place of {term}")
-                scored = Scored((j,), 0.0, np.zeros(self.candidates[j].columns.shape[1]))
-                other = self.refitted(without, [self.candidates[j]], scored)
-                if other.finite and not inadmissible(self.terms[name], other, self.estimator.segments, len(self.pool)):
-                    floor = floor_of(now.rows, self.estimator.segments, RESOLUTION)
-                    nats = sum(log_evidence(now, other, self.estimator, self.groups, floor).values())
-            if cosine > 0.6:
-                found.append(Alias(name, cosine, nats))
-        return tuple(found)
-
     # Fits.
 
     def _members(self, fitted: Fitted) -> frozenset[str]:
@@ -406,4 +359,4 @@ def _least_needed(evidence: Iterable[Evidence]) -> Evidence | None:
     return min(doubted, key=lambda e: (bool(e.inadmissible), e.nats), default=None)
 
 
-__all__ = ["Alias", "Search", "astray", "probability_of", "silent"]
+__all__ = ["Search", "astray", "probability_of", "silent"]
