@@ -1,5 +1,8 @@
 """A flight as a plain table, made here from the paper's equations in the plane (independent of the package's model)."""
 
+from functools import cache
+from math import cos, sin
+
 import numpy as np
 
 RATE_HZ = 50.0
@@ -39,9 +42,9 @@ def steps():
     return plan, t + 1.0
 
 
-def flight(seed=0, gain=1.0):
-    """Columns of a flight as a dict of arrays; gain scales K, as worn propellers would."""
-    rng = np.random.default_rng(seed)
+@cache
+def course(gain):
+    """What the vehicle does without noise, computed once: the measured columns (n, 13) and the references (n, 4)."""
     plan, total = steps()
     n = int(total * RATE_HZ)
     dt = 1.0 / RATE_HZ / SUB
@@ -60,42 +63,43 @@ def flight(seed=0, gain=1.0):
     u = u.reshape(n, SUB, 4)[:, :1].repeat(SUB, axis=1).reshape(-1, 4)  # commands change at samples
     late = round(DELAY / dt)
     ud = np.concatenate([np.repeat(u[:1], late, axis=0), u[:-late]])
-    phi = theta = dphi = dtheta = r = psi = 0.0
-    a_t, v = G, np.zeros(3)
+    thrust = gain * K * (volts / NOMINAL_V) ** ALPHA * ud[:, 3]
+    phi = theta = dphi = dtheta = r = psi = v_x = v_y = v_z = 0.0
+    a_t = G
     rows = np.zeros((n, 13))
-    for k in range(fine.size):
-        cf, sf, ct, st, cp, sp = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
-        rot = np.array(
-            [
-                [cp * ct, cp * st * sf - sp * cf, cp * st * cf + sp * sf],
-                [sp * ct, sp * st * sf + cp * cf, sp * st * cf - cp * sf],
-                [-st, ct * sf, ct * cf],
-            ]
-        )
-        f = np.array([0.0, 0.0, a_t]) - np.array([DRAG_Y, DRAG_Y, DRAG_Z]) * (rot.T @ v)
+    for k, (roll_ref, pitch_ref, rate_ref, _) in enumerate(ud.tolist()):
+        cf, sf, ct, st, cp, sp = cos(phi), sin(phi), cos(theta), sin(theta), cos(psi), sin(psi)
+        # Columns of the rotation from body to world: its forward, left and up axes.
+        forward = (cp * ct, sp * ct, -st)
+        left = (cp * st * sf - sp * cf, sp * st * sf + cp * cf, ct * sf)
+        up = (cp * st * cf + sp * sf, sp * st * cf - cp * sf, ct * cf)
+        f_x = -DRAG_Y * (forward[0] * v_x + forward[1] * v_y + forward[2] * v_z)
+        f_y = -DRAG_Y * (left[0] * v_x + left[1] * v_y + left[2] * v_z)
+        f_z = a_t - DRAG_Z * (up[0] * v_x + up[1] * v_y + up[2] * v_z)
         psi_dot = (r / cf + sf / cf * dtheta) / ct
         if k % SUB == 0:
-            rows[k // SUB] = [
-                phi,
-                theta,
-                psi,
-                dphi - st * psi_dot,
-                cf * dtheta + sf * ct * psi_dot,
-                r,
-                *f,
-                *v,
-                volts[k],
-            ]
-        v = v + dt * (rot @ f - [0, 0, G])
+            p, q = dphi - st * psi_dot, cf * dtheta + sf * ct * psi_dot
+            rows[k // SUB] = phi, theta, psi, p, q, r, f_x, f_y, f_z, v_x, v_y, v_z, volts[k]
+        v_x += dt * (forward[0] * f_x + left[0] * f_y + up[0] * f_z)
+        v_y += dt * (forward[1] * f_x + left[1] * f_y + up[1] * f_z)
+        v_z += dt * (forward[2] * f_x + left[2] * f_y + up[2] * f_z - G)
         # Rates first, then angles: second-order accurate for an oscillator, up to half a step of delay.
-        dphi += dt * (OMEGA**2 * (ud[k, 0] - phi) - 2 * ZETA * OMEGA * dphi)
-        dtheta += dt * (OMEGA**2 * (ud[k, 1] - theta) - 2 * ZETA * OMEGA * dtheta)
+        dphi += dt * (OMEGA**2 * (roll_ref - phi) - 2 * ZETA * OMEGA * dphi)
+        dtheta += dt * (OMEGA**2 * (pitch_ref - theta) - 2 * ZETA * OMEGA * dtheta)
         phi, theta = phi + dt * dphi, theta + dt * dtheta
-        r += dt * SIGMA_R * (ud[k, 2] - r)
+        r += dt * SIGMA_R * (rate_ref - r)
         psi += dt * psi_dot
-        a_t += dt * SIGMA_T * (gain * K * (volts[k] / NOMINAL_V) ** ALPHA * ud[k, 3] - a_t)
+        a_t += dt * SIGMA_T * (float(thrust[k]) - a_t)
+    return rows, u.reshape(n, SUB, 4)[:, 0]
+
+
+def flight(seed=0, gain=1.0):
+    """Columns of a flight as a dict of arrays; gain scales K, as worn propellers would."""
+    exact, refs = course(gain)
+    rng = np.random.default_rng(seed)
     noise = np.array([2e-3] * 3 + [1e-2] * 3 + [0.1] * 3 + [0.02] * 3 + [0.01])
-    rows += noise * rng.normal(size=rows.shape)
+    rows = exact + noise * rng.normal(size=exact.shape)
+    n = len(rows)
     names = [
         "roll_rad",
         "pitch_rad",
@@ -112,7 +116,6 @@ def flight(seed=0, gain=1.0):
         "voltage_v",
     ]
     table = {"t_s": np.arange(n) / RATE_HZ, **dict(zip(names, rows.T, strict=True))}
-    refs = u.reshape(n, SUB, 4)[:, 0]
     table |= dict(zip(["roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s", "throttle"], refs.T, strict=True))
     return table
 
