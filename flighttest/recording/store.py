@@ -44,12 +44,14 @@ _BLOCKS = (
     "filters",
     "derived",
 )
+_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # libyaml's own: the same text in a quarter of the time
 _REBUILD = "rebuild the run from its raw file with `flighttest import`"
 
 
 def write_manifest(run_dir: Path, manifest: Manifest) -> None:
     """Write manifest.yaml whole or not at all: a killed program leaves the last good one."""
-    text = yaml.safe_dump({"format": FORMAT, **_plain(dict(manifest))}, sort_keys=False, allow_unicode=True)
+    data = {"format": FORMAT, **_plain(dict(manifest))}
+    text = yaml.dump(data, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
     part = run_dir / (MANIFEST_NAME + ".part")
     part.write_text(text, encoding="utf-8")
     os.replace(part, run_dir / MANIFEST_NAME)
