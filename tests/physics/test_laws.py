@@ -270,13 +270,25 @@ def test_analytic_witness(term):
 
 def simulate(term_id, values, reference, duration_s, dt=0.001):
     """Integrate the states of an attitude term beside a roll angle that follows its target at once."""
-    term, x, roll, out = TERMS[term_id], states(TERMS[term_id], 0.0), 0.0, []
+    term = TERMS[term_id]
+    s = signals(flight(roll=0.0, pitch=0.0, roll_rate=0.0, pitch_rate=0.0, roll_ref=reference, pitch_ref=0.0))
+    x = states(term, 0.0)
+    rates = compiled(term, params(term, **values), s, "roll_ref", x)
+    at, out = np.array([float(value) for value in x.values()]), []
     for _ in range(int(duration_s / dt)):
-        s = signals(flight(roll=roll, pitch=0.0, roll_rate=0.0, pitch_rate=0.0, roll_ref=reference, pitch_ref=0.0))
-        made = term.build(s, params(term, **values), x)
-        out.append(float(made.value["roll_ref"]))
-        x = {k: x[k] + dt * made.state_rates[k] for k in x}
+        value, slope = rates(at)
+        out.append(float(value))
+        at = at + dt * slope.full().ravel()
     return np.array(out)
+
+
+def compiled(term, values, given, channel, at, inputs=()):
+    """The first component of what a term gives a channel, and the rates of its states, as a function of the states and the inputs."""
+    x = {name: ca.SX.sym(name) for name in at}
+    made = term.build(given, values, x)
+    slopes = ca.vertcat(*(made.state_rates[name] for name in x))
+    value = made.value[channel] if channel else 0.0
+    return ca.Function("rates", [ca.vertcat(*x.values()), *inputs], [ca.SX(value)[0], slopes])
 
 
 @pytest.mark.parametrize(("tau", "cycle"), [(0.2, 0.5), (0.2, 1.0), (0.2, 2.0), (0.1, 1.0)])
@@ -284,13 +296,15 @@ def test_a_late_velocity_is_that_of_so_long_ago(tau, cycle):
     term, dt = TERMS["velocity_latency"], 0.001
     omega, x, found = cycle / tau, states(TERMS["velocity_latency"], 0.0), []
     times = np.arange(0.0, 8 * np.pi / omega, dt)
+    v, v_dot, s = ca.SX.sym("v"), ca.SX.sym("v_dot"), signals(flight())
+    s.v_dot_world = ca.vertcat(v_dot, 0.0, 0.0)
+    s.measured["v"] = ca.vertcat(v, 0.0, 0.0)
+    rates = compiled(term, params(term, velocity_latency=tau), s, "v", x, (v, v_dot))
+    at = np.array([float(value) for value in x.values()])
     for t in times:
-        s = signals(flight())
-        s.v_dot_world = ca.DM([omega * np.cos(omega * t), 0.0, 0.0])
-        s.measured["v"] = ca.DM([np.sin(omega * t), 0.0, 0.0])
-        made = term.build(s, params(term, velocity_latency=tau), x)
-        found.append(float(made.value["v"][0]))
-        x = {k: x[k] + dt * float(made.state_rates[k]) for k in x}
+        value, slope = rates(at, np.sin(omega * t), omega * np.cos(omega * t))
+        found.append(float(value))
+        at = at + dt * slope.full().ravel()
     settled = times > 4 * np.pi / omega
     error = np.array(found)[settled] - np.sin(omega * (times[settled] - tau))
     assert np.abs(error).max() < 0.04
@@ -354,12 +368,13 @@ def test_pendulum_swings_at_its_own_period(swing_rad):
     x = {k: ca.DM(0.0) for k in states(term)} | {"swing_west": ca.DM(2 * np.tan(swing_rad / 2))}
     p = params(term, payload_ratio=1e-9, cable_m=1.0, swing_damping=0.0)
     hover = signals(flight(roll=0.0, pitch=0.0, yaw=0.0, force=[0.0, 0.0, 9.81]))
+    rates, at = compiled(term, p, hover, "", x), {name: float(value) for name, value in x.items()}
     swing = []
     for _ in range(4000):
-        rates = term.build(hover, p, x).state_rates
-        rate = x["swing_west_rate_1_s"] + 0.001 * rates["swing_west_rate_1_s"]
-        x = x | {"swing_west_rate_1_s": rate, "swing_west": x["swing_west"] + 0.001 * rate}
-        swing.append(float(x["swing_west"]))
+        slopes = dict(zip(at, rates(list(at.values()))[1].full().ravel(), strict=True))
+        at["swing_west_rate_1_s"] += 0.001 * slopes["swing_west_rate_1_s"]
+        at["swing_west"] += 0.001 * at["swing_west_rate_1_s"]
+        swing.append(at["swing_west"])
     crossings = np.flatnonzero(np.diff(np.sign(swing)))
     period = 4 * ellipk(np.sin(swing_rad / 2) ** 2) / np.sqrt(9.81)
     assert 2 * np.diff(crossings).mean() * 0.001 == pytest.approx(period, rel=0.003)

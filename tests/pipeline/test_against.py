@@ -12,8 +12,6 @@ from flighttest.pipeline.diagnosis import against
 from flighttest.pipeline.identification.fitting import base_model
 from flighttest.recording import Provenance, Recording
 
-THROTTLE_S = (88.0, 125.0)  # of the synthetic flight
-
 
 @pytest.fixture
 def _nothing_found(monkeypatch):
@@ -32,20 +30,6 @@ def _nothing_found(monkeypatch):
         )
 
     monkeypatch.setattr(against, "run_diagnosis", no_search)
-
-
-@pytest.fixture
-def throttle_steps(tmp_path):
-    """The throttle steps of a flight as a table of their own."""
-
-    def cut(path):
-        lines = path.read_text().splitlines()
-        kept = [line for line in lines[1:] if THROTTLE_S[0] < float(line.split(",")[0]) < THROTTLE_S[1]]
-        made = tmp_path / path.name
-        made.write_text("\n".join([lines[0], *kept]))
-        return made
-
-    return cut
 
 
 @pytest.mark.usefixtures("_nothing_found")

@@ -8,6 +8,7 @@ import shlex
 import signal
 import threading
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.cli import main as cli_main
 from flighttest.errors import InputError
 from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult
 from flighttest.flight.preparation import preflight
@@ -54,13 +56,32 @@ def script(tmp_path):
     return path
 
 
-def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
-    out_dir = tmp_path / "runs"
-    code, out, err = call("run", script, "--out", out_dir, "--only", "fit", "--json")
+@pytest.fixture(autouse=True)
+def _ready_at_once(monkeypatch):
+    """The vehicle has its position 2 s after boot: the 41 s of a real one are waited for in the flight of `fitted`."""
+    booted = flying.options
+    monkeypatch.setattr(flying, "options", lambda *a, **k: replace(booted(*a, **k), ready_s=1.0, gps_s=2.0))
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A flight of the short script, fitted, with what the command printed: only read, and flown beside, by the tests."""
+    folder = tmp_path_factory.mktemp("fitted")
+    script = folder / "short.yaml"
+    script.write_text(SHORT % 2)
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        words = ["run", script, "--out", folder / "runs", "--only", "fit", "--json"]
+        code = cli_main.call([str(word) for word in words])
+    (run,) = (folder / "runs").iterdir()
+    return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue(), run=run, script=script)
+
+
+def test_a_flight_leaves_a_whole_run_folder(call, fitted, tmp_path):
+    code, out, err, run = fitted.code, fitted.out, fitted.err, fitted.run
     assert code == 0, err
     assert err.splitlines()[0].startswith("flying the built-in simulated copter")
     data = json.loads(out)
-    (run,) = out_dir.iterdir()
     assert data["runs"] == [str(run)]
     names = {p.name for p in run.iterdir()}
     assert {
@@ -89,6 +110,7 @@ def test_a_flight_leaves_a_whole_run_folder(call, script, tmp_path):
 
 def test_a_seed_gives_the_same_flight_again(call, script, tmp_path):
     """Over a real socket, whatever the host does meanwhile; another seed has other noise."""
+    script.write_text(SHORT % 1)
     flown = []
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
         assert call("run", script, "--out", tmp_path / name, "--seed", seed, "--only", "fly")[0] == 0
@@ -233,14 +255,13 @@ def test_a_script_that_leaves_the_zone_is_not_flown(call, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-def test_before_take_off_the_vehicle_is_compared_with_the_model_in_use(call, script, tmp_path):
+def test_before_take_off_the_vehicle_is_compared_with_the_model_in_use(call, fitted, script, tmp_path):
     out_dir = tmp_path / "runs"
-    assert call("run", script, "--out", out_dir, "--only", "fit", "--json")[0] == 0
-    (run,) = out_dir.iterdir()
-    fitted = (run / "fit.yaml").read_text()
-    assert "MOT_SPIN_MIN: 0.15" in fitted
+    text = (fitted.run / "fit.yaml").read_text()
+    assert "MOT_SPIN_MIN: 0.15" in text
     other = tmp_path / "other.yaml"
-    other.write_text(re.sub(r"MOT_SPIN_MIN: [0-9.]+", "MOT_SPIN_MIN: 0.1", fitted))
+    other.write_text(re.sub(r"MOT_SPIN_MIN: [0-9.]+", "MOT_SPIN_MIN: 0.1", text))
+    script.write_text(SHORT % 1)
     code, out, _ = call("run", script, "--out", out_dir, "--model", other, "--only", "fly")
     assert code == 0
     lines = out.splitlines()
@@ -248,9 +269,9 @@ def test_before_take_off_the_vehicle_is_compared_with_the_model_in_use(call, scr
     assert "touches thrust; fly roll_pitch, yaw_rate and thrust again (at least thrust)" in lines[said]
     assert said < next(i for i, line in enumerate(lines) if "writing the channels" in line)
     assert "GUID_OPTIONS" not in lines[said], "what the tool itself sets for a flight is no change"
-    code, _, err = call("run", "--resume", run, "--out", out_dir)
+    code, _, err = call("run", "--resume", fitted.run, "--out", out_dir)
     assert (code, "nothing is missing" in err) == (2, True)
-    code, _, err = call("run", "thrust", "--resume", run, "--out", out_dir)
+    code, _, err = call("run", "thrust", "--resume", fitted.run, "--out", out_dir)
     assert (code, "a flight of short, not of thrust" in err) == (2, True)
 
 

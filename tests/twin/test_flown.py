@@ -24,7 +24,7 @@ def steps(rng, count, bias=0.0, noise=0.01, offset=0.0, amplitude=0.2, late=0.0,
 
 def test_equal_vehicles_are_at_one_noise_floor():
     rng = np.random.default_rng(1)
-    found = flown_errors(steps(rng, 200), steps(rng, 200))["roll_rad"]
+    found = flown_errors(steps(rng, 100), steps(rng, 100))["roll_rad"]
     assert found["ratio"] == pytest.approx(1.0, abs=0.03)
     assert 0.006 < found["floor"] < 0.01  # white noise, averaged over a sample
     assert found["steps"] == 1
@@ -32,8 +32,8 @@ def test_equal_vehicles_are_at_one_noise_floor():
 
 def test_one_flight_of_the_twin_counts_with_its_own_noise():
     rng = np.random.default_rng(2)
-    ratios = [flown_errors(steps(rng, 3), steps(rng, 1))["roll_rad"]["ratio"] for _ in range(200)]
-    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.05)
+    ratios = [flown_errors(steps(rng, 3), steps(rng, 1))["roll_rad"]["ratio"] for _ in range(60)]
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.08)
 
 
 def test_a_bias_shows_and_an_offset_before_the_step_does_not():
