@@ -168,7 +168,7 @@ class Problem:
     ) -> Problem:
         """The problem of these segments, all of them usable; without parts where no segment feeds any block.
 
-        fed: block name to the positions of its segments, each of which is read through its context['filters'] (`Provenance.filters`);
+        fed: block name to the positions of its segments, each of which is read through its context.filters (`Provenance.filters`);
         values: start values by name; fixed: names that stay there; ties: name to the name it equals; dead: channels that were not
         measured, None: those that never change.
         """
@@ -276,7 +276,7 @@ class Problem:
 
     def _cutoffs(self, part: Part, index: int) -> Cutoffs:
         """Known measurement filters of a segment: (output, Hz) of those that have one."""
-        known = self.segments[index].context.get("filters", {})
+        known = self.segments[index].context.filters
         return tuple((c, float(hz)) for c in part.outputs if (hz := known.get(CHANNELS[c].group, 0.0)) > 0.0)
 
     def _kernel(self, i: int, free: tuple[str, ...], cutoffs: Cutoffs) -> Kernel:

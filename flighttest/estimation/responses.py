@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
-from flighttest.estimation.voltage_interpolation import SAMPLES, between_samples
+from flighttest.estimation.voltage_interpolation import between_samples
 from flighttest.physics.blocks import Block
 from flighttest.segments.model import Segment
 
@@ -148,10 +148,10 @@ def _voltage(segment: Segment, nominal_voltage_v: float) -> FloatArray:
     """Battery voltage (n,), V: as measured, and between the samples of a slow monitor as the load has it."""
     t, y = segment.t_s, segment.y
     chord = filled(t, y.get("voltage_v"), nominal_voltage_v)
-    samples, force = segment.context.get(SAMPLES), y.get("f_z_m_s2")
+    samples, force = segment.context.voltage_samples, y.get("f_z_m_s2")
     if samples is None or force is None or not np.isfinite(force).any():
         return chord
-    cutoff = float(segment.context.get("filters", {}).get("specific_force", 0.0))
+    cutoff = float(segment.context.filters.get("specific_force", 0.0))
     lag_s = math.sqrt(2.0) / (2.0 * math.pi * cutoff) if cutoff > 0 else 0.0
     return between_samples(t, chord, samples, filled(t, force, 0.0), lag_s)
 

@@ -14,7 +14,6 @@ from flighttest.physics.terms.propulsion import LOAD_POWER
 
 FloatArray = NDArray[np.float64]
 
-SAMPLES = "voltage_samples"  # in Segment.context: (t_s (n,), voltage_v (n,)) as recorded, in and about the segment
 SLOW = 2.0  # a monitor at less than this share of the segment's rate is slow
 FEWEST = 5
 # What is known beforehand, as standard deviations: noise of a sample V, sag at hover V, drain V/s. Over a second of samples drain and

@@ -74,7 +74,7 @@ def _joined(windows: Sequence[Segment]) -> Segment:
             new = times > u[name][0][-1]
             u[name] = np.append(u[name][0], times[new]), np.append(u[name][1], values[new])
     head = windows[0]
-    context = {k: v for k, v in head.context.items() if k != "voltage_samples"}
+    context = replace(head.context, voltage_samples=None)
     return replace(head, name=f"{head.run} {t[0]:.0f} s", t_s=t, y=y, u=u, context=context)
 
 
@@ -248,7 +248,7 @@ class _Prepared:
         return found
 
     def _filter(self, channel: str) -> float:
-        known = self.chunks[0].context.get("filters", {}) if self.chunks else {}
+        known = self.chunks[0].context.filters if self.chunks else {}
         return float(known.get(CHANNELS[channel].group, 0.0))
 
 

@@ -6,6 +6,6 @@ Must not fit, and must not judge outliers or gusts (identify does).
 from flighttest.segments.budget import Stretch, Use, budget
 from flighttest.segments.cut import cut
 from flighttest.segments.metrics import Metrics, metrics_of
-from flighttest.segments.model import Flaw, Segment
+from flighttest.segments.model import Flaw, Segment, SegmentContext
 
-__all__ = ["Flaw", "Metrics", "Segment", "Stretch", "Use", "budget", "cut", "metrics_of"]
+__all__ = ["Flaw", "Metrics", "Segment", "SegmentContext", "Stretch", "Use", "budget", "cut", "metrics_of"]

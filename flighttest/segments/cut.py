@@ -21,7 +21,7 @@ from flighttest.segments.airborne import flights
 from flighttest.segments.align import Aligned, prepare, sample
 from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, References, Response, Tolerance
 from flighttest.segments.marks import Marked, marked
-from flighttest.segments.model import Flaw, Segment
+from flighttest.segments.model import Flaw, Segment, SegmentContext
 from flighttest.segments.quality import flaws_of
 
 FloatArray = NDArray[np.float64]
@@ -270,39 +270,43 @@ class _Cutter:
             maneuver=(mark.maneuver if mark is not None and mark.maneuver else response.kind),
             heading_rad=float((heading + np.pi) % (2 * np.pi) - np.pi),
             time_since_takeoff_s=response.t_step_s - self._takeoff_s(response.t_step_s),
-            context={
-                "later_edges_s": response.later_edges_s,
-                "between_steps": response.between,
-                "by_hand": response.by_hand or response.kind == "free",
-                "filters": dict(self.recording.provenance.filters),
-                "reference_clock": self.recording.provenance.reference_clock,
-                "derived": dict(self.recording.provenance.derived),
-                "compatibility": self.aligned.compatibility,
-                **self._clock_error(),
-                **self._voltage_samples(response),
-            },
+            context=self._context(response),
+        )
+
+    def _context(self, response: Response) -> SegmentContext:
+        provenance = self.recording.provenance
+        error_s = provenance.clock.get("error_s")
+        return SegmentContext(
+            later_edges_s=response.later_edges_s,
+            between_steps=response.between,
+            by_hand=response.by_hand or response.kind == "free",
+            filters=dict(provenance.filters),
+            reference_clock=provenance.reference_clock,
+            clock_error_s=None if error_s is None else float(error_s),
+            edge_error_s=self._edge_error_s(),
+            derived=dict(provenance.derived),
+            compatibility=self.aligned.compatibility,
+            voltage_samples=self._voltage_samples(response),
         )
 
     def _takeoff_s(self, t_s: float) -> float:
         """Of the flight that a time lies in."""
         return max((up for up in self.takeoffs_s if up <= t_s), default=self.takeoffs_s[0])
 
-    def _clock_error(self) -> dict[str, float]:
-        error = self.recording.provenance.clock.get("error_s")
-        known = {} if error is None else {"clock_error_s": float(error)}
-        if self.recording.provenance.importer == "table":
-            # A row holds what was asked for last: since when, within the row before, nobody wrote down.
-            rates = [s.rate_hz for s in self.recording.series.values() if len(s) > 2]
-            known["edge_error_s"] = 0.5 / max(rates, default=np.inf)
-        return known
+    def _edge_error_s(self) -> float:
+        """Half a row of a table: a row holds what was asked for last, since when within the row before was not recorded."""
+        if self.recording.provenance.importer != "table":
+            return 0.0
+        rates = [s.rate_hz for s in self.recording.series.values() if len(s) > 2]
+        return float(0.5 / max(rates, default=np.inf))
 
-    def _voltage_samples(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
+    def _voltage_samples(self, response: Response) -> tuple[FloatArray, FloatArray] | None:
         """The battery's own samples about a response: at 10 Hz they are few, and the time base's values are chords between them."""
         battery = self.recording.series.get("battery")
         if battery is None or "voltage_v" not in battery.columns:
-            return {}
+            return None
         reach = slice(*np.searchsorted(battery.t_s, [response.start_s - _REACH_BACK_S, response.end_s + _REACH_BACK_S]))
-        return {"voltage_samples": (battery.t_s[reach], battery.columns["voltage_v"][reach])}
+        return battery.t_s[reach], battery.columns["voltage_v"][reach]
 
     def _inputs(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
         """References as they changed, from the last change before the window's reach."""

@@ -50,7 +50,7 @@ def metrics_of(segment: Segment) -> Metrics | None:
         channel = "a_z_m_s2" if channel == "f_z_m_s2" else channel
         if channel not in segment.y:
             return None
-    later = segment.context.get("later_edges_s", ())
+    later = segment.context.later_edges_s
     end = min(later) if later else float(segment.t_s[-1]) if segment.t_s.size else segment.t_step_s
     good = np.isfinite(segment.y[channel]) & (segment.t_s <= end)
     t, y = segment.t_s[good] - segment.t_step_s, segment.y[channel][good]

@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.segments.compatibility import Compatibility
+
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 
@@ -29,6 +31,30 @@ class Flaw(Enum):
     ABORTED = "the flight was aborted during the response"
     NOT_A_NUMBER = "a recorded channel is not a number for most of the response"
     REFERENCE_MOVED = "another reference moved during the response"
+
+
+@dataclass(frozen=True)
+class SegmentContext:
+    """What was recorded beside a response and what is known of how it was recorded; defaults: nothing is known.
+
+    later_edges_s: further edges of the same input inside the response. between_steps: a window in which the vehicle is brought back.
+    by_hand: a pilot or another controller chose the references. filters: channel group to cut-off, Hz (as `Provenance.filters`).
+    reference_clock: 'vehicle' or 'ground', where references are stamped, '' where that is not known; clock_error_s: between the two
+    clocks, None where it is not known; edge_error_s: what is not known of the time of an edge in a table. derived: channel name to the
+    sentence that says how it was derived. compatibility: what was corrected by kinematics. voltage_samples: (t_s (n,), voltage_v (n,)) as
+    recorded, in and about the segment; None where the voltage is not that of the recording.
+    """
+
+    later_edges_s: tuple[float, ...] = ()
+    between_steps: bool = False
+    by_hand: bool = False
+    filters: Mapping[str, float] = field(default_factory=dict)
+    reference_clock: str = ""
+    clock_error_s: float | None = None
+    edge_error_s: float = 0.0
+    derived: Mapping[str, str] = field(default_factory=dict)
+    compatibility: Compatibility | None = None
+    voltage_samples: tuple[FloatArray, FloatArray] | None = None
 
 
 @dataclass(frozen=True)
@@ -60,7 +86,7 @@ class Segment:
     maneuver: str = ""
     heading_rad: float = float("nan")
     time_since_takeoff_s: float = float("nan")
-    context: Mapping[str, Any] = field(default_factory=dict)
+    context: SegmentContext = field(default_factory=SegmentContext)
 
     def once(self, key: Hashable, work: Callable[[], T]) -> T:
         """The result of `work`, done once under a key for as long as this segment lives: a diagnosis prepares the same segments for dozens
@@ -87,7 +113,7 @@ class Segment:
     @property
     def between_steps(self) -> bool:
         """Whether it is a window between steps, in which the vehicle is brought back: no flight that anybody meant to be looked at."""
-        return bool(self.context.get("between_steps", False))
+        return self.context.between_steps
 
     @property
     def since_takeoff_s(self) -> FloatArray:

@@ -61,7 +61,7 @@ class WhatIf:
 
 
 def _with_voltage(segment: Segment, volts: FloatArray) -> Segment:
-    context = {k: v for k, v in segment.context.items() if k != "voltage_samples"}
+    context = replace(segment.context, voltage_samples=None)
     return replace(segment, y={**segment.y, "voltage_v": volts}, context=context)
 
 

@@ -95,7 +95,6 @@ EDGES = {
     "flighttest/report/packing.py: PanelSpec.data": "traces as of plotly.js",
     "flighttest/report/packing.py: PanelSpec.layout": "layout as of plotly.js",
     "flighttest/script/model.py: Maneuver.settings": "checked against the profile's own fields",
-    "flighttest/segments/model.py: Segment.context": "what was recorded beside a response",
     "flighttest/twin/rotorpy_commands.py: Commands.__init__(identified)": "written out beside a model, for another program",
     "flighttest/vehicle/identity.py: from_data(data)": "reads what somebody may have written",
 }

@@ -16,6 +16,7 @@ from flighttest.estimation.uncertainty.covariance import (
     with_clock_error,
 )
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
+from flighttest.segments.model import SegmentContext
 
 
 def linear(rng, clusters, size, effect, names=("a", "b")):
@@ -98,7 +99,7 @@ def test_a_clock_error_widens_all_delays_alike_and_nothing_else(found):
     assert np.all(added[at["K"]] == 0.0)
     assert clock_std_s(found.problem) == 0.0
     first = found.problem.segments[0]
-    tabled = replace(found.problem, segments=(replace(first, context={"edge_error_s": 0.01}),))
+    tabled = replace(found.problem, segments=(replace(first, context=SegmentContext(edge_error_s=0.01)),))
     assert clock_std_s(tabled) == pytest.approx(0.01 / np.sqrt(3.0))
 
 

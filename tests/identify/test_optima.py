@@ -15,7 +15,7 @@ from flighttest.identify.diagnostics.closed_loop import closed_loop_bias, steere
 from flighttest.identify.fit import fit
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model
-from flighttest.segments.model import Segment
+from flighttest.segments.model import Segment, SegmentContext
 from tests.identify.campaign import second_order
 
 OMEGA, ZETA, DELAY, PERIOD = 25.0, 0.2, 0.15, 0.02
@@ -120,7 +120,9 @@ def test_under_a_height_loop_in_gusts_vertical_drag_is_not_called_known():
 def test_steps_of_a_script_are_not_asked_about_answers():
     step = Segment("s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {})
     assert not steered(step)
-    by_hand = Segment("s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {}, context={"by_hand": True})
+    by_hand = Segment(
+        "s", "run", "throttle_step", {}, 0, 0.0, np.arange(5.0), {}, {}, context=SegmentContext(by_hand=True)
+    )
     assert steered(by_hand)
 
 

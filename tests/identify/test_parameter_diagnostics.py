@@ -9,6 +9,7 @@ from scipy.signal import lsim
 from flighttest.errors import FitError
 from flighttest.identify.fit import fit
 from flighttest.physics.model import Model
+from flighttest.segments.model import SegmentContext
 from tests.identify.campaign import QUIET, TRUTH, campaign
 
 
@@ -175,11 +176,11 @@ def test_runs_with_different_filters_are_each_read_through_their_own():
         clean = clean_force(fine, segment)
         _, made, _ = lsim(([w * w], [1, np.sqrt(2) * w, w * w]), clean - clean[0], fine)
         y["f_z_m_s2"] = np.interp(t, fine, made + clean[0]) + 0.02 * rng.standard_normal(t.size)
-        return replace(segment, y=y, run=name, context={"filters": {"specific_force": hz}})
+        return replace(segment, y=y, run=name, context=SegmentContext(filters={"specific_force": hz}))
 
     mixed = [filtered(s, 8.0 if i % 2 else 40.0, "a" if i % 2 else "b") for i, s in enumerate(flown)]
     own = fit(mixed)
-    one = fit([replace(s, context={"filters": {"specific_force": 40.0}}) for s in mixed])
+    one = fit([replace(s, context=SegmentContext(filters={"specific_force": 40.0})) for s in mixed])
     assert abs(own.values["sigma_t"] / TRUTH["sigma_t"] - 1) < 0.01
     assert abs(own.values["T_d_thrust"] - TRUTH["T_d"]) < 5e-4
     assert own.quality["f_z_m_s2"].rmse < 0.5 * one.quality["f_z_m_s2"].rmse

@@ -28,7 +28,7 @@ def test_a_flight_nobody_marked_is_cut_by_its_references(campaign):
         {"throttle_0": 0.1, "throttle_1": 0.25}, {"amplitude_rad": -0.2},
     ]  # fmt: skip
     assert all(s.usable for s in segments), [s.flaws for s in segments]
-    assert segments[0].context["later_edges_s"] == pytest.approx([edges[1], edges[2]])
+    assert segments[0].context.later_edges_s == pytest.approx([edges[1], edges[2]])
     # The roll record goes on through counter-step and coast, the pair from the onset of T_0 to the end of T_1.
     assert segments[0].t_s[-1] > edges[2] + 1.9
     assert segments[2].t_s[0] == pytest.approx(edges[5], abs=0.03)
@@ -181,7 +181,7 @@ def test_the_batterys_own_samples_are_kept(campaign):
     recording = campaign.recording()
     battery = recording.series["battery"]
     segment = cut(recording)[1]
-    times, volts = segment.context["voltage_samples"]
+    times, volts = segment.context.voltage_samples
     assert times[0] < segment.t_s[0]
     assert times[-1] > segment.t_s[-1]
     assert np.array_equal(volts, np.interp(times, battery.t_s, battery.columns["voltage_v"]))
@@ -334,9 +334,9 @@ def test_a_target_read_off_at_the_loggers_times_is_moved_half_way_back(fly):
 def test_a_table_knows_its_edges_to_a_row(campaign):
     recording = campaign.recording()
     row_s = 1.0 / max(s.rate_hz for s in recording.series.values())
-    assert cut(recording)[0].context["edge_error_s"] == pytest.approx(0.5 * row_s)
+    assert cut(recording)[0].context.edge_error_s == pytest.approx(0.5 * row_s)
     log = replace(recording, provenance=replace(recording.provenance, importer="ardupilot_bin"))
-    assert "edge_error_s" not in cut(log)[0].context
+    assert cut(log)[0].context.edge_error_s == 0.0
 
 
 def test_what_no_mark_holds_is_used_too(campaign):

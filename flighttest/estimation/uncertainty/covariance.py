@@ -143,10 +143,10 @@ def clock_std_s(problem: Problem) -> float:
     """
     found = 0.0
     for segment in problem.segments:
-        if segment.context.get("reference_clock") == "ground":
-            error = float(segment.context.get("clock_error_s", STAMP_S))
-            found = max(found, error / np.sqrt(3.0))
-        found = max(found, float(segment.context.get("edge_error_s", 0.0)) / np.sqrt(3.0))
+        if segment.context.reference_clock == "ground":
+            known_s = segment.context.clock_error_s
+            found = max(found, (STAMP_S if known_s is None else known_s) / np.sqrt(3.0))
+        found = max(found, segment.context.edge_error_s / np.sqrt(3.0))
     return float(found)
 
 

@@ -29,7 +29,7 @@ FEW_WINDOWS = 3
 
 def steered(segment: Segment) -> bool:
     """Whether somebody flew what this was cut from, instead of a script that asked for steps."""
-    return segment.kind == "free" or bool(segment.context.get("by_hand", False))
+    return segment.kind == "free" or segment.context.by_hand
 
 
 def closed_loop_bias(problem: Problem, solution: Solution) -> dict[str, float]:

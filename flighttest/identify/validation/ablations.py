@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.responses import exogenous, filled, zero_order_hold
-from flighttest.estimation.voltage_interpolation import SAMPLES
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics import body
 from flighttest.physics.model import Model
@@ -160,7 +159,7 @@ def voltage_for(stored: ModelFile, segment: Segment) -> Segment:
         there = stored.model.nominal_voltage_v
     else:
         return segment
-    context = {k: v for k, v in segment.context.items() if k != SAMPLES}
+    context = replace(segment.context, voltage_samples=None)
     return replace(segment, y={**segment.y, "voltage_v": np.full(segment.t_s.size, there)}, context=context)
 
 

@@ -74,7 +74,7 @@ def looked(recording: Recording, segments: Sequence[Segment], named: str, column
     """What the page shows of a recording and its segments."""
     outlook, why = _outlook(recording, segments)
     resistance = battery_of([recording])
-    compatible = next((s.context["compatibility"] for s in segments), None)
+    compatible = next((s.context.compatibility for s in segments), None)
     said = resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
     return Look(
         recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery(recording), said, modes(recording),
