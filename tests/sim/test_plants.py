@@ -8,13 +8,13 @@ import pytest
 
 from flighttest.frames import flip_vector
 from flighttest.sim.build import build_plant
-from flighttest.sim.filters import LowPass3
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery, cell_voltage, charge_at
 from flighttest.sim.plants.plant import Command
 from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
 from flighttest.sim.plants.rotor_effects import EFFECTS
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
+from flighttest.sim.sensors import LowPass3
 
 G = 9.81
 FOREVER = {"capacity_ah": 1e6}

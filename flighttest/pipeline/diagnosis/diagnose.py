@@ -26,8 +26,8 @@ from flighttest.identify.winds import WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
+from flighttest.pipeline.identification.per_flight import declared_weather
 from flighttest.pipeline.identification.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
-from flighttest.pipeline.identification.winds import declared_weather
 from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
 from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies

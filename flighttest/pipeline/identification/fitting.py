@@ -20,10 +20,8 @@ from flighttest.identify.validation.block_coordinate_descent import cross_checke
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model, pack_voltage
-from flighttest.pipeline.identification.motors import motor_section
-from flighttest.pipeline.identification.winds import declared_weather, wind_section
-from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views
-from flighttest.pipeline.presenters.not_identifiable import why_nothing
+from flighttest.pipeline.identification.per_flight import declared_weather, motor_section, wind_section
+from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views, why_nothing
 from flighttest.pipeline.recordings.batteries import battery_data
 from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies
 from flighttest.pipeline.recordings.fingerprints import of_recordings

@@ -1,4 +1,5 @@
-"""From what was found to what the pages show: words and order; every number was computed in `identify`."""
+"""From what was found to what the pages show: words and order, and why a fit determines nothing; every number
+was computed in `identify`."""
 
 from __future__ import annotations
 
@@ -13,13 +14,16 @@ from flighttest.identify.response_analysis.comparison import fitted_responses, o
 from flighttest.identify.response_analysis.frequency_response import frequency_responses, residual_correlations
 from flighttest.identify.validation.accumulation import accumulations
 from flighttest.physics.model import Model
+from flighttest.report.document import Bullets, Section
 from flighttest.report.fit_views import FitView, ParameterView, QualityView, SegmentView
-from flighttest.report.numbers import join, number, percent
+from flighttest.report.numbers import join, number, percent, unit
+from flighttest.report.sections.fit import KIND_WORDS
 from flighttest.segments import Metrics, Segment, metrics_of
 
 METRICS = tuple(f.name for f in fields(Metrics) if f.name != "channel")
 CORRELATED = 0.9
 DETERMINED_R2 = 0.05
+MOST_REASONS = 6
 
 
 def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
@@ -143,3 +147,47 @@ def segment_views(segments: Sequence[Segment], outliers: Mapping[str, str] | Non
         )
         for s in segments
     )
+
+
+def why_nothing(found: Fit, runs: Sequence[str]) -> Section | None:
+    """What was flown, the reasons shared by most parameters, and what to fly. None where any parameter is known."""
+    doubtful = [e for e in found.estimates.values() if e.source != "frozen"]
+    if any(e.identifiable for e in doubtful) or not doubtful:
+        return None
+    lines = [_flown(found), *_reasons(doubtful)]
+    scripts = list(dict.fromkeys(e.fly for e in doubtful if e.fly))
+    if scripts:
+        lines.append(
+            f"steps would tell: `flighttest run {' '.join(scripts)}` flies them (with --vehicle and --connect, on this vehicle)"
+        )
+    lines.append(f"what the model misses: `flighttest diagnose {' '.join(runs)}`")
+    return Section("why", "Why nothing is known", (Bullets(tuple(lines)),))
+
+
+def _flown(found: Fit) -> str:
+    segments = found.problem.segments
+    counts: dict[str, int] = {}
+    for s in segments:
+        counts[s.kind] = counts.get(s.kind, 0) + 1
+    kinds = [f"{n} x {KIND_WORDS.get(kind, kind)}" for kind, n in sorted(counts.items(), key=lambda row: -row[1])]
+    seconds = sum(float(s.t_s[-1] - s.t_s[0]) for s in segments)
+    return f"it rests on {number(seconds, 3)} s: {join(kinds)}"
+
+
+def _reasons(doubtful: Sequence[Estimate]) -> list[str]:
+    """Parameters by what is said of them, the reason of most first; those with a reason of their own by their errors."""
+    alike: dict[str, list[Estimate]] = {}
+    for e in doubtful:
+        alike.setdefault("no segment determines them" if e.source == "assumed" else e.why, []).append(e)
+    shared = sorted((row for row in alike.items() if len(row[1]) > 1), key=lambda row: -len(row[1]))
+    single = [members[0] for _, members in alike.items() if len(members) == 1]
+    wide = [e for e in single if e.std is not None]
+    lines = [f"{join([e.name for e in members])}: {why}" for why, members in shared]
+    lines += [f"{e.name}: {e.why}" for e in single if e.std is None]
+    if wide:
+        words = ", ".join(
+            f"{e.name} {number(e.value, 2)} +- {number(e.std or 0.0, 2)} {unit(e.unit)}".strip() for e in wide
+        )
+        lines.insert(min(len(lines), MOST_REASONS - 1), f"too wide or in doubt, each for the reason below: {words}")
+    rest = len(lines) - MOST_REASONS
+    return lines if rest <= 0 else [*lines[:MOST_REASONS], f"and {rest} more below the table"]
