@@ -179,7 +179,7 @@ _WHERE = {
 _HOME = {name: module for module, names in _WHERE.items() for name in names}
 
 
-if not TYPE_CHECKING:  # a type checker sees every name above, and says which is not there
+if not TYPE_CHECKING:  # a type checker sees every name above, and reports which is not there
 
     def __getattr__(name: str) -> Any:
         if name not in _HOME:

@@ -145,12 +145,12 @@ class Document:
             raise error.of(sorted(set(self.problems), key=lambda p: (p.line, p.path)))
 
     def check_format(self, name: str) -> None:
-        """The file must say `format: <name>/1`."""
+        """The file must state `format: <name>/1`."""
         if self.root is None or not isinstance(self.root.value, dict):
             return
         node = self.root.value.get("format")
         if node is None:
-            self.problem(1, "format", "the file does not say what it is", f"add the line `format: {name}/1`")
+            self.problem(1, "format", "the file does not state what it is", f"add the line `format: {name}/1`")
         elif node.value != f"{name}/1":
             family, _, version = str(node.value).partition("/")
             if family == name:
@@ -329,7 +329,7 @@ def require(document: Document, fields: Mapping[str, Node], names: Iterable[str]
 
 @dataclass(frozen=True)
 class Form:
-    """A kind of file that people write: it says `format: <name>/1` and has only these keys at its top. error: of its problems."""
+    """A kind of file that people write: it states `format: <name>/1` and has only these keys at its top. error: of its problems."""
 
     name: str
     keys: tuple[str, ...]

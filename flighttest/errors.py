@@ -1,4 +1,4 @@
-"""Every error this package raises on purpose. Each says what, where, and what to do.
+"""Every error this package raises on purpose. Each states what, where, and what to do.
 
     FlighttestError
     +-- InputError            something a person typed or a file a person wrote

@@ -1,7 +1,7 @@
 """Frames, quaternions and angles: the only place that converts NED from NWU.
 
 Inside the package the world is North-West-Up (NWU) and the body Forward-Left-Up (FLU); R = R_psi R_theta R_phi maps body to
-world (paper Eq. 2). MAVLink and ArduPilot speak NED and FRD. Both conversions are the same half turn about x, hence each
+world (paper Eq. 2). MAVLink and ArduPilot use NED and FRD. Both conversions are the same half turn about x, hence each
 function here is its own inverse: quaternion (w, x, -y, -z); roll kept, pitch and yaw negated; vectors (x, -y, -z).
 
 Quaternions are (w, x, y, z), Hamilton, body to world. All functions take arrays with the components on the last axis.

@@ -43,7 +43,7 @@ def over_time(groups: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]],
 
 
 def by_group(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> dict[str, tuple[FloatArray, dict[str, FloatArray]]]:
-    """Columns (n,) on one time base in the groups of the channel table, in its order; names it does not know under 'other'."""
+    """Columns (n,) on one time base in the groups of the channel table, in its order; other names under 'other'."""
     found: dict[str, dict[str, FloatArray]] = {}
     for name in (*(n for n in CHANNELS if n in columns), *(n for n in columns if n not in CHANNELS)):
         group = CHANNELS[name].group if name in CHANNELS else "other"

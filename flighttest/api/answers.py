@@ -37,7 +37,7 @@ PLAN_RATE_HZ = 50.0
 @dataclass(frozen=True, kw_only=True)
 class Answer:
     """What every verb gives back. document: what the command line shows, as pure data; data: what it prints with --json; status: how it
-    ended, which the command line says by its exit code."""
+    ended, which the command line gives as its exit code."""
 
     document: Document = field(repr=False)
     data: Mapping[str, Any] = field(repr=False)

@@ -100,7 +100,7 @@ def replay(
     """Run recorded commands on the vehicle of a model with changes, beside the recording.
 
     changes: payload (kg), battery (V, or '+1', '-1'), propeller (ratio), or a parameter: {"K": "+10%", "w_north": 3.0}, or as words:
-    ["K=+10%"]. output: folder for report.html. InputError for a change that the model does not know.
+    ["K=+10%"]. output: folder for report.html. InputError for a change of what the model does not have.
     """
     from flighttest.api.comparisons import Replayed
     from flighttest.pipeline.twin import replay as run_commands

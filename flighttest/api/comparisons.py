@@ -47,7 +47,7 @@ class Opposed(Answer):
 
     @property
     def differences(self) -> tuple[Difference, ...]:
-        """Every parameter on both sides, those that differ first; `kind` says whether the simulator lacks it, or has too much of it."""
+        """Every parameter on both sides, those that differ first; `kind`: missing in the simulator, or too much of it there."""
         return self.found.differences
 
     @property

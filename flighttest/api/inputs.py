@@ -23,13 +23,13 @@ ProgressLike = Callable[[str], object] | Progress
 class Stages:
     """Progress that hands each stage's words to a function."""
 
-    def __init__(self, tell: Callable[[str], object] | None) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[str], object] | None) -> None:
+        self._report = report
 
     def stage(self, text: str) -> None:
         """A new step begins."""
-        if self._tell is not None:
-            self._tell(text)
+        if self._report is not None:
+            self._report(text)
 
     def part(self, done: float, of: float) -> None:
         """So many pieces are done; a stage's words are all that is handed on."""
@@ -38,9 +38,9 @@ class Stages:
         """The flight went on; its words are in the stages."""
 
 
-def as_progress(tell: ProgressLike | None) -> Progress:
+def as_progress(report: ProgressLike | None) -> Progress:
     """A receiver of progress: a function gets each stage's words, an object of `Progress` everything."""
-    return tell if isinstance(tell, Progress) else Stages(tell)
+    return report if isinstance(report, Progress) else Stages(report)
 
 
 def as_path(path: AnyPath | None) -> Path | None:

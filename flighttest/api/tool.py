@@ -105,7 +105,7 @@ def report(
 def show(
     log: AnyPath, output: AnyPath | None = None, *, columns: AnyPath | None = None, progress: ProgressLike | None = None
 ) -> Written:
-    """Write one HTML page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
+    """Write one HTML page about a log or run before anything is fitted: health, course, channels, map, what it can determine."""
     from flighttest.pipeline.identification.showing import show as write
 
     result = write(Path(log), as_path(output), as_path(columns), as_progress(progress))

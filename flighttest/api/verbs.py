@@ -38,7 +38,7 @@ def read(source: AnyPath, *, columns: AnyPath | None = None) -> Recording:
     """Read a run folder or a log (.BIN, .tlog, .ulg, .csv, .parquet, .mat, .mcap, packed or not).
 
     columns: column map (columns/1) of a foreign table. The recording has channels by name in SI, world North-West-Up, body
-    Forward-Left-Up, each group on its own times (n,); `to_frame` and `plot` show them. RecordingError says what is wrong with the file.
+    Forward-Left-Up, each group on its own times (n,); `to_frame` and `plot` show them. RecordingError: what is wrong with the file.
     """
     from flighttest.pipeline.recordings.sources import open_recording
 
@@ -212,7 +212,7 @@ def models(runs: AnyPath = "runs") -> Models:
 def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "runs") -> Models:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use; gives all accepted ones.
 
-    vehicle: vehicle.yaml, where the model does not say which vehicle it is of. InputError where that is not known at all.
+    vehicle: vehicle.yaml, where the model holds no name of its vehicle. InputError where there is none at all.
     """
     from flighttest.api.answers import Models
     from flighttest.pipeline.store.lineage import lineages

@@ -62,7 +62,7 @@ def validate(
 
 @command("accept")
 @click.argument("folder", type=ANY, metavar="DIR")
-@click.option("--vehicle", type=FILE, help="vehicle.yaml, where the model does not say which vehicle it is of.")
+@click.option("--vehicle", type=FILE, help="vehicle.yaml, where the model holds no name of its vehicle.")
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where accepted models are kept.")
 def accept(context: Context, folder: Path, vehicle: Path | None, out: Path) -> int:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use."""

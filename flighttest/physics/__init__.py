@@ -1,1 +1,1 @@
-"""Physics, declared once: parameters, terms and ports, composed into CasADi functions. Must not know who is calling."""
+"""Physics, declared once: parameters, terms and ports, composed into CasADi functions. Must not depend on who is calling."""

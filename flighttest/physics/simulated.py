@@ -42,7 +42,7 @@ class Simulated:
 
 
 class Runnable(Simulable, Protocol):
-    """A model that knows what to take for inputs and parameters that are not given: `physics.model.Model`."""
+    """A model that has what to take for inputs and parameters that are not given: `physics.model.Model`."""
 
     @property
     def nominal_voltage_v(self) -> float:

@@ -28,7 +28,7 @@ class System:
     """x_dot, y = function(x, u, p), delays left out: inputs are the delayed ones.
 
     states, inputs: name to unit, in order; outputs: channel names, as measured but before known filters; params: names. initial: of term
-    states (others start where the caller says). input_delay: input to its delay channel ('' where it has none);
+    states (others start where the caller puts them). input_delay: input to its delay channel ('' where it has none);
     delays_s(p): s, one per entry of `delay_channels`. Height above ground is p_z_m. time_s, and without attitude loops angular
     accelerations, are inputs where a term asks for them.
     """

@@ -108,10 +108,10 @@ class Vectorised:
                 raise ValueError(f"operation {code} of {function.name()} is not known to numpy here")
 
     def __call__(self, *arguments: Batch) -> FloatArray:
-        """The result (rows, n) of arguments (rows_i, n); the first row of the first argument says n."""
+        """The result (rows, n) of arguments (rows_i, n); the first row of the first argument has n columns."""
         w: list[Any] = [0.0] * self._work
         result = np.zeros((self.rows, len(arguments[0][0])))
-        # As in CasADi, a division by zero is an infinity and nothing to speak of.
+        # As in CasADi, a division by zero is an infinity and no error.
         with np.errstate(all="ignore"):
             for kind, what, out, first, second in self._program:
                 if kind == "binary":
@@ -131,7 +131,7 @@ class Vectorised:
 
 
 class Columns:
-    """The same for n columns by CasADi's own `map`, through memory that both know: to hand arrays over costs more than many columns.
+    """The same for n columns by CasADi's own `map`, through memory that both share: to hand arrays over costs more than many columns.
 
     Arguments and result of the function are dense.
     """

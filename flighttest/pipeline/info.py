@@ -1,4 +1,4 @@
-"""What the tool knows and what it finds on this machine: the catalogue of terms, and `doctor`."""
+"""What the tool offers and what it finds on this machine: the catalogue of terms, and `doctor`."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def _part(positions: Sequence[int]) -> list[Any]:
 def _result(future: Future[list[B]]) -> list[B] | None:
     """What a copy found; None where it failed.
 
-    An interrupt reaches the copy as well, which may still tell what it has: that is waited for, unless it was interrupted itself.
+    An interrupt reaches the copy as well, which may still report what it has: that is waited for, unless it was interrupted itself.
     """
     try:
         return future.result()

@@ -78,7 +78,7 @@ def flown(asks: Sequence[Request], predictor: Predictor) -> list[Rehearsal]:
         wanted = [i for i, ask in enumerate(asks) if ask.dt_s == dt_s]
         made = {i: _Filling(asks[i], steps_of(asks[i].rows, predictor, dt_s, asks[i].after_s)) for i in wanted}
         originals = _planned_rows(made)
-        # What only goes up and down is flown apart: the predictor may know a shorter way for it.
+        # What only goes up and down is flown apart: the predictor may have a shorter way for it.
         for straight in (True, False):
             _fly([m for m in originals if m.row.straight is straight], made, predictor, dt_s)
         found |= made

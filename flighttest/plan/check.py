@@ -1,4 +1,4 @@
-"""`CheckResult`: everything `flighttest check` says about a plan, as pure data."""
+"""`CheckResult`: everything `flighttest check` reports of a plan, as pure data."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class Excess:
 
     @property
     def words(self) -> str:
-        """Where it leaves, as an operator would say it."""
+        """Where it leaves, in an operator's words."""
         side = ("below the floor", "above the ceiling")[self.high] if self.axis == 2 else AXIS_WORDS[self.axis]
         lost = " with the link lost at the worst moment" if self.lost else ""
         if self.stopped:

@@ -22,7 +22,7 @@ from flighttest.vehicle.model import Vehicle
 
 # The paper flew from 24.5 V down to 21.5 V on a battery of 22.2 V nominal: what a script that states no voltages may meet.
 FULL_SHARE, EMPTY_SHARE = 24.5 / 22.2, 21.5 / 22.2
-# A battery is never quite where the script says.
+# A battery is never quite as in the script.
 VOLTAGE_DOUBT = 0.012
 # Of the nominal voltage: what the paper's 21 V on 22.2 V is, for scripts that name no lowest voltage.
 LOWEST_SHARE = 0.945
@@ -155,7 +155,7 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting) -> list[Pla
         if first not in cache:
             order = [headings[(first + k) % len(headings)] for k in range(len(headings))]
             if f.cell.waypoints:
-                # A path says where it is; it is not moved.
+                # A path has its place; it is not moved.
                 excess = worst(f.nominal, f.lost, setting.clearance, np.zeros(3), fence=True)
                 alone = worst(f.nominal, f.lost, setting.clearance, np.zeros(3), fence=False)
                 cache[first] = Placement(f.cell.waypoints[0][1:], order[0], excess, fence=alone is not None)

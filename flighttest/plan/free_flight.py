@@ -16,7 +16,7 @@ LOSS_EVERY_S = 1.0
 
 
 def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> Work[list[Fitted]]:
-    """The cells with their tracks in the zone's own coordinates (a path is not placed: it says where it is)."""
+    """The cells with their tracks in the zone's own coordinates (a path is not placed: it has its place)."""
     rows = [_rows(f, setting) for f in free]
     every = [row for some in rows for row in some]
     if not every:

@@ -57,7 +57,7 @@ class Leg:
         """The same leg for the throttle that holds height now (measured while hovering before it) and this autopilot.
 
         angle_boost: the autopilot divides throttle by the cosine of the tilt by itself (ArduPilot's ATC_ANGLE_BOOST 1). Only
-        level flight follows; throttle steps stay what the script says.
+        level flight follows; throttle steps stay as in the script.
         """
         if not isinstance(self.profile, Timeline):
             return self

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 STEP_S = 0.02  # responses are compared on this grid
 PARTS = 4  # inputs are held for a part of it
 LEAST_SAMPLES = 60  # a place (channel and kind of maneuver) needs before its RMS means something
-CONFUSABLE = 0.95  # cosine of what two effects leave, above which no diagnosis can be asked to tell them apart
+CONFUSABLE = 0.95  # cosine of what two effects leave, above which no diagnosis can be asked to distinguish them
 TILTED = ("roll_step", "pitch_step", "tilt_throttle")
 # First weights: (std of a sample, std of the disturbance of a response); the flights' own follow.
 FIRST = {"roll_rad": 0.003, "pitch_rad": 0.003, "r_rad_s": 0.02} | {

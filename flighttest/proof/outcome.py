@@ -22,13 +22,13 @@ BASE = "base"  # what `Outcome.values` calls the model that every diagnosis star
 @dataclass(frozen=True)
 class Outcome:
     """One trial. named: effects the tool named, strongest first; probability: of each of them, where the diagnosis states one; sizes:
-    hidden effect to noise floors after the refit; classes: hidden effect to the ids the oracle cannot tell from it; forces: hidden effect
-    to (true, found) RMS specific force that the base model leaves because of it, m/s^2; values: hidden effect that was named, and `BASE`
-    where nothing is hidden, to the parameters that vehicle and catalogue share, name to (true, found, lower, upper end of the 95 %
-    interval), SI; base_r2: of the base fit alone; gain: share of the mean square above the floor that is gone on held-out data; coverage:
-    of the diagnosed model's 95 % intervals on repeats it was not fitted to; located: whether something was said to be missing somewhere,
-    None where unknown; own: what was named of the firmware's own doing (shaping, angle boost), which nobody hid and which is no
-    false alarm; cpu_s, wall_s: of the diagnosis, 0 where unknown."""
+    hidden effect to noise floors after the refit; classes: hidden effect to the ids the oracle cannot distinguish from it; forces:
+    hidden effect to (true, found) RMS specific force that the base model leaves because of it, m/s^2; values: hidden effect that was
+    named, and `BASE` where nothing is hidden, to the parameters that vehicle and catalogue share, name to (true, found, lower, upper
+    end of the 95 % interval), SI; base_r2: of the base fit alone; gain: share of the mean square above the floor that is gone on held-out
+    data; coverage: of the diagnosed model's 95 % intervals on repeats it was not fitted to; located: whether something was said to
+    be missing somewhere, None where unknown; own: what was named of the firmware's own doing (shaping, angle boost), which nobody hid
+    and which is no false alarm; cpu_s, wall_s: of the diagnosis, 0 where unknown."""
 
     index: int
     kind: str
@@ -120,7 +120,7 @@ def _values(case: Case, found: DiagnosisData) -> dict[str, dict[str, tuple[float
 
 
 def _interval(parameter: ParameterRow) -> tuple[float, float, float]:
-    """Value and 95 % interval; not a number where the diagnosis knows none."""
+    """Value and 95 % interval; not a number where the diagnosis has none."""
     value, std, ends = float(parameter["value"]), parameter["std"], parameter.get("interval_95")
     if ends is None:
         ends = (float("nan"),) * 2 if std is None else (value - NORMAL_95 * std, value + NORMAL_95 * std)

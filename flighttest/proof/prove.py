@@ -18,7 +18,7 @@ from flighttest.proof.cases import Case, Generator, Kind, cases_of
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.trial import run
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ProofRequest:
 
 def run_trials(
     asked: ProofRequest,
-    tell: Tell = lambda _text: None,
+    report: Report = lambda _text: None,
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
     code: str = "",
     before: Sequence[Outcome] = (),
@@ -63,14 +63,14 @@ def run_trials(
     seal(cases)
     left = [case for case in cases if case.index not in {outcome.index for outcome in done}]
     for case in left:
-        tell(f"sealed trial {case.index}: SHA-256 {seals[case.index]}")
+        report(f"sealed trial {case.index}: SHA-256 {seals[case.index]}")
     try:
         for outcome in _outcomes(left, asked.workers, asked.scheduler):
             done.append(replace(outcome, code=code))
             keep(in_order(done), seed)
-            tell(f"trial {outcome.index} opened ({len(done)} of {len(cases)})")
+            report(f"trial {outcome.index} opened ({len(done)} of {len(cases)})")
     except KeyboardInterrupt:
-        tell(f"interrupted: {len(done)} trials are done")
+        report(f"interrupted: {len(done)} trials are done")
     return in_order(done), seed
 
 

@@ -56,7 +56,7 @@ def first_right(outcome: Outcome) -> bool:
 
 
 def wrong(outcome: Outcome) -> set[str]:
-    """What was named and neither hidden, however small, nor such that the oracle cannot tell it from what was."""
+    """What was named and neither hidden, however small, nor such that the oracle cannot distinguish it from what was."""
     return set(outcome.named) - set(outcome.hide) - {i for c in outcome.classes.values() for i in c}
 
 
@@ -145,7 +145,7 @@ def _magnitudes(groups: Groups) -> Magnitudes:
 
 
 def _calibration(groups: Groups) -> Calibration:
-    """Do intervals hold what they say, and are names as often right as they say?"""
+    """Do intervals hold what they promise, and are names as often right as stated?"""
     counted = (*groups.single, *groups.pairs)
     named = [(e, k, v) for o in counted for e, table in o.values.items() for k, v in table.items()]
     base = [(BASE, k, v) for o in groups.clean for k, v in o.values.get(BASE, {}).items()]

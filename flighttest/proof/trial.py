@@ -26,7 +26,7 @@ from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 @dataclass(frozen=True)
 class Measured:
-    """What the oracle says of a case. sizes: hidden effect to noise floors; forces: to the RMS specific force that the base model leaves
+    """The oracle's answer on a case. sizes: hidden effect to noise floors; forces: to the RMS specific force that the base model leaves
     because of it, m/s^2; classes: to the ids that cannot be distinguished from it in this campaign."""
 
     sizes: Mapping[str, float] = field(default_factory=dict)
@@ -40,7 +40,7 @@ def run(case: Case) -> Outcome:
         segments = _flown(case)
         frame = random_rotor(case.vehicle_seed)
         wall, cpu = time.perf_counter(), time.process_time()
-        # Blind: recorded segments and what an operator knows of his vehicle.
+        # Blind: recorded segments and what an operator has of a vehicle.
         found = diagnose(segments, Model(nominal_voltage_v=frame.nominal_voltage_v))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         measured = measure(case, segments)
@@ -52,7 +52,7 @@ def run(case: Case) -> Outcome:
 
 
 def opened(case: Case, found: DiagnosisData, measured: Measured) -> Outcome:
-    """A diagnosis (diagnosis.json) beside the truth and what the oracle says of it."""
+    """A diagnosis (diagnosis.json) beside the truth and the oracle's answer."""
     claimed = {f["term"]: f["evidence"].get("rms_force_left_m_s2") or 0.0 for f in found["findings"]}
     forces = {
         effect: (true, next((claimed[t] for t in measured.classes.get(effect, (effect,)) if t in claimed), 0.0))

@@ -1,4 +1,4 @@
-"""What a run folder says of itself, as typed data: manifest.yaml and the events of a flight (docs/formats.md)."""
+"""What a run folder holds about itself, as typed data: manifest.yaml and the events of a flight (docs/formats.md)."""
 
 from __future__ import annotations
 

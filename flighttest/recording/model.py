@@ -75,7 +75,7 @@ class Provenance:
     string; parameters: every vehicle parameter that is known; components: as declared in vehicle.yaml;
     clock: offset_s, error_s and method of the ground-to-vehicle clock; losses: sentences, each naming what and where;
     filters: known measurement filters as channel group to cut-off frequency, Hz (second-order Butterworth low-pass, as
-    ArduPilot's INS_ACCEL_FILTER); derived: channel name to the sentence that says how it was derived.
+    ArduPilot's INS_ACCEL_FILTER); derived: channel name to the sentence on how it was derived.
     autopilot: the board's own number, '' where it is not known;
     reference_clock: 'vehicle' when the reference is stamped on its arrival at the vehicle, 'ground' when on its sending.
     """

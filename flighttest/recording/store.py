@@ -182,7 +182,7 @@ def _write_recording(run_dir: Path, recording: Recording) -> None:
 def open_run(path: Path | str) -> Recording:
     """The recording of a run folder, from its channels.
 
-    RecordingError when it is no run folder, or when its channels were never written: then it says to rebuild them from raw.tlog.
+    RecordingError when it is no run folder, or when its channels were never written: then with the remedy to rebuild them from raw.tlog.
     """
     run_dir = Path(path)
     if not run_dir.is_dir():
@@ -232,7 +232,7 @@ def _read_series(file: Path, group: str) -> Series:
             if "t_s" not in there:
                 raise RecordingError(f"{file} has no column t_s", _REBUILD)
             if parquet.metadata.num_rows * len(mine) > MOST_VALUES:
-                raise RecordingError(f"{file} says that it holds {parquet.metadata.num_rows} rows", _REBUILD)
+                raise RecordingError(f"{file} states {parquet.metadata.num_rows} rows", _REBUILD)
             table = parquet.read(columns=mine)
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(f"{file} cannot be read: {_first_line(error)}", _REBUILD) from error
@@ -246,7 +246,7 @@ def _read_series(file: Path, group: str) -> Series:
 
 
 def _plain(value: Any) -> Any:
-    """The same in types that every YAML reader knows."""
+    """The same in types of every YAML reader."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

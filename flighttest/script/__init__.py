@@ -1,1 +1,1 @@
-"""Maneuver scripts: model, loader, profiles. Must not know time, vehicles or physics."""
+"""Maneuver scripts: model, loader, profiles. Must not contain time, vehicles or physics."""

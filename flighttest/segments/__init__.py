@@ -1,4 +1,4 @@
-"""Cut recordings into step responses and windows, and say which of them can be used.
+"""Cut recordings into step responses and windows, and judge which of them can be used.
 
 Must not fit, and must not judge outliers or gusts (identify does).
 """

@@ -1,4 +1,4 @@
-"""When the vehicle was in the air: as said by the autopilot where it says so, else inferred from throttle and height."""
+"""When the vehicle was in the air: as the autopilot reports it where it does, else inferred from throttle and height."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _at_rest(recording: Recording, start: float, end: float) -> bool:
         t, force = recording.channel("f_z_m_s2")
         inside = (t >= start) & (t <= end) & np.isfinite(force)
         return bool(inside.any()) and abs(float(np.median(force[inside])) - G_M_S2) < _RESTS_M_S2
-    return False  # nothing says that it stood
+    return False  # no evidence that it stood
 
 
 def _low(recording: Recording, down: float, up: float) -> tuple[float, float]:

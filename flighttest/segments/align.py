@@ -33,7 +33,7 @@ _FAST = ("attitude", "rates", "specific_force")
 @dataclass(frozen=True)
 class Aligned:
     """Series ready to be cut: t_s (n,) the time base; per group its averaged Series and its rate; own: groups that keep their
-    own times; compatibility: what was corrected by kinematics, None: nothing says."""
+    own times; compatibility: what was corrected by kinematics, None: not known."""
 
     t_s: FloatArray
     groups: dict[str, Series]

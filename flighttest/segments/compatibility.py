@@ -1,7 +1,7 @@
 """Data compatibility check: what velocity, attitude and specific force of one log must have in common by kinematics alone, corrected.
 
 A log stamps attitude, accelerometer and velocity estimate in different messages, each at its own place in the autopilot's cycle, and an
-estimator that fuses a late position follows what the accelerometer sees by a per cent less. After a tilt step both are off by some 40 mm/s,
+estimator that fuses a late position follows the accelerometer by a per cent less. After a tilt step both are off by some 40 mm/s,
 more than the noise, and a fit bends drag and thrust to make up for it. With the attitude's clock as the reference, velocity read tau_v
 late and (1 + kappa) large, specific force read tau_f late (its known low-pass filter beside it),
 
@@ -9,7 +9,7 @@ late and (1 + kappa) large, specific force read tau_f late (its known low-pass f
 
 holds in every stretch, three axes with one triple of unknowns; v_0, b (what attitude and accelerometer are biased by) are each stretch's
 own. Linear least squares after one low-pass filter without phase over all terms, with normal priors (`PRIOR_S`, `PRIOR_SCALE`): what little
-motion says of them moves them little, and without tilting only the difference of the offsets is known, which is all that matters there.
+motion shows of them moves them little, and without tilting only the difference of the offsets is known, which is all that matters there.
 Standard errors cluster by stretch. Klein & Morelli, Aircraft System Identification, chapter 10. No vehicle model is involved.
 """
 
@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 
 PRIOR_S = 0.01  # one cycle of ArduPilot's EKF (100 Hz), the slowest of what stamps messages
 PRIOR_SCALE = 0.01  # ArduPilot's EKF against its simulator's truth: 0.2 to 2.2 % in flights of 0.5 rad steps
-LARGEST = 2.0  # priors; more is no matter of stamps but a latency, which the catalogue knows (`velocity_latency`)
+LARGEST = 2.0  # priors; more is no matter of stamps but a latency, which is in the catalogue (`velocity_latency`)
 _GROUPS = ("attitude", "specific_force", "velocity")
 _STRETCH_S = 4.0
 _RATE_HZ = 100.0
@@ -41,7 +41,7 @@ _SHORTEST = 3  # stretches
 @dataclass(frozen=True)
 class Compatibility:
     """How late velocity and specific force are stamped against the attitude, s (negative: early), and by what share the horizontal velocity
-    is too large, each with its standard error. stretches: of 4 s each, that say so."""
+    is too large, each with its standard error. stretches: of 4 s each, behind these numbers."""
 
     velocity_late_s: float
     velocity_late_std_s: float

@@ -1,6 +1,6 @@
 """Cut a recording into step responses and windows of free flight.
 
-The step is always where the recorded reference has its edge. Marks, where there are any, say which edges were meant and what they are
+The step is always where the recorded reference has its edge. Marks, where there are any, name which edges were meant and what they are
 called. What they leave, or all where there are none, is cut by its references alone: into steps, and into windows of free flight.
 """
 

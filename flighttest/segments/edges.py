@@ -39,7 +39,7 @@ class Tolerance:
 EXACT = Tolerance((5e-4, 5e-4, 1e-3, 2e-4), 0.12, 0.0)
 """References that a script sent: held to the last digit. (An outer loop between the steps drifts, if slowly.)"""
 IN_PIECE = Tolerance(EXACT.still, 0.015, 0.0)
-"""The same where a table's step number says that there is a step: two samples before it are enough."""
+"""The same where a table's step number marks a step: two samples before it are enough."""
 BY_HAND = Tolerance((0.02, 0.02, 0.06, 0.015), 0.35, 0.5)
 """References from sticks, or an autopilot's own shaped target: changes take time."""
 
@@ -151,7 +151,7 @@ def plateaus(references: References, tolerance: Tolerance) -> list[Plateau]:
     rows = values[:, known].tolist()
     broken = np.asarray(np.isnan(values[:, known]).any(axis=1)).tolist()
     times = [*t.tolist(), float(t[-1]) + references.period_s]
-    # A long silence ends what was held, as far as anybody knows; a short one is a flaw of the response it falls into.
+    # A long silence ends what was held, as far as is known; a short one is a flaw of the response it falls into.
     silent = (np.append(np.diff(t), 0.0) > (_SILENCE_S if references.streamed else np.inf)).tolist()
     found: list[Plateau] = []
     begin = 0

@@ -28,9 +28,9 @@ _AFTER = frozenset({"coast", "settle", "stop", "counter"})
 class Marked:
     """One marked stretch: from start_s to end_s.
 
-    kinds: what the mark says it is (empty: anything). t_step_s: where the mark puts the step, None where it does not say. record_s: where
+    kinds: what the mark calls it (empty: anything). t_step_s: where the mark puts the step, None where it has none. record_s: where
     a stretch without a step is worth cutting into windows, None for nowhere. repeat: which repeat of its step, from 1; 0 where the
-    mark does not tell. numbered: a step number of a table made the mark, which says neither what the step is nor where exactly.
+    mark does not hold it. numbered: a step number of a table made the mark, which holds neither what the step is nor where exactly.
     outcome: how the leg ended, where that was recorded.
     """
 

@@ -41,7 +41,7 @@ class SegmentContext:
     by_hand: a pilot or another controller chose the references. filters: channel group to cut-off, Hz (as `Provenance.filters`).
     reference_clock: 'vehicle' or 'ground', where references are stamped, '' where that is not known; clock_error_s: between the two
     clocks, None where it is not known; edge_error_s: what is not known of the time of an edge in a table. derived: channel name to the
-    sentence that says how it was derived. compatibility: what was corrected by kinematics. voltage_samples: (t_s (n,), voltage_v (n,)) as
+    sentence on how it was derived. compatibility: what was corrected by kinematics. voltage_samples: (t_s (n,), voltage_v (n,)) as
     recorded, in and about the segment; None where the voltage is not that of the recording.
     """
 
@@ -107,7 +107,7 @@ class Segment:
 
     @property
     def usable(self) -> bool:
-        """True when nothing speaks against fitting this segment."""
+        """True when there is no reason against fitting this segment."""
         return not self.flaws
 
     @property

@@ -38,7 +38,7 @@ def flaws_of(
     y: Mapping[str, FloatArray],
     streamed: bool,
 ) -> tuple[Flaw, ...]:
-    """What speaks against fitting this response, in the order of `Flaw`. streamed: targets were repeated by a ground station."""
+    """The reasons against fitting this response, in the order of `Flaw`. streamed: targets were repeated by a ground station."""
     found: set[Flaw] = set()
     if response.end_s - response.t_step_s < SHORTEST_S or t_s.size < 5:
         found.add(Flaw.TOO_SHORT)
@@ -89,7 +89,7 @@ def _events(recording: Recording, response: Response) -> set[Flaw]:
         if marker.kind in _MARKED:
             found.add(_MARKED[marker.kind])
         elif marker.kind == "mode" and marker.t_s > response.start_s and marker.data.get("mode") != _GUIDED_NOGPS:
-            # Into the maneuver's own mode is no take-over: HEARTBEAT may tell of it a second late.
+            # Into the maneuver's own mode is no take-over: HEARTBEAT may report it a second late.
             found.add(Flaw.TAKE_OVER)
     return found
 

@@ -68,6 +68,6 @@ def build_vehicle(options: SimOptions) -> Autopilot:
         parameters=options.parameters,
         capacity_ah=plant.battery.capacity_ah,
     )
-    # As one that has had the time from satellites; nothing else of the vehicle knows what day it is.
+    # As one that has had the time from satellites; nothing else of the vehicle holds the date.
     vehicle.encoder.signing.set(bytes.fromhex(options.signing_key), int((time.time() - UNIX_2015_S) * 1e5))
     return vehicle

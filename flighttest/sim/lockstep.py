@@ -1,4 +1,4 @@
-"""Vehicle time on the client's leash: how a client and a simulated vehicle share one clock, with messages every MAVLink tool knows.
+"""Vehicle time on the client's leash: how a client and a simulated vehicle share one clock, with messages every MAVLink tool reads.
 
 At twenty times real time, one millisecond of host latency is twenty milliseconds of T_d. In lock-step no host latency counts at all, and
 equal bytes give equal flights. The protocol:
@@ -34,7 +34,7 @@ from flighttest.sim.autopilot.copter import Autopilot
 from flighttest.sim.autopilot.telemetry import heartbeat
 from flighttest.sim.wire import Decoder
 
-_GRANT_MAX_MS = 60_000  # a longer grant runs this far; its end mark says so
+_GRANT_MAX_MS = 60_000  # a longer grant runs this far; its end mark shows it
 
 
 class Mail:

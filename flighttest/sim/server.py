@@ -121,7 +121,7 @@ class Server:
             self._close()
 
     def _hold(self, origin: float, start: float) -> tuple[float, float]:
-        """Let the host's clock come up with granted time before the client hears of it; a client that is late gains nothing later."""
+        """Let the host's clock come up with granted time before the client receives it; a client that is late gains nothing later."""
         ahead_s = (self.host.vehicle.time_s - start) / self.speed - (time.monotonic() - origin)
         if ahead_s < 0.0:
             return time.monotonic(), self.host.vehicle.time_s
@@ -137,7 +137,7 @@ class Server:
         return min(max(due - time.monotonic(), 0.0), 0.05)
 
     def _run_free(self, origin: float, start: float) -> tuple[float, float]:
-        """Tick as far as the host's clock says; a host too slow for the speed lets the clock slip."""
+        """Tick as far as the host's clock has come; a host too slow for the speed lets the clock slip."""
         v, tick = self.host.vehicle, self.host.vehicle.tick
         now = time.monotonic()
         goal, deadline = start + (now - origin) * self.speed, now + _SLICE_S

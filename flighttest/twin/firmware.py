@@ -64,7 +64,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Frame:
-    """axes: by name; parameters: for the firmware; not_represented: terms that a frame cannot have; notes: what the user must know."""
+    """axes: by name; parameters: for the firmware; not_represented: terms that a frame cannot have; notes: what the user must read."""
 
     axes: Mapping[str, Axis]
     parameters: Mapping[str, float]

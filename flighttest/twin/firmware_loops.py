@@ -72,7 +72,7 @@ def loop_of(axis: str, parameters: Mapping[str, float]) -> Loop:
 
 
 def current_names(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Parameters under the names of 4.6 and before: 4.7 says ATC_ACC_R_MAX, deg/s^2, for ATC_ACCEL_R_MAX, centidegrees/s^2."""
+    """Parameters under the names of 4.6 and before: 4.7 has ATC_ACC_R_MAX, deg/s^2, for ATC_ACCEL_R_MAX, centidegrees/s^2."""
     found = dict(parameters)
     for letter in "RPY":
         if f"ATC_ACC_{letter}_MAX" in found:

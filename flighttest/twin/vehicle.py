@@ -76,7 +76,7 @@ def battery_of(stored: ModelFile) -> BatteryFields:
 
 
 def noise_of(stored: ModelFile, accel_filter_hz: float) -> dict[str, float]:
-    """Sensor noise such that the recorded channels come out with the residuals of the fit; channels it does not know stay as they are."""
+    """Sensor noise such that the recorded channels come out with the residuals of the fit; other channels stay as they are."""
     std = {c: float(v) for c, v in (stored.noise.get("channels") or {}).items() if _is_number(v)}
 
     def mean(*names: str) -> float | None:

@@ -82,7 +82,7 @@ def _changed(now: WhatIf, stored: ModelFile, name: str, text: str, word: str) ->
         mass = stored.fingerprint.get("mass_kg")
         if not isinstance(mass, int | float):
             raise InputError(
-                f"--set {word}: the model does not know the mass of its vehicle",
+                f"--set {word}: the model does not hold the mass of its vehicle",
                 "write mass_kg into vehicle.yaml and fit again with --vehicle, or change the forces with --set K=-10%",
             )
         if mass + added <= 0.0:

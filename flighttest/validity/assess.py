@@ -29,7 +29,7 @@ SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names
 
 @dataclass(frozen=True)
 class Evidence:
-    """What new recordings say of a model.
+    """What new recordings show of a model.
 
     runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same steps of the
     model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be determined;
@@ -58,7 +58,7 @@ def assess(
     """Is the model still valid?
 
     model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's
-    estimates; new: what recordings since then say; subsets: parameters that are tested together.
+    estimates; new: what recordings since then show; subsets: parameters that are tested together.
     """
     new = new or Evidence()
     runs, matched, spread, appeared = new.runs, new.matched, new.spread, new.appeared
@@ -127,7 +127,7 @@ def assess(
 
 
 def _same_parameters(model: FingerprintData, vehicle: FingerprintData) -> str:
-    """What was compared where both sides know their parameters, in words."""
+    """What was compared where both sides hold their parameters, in words."""
     count = len(set(model.get("shaping_parameters") or ()) & set(vehicle.get("shaping_parameters") or ()))
     return (
         f"{'firmware and ' if model.get('firmware') else ''}the {count} parameters that shape the response"
@@ -146,15 +146,15 @@ def _of_battery(checked: BatteryCheck | None) -> str:
 def _unknown(compared: str) -> str:
     if compared:
         return (
-            f"Unknown: {compared} are what they were when the model was flown; whether its components are, only vehicle.yaml can say "
+            f"Unknown: {compared} are what they were when the model was flown; whether its components are, only vehicle.yaml can state "
             "(--vehicle), or the spot check."
         )
-    return "Unknown: nothing was given that could tell whether the model still holds; declare the components, or fly the spot check."
+    return "Unknown: nothing was given that shows whether the model still holds; declare the components, or fly the spot check."
 
 
 def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
     if not tests:
-        limit = "; what could not be compared is below, and the spot check would tell" if in_part else ""
+        limit = "; what could not be compared is below, and the spot check would show it" if in_part else ""
         matched = f"; {compared} are what they were" if compared else ""
         return f"Current: nothing that is declared has changed since the model was flown{matched}{limit}."
     determined = list(dict.fromkeys(t.subset for t in tests))
@@ -205,7 +205,7 @@ def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | 
     if "thrust" in moved and "attitude" not in moved:
         what = thrust_or_mass(*sides) if sides is not None else "thrust or mass"
         words = {
-            "thrust or mass": "less or more thrust (propellers, motors, battery), or another mass: this flight cannot tell which",
+            "thrust or mass": "less or more thrust (propellers, motors, battery), or another mass: this flight cannot distinguish them",
             "thrust": "propellers, motors or battery, and not the mass",
             "mass": "the mass, and not the propellers",
         }[what]

@@ -4,7 +4,7 @@ A model is not its vehicle: other headings, voltages, amplitudes or runs move th
 so will the next campaign. Every partition of a campaign's responses by such a condition gives groups, and each group, to first
 order, an estimate of its own: the influence of its responses over its share of the information (Quenouille's random groups).
 What the groups scatter beyond the error each of them has by the scatter within it is the discrepancy (method of moments, as
-DerSimonian and Laird 1986), pulled towards a stated prior by as much as the groups cannot tell it.
+DerSimonian and Laird 1986), pulled towards a stated prior by as much as the groups leave it undetermined.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ DEFAULT_PRIOR = 0.05
 # Delays, s: a command stream of 50 Hz meets the autopilot's own loop at any phase, 20 ms / sqrt(12).
 DELAY_STD_S = 0.006
 PRIOR_WEIGHT = 2.0  # groups that the prior counts as
-MIN_GROUP = 3  # responses; fewer do not know their own scatter
+MIN_GROUP = 3  # responses; of fewer the scatter is not known
 MIN_SHARE = 0.1  # of a group in what is known of a parameter
 
 Condition = Callable[[Segment], float | str]

@@ -26,8 +26,8 @@ class Estimates:
     """Parameter names, values (n,) and covariance (n, n), SI. Parameters that are not identifiable are left out by the caller.
 
     dof: (n,) Student-t degrees of freedom of each standard error, None for many. log_voltage: ln(U / U_n) of the throttle's estimate,
-    NaN where it is not known. weak: K and alpha, where each alone is not identified: together they may still say what a throttle gives
-    at a voltage.
+    NaN where it is not known. weak: K and alpha, where each alone is not identified: together they may still determine what a
+    throttle gives at a voltage.
     """
 
     name: str
@@ -114,7 +114,7 @@ def subset_tests(
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
     matched: MatchedPairs | None = None,
 ) -> tuple[SubsetTest, ...]:
-    """Test every subset both sides know something about, by like steps or by the estimates: by what would have shown the smaller change;
+    """Test every subset both sides determine, by like steps or by the estimates: by what would have shown the smaller change;
     parameters that only the other comparison determines are a test of their own.
 
     Thrust per throttle is compared at the voltage of the new recording.
@@ -123,7 +123,7 @@ def subset_tests(
     away = alpha * (new.log_voltage - stored.log_voltage)
     before, after = stored.at_voltage(new.log_voltage, alpha).known, new.at_voltage(new.log_voltage, alpha).known
     shared = {s: tuple(n for n in names if n in before.names and n in after.names) for s, names in subsets.items()}
-    # A lag alone does not say that the thrust is what it was, nor a damping that the loop is as fast.
+    # A lag alone does not show that the thrust is what it was, nor a damping that the loop is as fast.
     testable = {s: names for s, names in shared.items() if set(names) & set(LEADING.get(s, names))}
     pairs = (
         {s: matched.compared(n, LEADING.get(s, ()), shared[s]) for s, n in subsets.items()}
@@ -143,8 +143,8 @@ def subset_tests(
     def by_estimates(subset: str, names: Sequence[str], level: float) -> SubsetTest:
         return _test(subset, before.select(names), after.select(names), spread, carried, level)
 
-    # Per subset the comparison that sees the smaller change (at any level), and what the other alone determines beside it: of drag the like
-    # steps of a spot check determine d_z alone, and d_x and d_y 22 % higher went by.
+    # Per subset the comparison that detects the smaller change (at any level), and what the other alone determines beside it: of drag the
+    # like steps of a spot check determine d_z alone, and d_x and d_y 22 % higher went by.
     chosen: list[tuple[Callable[[str, Sequence[str], float], SubsetTest], str, tuple[str, ...]]] = []
     for subset in subsets:
         ways = [(by_steps, pairs[subset])] if subset in pairs else []

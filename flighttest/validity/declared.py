@@ -72,7 +72,7 @@ _UNTELLING_FIELDS = frozenset({"installed", "note", "notes", "comment", "url"})
 def declared_changes(before: FingerprintData, after: FingerprintData) -> tuple[tuple[Change, ...], tuple[str, ...]]:
     """Changes between two fingerprints (as in model.yaml), and what could not be compared, one sentence each.
 
-    Only what both sides know is compared: something one side never declared is unknown, not changed.
+    Only what both sides hold is compared: something one side never declared is unknown, not changed.
     """
     changes: list[Change] = []
     unknown: list[str] = []
@@ -117,7 +117,7 @@ def same(a: Any, b: Any) -> bool:
 
 def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
     if not before:
-        unknown.append("the model does not say which components it was flown with")
+        unknown.append("the model does not hold which components it was flown with")
         return []
     if not after:
         unknown.append("the vehicle's components are not declared; list them in vehicle.yaml")
@@ -165,7 +165,7 @@ _HASH = re.compile(r"\(?\b([0-9a-f]{7,40})\b\)?", re.IGNORECASE)
 
 
 def _same_firmware(old: str, new: str) -> bool:
-    """Version and hash as far as both say them: a vehicle file knows only the family, a log adds the vehicle's type."""
+    """Version and hash as far as both have them: a vehicle file has only the family, a log adds the vehicle's type."""
     a, b = old.lower().strip(), new.lower().strip()
     if a == b or {a, b} & {"ardupilot", "px4"}:
         return True
@@ -207,7 +207,7 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
 
 
 def _partly(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> bool:
-    """Whether one side knows its parameters in part only (a log that began late, another program's list): what it lacks is unknown then."""
+    """Whether one side has its parameters in part only (a log that began late, another program's list): what it lacks is unknown then."""
     for here, there, whose in ((before, after, "today's vehicle"), (after, before, "the model's flight")):
         missing = [n for n in here if n not in there and _ALIASES.get(n) not in there]
         if len(missing) > max(FEW, PARTLY * len(here)):

@@ -40,7 +40,7 @@ def hover(segments: Sequence[Segment], nominal_voltage_v: float) -> Hover | None
     windows = [one for runs in found.values() for one in runs]
     if len(windows) < 3:
         return None
-    # One recording's windows share its pack and its air; several recordings know what those do.
+    # One recording's windows share its pack and its air; several recordings show what those do.
     units = [np.mean([t for t, _ in runs]) for runs in found.values()] if len(found) > 1 else [t for t, _ in windows]
     volts = [v for _, v in windows if np.isfinite(v)]
     there = math.log(float(np.mean(volts)) / nominal_voltage_v) if volts else None

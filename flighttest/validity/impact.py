@@ -40,11 +40,9 @@ def _of_test(test: SubsetTest) -> str:
         what = "a turn" if name == "sigma_r" else "a tilt"
         return f"{what} takes {much} to arrive than a plan made with this model expects"
     if name.startswith("zeta"):
-        return (
-            f"a tilt overshoots {'less' if change > 0 else 'more'} than the model says: damping {change * 100:+.0f} %"
-        )
+        return f"a tilt overshoots {'less' if change > 0 else 'more'} than in the model: damping {change * 100:+.0f} %"
     if name == "sigma_t":
-        return f"thrust takes {much} to come than the model says"
+        return f"thrust takes {much} to come than in the model"
     if name.startswith("d_"):
         return f"drag is {change * 100:+.0f} % of the model's: the speed at which a tilt settles is off by as much"
     if name.startswith("T_d"):

@@ -26,8 +26,8 @@ from flighttest.validity.between_campaigns import prior
 from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.model import FloatArray
 
-MIN_STEPS = 2  # kinds of step that must tell of a parameter
-MIN_SHARE = 0.02  # of the information on a parameter, for a kind of step to tell of it
+MIN_STEPS = 2  # kinds of step that must determine a parameter
+MIN_SHARE = 0.02  # of the information on a parameter, for a kind of step to determine it
 VAGUE = 0.15  # relative standard error beyond which a parameter is held at the model's: it would only blur the others
 DELAY_S = 0.1  # what a delay's error is relative to
 SAME_SIZE = 0.03  # relative difference of two steps' sizes within which they are the same
@@ -208,7 +208,7 @@ def _only(normal: Normal, names: Sequence[str]) -> Normal:
 
 
 def _determined(moved: Normal, values: Mapping[str, float], inflation: float) -> list[str]:
-    """Parameters that enough kinds of step tell of, and agree on."""
+    """Parameters that enough kinds of step determine, and agree on."""
     diagonal = np.einsum("sii->si", moved.hessian)
     share = diagonal / np.maximum(diagonal.sum(axis=0), 1e-300)
     names = [n for i, n in enumerate(moved.names) if int((share[:, i] > MIN_SHARE).sum()) >= MIN_STEPS]

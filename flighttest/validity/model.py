@@ -54,7 +54,7 @@ class Verdict(Enum):
 
     CURRENT = "the model still holds for this vehicle"
     STALE = "the model is stale: fly the named scripts again"
-    UNKNOWN = "nothing here can tell whether the model still holds"
+    UNKNOWN = "nothing here shows whether the model still holds"
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class SubsetTest:
 @dataclass(frozen=True)
 class Untested:
     """A parameter of the model that a new recording does not test. smallest: relative change that would have shown, None where none would;
-    fly: scripts that tell it."""
+    fly: scripts that show it."""
 
     parameter: str
     subset: str

@@ -129,7 +129,7 @@ def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
 
 def test_a_model_that_knows_less_does_not_take_the_place_of_one_that_knows_more(tmp_path):
     lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
-    with pytest.raises(InputError, match="knows less than the model in use, of alpha") as reported:
+    with pytest.raises(InputError, match="determines less than the model in use, of alpha") as reported:
         lineage.take_into_use(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
     both = f"flighttest diagnose {tmp_path / 'a'} {tmp_path / 'two'} -o {tmp_path / 'two' / 'together'} --accept"
     assert both in reported.value.hint

@@ -61,7 +61,7 @@ def test_the_example_of_the_formats_page():
     [
         ("format: maneuver/1", "format: maneuver/2", 1, "format", "version 2", "maneuver/1"),
         ("format: maneuver/1", "format: vehicle/1", 1, "format", "maneuver/1", "write"),
-        ("format: maneuver/1\n", "", 1, "format", "does not say", "format: maneuver/1"),
+        ("format: maneuver/1\n", "", 1, "format", "does not state", "format: maneuver/1"),
         ("rate_hz", "rate_Hz", 6, "rate_Hz", "unknown key", "`rate_hz`"),
         ("rate_hz: 50", "rate_hz: .nan", 6, "rate_hz", "not a finite", ""),
         ("rate_hz: 50", "rate_hz: 50000", 6, "rate_hz", "outside 5 to 400", ""),

@@ -102,5 +102,5 @@ def test_what_cannot_be_asked_says_so(word, said):
 
 
 def test_a_payload_needs_the_mass():
-    with pytest.raises(InputError, match="does not know the mass"):
+    with pytest.raises(InputError, match="does not hold the mass"):
         what_if(replace(stored(), fingerprint={}), ["payload=0.1"])

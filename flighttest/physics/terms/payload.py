@@ -68,7 +68,7 @@ slung_payload = Term(
     plain="a load swings on a cable below the vehicle and pulls it to and fro after every lateral move",
     source="pendulum below an accelerated pivot; Palunko, Fierro, Cruz, ICRA 2012",
     doubt="massless cable that a slack moment leaves at its length, no downwash on the load; its "
-    "weight is in K's thrust-to-mass ratio unless a former model says otherwise",
+    "weight is in K's thrust-to-mass ratio unless a former model has it otherwise",
     hides_in=("a_d", "d_x", "d_y", "K"),
     told_apart_by="ringing after lateral steps",
     reveals="lateral_stop",

@@ -218,7 +218,7 @@ thrust_fade = Term(
     equation="gain = 1 - s_f (1 - exp(-t / tau_f)), t since take-off",
     plain="thrust falls with time in the air at the same voltage, as motors and magnets grow hot",
     source="temperature dependence of winding resistance and magnets",
-    doubt="runs together with the discharging battery: tell them apart by two packs, or the pack's order reversed",
+    doubt="runs together with the discharging battery: distinguish them by two packs, or the pack's order reversed",
     hides_in=("alpha", "K"),
     told_apart_by="same step early and late at one voltage: two packs, or the pack's order reversed",
     reveals="thrust",

@@ -102,7 +102,7 @@ def _grown(span: tuple[float, float], growth: float) -> tuple[float, float]:
 
 
 def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle: Vehicle | None) -> Diagnosis:
-    """The diagnosis, whose proposal says in `next_reason` and in the script's doc whether it fits the zone of this vehicle, or else of the
+    """The diagnosis, whose proposal has in `next_reason` and in the script's doc whether it fits the zone of this vehicle, or else of the
     one that was flown last. As it was where neither is known: a script is planned for the zone it is flown in anyway."""
     where = vehicle if vehicle is not None and vehicle.flies else flown_vehicle(recordings)
     if where is None or not found.next_script:
@@ -159,6 +159,6 @@ def _vehicle(kept: VehicleData, zone: ZoneData) -> Vehicle:
 
 
 def _prior(model: Model, values: Mapping[str, float], vehicle: Vehicle) -> ModelPredictor:
-    """The diagnosis' own model, where it knows what this vehicle hovers at; else the usual one."""
+    """The diagnosis' own model, where it has this vehicle's hover throttle; else the usual one."""
     made = ModelPredictor(replace(model, attitude_loops=True), values)
     return made if hovers(made, vehicle) else predictor_for(None, vehicle)

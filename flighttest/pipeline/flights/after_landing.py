@@ -41,7 +41,7 @@ from flighttest.vehicle.model import Vehicle
 
 @dataclass(frozen=True)
 class Analysis:
-    """What was found in a campaign; any part may be missing, `reason` says why the fit is."""
+    """What was found in a campaign; any part may be missing, `reason`: why the fit is."""
 
     recordings: tuple[Recording, ...]
     segments: tuple[Segment, ...]
@@ -117,7 +117,7 @@ def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out:
     words = f"flighttest accept {shlex.quote(str(folder))}{out_words(out)}"
     used, own = found.previous, found.improved or found.fit
     if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
-        return f"with the flights of the model in use, which knows more: {joint_fit_command(out, used, folder)}"
+        return f"with the flights of the model in use, which has more: {joint_fit_command(out, used, folder)}"
     if not name:
         return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
     if not keep:
@@ -210,7 +210,7 @@ def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Docume
 
 
 def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Document, accepting: str) -> Document:
-    """What the terminal shows: the verdict, what is missing, the parameters (or what speaks for and against the model in use), where
+    """What the terminal shows: the verdict, what is missing, the parameters (or the evidence for and against the model in use), where
     everything is."""
     folders, notes = landed.folders, landed.notes
     sections: list[Section] = list(missing_sections(found.diagnosis)) if found.diagnosis is not None else []

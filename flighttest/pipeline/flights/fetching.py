@@ -28,14 +28,14 @@ def fetch_log(
     progress.stage(f"connecting to {url}")
     words = -1
 
-    def tell(share: float) -> None:
+    def report(share: float) -> None:
         nonlocal words
         tenth = int(share * 10)
         if tenth > words:
             words = tenth
             progress.stage(f"downloading: {tenth * 10} %")
 
-    log = fetch(url, path, number, tell, read_key(key) if key is not None else None)
+    log = fetch(url, path, number, report, read_key(key) if key is not None else None)
     if not is_file and not (output / MANIFEST_NAME).exists():
         progress.stage("reading the log")
         write_recording(output, open_recording(path))

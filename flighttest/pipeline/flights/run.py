@@ -107,7 +107,7 @@ def announce(request: FlightRequest) -> str:
 
 
 def needs_consent(request: FlightRequest) -> bool:
-    """A person must say yes before anything real arms."""
+    """A person must confirm before anything real arms."""
     return target(request) != BUILTIN
 
 
@@ -331,7 +331,7 @@ def _say_changes(previous: ModelFile, today: FingerprintData, said: set[str], pr
 
 
 def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions, progress: Progress) -> FlightResult:
-    """One script, flown and recorded in a folder. asked: what the flight needs to know beside the request."""
+    """One script, flown and recorded in a folder. asked: what the flight needs beside the request."""
     with connection(request) as url, counted_interrupts() as stops:
         keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
         wanted = replace(

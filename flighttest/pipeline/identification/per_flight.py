@@ -66,7 +66,7 @@ def wind_section(
     try:
         found = winds(segments, model, weather)
     except FlighttestError:
-        return None, {}  # the fit says what was not recorded
+        return None, {}  # the fit reports what was not recorded
     return (None, {}) if found is None else (_section(found), _data(found))
 
 
@@ -81,7 +81,7 @@ def _section(found: Winds) -> Section:
     notes = [f"Drag is the same in all flights: {join(drag)}. Intervals of 95 % hold what flights differ by."]
     if not found.turned:
         known = (
-            f"flights declared still (within {STILL_STD_M_S:g} m/s) tell them apart"
+            f"flights declared still (within {STILL_STD_M_S:g} m/s) distinguish them"
             if found.declared
             else "declare flights in still air with --weather FLIGHT=still, or fly two headings"
         )

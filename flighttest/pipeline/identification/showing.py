@@ -21,7 +21,7 @@ from flighttest.physics.body import DELAY
 from flighttest.pipeline.identification.fitting import base_model
 from flighttest.pipeline.identification.reporting import provenance
 from flighttest.pipeline.recordings.batteries import battery_of
-from flighttest.pipeline.recordings.sources import open_recording, untold
+from flighttest.pipeline.recordings.sources import open_recording, unreported
 from flighttest.pipeline.recordings.time_budget import time_section
 from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.recording import Recording
@@ -38,7 +38,7 @@ from flighttest.version import __version__
 
 STEPS_OF_A_MANEUVER = 6  # fewer steps happen in a flight by hand, too
 SLOW_M_S, LEVEL_RAD = 0.3, 0.1  # of hovering
-MOST_WINDOWS = 24  # of free flight, that the outlook rests on: more would take longer and tell the same
+MOST_WINDOWS = 24  # of free flight, that the outlook rests on: more would take longer and show the same
 PAGE = "show.html"
 SUFFIXES = re.compile(r"\.\w+(\.(gz|xz))?$")  # of a log's name
 
@@ -67,7 +67,7 @@ def show(log: Path, output: Path | None = None, columns: Path | None = None, pro
     html.write(document, page)
     brief = [replace(s, detail=s.id not in ("identify", "next")) for s in shown if s.id != "channels"]
     short = Document("show", verdict, tone, tuple(brief), {"page": str(page), **dict(look.figures)})
-    return Result(short, _data(look, page, verdict, untold(log, recording)), value=document)
+    return Result(short, _data(look, page, verdict, unreported(log, recording)), value=document)
 
 
 def looked(recording: Recording, segments: Sequence[Segment], named: str, columns: Path | None = None) -> Look:
@@ -94,14 +94,14 @@ def _outlook(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[P
     free = [s for s in segments if s.usable and s.kind == "free"]
     usable = [*steps, *free[:: max(1, len(free) // MOST_WINDOWS)]]
     if not usable:
-        return (), "No response of this recording can be used; the table of responses says why."
+        return (), "No response of this recording can be used; the reasons are in the table of responses."
     model = base_model([recording], None)
     model = replace(model, attitude_loops=has_attitude_references(usable))
     try:
         values = model.start(start_values(usable, model, onset_delay(usable)))
         expected = expected_of(usable, model, values)
     except FlighttestError as error:
-        return (), f"What it could tell was not computed: {error.message}."
+        return (), f"What it determines was not computed: {error.message}."
     blind = () if voltage_varies(usable, model.nominal_voltage_v) else ("alpha",)
     if not throttle_varies(usable):
         blind = (*blind, "sigma_t", "T_d_thrust")
@@ -166,7 +166,7 @@ def _commands(
         words = " ".join(scripts)
         found.append(
             (
-                "Steps for what it cannot tell (with --vehicle and --connect, on this vehicle):",
+                "Steps for what it cannot determine (with --vehicle and --connect, on this vehicle):",
                 f"flighttest run {words}",
             )
         )

@@ -51,7 +51,7 @@ def predictor_for(model: Path | None, vehicle: Vehicle) -> ModelPredictor:
 
 
 def prior_of(model: Path | None, out: Path, vehicle: Vehicle) -> tuple[ModelPredictor, Path | None]:
-    """The model given, else the accepted one of this vehicle as far as it knows its thrust, else the paper's as `predictor_for` has it; and
+    """The model given, else the accepted one of this vehicle as far as it has its thrust, else the paper's as `predictor_for` has it; and
     the file it is from."""
     accepted = lineage_of(out, vehicle.name).current if model is None and vehicle.name else None
     if accepted is not None and hovers(found := predictor_for(accepted, vehicle), vehicle):
@@ -89,7 +89,7 @@ def check(
         whose = model or "the vehicle as declared"
         raise InputError(
             f"{whose}: at this vehicle's {declared.nominal_voltage_v:g} V the model hovers at {100 * hover:.1f} % throttle: it is of "
-            "another vehicle, or does not know its thrust",
+            "another vehicle, or its thrust is not identified",
             "name the vehicle with --vehicle, or another model",
         )
 
@@ -136,7 +136,7 @@ def _useful(expected: Expected) -> bool:
 
 
 def _expected_section(altogether: Sequence[Expected]) -> Section | None:
-    """What all scripts together would make known, what more repeats would buy, and which steps tell most."""
+    """What all scripts together would make known, what more repeats would buy, and which steps determine most."""
     if not altogether:
         return None
     rows: list[tuple[Cell | str, ...]] = []
@@ -147,7 +147,7 @@ def _expected_section(altogether: Sequence[Expected]) -> Section | None:
         share = percent(e.std / abs(e.value)) if e.value else "-"
         best = "; ".join(cell for cell, _ in e.best[:2])
         rows.append((e.name, number(e.std, 2), unit(e.unit), share, number(e.std_twice, 2), best))
-    head = ("parameter", "expected error", "unit", "", "with twice the repeats", "steps that tell most")
+    head = ("parameter", "expected error", "unit", "", "with twice the repeats", "most informative steps")
     table = Table(head, tuple(rows), ("left", "right", "left", "right", "right", "left"))
     lead = (
         "Standard errors to expect from these scripts, with the prior model and the noise of a usual outdoor vehicle."

@@ -64,7 +64,7 @@ def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
 
 
 def _warnings(found: Fit) -> tuple[str, ...]:
-    """What speaks against each parameter; those of which the same is said in one sentence."""
+    """The reasons against each parameter; those with the same reason, in one sentence."""
     blind = [e.name for e in found.estimates.values() if e.std is None and e.source == "assumed" and e.why]
     lines = [f"nothing in these recordings determines {join(blind)}"] if blind else []
     alike: dict[str, list[str]] = {}
@@ -106,7 +106,7 @@ def _verdict(found: Fit, unknown: Sequence[str]) -> str:
 
 
 def _accuracy(found: Fit) -> str:
-    """The one number that says how good the model is at what it is for: thrust and attitude, as shares explained."""
+    """The one number for how good the model is at what it is for: thrust and attitude, as shares explained."""
     # A channel that hardly moved is noise about its mean, of which there is nothing to explain.
     shares = {c: q.r2 for c, q in found.quality.items() if isfinite(q.r2) and q.r2 > DETERMINED_R2}
     named = [
@@ -158,7 +158,7 @@ def why_nothing(found: Fit, runs: Sequence[str]) -> Section | None:
     scripts = list(dict.fromkeys(e.fly for e in doubtful if e.fly))
     if scripts:
         lines.append(
-            f"steps would tell: `flighttest run {' '.join(scripts)}` flies them (with --vehicle and --connect, on this vehicle)"
+            f"steps that determine them: `flighttest run {' '.join(scripts)}` flies them (with --vehicle and --connect, on this vehicle)"
         )
     lines.append(f"what the model misses: `flighttest diagnose {' '.join(runs)}`")
     return Section("why", "Why nothing is known", (Bullets(tuple(lines)),))

@@ -14,7 +14,7 @@ from flighttest.validity.battery import resistance
 
 
 def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:
-    """Internal resistance of all recordings that can tell together (weighted by what each knows), else the reason of the last."""
+    """Internal resistance of all recordings that determine it together (weighted by their information), else the reason of the last."""
     reason = "battery resistance: UNTESTABLE, no voltage is recorded"
     known: list[tuple[float, float]] = []
     for recording in recordings:
@@ -34,7 +34,7 @@ def battery_of(recordings: Sequence[Recording]) -> tuple[float, float] | str:
     weights = [1.0 / max(std, 1e-6) ** 2 for _, std in known]
     total = sum(weights)
     mean = sum(w * value for w, (value, _) in zip(weights, known, strict=True)) / total
-    # Packs differ, and few blocks know their own scatter badly: the scatter between the recordings counts where it is larger.
+    # Packs differ, and the scatter of few blocks is itself badly known: the scatter between the recordings counts where it is larger.
     between = sum(w * (value - mean) ** 2 for w, (value, _) in zip(weights, known, strict=True)) / max(
         len(known) - 1, 1
     )

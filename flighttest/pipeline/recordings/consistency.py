@@ -15,7 +15,7 @@ def inconsistencies(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
 
 def conflicts(recordings: Sequence[Recording]) -> str:
-    """What says that recordings are not of one vehicle in one state, in one sentence; empty where nothing does."""
+    """Signs that recordings are not of one vehicle in one state, in one sentence; empty where nothing does."""
     for recording in recordings[1:]:
         said = differences(of_recordings(recordings[:1], None), [recording])
         if said:

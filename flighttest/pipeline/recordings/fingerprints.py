@@ -13,7 +13,7 @@ from flighttest.vehicle.model import Vehicle
 
 
 def of_recordings(recordings: Sequence[Recording], vehicle: Vehicle | None) -> FingerprintData:
-    """From the newest recording that knows each part; the recording's own components before those of the vehicle file, but the nominal
+    """From the newest recording that has each part; the recording's own components before those of the vehicle file, but the nominal
     voltage as the vehicle file has it, since the fit takes it from there."""
     firmware = ""
     parameters: dict[str, float] = {}

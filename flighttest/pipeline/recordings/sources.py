@@ -41,7 +41,7 @@ def named(source: Source) -> str:
 
 
 def open_recording(path: Path, columns: Path | None = None) -> Recording:
-    """A run folder or a log of any kind as a Recording. RecordingError says what is wrong with it."""
+    """A run folder or a log of any kind as a Recording. RecordingError: what is wrong with it."""
     if not path.exists():
         raise RecordingError(f"{path}: there is no such run or log", "`flighttest runs` lists the runs on this machine")
     if not path.is_dir():
@@ -107,7 +107,7 @@ def open_recordings(
             progress.part(done, len(paths))
             found.append(read(path))
     for path, recording in zip(paths, found, strict=True):
-        for loss in untold(path, recording):
+        for loss in unreported(path, recording):
             progress.stage(f"{path}: {loss}")
     names: set[str] = set()
     unique = []
@@ -125,7 +125,7 @@ def open_recordings(
     return tuple(unique)
 
 
-def untold(path: Path, recording: Recording) -> tuple[str, ...]:
+def unreported(path: Path, recording: Recording) -> tuple[str, ...]:
     """What reading a table in passing found wrong with it, columns that were not read among it; of a run folder `import` reported it."""
     source = recording.provenance
     return source.losses if source.importer == "table" and not path.is_dir() else ()

@@ -20,7 +20,7 @@ VEHICLE_NAME = "vehicle.yaml"
 
 @dataclass(frozen=True)
 class FlownWith:
-    """The words of a command line that say what flies. link: a URL, or the built-in vehicle's name."""
+    """The words of a command line for what flies. link: a URL, or the built-in vehicle's name."""
 
     link: str
     vehicle: Path | None = None
@@ -51,7 +51,7 @@ def keep(run_dir: Path, flown: FlownWith) -> None:
 
 
 def flown_with(run_dir: Path) -> FlownWith | None:
-    """What a run was flown with: by the vehicle file's own place, else its copy. None where the run does not say."""
+    """What a run was flown with: by the vehicle file's own place, else its copy. None where the run does not hold it."""
     path = run_dir / COMMAND_NAME
     if not path.is_file():
         return None
@@ -81,7 +81,7 @@ def out_words(out: Path) -> str:
 
 def options_of(runs: Sequence[Path], out: Path, vehicle: Path | None = None) -> str:
     """The options that fly the vehicle of the newest of these runs again, into the same folder of runs. vehicle: its vehicle file of now.
-    Where no run says what flew, the vehicle file alone; '' without one."""
+    Where no run holds what flew, the vehicle file alone; '' without one."""
     for run_dir in reversed(runs):
         try:
             found = flown_with(run_dir)

@@ -22,7 +22,7 @@ from flighttest.validity.model import SUBSETS
 
 FIT_NAME = "fit.yaml"
 DEFAULT_RUNS = Path("runs")  # where runs go unless stated otherwise; not there before the first
-TOGETHER = ("K", "alpha")  # may say together what a throttle gives where neither is known alone
+TOGETHER = ("K", "alpha")  # may determine together what a throttle gives where neither is known alone
 # Where a delay hangs at its bound, the loop behind it takes up what the delay cannot: it is not determined.
 LAGS: dict[str, tuple[str, ...]] = {
     "T_d_attitude": SUBSETS["attitude"],
@@ -58,7 +58,7 @@ class Campaign:
 def watched(model: ModelFile, name: str, tested: Sequence[str] = TESTED) -> Estimates:
     """The identified ones of the parameters that are tested, with their covariance.
 
-    Few responses know their own scatter badly: the degrees of freedom are those of the 95 % intervals (Student's factor).
+    The scatter of few responses is itself badly known: the degrees of freedom are those of the 95 % intervals (Student's factor).
     """
     lost = {n for delay, lags in LAGS.items() if _at_bound(model.parameters.get(delay)) for n in lags}
     names = tuple(
@@ -92,7 +92,7 @@ def _at_bound(delay: StoredParameter | None) -> bool:
 
 
 def _determines(p: StoredParameter) -> bool:
-    """Whether a parameter can be compared: also one that too few responses tell to say how well it is known, as in a spot check, if it
+    """Whether a parameter can be compared: also one from too few responses to know how well it is known, as in a spot check, if it
     came out sharply: what campaigns differ by is allowed for anyway."""
     return p.identifiable or (p.std is not None and p.std < KNOWN_STD * abs(p.value))
 
@@ -127,12 +127,12 @@ def campaigns(folder: Path, vehicle: str) -> list[Campaign]:
     return list(found.values())
 
 
-# A new model takes the place of an old one when it knows as much: each of the watched parameters at most so many times as badly.
+# A new model takes the place of an old one when it determines as much: each of the watched parameters at most so many times as badly.
 AS_GOOD = 2.0
 
 
 def as_good(new: ModelFile, old: ModelFile) -> bool:
-    """Whether a model knows all that another one does, and hardly worse: a spot check does not replace a campaign."""
+    """Whether a model determines all that another one does, and hardly worse: a spot check does not replace a campaign."""
     mine, theirs = _known(new), _known(old)
     return all(name in mine and mine[name] <= AS_GOOD * std for name, std in theirs.items())
 

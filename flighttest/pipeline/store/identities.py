@@ -42,7 +42,7 @@ def of_recording(recording: Recording) -> Identity:
 
 
 def identity_of(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Identity:
-    """Of recordings together: the vehicle file's name first, of everything else what the newest recording knows; of none where they are of
+    """Of recordings together: the vehicle file's name first, of everything else what the newest recording has; of none where they are of
     two vehicles."""
     found = Identity()
     declared = vehicle is not None and bool(vehicle.name)
@@ -59,7 +59,7 @@ def identity_of(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Ide
 
 
 def known_in(folder: Path) -> dict[str, list[Identity]]:
-    """The named vehicles of a folder of runs, and what their runs and accepted models know of their autopilots."""
+    """The named vehicles of a folder of runs, and what their runs and accepted models hold of their autopilots."""
     found: dict[str, list[Identity]] = {}
     for path in sorted((folder / MODELS_DIR).glob(f"*/{LINEAGE_NAME}")):
         data = read_yaml(path, ModelError, "lineage", LINEAGE_REPAIR)

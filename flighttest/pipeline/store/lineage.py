@@ -144,7 +144,7 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
 
 def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage, Generation]:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use. InputError where the vehicle is not known
-    or another one's, or where the model knows less than the one in use, of an unchanged vehicle and without its flights."""
+    or another one's, or where the model determines less than the one in use, of an unchanged vehicle and without its flights."""
     if not path.exists():
         raise InputError(
             f"{path}: there is no such model or folder", "name what `flighttest diagnose -o` or `run` wrote"
@@ -175,7 +175,7 @@ def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[L
         lost = worse(stored, old)
         if lost and not changes:
             raise InputError(
-                f"{path} knows less than the model in use, of {join(lost)}",
+                f"{path} determines less than the model in use, of {join(lost)}",
                 f"fit its flights with those of the model in use: {joint_fit_command(out, old, path)}; "
                 "or declare in vehicle.yaml what has changed",
             )
@@ -201,7 +201,7 @@ def _whose(stored: ModelFile, path: Path, out: Path, vehicle: Path | None) -> st
 
 
 def worse(new: ModelFile, old: ModelFile) -> list[str]:
-    """What a model knows less well than another one, by `AS_GOOD`. Nothing where it is fitted to the other's flights too: a term that
+    """What a model determines less well than another one, by `AS_GOOD`. Nothing where it is fitted to the other's flights too: a term that
     joined widens what it is confused with, and rightly so."""
     if set(map(str, old.runs)) <= set(map(str, new.runs)):
         return []

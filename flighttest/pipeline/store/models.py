@@ -47,7 +47,7 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
 
 
 def _fits_zone(folder: Path) -> bool:
-    """Whether the flight that a folder's diagnosis proposes fits the vehicle's zone; so where it does not say."""
+    """Whether the flight that a folder's diagnosis proposes fits the vehicle's zone; so where that is not stored."""
     try:
         reason = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8")).get("next_reason") or {}
     except (OSError, ValueError, AttributeError):

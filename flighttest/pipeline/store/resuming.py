@@ -41,7 +41,7 @@ def chain(run_dir: Path | None) -> list[Path]:
 
 def left_behind(folder: Path, vehicle: str) -> dict[str, Left]:
     """Parameters that the last flight of a vehicle set and did not restore (its program may have been killed). Only by a record that was
-    written for this run folder: a manifest copied from elsewhere says nothing of this vehicle."""
+    written for this run folder: a manifest copied from elsewhere is no evidence of this vehicle."""
     last = next((run for run in reversed(run_folders(folder)) if vehicle_name(run) == vehicle), None)
     if last is None:
         return {}
@@ -70,7 +70,7 @@ def flown_in(runs: Sequence[Path]) -> frozenset[str]:
 
 
 def worth_resuming(run_dir: Path, compiled: Sequence[Plan]) -> list[str]:
-    """What the operator should know before going on with a run. InputError when it flew another script or another vehicle, or lacks
+    """What the operator should read before going on with a run. InputError when it flew another script or another vehicle, or lacks
     nothing."""
     manifest = read_manifest(run_dir)
     script = manifest.get("script") or {}

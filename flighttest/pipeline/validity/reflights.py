@@ -40,7 +40,7 @@ def minutes_of(names: Sequence[str], stored: ModelFile, vehicle: Vehicle | None)
 
 
 def thrust_script(stored: ModelFile, vehicle: Vehicle | None) -> str:
-    """The script that the model's own flights had; by the hover throttle where they do not say."""
+    """The script that the model's own flights had; by the hover throttle where they have none."""
     if any(str(run).rstrip("/").endswith(RELATIVE) for run in stored.runs):
         return RELATIVE
     usual = DEFAULT_VEHICLE.hover_throttle

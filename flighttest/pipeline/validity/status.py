@@ -98,7 +98,7 @@ def _one_vehicle(stored: ModelFile, name: str) -> None:
 @dataclass(frozen=True)
 class Today:
     """What is known of a vehicle today. recordings: one new campaign, possibly none; vehicle: as declared; name: the vehicle's; out: where
-    its earlier campaigns may lie; present: the vehicle as it is now, which counts more than what the recordings say of it."""
+    its earlier campaigns may lie; present: the vehicle as it is now, which counts more than the recordings."""
 
     recordings: Sequence[Recording] = ()
     vehicle: Vehicle | None = None
@@ -204,7 +204,7 @@ def reestimate(
 ) -> tuple[Estimates, dict[str, float | None]]:
     """The stored model's parameters from new responses alone, and the standard error of each, None where nothing determines it.
 
-    What the new recordings cannot tell (alpha over a short flight, say) is held at the stored value, so that it does not blur
+    What the new recordings cannot determine (alpha over a short flight, say) is held at the stored value, so that it does not blur
     the rest; the test's covariance carries the stored doubt anyway.
     """
     if not usable:
@@ -239,7 +239,7 @@ def matched_pairs(stored: ModelFile, base: Estimates, segments: Sequence[Segment
 
 
 def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
-    """A model's noise, where it knows that of everything in `problem`."""
+    """A model's noise, where it has that of everything in `problem`."""
     noise = Noise(stored.noise.get("channels") or {}, stored.noise.get("disturbances") or {})
     channels = {c for part in problem.parts for c in part.outputs}
     others = {n for part in problem.parts for n in part.block.disturbances}
@@ -256,7 +256,7 @@ def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:
 
 
 def _determines_less(found: Fit, stored: ModelFile, name: str) -> bool:
-    """Whether the new recordings know a parameter so badly that the stored value serves the others better.
+    """Whether the new recordings determine a parameter so badly that the stored value serves the others better.
 
     alpha, which moves K along, already when it is known half as well as before: the voltage range of a short flight is no change
     of the vehicle.
@@ -273,7 +273,7 @@ def _determines_less(found: Fit, stored: ModelFile, name: str) -> bool:
 
 def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
     """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
-    between its conditions. What neither knows keeps the stated prior."""
+    between its conditions. What neither determines keeps the stated prior."""
     kept = stored.fit_quality.get("discrepancy")
     known = {str(n): float(v) for n, v in kept.items() if _number(v)} if isinstance(kept, Mapping) else {}
     return {**known, **(own_scatter(base, earlier) or {})}
@@ -297,7 +297,7 @@ def own_scatter(base: Estimates, earlier: Sequence[Estimates]) -> dict[str, floa
             continue
         values = np.array([v for v, _ in rows])
         extra = float(np.var(values, ddof=1)) - float(np.mean([s for _, s in rows]))
-        # The root of half the chi-square's spread: few campaigns know their own scatter badly.
+        # The root of half the chi-square's spread: the scatter of few campaigns is itself badly known.
         found[name] = float(
             np.sqrt(max(extra, 0.0)) * (1.0 + 1.0 / np.sqrt(2.0 * (len(rows) - 1))) / abs(float(base.values[i]))
         )

@@ -27,7 +27,7 @@ _NAMES = {book.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduCopter", book.MAV_AUTOPILOT_PX4
 
 @dataclass(frozen=True)
 class LiveVehicle:
-    """What a vehicle says of itself. parameters: all of them, as they will be in force in a flight of ours."""
+    """What a vehicle reports of itself. parameters: all of them, as they will be in force in a flight of ours."""
 
     url: str
     firmware: str
@@ -52,7 +52,7 @@ def read(url: str, progress: Progress = SILENT, key: bytes | None = None) -> Liv
             session.port.close()
     family = _NAMES.get(beat.autopilot, "")
     if beat.autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA and "GUID_OPTIONS" in found:
-        # Every flight sets this bit before it arms, and restores it: a model knows the vehicle with it.
+        # Every flight sets this bit before it arms, and restores it: models are of the vehicle with it.
         found["GUID_OPTIONS"] = float(int(found["GUID_OPTIONS"]) | THRUST_AS_THRUST)
     return LiveVehicle(url, f"{family} {version}".strip() if version else "", found)
 

@@ -45,7 +45,7 @@ class Cell:
 
     lead: the pieces up to the end of the record; `shortest_s` names those that may be shortened, with the least that is
     useful (None: what the delay needs). stops: how the vehicle is brought to rest afterwards, in this order: 'counter'
-    (a tilt the other way, `counter` says which) and 'vertical' (a throttle of its own); the planner finds how long. tail: what
+    (a tilt the other way, `counter`: which) and 'vertical' (a throttle of its own); the planner finds how long. tail: what
     follows. height_m: above the ground at the step, where the script asks for one. by_waypoints: flown by an outer loop.
     """
 

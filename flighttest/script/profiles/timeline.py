@@ -1,7 +1,7 @@
 """`Piece` and `Timeline`: a response as a row of pieces, and the pure function of time they make.
 
 A piece whose throttle is None flies level: the throttle that holds height at the present voltage, over the cosine of the tilt
-unless the autopilot does that by itself. Everything else is what the script says, to the letter.
+unless the autopilot does that by itself. Everything else is as in the script, to the letter.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class Mailbox:
         }
 
     def receive(self, message: Any) -> None:
-        """Handle one message; those for other systems, and those nobody here knows, are ignored."""
+        """Handle one message; those for other systems, and unknown ones are ignored."""
         if not self._v.encoder.signing.takes(message):
             return
         handler = self._handlers.get(message.get_type())

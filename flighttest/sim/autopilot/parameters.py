@@ -1,4 +1,4 @@
-"""The vehicle's parameters: names and defaults of ArduCopter 4.7, and a store that speaks of them as MAVLink does."""
+"""The vehicle's parameters: names and defaults of ArduCopter 4.7, and a store that sends them as MAVLink does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages the vehicle can be asked for, made from what its instruments say (NWU/FLU to NED/FRD, SI to MAVLink's units), and when each is
+"""Messages the vehicle can be asked for, made from what its instruments read (NWU/FLU to NED/FRD, SI to MAVLink's units), and when each is
 due: SET_MESSAGE_INTERVAL as ArduPilot grants it."""
 
 from __future__ import annotations

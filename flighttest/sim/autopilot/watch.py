@@ -14,7 +14,7 @@ from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
 _LAND_DISARM_S = 1.5
 _TIMESYNC_S = 10.0
-_PREARM_S = 30.0  # how often a vehicle that cannot arm says why
+_PREARM_S = 30.0  # how often a vehicle that cannot arm reports why
 _SWAP_S = 3.0
 _MAXALT, _BOUNDARY = book.FENCE_BREACH_MAXALT, book.FENCE_BREACH_BOUNDARY
 _BOOT_TEXTS = (

@@ -274,7 +274,7 @@ class RotorPlant:
         self._report(0.0, (0.0, 0.0, 0.0))
 
     def _report(self, h: float, f: tuple[float, float, float]) -> None:
-        """What perfect instruments say."""
+        """What perfect instruments read."""
         m = self.motion
         roll, pitch = self._roll, self._pitch
         if h == 0.0:

@@ -63,7 +63,7 @@ class GroundCrew:
                     connection.sendall(self._encoder.message(answer))
 
     def take(self, message: Any) -> Any | None:
-        """What the crew says to a message of the vehicle, None where nothing."""
+        """What the crew answers to a message of the vehicle, None where nothing."""
         kind = message.get_type()
         if kind == "PARAM_VALUE" and message.param_id == _NAME.decode():
             self._full_v = self._full_v or float(message.param_value)

@@ -1,6 +1,6 @@
 """A real ArduPilot SITL as a vehicle on this machine: find `arducopter`, start it, wait until it can arm, stop it.
 
-Nothing of ArduPilot comes with this package. Where no binary is found, the error says where one looks for it and who explains how to
+Nothing of ArduPilot comes with this package. Where no binary is found, the error names where one looks for it and who explains how to
 build one. Every vehicle runs in a folder of its own with ports of its own, so several can fly at once.
 """
 

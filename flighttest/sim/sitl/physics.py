@@ -64,7 +64,7 @@ def build_motor_plant(options: SimOptions) -> MotorDriven:
 
 def firmware_parameters(options: SimOptions) -> dict[str, float]:
     """What a builder of this vehicle would set: frame, hover throttle, battery, rate gains scaled by its moment over inertia. Of an
-    identified model, what its options say."""
+    identified model, what its options are."""
     if options.model is not None:
         return {"BATT_CAPACITY": 1000.0 * (options.capacity_ah or 5.0), **options.parameters}
     v = rotor_vehicle(options)

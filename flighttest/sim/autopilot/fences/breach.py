@@ -98,7 +98,7 @@ def fence_mode(action: int, *, has_position: bool) -> int | None:
 
 
 def breach_words(breaches: int) -> str:
-    """What the firmware says of a new breach."""
+    """What the firmware reports of a new breach."""
     if breaches & MAX_ALTITUDE:
         return "Max Alt fence breached"
     return "Circle fence breached" if breaches & CIRCLE else "Polygon fence breached"
