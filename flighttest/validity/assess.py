@@ -61,55 +61,29 @@ def assess(
     estimates; new: what recordings since then show; subsets: parameters that are tested together.
     """
     new = new or Evidence()
-    runs, matched, spread, appeared = new.runs, new.matched, new.spread, new.appeared
+    runs, matched, appeared = new.runs, new.matched, new.appeared
     changes: tuple[Change, ...] = ()
     cannot_tell = list(new.untestable)
     if vehicle_fingerprint is not None:
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
         cannot_tell += unknown
-    tests = subset_tests(stored, runs[-1], spread=spread, matched=matched, subsets=subsets) if runs else ()
-    before, now = new.hovers
-    if before is not None and now is not None:
-        alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
-        by_gain = next((t for t in tests if t.subset == "thrust" and "K" in t.shifts), None)
-        others = [t for t in tests if t is not by_gain]
-        shared = FALSE_ALARM / (len(others) + 1)
-        level = hover_test(before, now, alpha, shared)
-        if by_gain is None:
-            others = list(
-                subset_tests(
-                    stored, runs[-1], spread=spread, false_alarm=shared * len(others), matched=matched, subsets=subsets
-                )
-                if others
-                else ()
-            )
-        # Of two tests of the same thing the one that would show the smaller change is asked.
-        if by_gain is None or by_gain.detectable.get("K", 0.0) > level.detectable[NAME]:
-            tests = (*others, level)
-    drift = drifts(stored, runs, spread) if len(runs) > 1 else ()
+    tests = _tests(stored, new, subsets)
+    drift = drifts(stored, runs, new.spread) if len(runs) > 1 else ()
     checked = check(new.battery, new.battery_reference) if new.battery is not None else None
     alarms = [t for t in tests if t.alarm]
     crossed = [d for d in drift if d.crossed_at]
-    stale = bool(changes or alarms or crossed or appeared)
-    if stale:
-        verdict = Verdict.STALE
-    elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
-        verdict = Verdict.CURRENT
-    else:
-        verdict = Verdict.UNKNOWN
     compared = _same_parameters(model_fingerprint, vehicle_fingerprint) if vehicle_fingerprint is not None else ""
-    sides = (matched.before, matched.after) if matched is not None else (stored, runs[-1]) if runs else None
     fly: tuple[str, ...] = ()
     narrow: tuple[str, ...] = ()
-    if stale:
-        fly = ALL_SCRIPTS
-        moved = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
-        moved |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
-        narrow = scripts_for(tuple(s for s in SUBSETS if s in moved)) or ALL_SCRIPTS
-    if verdict is Verdict.STALE:
+    if changes or alarms or crossed or appeared:
+        verdict = Verdict.STALE
+        sides = (matched.before, matched.after) if matched is not None else (stored, runs[-1]) if runs else None
         sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
+        fly, narrow = ALL_SCRIPTS, _narrow(changes, alarms, crossed)
+    elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
+        verdict, sentence = Verdict.CURRENT, _current(tests, bool(cannot_tell), compared)
     else:
-        sentence = _current(tests, bool(cannot_tell), compared) if verdict is Verdict.CURRENT else _unknown(compared)
+        verdict, sentence = Verdict.UNKNOWN, _unknown(compared)
     return Assessment(
         verdict=verdict,
         sentence=sentence + _of_battery(checked),
@@ -124,6 +98,36 @@ def assess(
         cannot_tell=tuple(dict.fromkeys(cannot_tell)),
         appeared=tuple(appeared),
     )
+
+
+def _tests(stored: Estimates, new: Evidence, subsets: Mapping[str, tuple[str, ...]]) -> tuple[SubsetTest, ...]:
+    """The newest run's estimates against the model's, by subset; the throttle that holds height in the place of the thrust's test, or
+    beside the others, where it would show the smaller change. The false-alarm rate of all together stays `FALSE_ALARM`."""
+    runs, before, now = new.runs, *new.hovers
+
+    def by_estimates(false_alarm: float = FALSE_ALARM) -> tuple[SubsetTest, ...]:
+        return subset_tests(
+            stored, runs[-1], spread=new.spread, false_alarm=false_alarm, matched=new.matched, subsets=subsets
+        )
+
+    tests = by_estimates() if runs else ()
+    if before is None or now is None:
+        return tests
+    alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
+    by_gain = next((t for t in tests if t.subset == "thrust" and "K" in t.shifts), None)
+    others = tuple(t for t in tests if t is not by_gain)
+    shared = FALSE_ALARM / (len(others) + 1)
+    level = hover_test(before, now, alpha, shared)
+    if by_gain is None:
+        return (*(by_estimates(shared * len(others)) if others else ()), level)
+    return (*others, level) if by_gain.detectable.get("K", 0.0) > level.detectable[NAME] else tests
+
+
+def _narrow(changes: Sequence[Change], alarms: Sequence[SubsetTest], crossed: Sequence[Drift]) -> tuple[str, ...]:
+    """The scripts for what has changed alone; all where that is of no one subset."""
+    moved = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
+    moved |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
+    return scripts_for(tuple(s for s in SUBSETS if s in moved)) or ALL_SCRIPTS
 
 
 def _same_parameters(model: FingerprintData, vehicle: FingerprintData) -> str:
