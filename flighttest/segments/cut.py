@@ -151,13 +151,7 @@ def _by_references(
     marked: Sequence[Response],
 ) -> list[tuple[Response, Marked | None]]:
     """Steps beside the marks, and windows of what neither of them holds. marked: the responses of the marks."""
-    spans = flights(recording)
-    if references is not None and references.streamed:
-        # Where no targets came, nothing is known about what the vehicle was asked to do.
-        known = references.t_s[np.isfinite(references.values).any(axis=1)]
-        if known.size:
-            first, last = float(known[0]), float(known[-1]) + references.period_s
-            spans = tuple((max(a, first), min(b, last)) for a, b in spans if a < last and first < b) or spans
+    spans = _flown_with_targets(recording, references)
     every = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
     steps = [replace(r, end_s=min(r.end_s, b)) for r in every for a, b in spans if a <= r.start_s and r.t_step_s < b]
     # What a mark's own leg does beside its step (its onset, its return) is no step of its own.
@@ -175,6 +169,18 @@ def _by_references(
         if b - a >= _FREE_STRETCH_S or not (marks or steps) or ed.moves(references, window)
     ]
     return [(r, None) for r in (*steps, *free)]
+
+
+def _flown_with_targets(recording: Recording, references: References | None) -> tuple[tuple[float, float], ...]:
+    """(begin, end) of each flight, s, as far as targets came where they are repeated: where none came, what was asked for is not known."""
+    spans = flights(recording)
+    if references is None or not references.streamed:
+        return spans
+    known = references.t_s[np.isfinite(references.values).any(axis=1)]
+    if not known.size:
+        return spans
+    first, last = float(known[0]), float(known[-1]) + references.period_s
+    return tuple((max(a, first), min(b, last)) for a, b in spans if a < last and first < b) or spans
 
 
 def _without(span: tuple[float, float], taken: Iterable[Response]) -> list[tuple[float, float]]:

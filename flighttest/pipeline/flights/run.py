@@ -235,17 +235,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         ends.append(ended)
         folders.append(ended.run_dir)
         notes += [n for n in ended.notes if n not in notes]
-        if not ended.as_planned:
-            notes.append(f"{plan.script.name}: {ended.sentence}")
-        missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
-        again = ended.outcome is not FlightOutcome.COMPLETED or any(
-            leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
-        )
-        if missing and ended.outcome.orderly and again:
-            notes.append(
-                f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
-            )
-        notes += unflown_steps(ended)
+        notes += _unlike_the_plan(plan, ended, earlier)
         if ended.outcome is not FlightOutcome.COMPLETED or not ended.left.is_safe:
             break
     usable = len(ends) == len(compiled) and all(e.as_planned and not e.incomplete for e in ends)
@@ -266,6 +256,20 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         return found
     page = replace(found.document, verdict=f"{_lacking(ends)} {found.document.verdict}", tone="bad")
     return replace(found, document=page)
+
+
+def _unlike_the_plan(plan: Plan, ended: FlightResult, earlier: Sequence[Path]) -> list[str]:
+    """What a flight lacks of its plan, with the command that flies it where that may help. earlier: the runs it goes on with."""
+    notes = [] if ended.as_planned else [f"{plan.script.name}: {ended.sentence}"]
+    missing = len({leg.id for leg in plan.legs} - flown_in([*earlier, ended.run_dir]))
+    again = ended.outcome is not FlightOutcome.COMPLETED or any(
+        leg.outcome in (LegOutcome.NOT_SETTLED, LegOutcome.LINK_LOST) for leg in ended.legs
+    )
+    if missing and ended.outcome.orderly and again:
+        notes.append(
+            f"{missing} of {len(plan.legs)} steps are missing: `flighttest run --resume {ended.run_dir}` flies them"
+        )
+    return [*notes, *unflown_steps(ended)]
 
 
 def _lacking(ends: Sequence[FlightResult]) -> str:

@@ -57,13 +57,7 @@ def validate(
         model, runs = _parted(runs)
     recordings = open_recordings(runs, Reading(columns), progress) if model is None else ()
     if model is None:
-        name = whose(recordings, None, out)
-        if not name:
-            raise InputError(
-                f"{join([named(r) for r in runs])}: of an unknown vehicle, and no model was given",
-                "name the model: flighttest validate MODEL RUN",
-            )
-        model = Path(in_use(out, name).path)
+        model = _in_use(recordings, runs, out)
     stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
     beside = beside or Beside()
     earlier = model_file.read(beside.previous) if isinstance(beside.previous, Path) else beside.previous
@@ -75,16 +69,9 @@ def validate(
     steps = [s for s in usable if s.kind != "free"]
     found = compare_models(stored, segments, earlier, horizons_s)
     steps_alone = compare_models(stored, steps, earlier, horizons_s) if steps and len(steps) < len(usable) else None
-    facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
-    seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
-    if seen:
-        facts["careful"] = f"{join(seen)} was used in the fit: this shows the fit, not its power to predict"
-    other = differences(stored.fingerprint, recordings)
-    if other:
-        facts["another vehicle"] = f"the model's has {other}"
     left_out = _left_out(segments)
-    if left_out:
-        facts["left out"] = left_out
+    facts = {"model": stored.path or "as fitted", "flights": join([named(r) for r in runs])}
+    facts |= _reservations(stored, recordings) | ({"left out": left_out} if left_out else {})
     verdict, tone = _verdict(found)
     sections, data = validation_sections(found), _data(found) | {"left_out": left_out, "losses": losses_of(recordings)}
     data |= {name.replace(" ", "_"): facts.get(name, "") for name in ("careful", "another vehicle")}
@@ -100,6 +87,29 @@ def validate(
     if output is not None:
         html.write(document, output)
     return Result(document, data, Status.DONE, found)
+
+
+def _in_use(recordings: Sequence[Recording], runs: Sequence[Source], out: Path) -> Path:
+    """The accepted model of the recordings' vehicle. InputError where the vehicle is unknown, or has none."""
+    name = whose(recordings, None, out)
+    if not name:
+        raise InputError(
+            f"{join([named(r) for r in runs])}: of an unknown vehicle, and no model was given",
+            "name the model: flighttest validate MODEL RUN",
+        )
+    return Path(in_use(out, name).path)
+
+
+def _reservations(stored: ModelFile, recordings: Sequence[Recording]) -> dict[str, str]:
+    """Why the comparison is worth less than it looks: recordings that the model was fitted to, or of another vehicle."""
+    found = {}
+    seen = sorted({r.name for r in recordings} & {str(r) for r in stored.runs})
+    if seen:
+        found["careful"] = f"{join(seen)} was used in the fit: this shows the fit, not its power to predict"
+    other = differences(stored.fingerprint, recordings)
+    if other:
+        found["another vehicle"] = f"the model's has {other}"
+    return found
 
 
 def _parted(paths: Sequence[Source]) -> tuple[Path | None, Sequence[Source]]:
