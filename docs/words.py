@@ -235,6 +235,17 @@ QUESTIONS = (
     ("Who says that a model is stale?", "stale", "validity/assess.py"),
     ("How is the model integrated?", "Runge-Kutta", "physics/simulate.py"),
     ("Why was a response rejected?", "take-over", "segments/quality.py"),
+    # Asked later by a reader who had the listing and the search alone. Two had no answer then: "clock offset" and "voltage sag".
+    ("How far is the vehicle's clock from the ground's?", "clock offset", "mavlink/clock.py"),
+    ("Which responses are set aside as outlying?", "outlying", "diagnose/residuals/outlying.py"),
+    ("Where does a command get its exit code?", "exit code", "cli/main.py"),
+    ("Who writes raw.tlog?", "raw.tlog", "flight/recorder.py"),
+    ("Where is the dead time of a response read off?", "dead time", "identify/dead_time.py"),
+    ("How is a pilot's take-over detected?", "take-over", "flight/execution/control.py"),
+    ("How small an effect would have been detected?", "minimum detectable", "diagnose/selection/detectability.py"),
+    ("How is an interrupted run resumed?", "resume", "pipeline/store/resuming.py"),
+    ("Where is the physics of voltage sag?", "voltage sag", "physics/terms/propulsion.py"),
+    ("Which components and parameters is a model valid for?", "fingerprint", "vehicle/fingerprint.py"),
 )
 
 # What is gone: pattern and what to say. Matched as a whole word, in any case, also as a part of names like flight_house_m.

@@ -1,7 +1,7 @@
-"""From the ground's clock to the vehicle's: offset, drift and how wrong they may be.
+"""From the ground's clock to the vehicle's: the clock offset, its drift and the error bound of both.
 
 Messages that carry the vehicle's time give a one-sided bound each, since delays only ever add: the least delayed of each few
-seconds follow the drift (which is not always linear: a busy flight controller loses ticks). What they cannot tell is the shortest
+seconds follow the drift (which is not always linear: a busy flight controller loses ticks). What they cannot determine is the shortest
 one-way delay itself. A TIMESYNC round trip bounds that from both sides: the sample with the smallest round trip is used, not the mean.
 """
 

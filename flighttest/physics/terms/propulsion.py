@@ -1,4 +1,4 @@
-"""Propulsion beyond a linear gain with one lag: motors, propellers, speed controllers, battery."""
+"""Propulsion beyond a linear gain with one lag: motors, propellers, speed controllers, battery (voltage sag)."""
 
 from __future__ import annotations
 
