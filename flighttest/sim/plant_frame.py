@@ -38,7 +38,7 @@ class FramePlant(TermsPlant):
         self._given: deque[tuple[float, float]] = deque()
         self._throttle = 0.0
         self._turning = [0.0, 0.0, 0.0]  # angular acceleration by the motors, rad/s^2
-        self._rates = [0.0, 0.0, 0.0]
+        self.rates_rad_s = [0.0, 0.0, 0.0]
         self._angles = [0.0, 0.0, 0.0]  # roll, pitch, yaw
         self.time_s = 0.0
 
@@ -47,11 +47,11 @@ class FramePlant(TermsPlant):
         m = self.motion
         self.time_s += dt_s
         if m.on_ground:
-            self._rates, self._turning = [0.0] * 3, [0.0] * 3
+            self.rates_rad_s, self._turning = [0.0] * 3, [0.0] * 3
         else:
             self._turn(motor_commands, dt_s)
         roll, pitch, yaw = self._angles
-        p, q, r = self._rates
+        p, q, r = self.rates_rad_s
         p_dot, q_dot, r_dot = self._turning if not m.on_ground else (0.0, 0.0, 0.0)
         given = {
             "roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw, "p_rad_s": p, "q_rad_s": q, "r_rad_s": r,
@@ -62,14 +62,14 @@ class FramePlant(TermsPlant):
 
     def _turn(self, commands: Sequence[float], h: float) -> None:
         """Moments to angular accelerations, rates and angles."""
-        gain = self._voltage_gain()
+        gain = self.voltage_gain
         wanted = [
             0.5 * g * gain * sum(s * c for s, c in zip(signs, commands, strict=False))
             for g, signs in zip(self._gains, (_ROLL, _PITCH, _YAW), strict=True)
         ]
         turning = [w + (a - w) * exp(-h / lag) for w, a, lag in zip(wanted, self._turning, self._lags, strict=True)]
-        p, q, r = (v + 0.5 * h * a for v, a in zip(self._rates, turning, strict=True))
-        self._turning, self._rates = turning, [v + h * a for v, a in zip(self._rates, turning, strict=True)]
+        p, q, r = (v + 0.5 * h * a for v, a in zip(self.rates_rad_s, turning, strict=True))
+        self._turning, self.rates_rad_s = turning, [v + h * a for v, a in zip(self.rates_rad_s, turning, strict=True)]
         roll, pitch, yaw = self._angles
         around = sin(roll) * q + cos(roll) * r
         self._angles = [

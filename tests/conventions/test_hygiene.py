@@ -211,6 +211,41 @@ def private_names(source: str) -> set[str]:
     return taken - FOREIGN
 
 
+def private_attributes(source: str) -> int:
+    """How often a test reads an attribute with an underscore of an object that is not its own."""
+    return sum(
+        isinstance(node, ast.Attribute)
+        and bool(PRIVATE.fullmatch(node.attr))
+        and node.attr not in FOREIGN
+        and ast.unparse(node.value) not in ("self", "cls", "os", "ctypes")
+        for node in ast.walk(parsed(source))
+    )
+
+
+# Tests that still look into an object, and how often: a number may only fall.
+INTO_OBJECTS = {
+    "tests/faults/endurance.py": 2,
+    "tests/flight/test_fence.py": 1,
+    "tests/flight/test_recorder.py": 2,
+    "tests/flight/test_replanning.py": 4,
+    "tests/link/test_link.py": 6,
+    "tests/link/test_signing.py": 1,
+}
+
+
+def test_tests_look_into_no_object(repository):
+    counts = {
+        p.relative_to(repository).as_posix(): private_attributes(p.read_text())
+        for p in (repository / "tests").rglob("*.py")
+    }
+    more = {path: n for path, n in counts.items() if n > INTO_OBJECTS.get(path, 0)}
+    assert not more, "test what is public, or make it so"
+
+
+def test_the_search_for_private_attributes_sees_them():
+    assert private_attributes("made.plant._x\nself._x\nf()._y") == 2
+
+
 def test_tests_are_of_public_behaviour(repository):
     found = {
         p.relative_to(repository).as_posix(): private_names(p.read_text()) for p in (repository / "tests").rglob("*.py")

@@ -168,7 +168,8 @@ class TestServer:
 
 def test_after_a_landing_there_is_a_full_battery():
     plant = MotorPlant(RotorVehicle())
-    backend = JsonBackend(plant, sock=bind_physics("127.0.0.1", 0))
+    sock = bind_physics("127.0.0.1", 0)
+    backend = JsonBackend(plant, sock=sock)
     frame = 0
 
     def run(pulse, seconds):
@@ -186,4 +187,4 @@ def test_after_a_landing_there_is_a_full_battery():
     assert plant.battery.used_ah > used
     run(1000, 1.0)
     assert plant.battery.used_ah < 0.1 * used
-    backend._socket.close()
+    sock.close()

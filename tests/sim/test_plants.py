@@ -197,7 +197,7 @@ def test_magnitudes_mean_what_they_say():
     _fly(low, [(0.25, 0, 0, 0, 1.1 * h)])
     _fly(high, [(0.25, 0, 0, 0, 1.1 * h)])
     z = RotorVehicle().rotor_height_m
-    assert low._rotors == pytest.approx(high._rotors)  # the rotors turn alike, the air does the rest
+    assert low.rotor_thrust_n == pytest.approx(high.rotor_thrust_n)  # the rotors turn alike, the air does the rest
     assert low.motion.pz > high.motion.pz
     assert 1.0 / (1.0 - 0.3 / 16.0 / z**2) > 1.3
 

@@ -75,13 +75,13 @@ def test_its_plant_turns_as_the_motors_push_and_hovers_at_the_hover_throttle(fra
     hover = plant.hover_throttle
     while plant.motion.on_ground or plant.motion.pz < 3.0:
         plant.step([1.3 * hover] * 4, 0.00125)
-    gain = plant._voltage_gain()
+    gain = plant.voltage_gain
     for axis, signs in ((0, (-1, 1, 1, -1)), (1, (-1, 1, -1, 1)), (2, (-1, -1, 1, 1))):
-        before = plant._rates[axis]
+        before = plant.rates_rad_s[axis]
         for _ in range(160):
             plant.step([hover + 0.01 * s for s in signs], 0.00125)
         push = 0.02 * gain * (400.0, 300.0, 50.0)[axis]
-        assert plant._rates[axis] - before == pytest.approx(push * (0.2 - 0.01), rel=0.02)
+        assert plant.rates_rad_s[axis] - before == pytest.approx(push * (0.2 - 0.01), rel=0.02)
     assert firmware_parameters(options)["ATC_RAT_RLL_P"] == 0.1
 
 
@@ -91,7 +91,7 @@ def test_throttle_arrives_late_by_what_is_not_the_links(frame):
     began = None
     for k in range(200):
         plant.step([0.5] * 4, 0.00125)
-        if began is None and float(plant._x[plant._index["a_t_m_s2"]]) > 0.0:
+        if began is None and plant.states["a_t_m_s2"] > 0.0:
             began = k * 0.00125
     assert began == pytest.approx(0.02, abs=0.003)
 

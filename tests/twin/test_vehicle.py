@@ -39,8 +39,7 @@ def test_the_plant_moves_as_the_model_is_simulated():
     hover = plant.hover_throttle
     while plant.motion.on_ground or plant.motion.pz < 2.0:
         plant.advance(0.005, Command(throttle=1.2 * hover, spinning=True))
-    names = list(file.model.system.states)
-    start = dict(zip(names, plant._x.tolist(), strict=True))
+    start = plant.states
     volts = []
     for _ in range(160):
         volts.append(plant.motion.voltage)

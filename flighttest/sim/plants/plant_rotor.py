@@ -50,7 +50,7 @@ class RotorPlant:
         self.hover_throttle = v.hover_throttle * (v.nominal_voltage_v / self.battery.voltage) ** v.alpha
         self._air = air
         self._loops, self._mixer, self._motors = Loops(v, on), Mixer(v, "attitude_priority" in on), Propulsion(v, on)
-        self._rotors = [0.0] * v.rotors  # static thrust of each at its present speed, N
+        self.rotor_thrust_n = [0.0] * v.rotors  # static thrust of each at its present speed, N
         self._load = SlungLoad(v.mass_kg, on["slung_payload"]) if "slung_payload" in on else None
         self._roll = self._pitch = self._yaw = 0.0
         self._p = self._q = self._r = 0.0
@@ -122,7 +122,7 @@ class RotorPlant:
         """One step of the rotors towards the wanted thrusts, N, and of everything they move."""
         m, v = self.motion, self.vehicle
         share = 1.0 - exp(-h / v.rotor_lag_s)
-        rotors = self._rotors = [f + share * (w - f) for f, w in zip(self._rotors, wanted, strict=True)]
+        rotors = self.rotor_thrust_n = [f + share * (w - f) for f, w in zip(self.rotor_thrust_n, wanted, strict=True)]
         if m.on_ground:
             self._stand(sum(rotors))
         else:

@@ -145,7 +145,13 @@ class TermsPlant:
         battery.draw((0.4 if spinning else 0.2) + HOVER_CURRENT_A * thrust * sqrt(thrust), h)
         m.voltage, m.current = battery.voltage, battery.current
 
-    def _voltage_gain(self) -> float:
+    @property
+    def states(self) -> dict[str, float]:
+        """The model's states by name, as they are now, SI."""
+        return dict(zip(self._index, self._x.tolist(), strict=True))
+
+    @property
+    def voltage_gain(self) -> float:
         """Static thrust at the battery's voltage, as a multiple of that at nominal voltage."""
         gain: float = (self.battery.voltage / self._nominal_v) ** self._alpha
         return gain
