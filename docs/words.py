@@ -281,6 +281,7 @@ GONE = {
     "whole truth": "all of it",
     "tells": "shows, determines, distinguishes",
     "wants": "needs, asks for",
+    "untold": "unreported, not determined",
     "told(?!_apart| apart by)": "determined, distinguished, reported",  # told_apart_by: a field of terms, which users write
     "doubts_of": "identifiability diagnostics of a parameter",
     "feeding": "data selection",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.plan.batched import Request, Work, run_batched
+from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import Clearance, Placement, box, place, worst
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, row_of, useful_s
 from flighttest.plan.free_flight import fly_waypoints
@@ -44,17 +44,6 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
     predictor: a prior model of this vehicle (see `Predictor`). angle_boost: the autopilot divides throttle by the cosine of the
     tilt by itself; `Leg.flown_with` sets it later as well.
     """
-    return compile_plans([script], vehicle, predictor, angle_boost=angle_boost)[0]
-
-
-def compile_plans(
-    scripts: Sequence[Script], vehicle: Vehicle, predictor: Predictor, *, angle_boost: bool = False
-) -> tuple[Plan, ...]:
-    """The same for several scripts, each by itself; their rehearsals are flown together."""
-    return tuple(run_batched([_compile(script, vehicle, predictor, angle_boost) for script in scripts], predictor))
-
-
-def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost: bool) -> Work[Plan]:
     zone = vehicle.zone
     if script.limits.floor_m is not None:
         zone = replace(zone, z_m=(min(script.limits.floor_m, zone.z_m[0]), zone.z_m[1]))
@@ -77,16 +66,16 @@ def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost
         throttle=script.limits.throttle,
         speed_max_m_s=script.limits.speed_max_m_s,
     )
-    fitted = yield from fit_cells(cells, setting)
+    fitted = fit_cells(cells, setting)
     paths = [i for i, f in enumerate(fitted) if f.cell.waypoints]
-    for i, f in zip(paths, (yield from fly_waypoints([fitted[i] for i in paths], setting)), strict=True):
+    for i, f in zip(paths, fly_waypoints([fitted[i] for i in paths], setting), strict=True):
         fitted[i] = f
     slots = _order(len(cells), script, span)
     places = [_places(f, i, script, setting) for i, f in enumerate(fitted)]
-    refusals = yield from _refusals(script, fitted, places, setting)
+    refusals = _refusals(script, fitted, places, setting)
     refused = {label for label, _, _ in refusals}
     slots = [slot for slot in slots if _leg_id(script, cells[slot.cell], slot.repeat) not in refused]
-    legs, stops = yield from _legs(script, fitted, places, slots, setting, zone.heading_rad, angle_boost)
+    legs, stops = _legs(script, fitted, places, slots, setting, zone.heading_rad, angle_boost)
     fenced = sum(any(p.fence and p.excess is None for p in placed) for placed in places)
     return Plan(
         script=script,
@@ -104,6 +93,13 @@ def _compile(script: Script, vehicle: Vehicle, predictor: Predictor, angle_boost
         reaction_s=reaction_s(predictor),
         fenced=fenced,
     )
+
+
+def compile_plans(
+    scripts: Sequence[Script], vehicle: Vehicle, predictor: Predictor, *, angle_boost: bool = False
+) -> tuple[Plan, ...]:
+    """The same for several scripts, each by itself."""
+    return tuple(compile_plan(script, vehicle, predictor, angle_boost=angle_boost) for script in scripts)
 
 
 def _distinct(cells: list[Cell]) -> list[Cell]:
@@ -167,7 +163,7 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting) -> list[Pla
 
 def _refusals(
     script: Script, fitted: Sequence[Fitted], places: Sequence[Sequence[Placement]], setting: Setting
-) -> Work[tuple[tuple[str, str, str], ...]]:
+) -> tuple[tuple[str, str, str], ...]:
     found: list[tuple[str, str, str]] = []
     for f, placed in zip(fitted, places, strict=True):
         hint: str | None = None
@@ -177,7 +173,7 @@ def _refusals(
                 found.append((name, f.complaint, f.remedy))
             if placement.excess is not None:
                 if hint is None:
-                    hint = yield from remedy(f, setting, script.reset.to_m, list(script.reset.heading_rad), placement)
+                    hint = remedy(f, setting, script.reset.to_m, list(script.reset.heading_rad), placement)
                 found.append((name, f"it leaves the zone by {placement.excess.words}", hint))
     return tuple(found)
 
@@ -190,10 +186,10 @@ def _legs(
     setting: Setting,
     zone_heading: float,
     angle_boost: bool,
-) -> Work[tuple[tuple[Leg, ...], dict[int, tuple[tuple[str, float, float], ...]]]]:
+) -> tuple[tuple[Leg, ...], dict[int, tuple[tuple[str, float, float], ...]]]:
     flying = [slot for slot in slots if not fitted[slot.cell].cell.motors_off and not fitted[slot.cell].cell.waypoints]
     rows = [row_of(fitted[slot.cell].cell, fitted[slot.cell].lead, setting, slot.voltage_v) for slot in flying]
-    flown = (yield Request(rows, STOP_STEP_S)) if rows else None
+    flown = fly_rows(Request(rows, STOP_STEP_S), setting.predictor) if rows else None
     hover = setting.predictor.hover_throttle(np.array([slot.voltage_v for slot in slots])) if slots else np.zeros(0)
     at = {id(slot): j for j, slot in enumerate(flying)}
     stops: dict[int, tuple[tuple[str, float, float], ...]] = {}

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flighttest.plan.batched import Request, Work
+from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import GATE_SLACK_M, Clearance, Track, box
 from flighttest.plan.model import FloatArray, Predictor
 from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, sample
@@ -73,27 +73,27 @@ def row_of(cell: Cell, lead: tuple[Piece, ...], setting: Setting, voltage_v: flo
     return Row(lead, cell.stops, cell.counter, tail, voltage_v, setting.stop_throttle(cell))
 
 
-def fit_cells(cells: Sequence[Cell], setting: Setting) -> Work[list[Fitted]]:
+def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
     """Durations, tracks and complaints of all cells, in order; the predictor is flown few times with many vehicles."""
     leads = [cell.lead for cell in cells]
     adjustable = [i for i, cell in enumerate(cells) if cell.shortest_s]
     if adjustable:
-        for i, lead in (yield from _search([cells[i] for i in adjustable], setting, adjustable)):
+        for i, lead in _search([cells[i] for i in adjustable], setting, adjustable):
             leads[i] = lead
-    found = yield from _tracks(cells, leads, setting)
+    found = _tracks(cells, leads, setting)
     # The search loses the link at two moments only; where a third one is worse, the record gives way a little more.
     for _ in range(ROUNDS):
         tight = [i for i in adjustable if not _has_start(found[i], setting) and _can_shrink(found[i], setting)]
         if not tight:
             break
         shorter = [_with(found[i].lead, {"step": _step_of(found[i].lead) - 2 * GRID_S}) for i in tight]
-        again = yield from _tracks([cells[i] for i in tight], shorter, setting)
+        again = _tracks([cells[i] for i in tight], shorter, setting)
         for i, f in zip(tight, again, strict=True):
             found[i] = f
     held = [i for i in adjustable if _has_hold(cells[i]) and not _has_start(found[i], setting)]
     if held:
-        searched = yield from _search([cells[i] for i in held], setting, held, FINE_HOLD_SHARES)
-        again = yield from _tracks([cells[i] for i in held], [lead for _, lead in searched], setting)
+        searched = _search([cells[i] for i in held], setting, held, FINE_HOLD_SHARES)
+        again = _tracks([cells[i] for i in held], [lead for _, lead in searched], setting)
         for i, f in zip(held, again, strict=True):
             if _has_start(f, setting):
                 found[i] = f
@@ -150,7 +150,7 @@ class _Option:
 
 def _search(
     cells: list[Cell], setting: Setting, indices: list[int], hold_shares: tuple[float, ...] = HOLD_SHARES
-) -> Work[list[tuple[int, tuple[Piece, ...]]]]:
+) -> list[tuple[int, tuple[Piece, ...]]]:
     """Longest record that fits, for each length of what comes before it; then the longest record wins, then the longest hold."""
     options: list[_Option] = []
     for k, cell in enumerate(cells):
@@ -167,7 +167,7 @@ def _search(
     high = np.array([option.longest_s for option in options])
     steps = np.maximum(np.round((high - low) / GRID_S), 0).astype(int)
     # Both ends in one flight, then false position: a flight that fits also fits when it is shorter.
-    both = yield from _slack(cells, [*options, *options], np.concatenate([low, low + steps * GRID_S]), setting)
+    both = _slack(cells, [*options, *options], np.concatenate([low, low + steps * GRID_S]), setting)
     at_good, at_bad = both[: len(options)], both[len(options) :]
     fits = at_good >= 0.0
     good, bad = np.where(at_bad >= 0.0, steps, 0), steps.copy()
@@ -177,7 +177,7 @@ def _search(
         part = at_good / np.maximum(at_good - at_bad, 1e-9)
         middle = np.clip(good + np.floor(part * (bad - good)).astype(int), good + 1, np.maximum(bad - 1, good + 1))
         middle = np.where(fits & (bad - good > 1), middle, good)
-        slack = yield from _slack(cells, options, low + middle * GRID_S, setting)
+        slack = _slack(cells, options, low + middle * GRID_S, setting)
         ok = slack >= 0.0
         at_good, at_bad = np.where(ok, slack, at_good), np.where(ok, at_bad, slack)
         good, bad = np.where(ok, np.maximum(good, middle), good), np.where(ok, bad, np.minimum(bad, middle))
@@ -197,7 +197,7 @@ def _slack(
     options: list[_Option],
     record_s: FloatArray,
     setting: Setting,
-) -> Work[FloatArray]:
+) -> FloatArray:
     """What each option's flight has to spare, m (and m/s), at both voltages, as planned and with the link lost; negative: too large."""
     rows = []
     for option, seconds in zip(options, record_s, strict=True):
@@ -207,7 +207,7 @@ def _slack(
             row = row_of(cell, lead, setting, voltage)
             # The two worst moments: at the end of what comes before the step, and at the end of the record.
             rows += [row, row.losing_link_at(row.lead_s), row.losing_link_at(row.lead_s - float(seconds))]
-    flown = yield Request(rows, SEARCH_STEP_S, STOP_S, lost_heights=True)
+    flown = fly_rows(Request(rows, SEARCH_STEP_S, STOP_S, lost_heights=True), setting.predictor)
     p = flown.motion.p_m.reshape(len(options), len(setting.voltages_v), 3, -1, 3)
     speed = np.linalg.norm(flown.motion.v_m_s.reshape(p.shape)[:, :, 0], axis=-1).max(axis=(1, 2))
     clearance = setting.clearance
@@ -230,7 +230,7 @@ def _slack(
     return np.asarray(np.minimum(np.minimum(tall, flat), setting.speed_max_m_s - speed))
 
 
-def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> Work[list[Fitted]]:
+def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> list[Fitted]:
     """Tracks of every cell at every voltage, as planned and with the link lost every so often."""
     rows: list[tuple[int, Row]] = []
     for i, cell in enumerate(cells):
@@ -248,7 +248,9 @@ def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Sett
     lost: list[list[Track]] = [[] for _ in cells]
     speed = [0.0 for _ in cells]
     flown = (
-        (yield Request([row for _, row in rows], SEARCH_STEP_S, DRIFT_S + 0.5, GUID_TIMEOUT_S + DRIFT_S))
+        fly_rows(
+            Request([row for _, row in rows], SEARCH_STEP_S, DRIFT_S + 0.5, GUID_TIMEOUT_S + DRIFT_S), setting.predictor
+        )
         if rows
         else None
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flighttest.plan.batched import Request, Work
+from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import Track
 from flighttest.plan.fit_zone import DRIFT_S, SEARCH_STEP_S, Fitted, Setting, track_of
 from flighttest.plan.rehearse import GUID_TIMEOUT_S, Row
@@ -15,13 +15,13 @@ from flighttest.plan.rehearse import GUID_TIMEOUT_S, Row
 LOSS_EVERY_S = 1.0
 
 
-def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> Work[list[Fitted]]:
+def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> list[Fitted]:
     """The cells with their tracks in the zone's own coordinates (a path is not placed: it has its place)."""
     rows = [_rows(f, setting) for f in free]
     every = [row for some in rows for row in some]
     if not every:
         return []
-    flown = yield Request(every, SEARCH_STEP_S, DRIFT_S, GUID_TIMEOUT_S + DRIFT_S)
+    flown = fly_rows(Request(every, SEARCH_STEP_S, DRIFT_S, GUID_TIMEOUT_S + DRIFT_S), setting.predictor)
     tracks = [track_of(flown, j, row) for j, row in enumerate(every)]
     ends = np.cumsum([len(some) for some in rows]).tolist()
     return [_fitted(f, tracks[end - len(some) : end], setting) for f, some, end in zip(free, rows, ends, strict=True)]

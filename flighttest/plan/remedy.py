@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flighttest.plan.batched import Work
 from flighttest.plan.clearance import Placement, box, place
 from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, recorded_s
 
@@ -13,7 +12,7 @@ SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 
 def remedy(
     f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float], placement: Placement
-) -> Work[str]:
+) -> str:
     """One sentence for the operator on what to change."""
     assert placement.excess is not None
     if f.cell.waypoints:
@@ -24,7 +23,7 @@ def remedy(
         if free.excess is None:
             step = f.cell.height_m + free.start_m[2] - placement.start_m[2]
             return f"height_m {step:.1f} would fit"
-    fit = yield from _durations(f, setting, wish_m, headings_rad)
+    fit = _durations(f, setting, wish_m, headings_rad)
     if fit:
         return fit
     # What the flight itself needs, or what it takes to be lost in.
@@ -46,14 +45,14 @@ def remedy(
     return f"{words} {max(need[0], need[1]):.1f} m where {max(have[0], have[1]):.1f} m are free: make the step smaller"
 
 
-def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> Work[str]:
+def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> str:
     """The longest shorter duration that fits, as a sentence; empty when none does."""
     wanted = recorded_s(f.cell.lead)
     shorter = []
     for share in SHARES:
         lead = tuple(replace(p, duration_s=round(p.duration_s * share, 1)) if p.record else p for p in f.cell.lead)
         shorter.append(replace(f.cell, lead=lead, shortest_s={}))
-    for tried in (yield from fit_cells(shorter, setting)):
+    for tried in fit_cells(shorter, setting):
         if (
             tried.complaint
             or place(tried.nominal, tried.lost, setting.clearance, wish_m, headings_rad, f.cell.height_m).excess

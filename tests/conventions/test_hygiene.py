@@ -184,6 +184,25 @@ def test_the_search_for_compared_sentences_sees_each_way(source):
     assert compared_sentences(source) == [source]
 
 
+def coroutines(source: str) -> list[int]:
+    """Lines where a generator takes what it is sent, or hands another one's requests on: its caller cannot call it."""
+    statements = {id(n.value) for n in ast.walk(parsed(source)) if isinstance(n, ast.Expr)}
+    return [
+        n.lineno
+        for n in ast.walk(parsed(source))
+        if isinstance(n, ast.Yield | ast.YieldFrom) and id(n) not in statements
+    ]
+
+
+def test_plans_are_made_by_plain_functions(repository):
+    found = {p.relative_to(repository).as_posix(): coroutines(p.read_text()) for p in modules(repository)}
+    assert not {path: lines for path, lines in found.items() if lines}, "call the function"
+
+
+def test_the_search_for_coroutines_sees_both_ways():
+    assert coroutines("def f():\n    x = yield 1\n    y = yield from f()\n    yield x") == [2, 3]
+
+
 PRIVATE = re.compile(r"_(?!_)\w+")
 # Names with an underscore of other libraries: pymavlink's time of a message, ctypes' and namedtuples' methods.
 FOREIGN = {"_timestamp", "_fields_", "_replace", "_asdict"}
