@@ -50,6 +50,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("Ctrl-C", 1.0, presses=1),
     Fault("Ctrl-C twice", 1.0, presses=2),
     Fault("pilot", 1.0, pilot_after_s=0.15),
+    Fault("pilot brakes", 1.0, pilot_after_s=0.15, pilot_mode=CopterMode.BRAKE),
     Fault("pilot while down 3.2 s", 3.2, down=True, pilot_after_s=1.0),
     Fault("pilot while up 15 s", 15.0, up=True, pilot_after_s=1.0),
 )
@@ -161,7 +162,7 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
         FlightState.LANDED: not vehicle.armed and vehicle.landed,
         FlightState.NOT_ARMED: not vehicle.armed,
         FlightState.DISARMED: not vehicle.armed,
-        FlightState.WITH_PILOT: proxy.switched_s is not None and vehicle.mode == CopterMode.LOITER,
+        FlightState.WITH_PILOT: proxy.switched_s is not None and vehicle.mode == fault.pilot_mode,
         FlightState.IN_ABORT_MODE: vehicle.armed
         and vehicle.mode in (CopterMode.BRAKE, CopterMode.LOITER, CopterMode.LAND),
     }
@@ -181,10 +182,11 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
     if vehicle.armed and not reported_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
         found.append("armed, and not said so")
     if proxy.switched_s is not None and fault.lasts_s < 1e3:
-        if proxy.when is not When.PREFLIGHT and vehicle.mode != CopterMode.LOITER:
-            found.append(f"the pilot chose LOITER, the vehicle is in mode {vehicle.mode}")
+        same = proxy.when is When.ABORTING and fault.pilot_mode is CopterMode.BRAKE  # what was asked for anyhow
+        if proxy.when is not When.PREFLIGHT and not same and vehicle.mode != fault.pilot_mode:
+            found.append(f"the pilot chose {fault.pilot_mode.name}, the vehicle is in mode {vehicle.mode}")
         late = [t for t, kind in proxy.sent_after_switch if t > _seen_by(proxy) + SEEN_S and kind.startswith("SET_")]
-        if vehicle.armed and late:
+        if vehicle.armed and late and not same:
             found.append(f"{len(late)} targets sent after the pilot was seen")
     flown = {leg.leg for leg in result.legs if leg.outcome is LegOutcome.FLOWN}
     if result.as_planned and not flown:

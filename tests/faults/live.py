@@ -41,6 +41,7 @@ DANGEROUS: tuple[tuple[str, When], ...] = (
     ("Ctrl-C twice", When.FLYING),
     ("disk full", When.FLYING),
     *(("pilot", when) for when in (When.CLIMBING, When.RETURNING, When.ENTERING, When.FLYING, When.ABORTING)),
+    *(("pilot brakes", when) for when in (When.RETURNING, When.ENTERING, When.FLYING, When.LANDING)),
     ("pilot while down 3.2 s", When.ENTERING),
     ("pilot while down 3.2 s", When.FLYING),
     ("pilot while up 15 s", When.FLYING),
@@ -70,7 +71,7 @@ class LiveProxy(Proxy):
         self.inner.send(data)  # rates are of a link: another station changes this one's behind the same router
 
     def _switch(self) -> None:
-        self.witness.ask_mode(CopterMode.LOITER)
+        self.witness.ask_mode(self.fault.pilot_mode)
 
     def _reboot(self) -> None:
         raise NotImplementedError("a SITL that starts anew loses its links")

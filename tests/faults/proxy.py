@@ -45,7 +45,7 @@ class Fault:
     loss: share lost each way; double: each frame twice; jitter_s: each frame late by up to this, in any order; latency_s: all late;
     hold: nothing passes, and all of it at the end; freeze: the client itself stands still; leap, stamp: the vehicle's clock a day
     ahead, for good or in one frame; twin: a second vehicle of the same id; station: another ground station switches streams
-    off, once; reboot: the vehicle starts anew; pilot: the pilot chooses LOITER (also when a fault is there: `pilot_after_s`);
+    off, once; reboot: the vehicle starts anew; pilot_after_s: when the pilot chooses `pilot_mode` (also when another fault is there);
     corrupt: share of frames each way of which one bit is turned; bytes_per_s: of a serial line, with a buffer of a second; false_mode,
     false_disarmed: one HEARTBEAT that is not so; presses: how often Ctrl-C is pressed; disk: the disk of the record is full; cut: the
     first frame each way breaks off in its middle, as where a connection is reset.
@@ -67,6 +67,7 @@ class Fault:
     station: bool = False
     reboot: bool = False
     pilot_after_s: float | None = None
+    pilot_mode: CopterMode = CopterMode.LOITER
     corrupt: float = 0.0
     bytes_per_s: float | None = None
     false_mode: bool = False
@@ -191,8 +192,8 @@ class Proxy:
         self.sim.send(data)
 
     def _switch(self) -> None:
-        """The pilot chooses LOITER."""
-        mode = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(CopterMode.LOITER), 9)
+        """The pilot moves the mode switch."""
+        mode = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(self.fault.pilot_mode), 9)
         self._to_vehicle(bytes(mode.pack(self._station)))
 
     def _reboot(self) -> None:

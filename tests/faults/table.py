@@ -24,8 +24,9 @@ INTRODUCTION = """Written by `make faults`. The built-in vehicle flies two steps
 behind a link that fails as the row says, from the moment that the column names: the first parameter that is set, arming, the climb, the way
 to the second step, the entry into GUIDED_NOGPS, the first step, the abort after a stop, the landing.
 A cell says why the flight ended and how the vehicle was left ([operations.md](operations.md) has the words), and after how many seconds.
-It is right where the flight ended in time, what is said of the vehicle is so, a pilot who chose LOITER kept it, no vehicle stayed in the
-air after a fault that passed, and parameters are restored after a landing."""
+It is right where the flight ended in time, what is said of the vehicle is so, a pilot who chose LOITER or BRAKE kept it (BRAKE not during
+an abort, which asks for the same mode), no vehicle stayed in the air after a fault that passed, and parameters are restored after a landing.
+Time is the computation's, so another program's load changes no cell."""
 
 
 def one(fault: Fault, when: When) -> Cell:

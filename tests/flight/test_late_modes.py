@@ -103,3 +103,30 @@ def test_a_pilot_who_chooses_the_mode_that_an_abort_would_ask_for_keeps_it(mode:
     assert result.outcome is FlightOutcome.TAKE_OVER
     assert len(steps) == 1, "nothing is flown after it"
     assert link.sim.vehicle.mode == mode
+
+
+def test_a_vehicle_that_leaves_land_for_a_mode_of_ours_is_landed(run_dir: Path) -> None:
+    """BRAKE, asked for before LAND, is shown after it (sent twice by the link, or chosen by the pilot as well): LAND is asked for again."""
+    link = FaultyLink(options())
+    seen: list[float] = []
+    steps: list[float] = []
+
+    def look(message: object, t_s: float) -> None:
+        if message.get_type() == "STATUSTEXT" and message.text.endswith(" step"):  # type: ignore[attr-defined]
+            steps.append(t_s)
+        mode = message.param2 if message.get_type() == "COMMAND_LONG" else None  # type: ignore[attr-defined]
+        if mode == CopterMode.BRAKE and not seen:
+            seen.append(t_s)
+
+    def mute(t_s: float) -> bool:
+        if len(seen) == 1 and t_s > seen[0] + 0.15:
+            assert link.sim.vehicle.mode == CopterMode.LAND
+            seen.append(t_s)
+            link.set_parameter("SIM_PILOT_MODE", float(CopterMode.BRAKE))
+        return False
+
+    link.hook, link.mute = look, mute
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=lambda: len(steps))
+    assert len(seen) == 2
+    assert (result.outcome.name, result.left.name) == ("OPERATOR_STOP", "LANDED")
+    assert not link.sim.vehicle.armed

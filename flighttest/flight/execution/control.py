@@ -147,6 +147,8 @@ class FlightControl:
         disarmed = self._was_armed and not armed
         if not foreign and self.machine.state is FlightState.ASKING and mode in self._safe_modes:
             self.on(Event.LANDS if mode == CopterMode.LAND else Event.HOLDS)
+        elif not foreign and self._landing and mode != CopterMode.LAND:
+            self.on(Event.ASK)  # a mode that was asked for before LAND came after it: it is not landing any more
         if foreign or disarmed:
             event = Event.DROPPED if foreign and disarmed else Event.DISARMED if disarmed else Event.FOREIGN_MODE
             doubt = Doubt(event, mode, t_s, self.session.overtaken)

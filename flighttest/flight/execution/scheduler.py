@@ -176,10 +176,11 @@ class Scheduler:
         """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
         control = self.control
         control.tell(doing="landing", next="", phase="")
-        if control.machine.state is not FlightState.LANDING:
-            supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
-        deadline = control.session.now_s() + _LAND_S
-        while control.machine.state is FlightState.LANDING:
+        deadline = math.inf
+        while not control.machine.state.is_end:
+            if control.machine.state is not FlightState.LANDING:
+                supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
+            deadline = min(deadline, control.session.now_s() + _LAND_S)
             if control.session.now_s() > deadline:
                 control.on(Event.NOT_DOWN)
             control.cycle()
