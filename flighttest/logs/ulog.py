@@ -200,23 +200,21 @@ class _Importer:
                 rpy = _euler(_stack(fields, *(f"q_d[{i}]" for i in range(4))))
                 columns["roll_ref_rad"], columns["pitch_ref_rad"] = rpy[:, 0], rpy[:, 1]
             elif "roll_body" in fields and "pitch_body" in fields:
-                columns["roll_ref_rad"] = fields["roll_body"].astype(np.float64)
-                columns["pitch_ref_rad"] = -fields["pitch_body"].astype(np.float64)
+                columns["roll_ref_rad"] = _float(fields["roll_body"])
+                columns["pitch_ref_rad"] = -_float(fields["pitch_body"])
             if "yaw_sp_move_rate" in fields and bool(np.isfinite(fields["yaw_sp_move_rate"]).any()):
-                columns["yaw_rate_ref_rad_s"] = -np.nan_to_num(fields["yaw_sp_move_rate"].astype(np.float64))
+                columns["yaw_rate_ref_rad_s"] = -np.nan_to_num(_float(fields["yaw_sp_move_rate"]))
             if "thrust_body[2]" in fields:
-                columns["throttle"] = -fields["thrust_body[2]"].astype(np.float64)
+                columns["throttle"] = -_float(fields["thrust_body[2]"])
             elif "thrust" in fields:
-                columns["throttle"] = fields["thrust"].astype(np.float64)
+                columns["throttle"] = _float(fields["thrust"])
             if columns:
                 one = ordered(t_s, columns, "vehicle_attitude_setpoint", self.losses)
                 parts.append((one.t_s, dict(one.columns)))
         have = {name for _, columns in parts for name in columns}
         rates = self._topic("vehicle_rates_setpoint")
         if rates is not None and "yaw" in rates[1] and "yaw_rate_ref_rad_s" not in have:
-            one = ordered(
-                rates[0], {"yaw_rate_ref_rad_s": -rates[1]["yaw"].astype(np.float64)}, "vehicle_rates_setpoint", []
-            )
+            one = ordered(rates[0], {"yaw_rate_ref_rad_s": -_float(rates[1]["yaw"])}, "vehicle_rates_setpoint", [])
             parts.append((one.t_s, dict(one.columns)))
             self.derived["yaw_rate_ref_rad_s"] = (
                 "vehicle_rates_setpoint: the autopilot's own target is taken for the reference"
@@ -229,7 +227,7 @@ class _Importer:
         topic = self._topic("vehicle_thrust_setpoint")
         if topic is None or "xyz[2]" not in topic[1]:
             return None
-        values = {"throttle_out": -topic[1]["xyz[2]"].astype(np.float64)}
+        values = {"throttle_out": -_float(topic[1]["xyz[2]"])}
         return ordered(topic[0], values, "vehicle_thrust_setpoint", self.losses)
 
     def _local(self, fields: tuple[str, str, str], names: tuple[str, ...]) -> Series | None:
@@ -249,7 +247,7 @@ class _Importer:
         if topic is not None and "dist_bottom" in topic[1] and "dist_bottom_valid" in topic[1]:
             good = (topic[1]["dist_bottom_valid"] != 0) & np.isfinite(topic[1]["dist_bottom"])
             if np.count_nonzero(good) > 0.2 * good.size:
-                values = {"height_m": topic[1]["dist_bottom"][good].astype(np.float64)}
+                values = {"height_m": _float(topic[1]["dist_bottom"][good])}
                 return ordered(topic[0][good], values, "vehicle_local_position", [])
         position = series.get("position")
         if position is None or not np.isfinite(position.columns["p_z_m"]).any():
@@ -267,9 +265,11 @@ class _Importer:
         if name is None or not bool(np.any(fields[name] > LEAST_BATTERY_V)):
             self.losses.append(NO_BATTERY)
             return None
-        columns = {"voltage_v": np.where(fields[name] > LEAST_BATTERY_V, fields[name], np.nan).astype(np.float64)}
+        voltage_v = _float(fields[name])
+        columns = {"voltage_v": np.where(voltage_v > LEAST_BATTERY_V, voltage_v, np.nan)}
         if "current_a" in fields:
-            columns["current_a"] = np.where(fields["current_a"] >= 0, fields["current_a"], np.nan).astype(np.float64)
+            current_a = _float(fields["current_a"])
+            columns["current_a"] = np.where(current_a >= 0, current_a, np.nan)
         return ordered(t_s, columns, "battery_status", self.losses)
 
     def _state(self) -> Series | None:
@@ -277,7 +277,7 @@ class _Importer:
         if topic is None or not {"nav_state", "arming_state"} <= set(topic[1]):
             return None
         columns = {
-            "mode": topic[1]["nav_state"].astype(np.float64),
+            "mode": _float(topic[1]["nav_state"]),
             "armed": (topic[1]["arming_state"] == _ARMED).astype(np.float64),
         }
         return ordered(
@@ -313,8 +313,14 @@ class _Importer:
         return " ".join(word for word in ("PX4", str(release), str(info.get("ver_sw", ""))[:12]) if word)
 
 
+def _float(values: NDArray[Any]) -> FloatArray:
+    """As float64. A damaged float32 may be a signalling NaN, of which the processor complains; it becomes a NaN like any other."""
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
+
+
 def _stack(fields: Fields, *names: str) -> FloatArray:
-    return np.stack([fields[name].astype(np.float64) for name in names], axis=-1)
+    return np.stack([_float(fields[name]) for name in names], axis=-1)
 
 
 def _body(fields: Fields, name: str) -> FloatArray:

@@ -6,16 +6,22 @@ python -m tests.faults.mutated [--packets 1000000] [--logs 1000]
 from __future__ import annotations
 
 import argparse
+import gzip
+import io
 import lzma
 import random
 import resource
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
+import scipy.io
 from pymavlink.generator.mavcrc import x25crc
 
 from flighttest.errors import FlighttestError
@@ -145,7 +151,39 @@ def logs() -> Iterator[Log]:
     yield Log(".tlog", lzma.decompress((DATA / "sitl_yaw_rate.tlog.xz").read_bytes())[:60_000])
     yield Log(".ulg", small_ulog())
     rows = "\n".join(f"{k / 100},{0.1 * (k > 50)},{0.1 * (k > 53)},0,0.2,{-9.8}" for k in range(300))
-    yield Log(".csv", f"t_s,roll_ref_rad,roll_rad,pitch_rad,throttle,f_z_m_s2\n{rows}\n".encode())
+    text = f"t_s,roll_ref_rad,roll_rad,pitch_rad,throttle,f_z_m_s2\n{rows}\n".encode()
+    yield Log(".csv", text)
+    yield Log(".tsv", text.replace(b",", b"\t"))
+    yield Log(".csv.gz", gzip.compress(text))
+    yield Log(".csv.xz", lzma.compress(text))
+    columns = {"t_s": np.arange(300) / 100.0, "roll_rad": np.linspace(0.0, 0.1, 300), "throttle": np.full(300, 0.2)}
+    buffer = io.BytesIO()
+    pd.DataFrame(columns).to_parquet(buffer)
+    yield Log(".parquet", buffer.getvalue())
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, {"log": {"att": columns, "bat": {"time": columns["t_s"], "voltage_v": columns["t_s"]}}})
+    yield Log(".mat", buffer.getvalue())
+    yield Log(".mcap", _bag())
+
+
+def _bag() -> bytes:
+    """A ROS 2 bag of an IMU."""
+    from mcap_ros2.writer import Writer
+
+    from tests.logs.test_other_programs import IMU, header, quaternion
+
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=4000)
+    imu = writer.register_msgdef("sensor_msgs/msg/Imu", IMU)
+    turn = {"x": 0.2, "y": 0.0, "z": 0.1}
+    for k in range(60):
+        t_s = 1_700_000_000.0 + k / 50.0
+        message = {"header": header(t_s), "orientation": quaternion(0.1), "orientation_covariance": [0.0] * 9}
+        writer.write_message(
+            "/imu", imu, message | {"angular_velocity": turn, "linear_acceleration": turn}, int(t_s * 1e9)
+        )
+    writer.finish()
+    return buffer.getvalue()
 
 
 def damaged(data: bytes, draw: random.Random) -> bytes:
@@ -167,14 +205,16 @@ def damaged(data: bytes, draw: random.Random) -> bytes:
 def read_logs(
     log: Log, count: int, folder: Path, seed: int = 1, tell: Callable[[str], None] = lambda _text: None
 ) -> int:
-    """Import so many damaged copies of a log; how many were refused. Anything but a FlighttestError is raised."""
+    """Import so many damaged copies of a log; how many were refused. Anything but a FlighttestError is raised, a warning too."""
     draw, refused = random.Random(seed), 0
     path = folder / f"damaged{log.suffix}"
     for k in range(count):
         path.write_bytes(damaged(log.data, draw))
         began = time.monotonic()
         try:
-            import_log(path)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", RuntimeWarning)
+                import_log(path)
         except FlighttestError:
             refused += 1
         except BaseException:
@@ -193,6 +233,7 @@ def main() -> None:
     options.add_argument("--packets", type=int, default=1_000_000)
     options.add_argument("--logs", type=int, default=1_000)
     options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--kind", action="append", help="of a log, such as .mat; may be repeated; otherwise all")
     asked = options.parse_args()
 
     def say(text: str) -> None:
@@ -209,10 +250,15 @@ def main() -> None:
             f"{asked.packets} frames in {time.monotonic() - began:.0f} s: {ended} flights ended, {grown:.1f} MB more at most"
         )
         for log in logs():
-            began = time.monotonic()
-            refused = read_logs(log, asked.logs, Path(name), asked.seed, say)
+            if asked.kind and log.suffix not in asked.kind:
+                continue
+            read_logs(log, min(asked.logs, 100), Path(name), asked.seed, say)
+            before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+            refused = read_logs(log, asked.logs, Path(name), asked.seed + 1, say)
+            grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
             say(
-                f"{asked.logs} logs {log.suffix} in {time.monotonic() - began:.0f} s: {refused} refused, the others read"
+                f"{asked.logs} logs {log.suffix} in {time.monotonic() - began:.0f} s: {refused} refused, the others read, "
+                f"{grown:.1f} MB more at most"
             )
 
 

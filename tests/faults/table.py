@@ -24,9 +24,9 @@ INTRODUCTION = """Written by `make faults`. The built-in vehicle flies two steps
 behind a link that fails as the row says, from the moment that the column names: the first parameter that is set, arming, the climb, the way
 to the second step, the entry into GUIDED_NOGPS, the first step, the abort after a stop, the landing.
 A cell says why the flight ended and how the vehicle was left ([operations.md](operations.md) has the words), and after how many seconds.
-It is right where the flight ended in time, what is said of the vehicle is so, a pilot who chose LOITER or BRAKE kept it (BRAKE not during
-an abort, which asks for the same mode), no vehicle stayed in the air after a fault that passed, and parameters are restored after a landing.
-Time is the computation's, so another program's load changes no cell."""
+It is right where the flight ended in time, what is said of the vehicle is so, a pilot who chose LOITER or BRAKE kept it (BRAKE not
+during an abort, which asks for the same mode), no vehicle stayed in the air after a fault that passed, and parameters are restored
+after a landing. Time is the computation's, so another program's load changes no cell."""
 
 
 def one(fault: Fault, when: When) -> Cell:
@@ -113,7 +113,6 @@ def of_soak(hour: Soak, what: str) -> str:
 
 def of_endurance(hours: tuple[Soak, Soak], flights: list[Drawn]) -> str:
     """The page's part of long flights: an hour of the host's time, an hour of virtual time, flights with faults."""
-    right = sum(d.cell.ok for d in flights)
     lines = [
         ENDURANCE_HEADING, "",
         "Written by `make faults-endurance`: an hour of real time, and an hour of virtual time (as many targets, messages, clock",
@@ -121,7 +120,16 @@ def of_endurance(hours: tuple[Soak, Soak], flights: list[Drawn]) -> str:
         "", of_soak(hours[0], REAL_TIME),
         "", of_soak(hours[1], "Virtual time, memory of client and vehicle in one process"),
         "",
-        f"{right} of {len(flights)} flights of ten minutes with faults drawn at random are right, by the same rules as above. ",
+        *_of_drawn(flights),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _of_drawn(flights: list[Drawn]) -> list[str]:
+    """The lines on flights with faults at random."""
+    right = sum(d.cell.ok for d in flights)
+    lines = [
+        f"{right} of {len(flights)} {DRAWN} are right, by the same rules as above. ",
         "The last fault may be one that ends the flight.", "",
         "| seed | faults (from, s) | how it ended | steps | s | memory, MB |", "|---|---|---|---|---|---|",
     ]  # fmt: skip
@@ -129,7 +137,7 @@ def of_endurance(hours: tuple[Soak, Soak], flights: list[Drawn]) -> str:
         reported = ", ".join(f"{name} ({t:.0f})" for name, t, _ in d.faults)
         ended = d.cell.ended if d.cell.ok else f"**wrong:** {d.cell.ended}: {'; '.join(d.cell.wrong)}"
         lines.append(f"| {d.seed} | {reported} | {ended} | {d.flown} | {d.cell.seconds:.0f} | {d.growth_mb:+.1f} |")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def of_lines(flights: list[OverLine]) -> str:
@@ -180,6 +188,7 @@ def endure(jobs: int) -> tuple[str, bool]:
     return of_endurance(hours, flights), not any(h.wrong for h in hours) and all(d.cell.ok for d in flights)
 
 
+DRAWN = "flights of ten minutes with faults drawn at random"
 REAL_TIME = "Real time, the vehicle at the other end of a pty, memory of the client's process"
 
 
@@ -189,6 +198,23 @@ def of_hour(before: str, hour: Soak) -> str:
     (place,) = (k for k, line in enumerate(lines) if line.startswith(REAL_TIME))
     end = lines.index("", place)
     return "\n".join([*lines[:place], of_soak(hour, REAL_TIME), *lines[end:]]) + "\n"
+
+
+def of_random(before: str, flights: list[Drawn]) -> str:
+    """The page's part of long flights, `before`, with its flights at random flown again."""
+    lines = before.splitlines()
+    end = next((k for k, line in enumerate(lines) if DRAWN in line), len(lines))
+    return "\n".join([*lines[:end], *_of_drawn(flights)]) + "\n"
+
+
+def fly_random(jobs: int) -> list[Drawn]:
+    """Long flights with random faults, in virtual time."""
+    flights = []
+    with ProcessPoolExecutor(jobs, max_tasks_per_child=1) as pool:
+        for drawn in pool.map(random_flight, range(1, RANDOM_FLIGHTS + 1)):
+            flights.append(drawn)
+            tell(drawn.cell)
+    return flights
 
 
 def over_lines(jobs: int) -> tuple[str, bool]:
@@ -210,6 +236,7 @@ def main() -> int:
     what.add_argument("--sitl", action="store_true", help="the dangerous cells, on a real ArduCopter")
     what.add_argument("--endurance", action="store_true", help="an hour, and long flights with faults at random")
     what.add_argument("--hour", action="store_true", help="of the endurance, the hour of real time alone")
+    what.add_argument("--random", action="store_true", help="of the endurance, the flights with faults at random alone")
     what.add_argument("--lines", action="store_true", help="flights over serial lines")
     words = parser.parse_args()
     if words.sitl:
@@ -225,6 +252,10 @@ def main() -> int:
             else f"{REAL_TIME}\n\n"
         )
         heading, part, right = ENDURANCE_HEADING, of_hour(before, hour), not hour.wrong
+    elif words.random:
+        drawn = fly_random(words.jobs)
+        before = parts_of(words.output.read_text(encoding="utf-8"))[ENDURANCE_HEADING] if words.output else ""
+        heading, part, right = ENDURANCE_HEADING, of_random(before, drawn), all(d.cell.ok for d in drawn)
     elif words.lines:
         heading, (part, right) = LINES_HEADING, over_lines(words.jobs)
     else:

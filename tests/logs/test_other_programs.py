@@ -195,3 +195,29 @@ def test_matlab_files_that_cannot_be_read_say_why(tmp_path):
             import_log(path)
     with pytest.raises(RecordingError, match="no vectors"):
         import_log(saved(tmp_path, {"a": 1.0, "b": "text"}))
+
+
+def test_a_damaged_matlab_file_never_reaches_the_compiled_reader(tmp_path):
+    """A number type that does not exist ended the process in a bus error; field names of no length divide by zero."""
+    path = saved(tmp_path, {"log": {"att": {"t": T, "roll_rad": ROLL}}})
+    data = path.read_bytes()
+    doubles = data.index(bytes([9, 0, 0, 0]) + int(8 * T.size).to_bytes(4, "little"))
+    length = data.index(bytes([5, 0, 4, 0]))
+    for at, value in ((doubles, 200), (doubles, 8), (length + 4, 0)):
+        hurt = bytearray(data)
+        hurt[at] = value
+        path.write_bytes(hurt)
+        with pytest.raises(RecordingError, match="damaged"):
+            import_log(path)
+    for keyword in ({}, {"do_compression": True}):
+        scipy.io.savemat(
+            path, {"log": {"t": T, "roll_rad": ROLL, "c": np.array(["a", 2.0], object), "s": "text"}}, **keyword
+        )
+        assert len(import_log(path).series["attitude"]) == T.size
+
+
+def test_a_bag_that_says_it_unpacks_to_gigabytes_is_refused(bag, monkeypatch):
+    monkeypatch.setattr("flighttest.logs.tables.ros_bag.UNPACKED_BYTES", 1000)
+    monkeypatch.setattr("flighttest.logs.tables.ros_bag.UNPACKED_TIMES", 1)
+    with pytest.raises(RecordingError, match="unpacks to more"):
+        import_log(bag)

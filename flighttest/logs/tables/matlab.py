@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import scipy.io
+import scipy.io.matlab
 from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS
 from flighttest.datafiles import MOST_VALUES
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile
+from flighttest.logs.tables.matlab_elements import check_elements
 from flighttest.logs.tables.sheet import TIME, Sheet, joined
 
 FloatArray = NDArray[np.float64]
@@ -37,6 +39,7 @@ def read_matlab(file: LogFile, data: bytes) -> Sheet:
     if data[:10] == HDF5 or data[:8] == b"\x89HDF\r\n\x1a\n":
         raise RecordingError(f"{file.path}: this is a MATLAB file of version 7.3", _SAVE)
     try:
+        check_elements(data)
         content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
     except (
         ValueError,
@@ -49,6 +52,7 @@ def read_matlab(file: LogFile, data: bytes) -> Sheet:
         struct.error,
         zlib.error,
         NotImplementedError,
+        scipy.io.matlab.MatReadError,
     ) as error:
         raise RecordingError(f"{file.path}: this MATLAB file is damaged: {error}", "copy the file anew") from error
     losses = list(file.losses)
@@ -140,7 +144,8 @@ def _numbers(value: Any) -> FloatArray | None:
         return None
     if value.ndim == 2 and value.shape[0] < value.shape[1]:
         value = value.T
-    return np.asarray(value, dtype=float)
+    with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN: a NaN like any other
+        return np.asarray(value, dtype=float)
 
 
 def _cells(name: str, matrix: FloatArray) -> dict[str, FloatArray]:

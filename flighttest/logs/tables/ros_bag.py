@@ -5,9 +5,9 @@ Needs the packages of the extra `mcap`. Frames are those of REP 103 (ENU, FLU) w
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
-import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flighttest.datafiles import MOST_VALUES
 from flighttest.errors import RecordingError
-from flighttest.logs.opening import LogFile
+from flighttest.logs.opening import UNPACKED_BYTES, UNPACKED_TIMES, LogFile
 from flighttest.logs.tables.columns import ColumnMap, Source
 from flighttest.logs.tables.sheet import Sheet, joined
 
@@ -67,7 +67,7 @@ def read_bag(file: LogFile) -> tuple[Sheet, ColumnMap]:
             logged.append(log_s)
             stamped.append(_stamp(fields))
             rows.append(fields)
-    except _broken() as error:
+    except Damaged as error:
         if not topics:
             raise RecordingError(
                 f"{file.path}: this MCAP file is damaged: {error}", "copy it anew, or run `mcap recover`"
@@ -97,26 +97,52 @@ def _messages(file: LogFile) -> Iterator[tuple[str, str, float, Any]]:
         ) from error
     factory = DecoderFactory()
     decoders: dict[int, Any] = {}
+    _check_chunks(file)
     with file.open() as stream:
-        for schema, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
-            if channel.id not in decoders:
-                decoders[channel.id] = (
-                    json.loads
-                    if channel.message_encoding == "json"
-                    else factory.decoder_for(channel.message_encoding, schema)
-                )
-            decode = decoders[channel.id]
-            kind = schema.name if schema is not None else channel.message_encoding
-            yield channel.topic, kind, message.log_time * 1e-9, None if decode is None else decode(message.data)
+        reader = NonSeekingReader(stream, record_size_limit=_most_bytes(file))
+        try:
+            for schema, channel, message in reader.iter_messages(log_time_order=False):
+                if channel.id not in decoders:
+                    with contextlib.redirect_stderr(io.StringIO()):  # where a message definition's parser prints
+                        decoders[channel.id] = (
+                            json.loads
+                            if channel.message_encoding == "json"
+                            else factory.decoder_for(channel.message_encoding, schema)
+                        )
+                decode = decoders[channel.id]
+                kind = schema.name if schema is not None else channel.message_encoding
+                yield channel.topic, kind, message.log_time * 1e-9, None if decode is None else decode(message.data)
+        except Exception as error:  # damaged bytes end in any error of four packages
+            raise Damaged(f"{type(error).__name__}: {error}") from error
 
 
-def _broken() -> tuple[type[Exception], ...]:
-    """What reading a damaged bag raises."""
-    try:
-        from mcap.exceptions import McapError
-    except ImportError:
-        return (ValueError,)
-    return (McapError, ValueError, EOFError, struct.error, zlib.error, KeyError, IndexError, TypeError, RuntimeError)
+class Damaged(Exception):
+    """The bag cannot be read further."""
+
+
+def _most_bytes(file: LogFile) -> int:
+    """That a bag may unpack to, as for other compressed logs."""
+    return max(UNPACKED_BYTES, UNPACKED_TIMES * file.path.stat().st_size)
+
+
+def _check_chunks(file: LogFile) -> None:
+    """RecordingError where the chunks say that they unpack to more than a recording does; they are not unpacked for it."""
+    import zstandard
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader
+
+    total, most = 0, _most_bytes(file)
+    with file.open() as stream, contextlib.suppress(Exception):  # what is damaged is found where it is read
+        for record in StreamReader(stream, emit_chunks=True, record_size_limit=most).records:
+            if isinstance(record, Chunk):
+                frame = zstandard.frame_content_size(record.data) if record.compression == "zstd" else 0
+                total += max(record.uncompressed_size, frame)
+                if total > most:
+                    break
+    if total > most:
+        raise RecordingError(
+            f"{file.path}: it unpacks to more than {most} bytes", "keep the topics and times of a flight"
+        )
 
 
 def _flatten(name: str, value: Any, found: dict[str, float]) -> None:

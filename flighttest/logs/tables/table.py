@@ -150,8 +150,9 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
 
 def _tame(t_s: FloatArray, losses: list[str]) -> FloatArray:
     """Without single stamps far from their neighbours: they are damaged (NaN), where the rest makes sense."""
-    usual = float(np.nanmedian(np.abs(np.diff(t_s))))
-    if usual > 0.2:  # too slow a table to tell
+    apart_s = np.abs(np.diff(t_s))
+    apart_s = apart_s[np.isfinite(apart_s)]
+    if not apart_s.size or float(np.median(apart_s)) > 0.2:  # too slow a table to tell, or no two times in a row
         return t_s
     wild = outliers(t_s)
     if not wild.any() or np.count_nonzero(wild) > _WILD_MAX * wild.size:
@@ -189,7 +190,10 @@ def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:
     source = plan.columns[name]
     parts = [_mapped(sheet.column(column), source) for column in source.columns]
     values = parts[0] if len(parts) == 1 else np.mean(parts, axis=0)
-    return np.asarray(values * source.scale + source.offset)
+    with np.errstate(
+        invalid="ignore", over="ignore"
+    ):  # a damaged number may be a signalling NaN, or the largest there is
+        return np.asarray(values * source.scale + source.offset)
 
 
 def _mapped(values: FloatArray, source: Source) -> FloatArray:
