@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flighttest.errors import LinkError, PreflightError
@@ -96,6 +97,23 @@ def test_the_polygon_lies_along_the_zone() -> None:
 def test_a_polygon_that_is_there_already(change, along: bool) -> None:  # type: ignore[no-untyped-def]
     corners = corners_e7(with_zone(make_plan()), (0.0, 0.0, 0.0), ORIGIN)
     assert lies_along((OWN[0], *polygon(change(corners))), corners) is along
+
+
+@pytest.mark.parametrize(("fence", "follows"), [("polygon", False), ("circle", True)])
+def test_the_zone_stays_along_its_polygon_when_home_moves_at_arming(
+    fence: str, follows: bool, run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stated = ArduPilot.home_m
+
+    def moved(vehicle: ArduPilot):  # type: ignore[no-untyped-def]
+        home = stated(vehicle)
+        return home if home is None or not vehicle.armed else home + np.array([0.4, -0.3, 1.5])
+
+    monkeypatch.setattr(ArduPilot, "home_m", moved)
+    link = FaultyLink(options())
+    fly(with_zone(make_plan(), replace(ZONE, fence=fence)), "sim", run_dir, transport=link)
+    origin_m = read_manifest(run_dir)["zone_origin_local_m"]
+    assert origin_m == pytest.approx([0.4, -0.3, 1.5] if follows else [0.0, 0.0, 1.5], abs=0.02)
 
 
 def test_it_is_uploaded_for_the_flight_and_taken_away(run_dir: Path) -> None:

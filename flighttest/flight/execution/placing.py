@@ -42,11 +42,14 @@ def place_zone(control: FlightControl, zone: Zone) -> str:
 
 
 def place_home(control: FlightControl, zone: Zone) -> None:
-    """ArduPilot takes home anew when it arms: until then the estimate of height may have drifted by metres since boot."""
+    """ArduPilot takes home anew when it arms: until then the estimate of height may have drifted by metres since boot, and that of the
+    place by decimetres. A zone that a polygon of the autopilot lies along stays where that lies."""
     home = control.vehicle.home_m() if control.gate.zone_placed else None
     if home is None:
         return
-    if zone.origin is not None:  # on the map it stays where it is
+    if (
+        zone.origin is not None or zone.fence == "polygon"
+    ):  # on the map, or along what was uploaded, it stays where it is
         home = np.array([*control.reader.origin_m[:2], home[2]])
     _use(control, home)
 
