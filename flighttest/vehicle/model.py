@@ -15,8 +15,9 @@ from flighttest.recording.manifest import Components
 class Zone:
     """The box that must not be left, m, in its own frame: x along `heading_rad` (NWU yaw), y to the left, z up from the ground.
 
-    origin: None for the home position (at arming; with a polygon, when that was uploaded), else (latitude, longitude) in degrees. fence: 'circle' where a fence of the autopilot about home
-    is enough, 'polygon' where one along the zone is brought onto the vehicle for each flight.
+    origin: None for the home position (as it is at arming; with a polygon, as it was when that was uploaded), else (latitude, longitude)
+    in degrees. fence: 'circle' where a fence of the autopilot about home is enough, 'polygon' where one along the zone is brought onto
+    the vehicle for each flight.
     """
 
     heading_rad: float = 0.0

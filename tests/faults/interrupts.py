@@ -1,0 +1,166 @@
+"""How soon Ctrl-C is answered in every state of a flight, measured at a terminal: `python -m tests.faults.table --interrupts`.
+
+The program runs in a process of its own on a pty; the key is pressed when its words, or its record, show the state.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import pty
+import re
+import select
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from flighttest.sim import SimOptions, start_simulator
+
+LIMIT_S = 0.5
+ANSWER = re.compile(rb"Ctrl-C: stopping|Ctrl-C again|stopped")
+_KEY = b"\x03"
+_PATIENCE_S = 120.0
+
+
+@dataclass(frozen=True)
+class Press:
+    """One measurement. answered_s: from the key to the words, None where they did not come; ended_s: to the end of the program."""
+
+    state: str
+    answered_s: float | None
+    ended_s: float | None
+    code: int | None
+
+    @property
+    def ok(self) -> bool:
+        """Whether the operator was answered in time, and the program ended."""
+        return self.answered_s is not None and self.answered_s < LIMIT_S and self.code is not None
+
+
+def press(state: str, words: list[str], begun: Callable[[bytes], bool], folder: Path) -> Press:
+    """Start the program, wait until `begun` says of its output so far that the state has come, press Ctrl-C once."""
+    first, second = pty.openpty()
+    fcntl.ioctl(first, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+
+    def own_terminal() -> None:
+        os.setsid()
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    command = [sys.executable, "-m", "flighttest", *words]
+    environment = dict(
+        os.environ, TERM="xterm-256color", COLUMNS="120", PYTHONPATH=os.pathsep.join([*sys.path[:1], os.getcwd()])
+    )
+    program = subprocess.Popen(
+        command, stdin=second, stdout=second, stderr=second, preexec_fn=own_terminal, cwd=folder, env=environment
+    )
+    os.close(second)
+    said, pressed_s, answered_s, at = b"", None, None, 0
+    deadline = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < deadline:
+        ready, _, _ = select.select([first], [], [], 0.01)
+        if ready:
+            try:
+                said += os.read(first, 65536)
+            except OSError:  # the program has ended
+                break
+        now = time.monotonic()
+        if pressed_s is None and begun(said):
+            os.write(first, _KEY)
+            pressed_s, at = now, len(said)
+        if pressed_s is not None and answered_s is None and ANSWER.search(said, at):
+            answered_s = now - pressed_s
+    code = None
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        code = program.wait(5.0)
+    ended_s = time.monotonic() - pressed_s if pressed_s is not None and code is not None else None
+    if code is None:
+        program.kill()
+        program.wait()
+    os.close(first)
+    (folder / "said.txt").write_bytes(said)
+    return Press(state, answered_s, ended_s, code)
+
+
+def shown(pattern: str) -> Callable[[bytes], bool]:
+    """Whether the program has said that."""
+    found = re.compile(pattern.encode())
+    return lambda said: found.search(said) is not None
+
+
+@contextlib.contextmanager
+def keeper_of_logs() -> Iterator[str]:
+    """A vehicle's onboard log behind a TCP port, read slowly enough to be interrupted."""
+    from tests.link.test_onboard import Keeper
+
+    keeper, over = Keeper(0.0), threading.Event()
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            line, _ = server.accept()
+            line.setblocking(False)
+            while not over.wait(0.02):
+                with contextlib.suppress(BlockingIOError):
+                    keeper.send(line.recv(65536))
+                line.sendall(keeper.receive(0.02))
+
+    threading.Thread(target=serve, daemon=True).start()
+    try:
+        yield f"tcp:127.0.0.1:{server.getsockname()[1]}"
+    finally:
+        over.set()
+        server.close()
+
+
+_NOBODYS_PORT = 14999
+FLIGHT = ["run", "spot_check", "--connect", "sim", "--yes"]
+_FLOWN, _SLOW, _FAST = ["--only", "fly"], ["--speed", "1"], ["--speed", "20"]
+STATES: tuple[tuple[str, list[str], str], ...] = (
+    ("connecting", ["run", "spot_check", "--connect", f"udpin:127.0.0.1:{_NOBODYS_PORT}", "--yes"], "connecting"),
+    ("reading parameters", [*FLIGHT, *_SLOW], "reading parameters"),
+    ("asking for telemetry", [*FLIGHT, *_SLOW], "asking for telemetry"),
+    ("waiting for a position", [*FLIGHT, *_SLOW], "position estimate"),
+    ("preflight", [*FLIGHT, *_SLOW], "checking the vehicle"),
+    ("asking the operator", [*FLIGHT[:-1], *_FAST], "[Aa]rm"),
+    ("take-off", [*FLIGHT, *_SLOW], "taking off"),
+    ("on the way to a start", [*FLIGHT, *_SLOW], "going to the start"),
+    ("step", [*FLIGHT, *_SLOW], "flying: "),
+    ("landing", [*FLIGHT, *_FLOWN, *_FAST], "landing "),
+    ("restoring parameters", [*FLIGHT, *_FLOWN, *_FAST], "restoring parameters"),
+    ("writing", [*FLIGHT, *_FLOWN, *_FAST], "writing the channels"),
+    ("cutting", [*FLIGHT, *_FAST], "cutting the responses"),
+    ("fitting", [*FLIGHT, *_FAST], "fitting [0-9]+ responses"),
+    ("writing the report", [*FLIGHT, *_FAST], "writing the report"),
+)
+
+
+def measure(names: Collection[str] = ()) -> list[Press]:
+    """Every state, or those named; a program of its own for each."""
+    found = []
+    for state, words, pattern in STATES:
+        if not names or state in names:
+            with tempfile.TemporaryDirectory() as folder:
+                found.append(press(state, words, shown(pattern), Path(folder)))
+                sys.stderr.write(f"{found[-1]}\n")
+    if not names or "arming" in names:
+        never = SimOptions(lockstep=False, ready_s=1e6, gps_s=1.0)
+        with tempfile.TemporaryDirectory() as folder, start_simulator(never) as vehicle:
+            words = [*FLIGHT[:3], vehicle.url, "--yes"]
+            found.append(press("arming", words, shown("arming"), Path(folder)))
+            sys.stderr.write(f"{found[-1]}\n")
+    for state, pattern in (("connecting to fetch a log", "connecting to"), ("log download", "downloading: [1-9]0 %")):
+        if not names or state in names:
+            with tempfile.TemporaryDirectory() as folder, keeper_of_logs() as url:
+                words = ["fetch-log", "--connect", url, "-o", "a.BIN"]
+                found.append(press(state, words, shown(pattern), Path(folder)))
+                sys.stderr.write(f"{found[-1]}\n")
+    return found
