@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check mutants faults faults-sitl faults-endurance faults-lines frozen sitl docs docs-site docs-figures notebooks clean
+.PHONY: demo test check mutants faults faults-sitl faults-endurance faults-lines faults-interrupts frozen sitl docs docs-site docs-figures notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -41,6 +41,9 @@ faults-endurance: .venv/installed  ## an hour's flight in flat memory, and 20 fl
 
 faults-lines: .venv/installed  ## flights over serial lines of 57600 and 115200 baud, in real time
 	$(BIN)/python -m tests.faults.table --lines -o docs/faults.md
+
+faults-interrupts: .venv/installed  ## how soon Ctrl-C is answered in each state of a flight, at a terminal
+	$(BIN)/python -m tests.faults.table --interrupts -o docs/faults.md
 
 docs: .venv/installed  ## write the generated parts of docs/
 	$(BIN)/python docs/generate.py

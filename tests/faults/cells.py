@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 from unittest import mock
 
 from flighttest.errors import FlighttestError
 from flighttest.flight import FlightResult, FlightState, LegOutcome, recorder
+from flighttest.flight.execution.machine import TABLE, Event, Machine
 from flighttest.mavlink import CopterMode
 from flighttest.sim import SimOptions
 from tests.faults.proxy import EPOCH_S, Endless, Fault, Proxy, When
@@ -69,18 +70,22 @@ QUICK: tuple[tuple[str, When], ...] = (
 )
 """The cells that were wrong first, and cost little: part of the default suite."""
 SEEN_S = 0.35  # from a pilot's switch to the last frame that is sent: a HEARTBEAT every 0.1 s, and a frame that is not the next one
+CHANGES = frozenset((state, event) for (state, event), following in TABLE.items() if following.state is not state)
+"""The rows of the table of states that change it."""
 REFUSED = "REFUSED"  # before arming, with a sentence
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One flight. ended: outcome and state in which the vehicle was left, or the error; wrong: what should not be."""
+    """One flight. ended: outcome and state in which the vehicle was left, or the error; wrong: what should not be; changes: (state, event)
+    of every change of the flight's state."""
 
     fault: Fault
     when: When
     ended: str
     seconds: float
     wrong: tuple[str, ...]
+    changes: frozenset[tuple[FlightState, Event]] = frozenset()
 
     @property
     def ok(self) -> bool:
@@ -115,6 +120,30 @@ class Vehicle(Protocol):
 
 def judge(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], truth: Callable[[], Vehicle]) -> Cell:
     """Fly (given how often Ctrl-C was pressed), and hold what the flight says against the truth."""
+    with changes_of_state() as changes:
+        cell = _judged(proxy, flight, truth)
+    return replace(cell, changes=frozenset(changes))
+
+
+@contextlib.contextmanager
+def changes_of_state() -> Iterator[set[tuple[FlightState, Event]]]:
+    """The changes of state of all flights meanwhile, as (state, event)."""
+
+    def on(machine: Machine, event: Event, why: str = "") -> FlightState:
+        before = machine.state
+        try:
+            return taken_in(machine, event, why)
+        finally:
+            if machine.state is not before:
+                seen.add((before, event))
+
+    seen: set[tuple[FlightState, Event]] = set()
+    taken_in = Machine.on
+    with mock.patch.object(Machine, "on", on):
+        yield seen
+
+
+def _judged(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], truth: Callable[[], Vehicle]) -> Cell:
     fault, when = proxy.fault, proxy.when
     try:
         with full_disk(proxy):

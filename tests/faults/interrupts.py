@@ -1,4 +1,4 @@
-"""How soon Ctrl-C is answered in every state of a flight, measured at a terminal: `python -m tests.faults.table --interrupts`.
+"""How soon Ctrl-C is answered in every state of a flight, measured at a terminal: `make faults-interrupts`.
 
 The program runs in a process of its own on a pty; the key is pressed when its words, or its record, show the state.
 """
@@ -25,6 +25,7 @@ from pathlib import Path
 
 from flighttest.sim import SimOptions, start_simulator
 
+HEADING = "## Ctrl-C in every state"
 LIMIT_S = 0.5
 ANSWER = re.compile(rb"Ctrl-C: stopping|Ctrl-C again|stopped")
 _KEY = b"\x03"
@@ -164,3 +165,23 @@ def measure(names: Collection[str] = ()) -> list[Press]:
                 found.append(press(state, words, shown(pattern), Path(folder)))
                 sys.stderr.write(f"{found[-1]}\n")
     return found
+
+
+def of_interrupts(found: list[Press]) -> str:
+    """The page's part."""
+    right = sum(p.ok for p in found)
+    lines = [
+        HEADING, "",
+        "Written by `make faults-interrupts`: the program at a terminal of its own (a pty), the built-in vehicle in real time up to the",
+        "first step, 20 times faster after it; the key is pressed once, when the state is shown. `answered` is the time until the terminal",
+        f"shows an answer (at most {LIMIT_S:g} s), `over` until the program has ended: what is in the air is landed first.", "",
+        f"{right} of {len(found)} are right.", "",
+        "| state | answered, s | over, s | exit code |", "|---|---|---|---|",
+    ]  # fmt: skip
+    for p in found:
+        answered = (
+            "**wrong:** no answer" if p.answered_s is None else f"{'' if p.ok else '**wrong:** '}{p.answered_s:.3f}"
+        )
+        over = "never" if p.ended_s is None else f"{p.ended_s:.1f}"
+        lines.append(f"| {p.state} | {answered} | {over} | {p.code} |")
+    return "\n".join(lines) + "\n"

@@ -1,7 +1,8 @@
 """Every fault in every state, as a table: `python -m tests.faults.table [-o docs/faults.md]` (or `make faults`).
 
 With --sitl the dangerous cells are flown on a real ArduCopter instead, with --endurance an hour and long flights with faults at random,
-with --lines flights over serial lines. Each writes its own part of the page and keeps the others.
+with --lines flights over serial lines, with --interrupts Ctrl-C is pressed in each state. Each writes its own part of the page and keeps
+the others.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from tests.faults.cells import FAULTS, STATES, Cell, fly_cell
+from tests.faults.cells import CHANGES, FAULTS, STATES, Cell, fly_cell
 from tests.faults.defects import HEADING as DEFECTS_HEADING
 from tests.faults.defects import table as of_defects
 from tests.faults.endurance import GROWTH_MAX_MB, RANDOM_FLIGHTS, Drawn, Soak, live_soak, random_flight, soak
+from tests.faults.interrupts import HEADING as INTERRUPTS_HEADING
+from tests.faults.interrupts import measure, of_interrupts
 from tests.faults.lines import OverLine, fly_script
 from tests.faults.proxy import Fault, When
 
@@ -49,6 +52,13 @@ def page(cells: list[Cell]) -> str:
         row = [by_place[fault.name, when] for when in STATES]
         cells_of = [f"{'' if c.ok else '**wrong:** '}{c.ended.split(':')[0]} ({c.seconds:.0f} s)" for c in row]
         lines.append(f"| {fault.name} | " + " | ".join(cells_of) + " |")
+    seen = frozenset().union(*(cell.changes for cell in cells)) & CHANGES
+    unseen = ", ".join(sorted(f"{state.name} {event.name}" for state, event in CHANGES - seen))
+    lines += [
+        "",
+        f"Of the {len(CHANGES)} changes of state ([operations.md](operations.md)) {len(seen)} happened in these flights.",
+    ]
+    lines += [f"Not in them, but in tests of the table alone: {unseen}."] if unseen else []
     if wrong:
         lines += ["", "What is wrong:", ""]
         lines += [f"- {c.fault.name}, {c.when.value}: {'; '.join(c.wrong)}" for c in wrong]
@@ -97,7 +107,7 @@ def tell(cell: Cell) -> None:
 
 ENDURANCE_HEADING = "## An hour, and faults at random"
 LINES_HEADING = "## Over serial lines"
-HEADINGS = (SITL_HEADING, ENDURANCE_HEADING, LINES_HEADING, DEFECTS_HEADING)
+HEADINGS = (SITL_HEADING, ENDURANCE_HEADING, LINES_HEADING, INTERRUPTS_HEADING, DEFECTS_HEADING)
 
 
 def of_soak(hour: Soak, what: str) -> str:
@@ -238,6 +248,7 @@ def main() -> int:
     what.add_argument("--hour", action="store_true", help="of the endurance, the hour of real time alone")
     what.add_argument("--random", action="store_true", help="of the endurance, the flights with faults at random alone")
     what.add_argument("--lines", action="store_true", help="flights over serial lines")
+    what.add_argument("--interrupts", action="store_true", help="how soon Ctrl-C is answered in each state")
     words = parser.parse_args()
     if words.sitl:
         cells = fly_on_sitl(words.jobs)
@@ -256,6 +267,9 @@ def main() -> int:
         drawn = fly_random(words.jobs)
         before = parts_of(words.output.read_text(encoding="utf-8"))[ENDURANCE_HEADING] if words.output else ""
         heading, part, right = ENDURANCE_HEADING, of_random(before, drawn), all(d.cell.ok for d in drawn)
+    elif words.interrupts:
+        pressed = measure()
+        heading, part, right = INTERRUPTS_HEADING, of_interrupts(pressed), all(p.ok for p in pressed)
     elif words.lines:
         heading, (part, right) = LINES_HEADING, over_lines(words.jobs)
     else:

@@ -8,6 +8,7 @@ from flighttest.flight import LegOutcome
 from flighttest.sim import SimOptions
 from tests.faults.cells import FAULTS, QUICK, fly_cell
 from tests.faults.defects import DEFECTS, Defect
+from tests.faults.interrupts import measure
 from tests.faults.proxy import Fault, Proxy, When
 from tests.flight.faulty import fly, make_leg, make_plan
 
@@ -25,6 +26,13 @@ def test_the_page_has_every_fault_and_none_is_wrong(repository: Path) -> None:
     rows = {line.split("|")[1].strip() for line in text.splitlines() if line.startswith("|")}
     assert not {fault.name for fault in FAULTS} - rows, "run `make faults`"
     assert "**wrong:**" not in text
+
+
+def test_ctrl_c_is_answered_at_a_terminal() -> None:
+    """In the state that takes least to reach; all of them by `make faults-interrupts`."""
+    (found,) = measure(("connecting to fetch a log",))
+    assert found.ok, found
+    assert found.code == 1
 
 
 def test_two_vehicles_of_one_system_id_are_refused_before_one_arms(tmp_path: Path) -> None:
