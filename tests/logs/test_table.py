@@ -413,3 +413,14 @@ def test_a_thrust_stand_is_a_table(tmp_path, t):
 def test_tables_of_inputs_that_cannot_be_are_refused(tmp_path, t, entry, words):
     with pytest.raises(RecordingError, match=words):
         motors(tmp_path, t, entry)
+
+
+def test_times_that_are_no_numbers_are_dropped_without_a_warning(tmp_path, recwarn):
+    """Two infinite times in a row, and times with gaps between all of them."""
+    t = np.arange(100) * 0.02
+    endless = np.where((t > 0.5) & (t < 0.55), np.inf, t)
+    found = import_log(save(tmp_path / "a.csv", t_s=endless, roll_rad=t)).series["attitude"]
+    assert np.all(np.isfinite(found.t_s))
+    assert 95 < len(found) < 100
+    import_log(save(tmp_path / "b.csv", t_s=np.where(np.arange(100) % 2, np.nan, t), roll_rad=t))
+    assert not [w for w in recwarn if w.category is RuntimeWarning]

@@ -150,6 +150,7 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
 
 def _tame(t_s: FloatArray, losses: list[str]) -> FloatArray:
     """Without single stamps far from their neighbours: they are damaged (NaN), where the rest makes sense."""
+    t_s = np.where(np.isfinite(t_s), t_s, np.nan)  # an infinite time is none
     apart_s = np.abs(np.diff(t_s))
     apart_s = apart_s[np.isfinite(apart_s)]
     if not apart_s.size or float(np.median(apart_s)) > 0.2:  # too slow a table to tell, or no two times in a row
