@@ -26,7 +26,10 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
     path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its name. columns: a
     column map (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
-    recording = possible(_read(Path(path), columns))
+    with np.errstate(
+        invalid="ignore", over="ignore"
+    ):  # damaged numbers: what comes of them is no number, or impossible
+        recording = possible(_read(Path(path), columns))
     if not any(len(series) > 1 for series in recording.series.values()):
         raise RecordingError(
             f"{path}: it holds no measurement of a flight", "was it downloaded completely, and does it cover a flight?"

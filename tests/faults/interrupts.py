@@ -123,47 +123,52 @@ def keeper_of_logs() -> Iterator[str]:
 
 
 _NOBODYS_PORT = 14999
-FLIGHT = ["run", "spot_check", "--connect", "sim", "--yes"]
-_FLOWN, _SLOW, _FAST = ["--only", "fly"], ["--speed", "1"], ["--speed", "20"]
-STATES: tuple[tuple[str, list[str], str], ...] = (
-    ("connecting", ["run", "spot_check", "--connect", f"udpin:127.0.0.1:{_NOBODYS_PORT}", "--yes"], "connecting"),
-    ("reading parameters", [*FLIGHT, *_SLOW], "reading parameters"),
-    ("asking for telemetry", [*FLIGHT, *_SLOW], "asking for telemetry"),
-    ("waiting for a position", [*FLIGHT, *_SLOW], "position estimate"),
-    ("preflight", [*FLIGHT, *_SLOW], "checking the vehicle"),
-    ("asking the operator", [*FLIGHT[:-1], *_FAST], "[Aa]rm"),
-    ("take-off", [*FLIGHT, *_SLOW], "taking off"),
-    ("on the way to a start", [*FLIGHT, *_SLOW], "going to the start"),
-    ("step", [*FLIGHT, *_SLOW], "flying: "),
-    ("landing", [*FLIGHT, *_FLOWN, *_FAST], "landing "),
-    ("restoring parameters", [*FLIGHT, *_FLOWN, *_FAST], "restoring parameters"),
-    ("writing", [*FLIGHT, *_FLOWN, *_FAST], "writing the channels"),
-    ("cutting", [*FLIGHT, *_FAST], "cutting the responses"),
-    ("fitting", [*FLIGHT, *_FAST], "fitting [0-9]+ responses"),
-    ("writing the report", [*FLIGHT, *_FAST], "writing the report"),
+_READY, _NO_POSITION, _NOT_READY = (1.0, 3.0), (1.0, 1e6), (1e6, 1.0)
+"""When the vehicle can arm and has a position, s."""
+IN_REAL_TIME: tuple[tuple[str, tuple[float, float], list[str], str], ...] = (
+    ("reading parameters", _READY, ["--yes"], "reading parameters"),
+    ("asking for telemetry", _READY, ["--yes"], "asking for telemetry"),
+    ("waiting for a position", _NO_POSITION, ["--yes"], "position estimate"),
+    ("preflight", _READY, ["--yes"], "checking the vehicle"),
+    ("asking the operator", _READY, [], "disarmed, props clear"),
+    ("arming", _NOT_READY, ["--yes"], "arming"),
+    ("take-off", _READY, ["--yes"], "taking off"),
+    ("on the way to a start", _READY, ["--yes"], "going to the start"),
+    ("step", _READY, ["--yes"], "flying: "),
 )
+FAST = ["run", "spot_check", "--connect", "sim", "--speed", "20"]
+AFTERWARDS: tuple[tuple[str, list[str], str], ...] = (
+    ("connecting", ["run", "spot_check", "--connect", f"udpin:127.0.0.1:{_NOBODYS_PORT}", "--yes"], "connecting"),
+    ("landing", [*FAST, "--only", "fly"], "landing "),
+    ("restoring parameters", [*FAST, "--only", "fly"], "restoring parameters"),
+    ("writing", [*FAST, "--only", "fly"], "writing the channels"),
+    ("cutting", FAST, "cutting the responses"),
+    ("fitting", FAST, "fitting [0-9]+ responses"),
+    ("writing the report", FAST, "writing the report"),
+)
+IN_DOWNLOADS = (("connecting to fetch a log", "connecting to"), ("log download", "downloading: [1-9]0 %"))
 
 
 def measure(names: Collection[str] = ()) -> list[Press]:
     """Every state, or those named; a program of its own for each."""
     found = []
-    for state, words, pattern in STATES:
+
+    def look(state: str, words: list[str], pattern: str) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            found.append(press(state, words, shown(pattern), Path(folder)))
+        sys.stderr.write(f"{found[-1]}\n")
+
+    for state, (ready_s, gps_s), yes, pattern in IN_REAL_TIME:
         if not names or state in names:
-            with tempfile.TemporaryDirectory() as folder:
-                found.append(press(state, words, shown(pattern), Path(folder)))
-                sys.stderr.write(f"{found[-1]}\n")
-    if not names or "arming" in names:
-        never = SimOptions(lockstep=False, ready_s=1e6, gps_s=1.0)
-        with tempfile.TemporaryDirectory() as folder, start_simulator(never) as vehicle:
-            words = [*FLIGHT[:3], vehicle.url, "--yes"]
-            found.append(press("arming", words, shown("arming"), Path(folder)))
-            sys.stderr.write(f"{found[-1]}\n")
-    for state, pattern in (("connecting to fetch a log", "connecting to"), ("log download", "downloading: [1-9]0 %")):
+            with start_simulator(SimOptions(lockstep=False, ready_s=ready_s, gps_s=gps_s)) as vehicle:
+                look(state, ["run", "spot_check", "--connect", vehicle.url, *yes], pattern)
+    for state, words, pattern in AFTERWARDS:
         if not names or state in names:
-            with tempfile.TemporaryDirectory() as folder, keeper_of_logs() as url:
-                words = ["fetch-log", "--connect", url, "-o", "a.BIN"]
-                found.append(press(state, words, shown(pattern), Path(folder)))
-                sys.stderr.write(f"{found[-1]}\n")
+            look(state, words, pattern)
+    for state, pattern in IN_DOWNLOADS:
+        if not names or state in names:
+            with keeper_of_logs() as url:
+                look(state, ["fetch-log", "--connect", url, "-o", "a.BIN"], pattern)
     return found
 
 
