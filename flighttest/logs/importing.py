@@ -26,9 +26,8 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
     path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its name. columns: a
     column map (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
-    with np.errstate(
-        invalid="ignore", over="ignore"
-    ):  # damaged numbers: what comes of them is no number, or impossible
+    # Damaged numbers: what comes of them is no number, or impossible.
+    with np.errstate(invalid="ignore", over="ignore"):
         recording = possible(_read(Path(path), columns))
     if not any(len(series) > 1 for series in recording.series.values()):
         raise RecordingError(

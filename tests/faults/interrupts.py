@@ -160,7 +160,7 @@ def measure(names: Collection[str] = ()) -> list[Press]:
 
     for state, (ready_s, gps_s), yes, pattern in IN_REAL_TIME:
         if not names or state in names:
-            with start_simulator(SimOptions(lockstep=False, ready_s=ready_s, gps_s=gps_s)) as vehicle:
+            with start_simulator(SimOptions(lockstep=False, paced=True, ready_s=ready_s, gps_s=gps_s)) as vehicle:
                 look(state, ["run", "spot_check", "--connect", vehicle.url, *yes], pattern)
     for state, words, pattern in AFTERWARDS:
         if not names or state in names:

@@ -100,8 +100,7 @@ def gravity_warnings(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"
     table = table[:, np.isfinite(table).all(axis=0)]
     if table.shape[1] < _ENOUGH:
         return []
-    with np.errstate(over="ignore"):  # damaged numbers are dropped later
-        length, vertical = float(np.median(np.linalg.norm(table, axis=0))), float(np.median(table[-1]))
+    length, vertical = float(np.median(np.linalg.norm(table, axis=0))), float(np.median(table[-1]))
     where = "the column map" if mapped else "a column map (--columns)"
     doubts = []
     if _ONE_G[0] < length < _ONE_G[1]:

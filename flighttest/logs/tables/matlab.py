@@ -144,8 +144,7 @@ def _numbers(value: Any) -> FloatArray | None:
         return None
     if value.ndim == 2 and value.shape[0] < value.shape[1]:
         value = value.T
-    with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN: a NaN like any other
-        return np.asarray(value, dtype=float)
+    return np.asarray(value, dtype=float)
 
 
 def _cells(name: str, matrix: FloatArray) -> dict[str, FloatArray]:

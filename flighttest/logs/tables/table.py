@@ -191,10 +191,7 @@ def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:
     source = plan.columns[name]
     parts = [_mapped(sheet.column(column), source) for column in source.columns]
     values = parts[0] if len(parts) == 1 else np.mean(parts, axis=0)
-    with np.errstate(
-        invalid="ignore", over="ignore"
-    ):  # a damaged number may be a signalling NaN, or the largest there is
-        return np.asarray(values * source.scale + source.offset)
+    return np.asarray(values * source.scale + source.offset)
 
 
 def _mapped(values: FloatArray, source: Source) -> FloatArray:
