@@ -180,8 +180,7 @@ class Scheduler:
         while not control.machine.state.is_end:
             if control.machine.state is not FlightState.LANDING:
                 supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
-            deadline = min(deadline, control.session.now_s() + _LAND_S)
-            if control.session.now_s() > deadline:
+            if control.session.now_s() > (deadline := min(deadline, control.session.now_s() + _LAND_S)):
                 control.on(Event.NOT_DOWN)
             control.cycle()
         control.recorder.event("note", "landed", control.session.now_s())
