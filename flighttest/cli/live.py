@@ -162,6 +162,8 @@ class LiveProgress:
 
     def _stop(self) -> None:
         if self._live is not None:
-            self._live.stop()
+            with suppress(IndexError):  # Ctrl-C while it began: it holds nothing of the terminal yet
+                self._live.stop()
+            self._show.side.show_cursor(True)
             self._live = None
         self._flying = False

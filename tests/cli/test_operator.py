@@ -34,6 +34,19 @@ def test_a_log_file_gets_the_alarm_as_a_line_without_a_bell() -> None:
     assert "\a" not in out.getvalue()
 
 
+def test_ctrl_c_while_a_live_line_begins_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen once in six presses: the line that had not begun was ended by an IndexError."""
+
+    def interrupted(_console: object, _hook: object) -> None:
+        raise KeyboardInterrupt
+
+    out = io.StringIO()
+    show = Show(out=out, colour=True, width=80)
+    monkeypatch.setattr(type(show.side), "push_render_hook", interrupted)
+    with pytest.raises(KeyboardInterrupt), LiveProgress(show) as progress:
+        progress.stage("connecting")
+
+
 def test_ctrl_c_is_answered_before_anything_looks_at_it(capfd: pytest.CaptureFixture[str]) -> None:
     with counted_interrupts() as presses:
         for words in ("stopping", "letting go"):

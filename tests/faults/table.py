@@ -58,7 +58,7 @@ def page(cells: list[Cell]) -> str:
         "",
         f"Of the {len(CHANGES)} changes of state ([operations.md](operations.md)) {len(seen)} happened in these flights.",
     ]
-    lines += [f"Not in them, but in tests of the table alone: {unseen}."] if unseen else []
+    lines += [f"Not in them (tests walk every row of the table): {unseen}."] if unseen else []
     if wrong:
         lines += ["", "What is wrong:", ""]
         lines += [f"- {c.fault.name}, {c.when.value}: {'; '.join(c.wrong)}" for c in wrong]
