@@ -15,8 +15,14 @@ from flighttest.report.render import terminal
 def drawn(document: Document, width: int, everything: bool = False) -> str:
     """The text that a terminal of so many columns shows."""
     out = io.StringIO()
-    Console(file=out, width=width, color_system=None).print(terminal.render(document, everything))
+    Console(file=out, width=width, color_system=None).print(terminal.render(document, everything), crop=False)
     return out.getvalue()
+
+
+def too_long(line: str, width: int) -> bool:
+    """Whether a terminal of so many columns would have to break the line, and it is not one word (a path to be copied)."""
+    words = line.removesuffix(" \\").strip().removeprefix("- ")
+    return cell_len(line.rstrip()) > width and " " in words
 
 
 def widest(table: Table) -> Table:
@@ -45,7 +51,7 @@ def troubles(whole: Document, width: int) -> list[str]:
     tables = [block for section in document.sections for block in section.blocks if isinstance(block, Table)]
     for everything in (False, True):
         text = drawn(document, width, everything) if tables or not everything else ""
-        found += [f"{width}: too long: {line!r}" for line in text.splitlines() if cell_len(line.rstrip()) > width]
+        found += [f"{width}: too long: {line!r}" for line in text.splitlines() if too_long(line, width)]
         if "\u2026" in text and "\u2026" not in str(whole):
             found.append(f"{width}: something is cut short in {document.title!r}")
     for table in tables:

@@ -97,7 +97,7 @@ class Show:
             self.json(data)
         else:
             with self.out.capture() as drawn:  # a command that is copied must not end in spaces
-                self.out.print(render(document, self.everything))
+                self.out.print(render(document, self.everything), crop=False)
             self.out.file.write("".join(line.rstrip() + "\n" for line in drawn.get().splitlines()))
 
     def json(self, data: Mapping[str, object]) -> None:

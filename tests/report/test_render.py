@@ -341,3 +341,24 @@ def test_a_page_carries_no_program_for_street_maps():
     whole, own = get_plotlyjs(), plotly_without_maps()
     assert len(own) < 0.95 * len(whole)
     assert own.count("Plotly") == whole.count("Plotly")
+
+
+def test_what_is_to_be_copied_stays_whole():
+    """A path longer than the line was broken within by the program: what was copied from it was two words."""
+    path = "/data/" + "x" * 90 + "/model.yaml"
+    run = f"flighttest run {path} --vehicle vehicle.yaml --connect udpin:0.0.0.0:14550 --set-params"
+    blocks = (
+        Bullets((f"Say more, then fly again with `{run}`, which asks for more than one line of a terminal.",)),
+        Facts((("model", path), ("next", run), ("short", "flighttest status"))),
+        Code("terms: [body]\nname: " + "y " * 60),
+    )
+    text = drawn(
+        Document("t", "v", facts={"run": path, "why": "word " * 30}, sections=(Section("s", "S", blocks),)), 80
+    )
+    lines = [line.rstrip() for line in text.splitlines()]
+    assert text.count(path) == 4
+    assert "name: " + ("y " * 60).strip() in lines
+    assert "short  flighttest status" in lines
+    joined = " ".join(" ".join(lines).replace("\\ ", "").split())
+    assert joined.count(run) == 2, "the shell joins what ends in a backslash"
+    assert all(len(line) <= 80 for line in lines if path not in line and "y y" not in line)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
-from rich.padding import Padding
 from rich.panel import Panel as Box
 from rich.table import Table as Grid
 from rich.text import Text
@@ -29,6 +29,7 @@ from flighttest.report.document import (
 STYLE = {"plain": "", "good": "green", "warn": "yellow", "bad": "bold red", "quiet": "dim"}
 FOLDED_ROWS = 12
 LABEL_WIDTH = 28  # first columns up to this wide are never folded
+SHORT_WIDTH = 14  # other columns up to this wide are not, either
 WORD_WIDTH = 24  # longer words (paths) are folded within
 
 
@@ -45,14 +46,14 @@ def render(document: Document, everything: bool = False) -> RenderableType:
         )
     ]
     if document.facts:
-        parts.append(_facts(Facts(tuple(document.facts.items()))))
+        parts.append(_Facts(Facts(tuple(document.facts.items()))))
     shown = [section for section in document.sections if everything or not section.detail]
     hidden = [s.title.lower() for s in document.sections if s not in shown and not _pictures(s)]
     parts.extend(drawn for section in shown if (drawn := _section(section, everything)) is not None)
     if hidden:
-        parts.append(Padding(Text(f"--all shows more: {', '.join(hidden)}", style="dim"), (1, 0, 0, 0)))
+        parts += ["", _Prose(f"--all shows more: {', '.join(hidden)}", "dim")]
     if document.footer:
-        parts.append(Padding(Text(document.footer, style="dim"), (1, 0, 0, 0)))
+        parts += ["", _Prose(document.footer, "dim")]
     return Group(*parts)
 
 
@@ -67,26 +68,21 @@ def _section(section: Section, everything: bool) -> RenderableType | None:
     if section.title:
         head.append(Text(section.title, style="bold cyan"))
     if section.lead:
-        head.append(Text(section.lead))
+        head.append(_Prose(section.lead))
     if not blocks and (not section.lead or _pictures(section)):
         return None  # nothing but pictures: they are in the HTML report
-    return Padding(Group(*head, *blocks), (1, 0, 0, 0))
+    return Group("", *head, *blocks)
 
 
 def _block(block: Block, everything: bool) -> RenderableType | None:
     if isinstance(block, Table | Code | Bullets) and block.brief and not everything:
-        return Text(block.brief)
+        return _Prose(block.brief)
     if isinstance(block, Paragraph):
-        return Text(block.text, style=STYLE[block.tone])
+        return _Prose(block.text, STYLE[block.tone])
     if isinstance(block, Bullets):
-        grid = Grid.grid(padding=(0, 1))
-        grid.add_column(no_wrap=True)
-        grid.add_column(overflow="fold")  # a command that lost its end cannot be copied
-        for item in block.items:
-            grid.add_row("  -", item)
-        return grid
+        return Group(*(_Prose(item, head="  - ") for item in block.items))
     if isinstance(block, Facts):
-        return _facts(block)
+        return _Facts(block)
     if isinstance(block, Table):
         return _Sized(block, everything)
     if isinstance(block, Code):
@@ -95,47 +91,75 @@ def _block(block: Block, everything: bool) -> RenderableType | None:
 
 
 def _code(block: Code) -> RenderableType:
-    drawn: RenderableType = _Command(block.text)
     if "\n" in block.text and not block.text.startswith("flighttest "):
         from rich.syntax import Syntax
 
-        drawn = Syntax(block.text, "yaml", theme="ansi_dark", background_color="default", word_wrap=False)
-    return Group(Text(block.caption, style="dim"), drawn) if block.caption else drawn
+        syntax = Syntax("", "yaml", theme="ansi_dark", background_color="default")
+        drawn: RenderableType = _whole(syntax.highlight(block.text.rstrip("\n")))
+    else:
+        drawn = _Prose(block.text, "cyan", "  ", command=True)
+    return Group(_Prose(block.caption, "dim"), drawn) if block.caption else drawn
 
 
-class _Command:
-    """Text to be copied: a command that is longer than the terminal is wide goes on behind backslashes."""
+def _whole(text: Text) -> Text:
+    """The text as it stands: what is longer than the terminal is wide goes on in its next row and is still one line where it is copied."""
+    text.no_wrap, text.overflow = True, "ignore"
+    return text
 
-    def __init__(self, text: str) -> None:
-        self._text = text
+
+class _Prose:
+    """Text in the width there is, its lines behind `head` and then as far in. It folds between words; a command goes on behind a
+    backslash, and a word longer than the line (a path) stays whole, so that both can be copied."""
+
+    def __init__(self, text: str, style: str = "", head: str = "", command: bool = False) -> None:
+        self._text, self._style, self._head, self._command = text, style, head, command
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        lines = [f"  {line}" for line in self._text.split("\n")]
-        if self._text.startswith("flighttest "):
-            lines = [part for line in lines for part in _continued(line, options.max_width)]
-        yield Text("\n".join(lines), style="cyan", overflow="fold")
+        head = self._head
+        for line in self._text.split("\n"):
+            spaces = " " * (len(line) - len(line.lstrip()))
+            for folded in _folded(line, options.max_width - cell_len(head + spaces), self._command):
+                yield _whole(Text(head + spaces + folded, style=self._style))
+                head = " " * cell_len(head)
 
 
-def _continued(line: str, room: int) -> list[str]:
-    """The line in pieces of at most `room` cells; its own indent stays, and each further piece is two deeper."""
-    words = line.strip().split(" ")
-    indent = line[: len(line) - len(line.lstrip())]
-    found = [indent + words[0]]
-    for word in words[1:]:
-        if cell_len(f"{found[-1]} {word} \\") > room and word != "\\":
-            found.append(f"{indent}  {word}")
-        else:
-            found[-1] = f"{found[-1]} {word}"
-    return [f"{part} \\" for part in found[:-1]] + [found[-1]]
+def _folded(text: str, room: int, command: bool = False) -> list[str]:
+    """Lines of at most `room` cells, except where one word is longer: `text` broken between words, and within a command (the whole
+    text, or in backticks) only where it is longer than a line, behind backslashes and with what follows two deeper."""
+    lines = [""]
+    command = command or text.startswith("flighttest ")
+    for piece in [text.strip()] if command else re.split(r"(`flighttest [^`]*`\S*)", text.strip()):
+        inside = command or piece.startswith("`")
+        long = inside and cell_len(piece) > room
+        words = [piece] if inside and not long else piece.split()
+        for k, word in enumerate(words):
+            end = " \\" if long and k < len(words) - 1 else ""
+            if lines[-1] and cell_len(f"{lines[-1]} {word}{end}") > room and word != "\\":
+                lines[-1] += " \\" if long and k else ""
+                lines.append(f"  {word}" if long and k else word)
+            else:
+                lines[-1] = f"{lines[-1]} {word}" if lines[-1] else word
+    return lines
 
 
-def _facts(facts: Facts) -> RenderableType:
-    grid = Grid.grid(padding=(0, 2))
-    grid.add_column(style="dim", no_wrap=True)
-    grid.add_column(overflow="fold")  # a path longer than the line is in a command that is to be copied
-    for name, value in facts.pairs:
-        grid.add_row(name, value)
-    return grid
+class _Facts:
+    """Names, and their values in a column behind them; a value with a word longer than the column is wide stands below its name."""
+
+    def __init__(self, facts: Facts) -> None:
+        self._pairs = facts.pairs
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        indent = max((cell_len(name) for name, _ in self._pairs), default=0) + 2
+        room = options.max_width - indent
+        for name, value in self._pairs:
+            lines = [line for part in value.split("\n") for line in _folded(part, room)]
+            if any(cell_len(line) > room for line in lines):
+                yield Text(name, style="dim")
+                yield _Prose(value, head="  ")
+                continue
+            for k, line in enumerate(lines):
+                start = "" if k else name
+                yield _whole(Text.assemble((start + " " * (indent - cell_len(start)), "dim"), line))
 
 
 class _Sized:
@@ -162,9 +186,9 @@ class _Sized:
             yield grid
         left_out = _left_out(len(table.rows) - len(rows), [table.columns[i] for i in table.detail if i not in chosen])
         if left_out:
-            yield Text(left_out, style="dim")
+            yield _Prose(left_out, "dim")
         if table.caption:
-            yield Text(table.caption, style="dim italic")
+            yield _Prose(table.caption, "dim italic")
 
 
 def _left_out(rows: int, columns: Sequence[str]) -> str:
@@ -209,6 +233,8 @@ def _least(table: Table, index: int) -> int:
     heading = max((cell_len(word) for word in table.columns[index].split()), default=0)
     right = index < len(table.align) and table.align[index] == "right"
     if right or (index == 0 and max(lengths, default=0) <= LABEL_WIDTH):
+        return max(heading, *lengths, 1)
+    if max(lengths, default=0) <= SHORT_WIDTH:
         return max(heading, *lengths, 1)
     words = (cell_len(word) for row in table.rows for word in _cell(row[index]).plain.split())
     return max(heading, min(max(words, default=1), WORD_WIDTH))
