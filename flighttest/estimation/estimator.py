@@ -23,8 +23,9 @@ from flighttest.estimation.linearisation import (
     project,
 )
 from flighttest.estimation.problem import Problem, prior_std
-from flighttest.estimation.solver import Start, log_likelihood, solve
+from flighttest.estimation.solver import Solution, Start, log_likelihood, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
+from flighttest.estimation.uncertainty.discrepancy import discrepancy_limits
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -149,12 +150,19 @@ class Estimator:
 
     def covariance(self, model: Model, at: Optimum, names: Sequence[str]) -> Covariance:
         """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
+        return covariance_of(self.problem(model), self._solution(model, at, names))
+
+    def discrepancy_limits(self, model: Model, at: Optimum) -> dict[str, float]:
+        """Of an optimum, as of `estimation.uncertainty.discrepancy`."""
+        return discrepancy_limits(self.problem(model), self._solution(model, at, ()))
+
+    def _solution(self, model: Model, at: Optimum, names: Sequence[str]) -> Solution:
+        """An optimum of `names` as a solution."""
         problem = self.problem(model)
-        found = solve(
+        return solve(
             problem, Start(at.values, at.noise, self.nuisance(problem, at)), free=names, robust=False, estimate_noise=False,
             max_iterations=0,
         )  # fmt: skip
-        return covariance_of(problem, found)
 
     def linearise(self, model: Model, at: Optimum, names: Sequence[str]) -> Linearisation:
         """Whitened, profiled rows at a point, with Jacobian columns for `names` (coefficients at their null value included)."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from made_rows import rows_of
 
+from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.diagnose.selection import aliases as aliases_module
 from flighttest.diagnose.selection import search as search_module
 from flighttest.diagnose.selection.aliases import Alias, aliases_of
@@ -68,6 +69,9 @@ class Scripted(Search):
         ]
         self.subsets = SimpleNamespace(terms=lambda s: frozenset(self.candidates[j].term.id for j in s.members))
         self.lack_of_fit = self.lacking
+
+    def judge_as_a_whole(self):
+        """Of models without rows nothing is predicted."""
 
     def _least_size(self, members, scored):
         return 0.0 if any(c.term.id in self.small for c in members) else np.inf
@@ -262,6 +266,27 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     assert alias.cosine == pytest.approx(cosine)
     assert bool(asked) is tried
     assert alias.confusable is tried
+
+
+@pytest.mark.parametrize(("after", "named"), [(0.5, {"a"}), (2.0, set())])
+def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, rng, after, named):
+    """A crashed flight had a wind and unequal spin-up named, each needed beside the other, with which lateral speed was off eleven times
+    as far."""
+    noise = rng.normal(size=1000)
+    base, now = (
+        Fitted(SimpleNamespace(terms=()), (), SimpleNamespace(objective=1.0), rows_of(noise * f, np.zeros((1000, 0))))
+        for f in (1.0, after)
+    )
+    pool = (SimpleNamespace(id="a"),)
+    floor = NoiseFloor({"f_z_m_s2": 0.1, "v_z_m_s": 0.1}, frozenset(), {})
+    search = Search(SimpleNamespace(segments=()), pool, np.arange(20), base=base, now=now, floor=floor)
+    search.evidence = {"a": evidence("a")}
+    monkeypatch.setattr(Search, "linearise", lambda _self: None)
+    search.judge_as_a_whole()
+    assert set(search.evidence) == named
+    assert search.now is (now if named else base)
+    assert ("a" in search.rejected) is not bool(named)
+    assert all("predicted worse" in e.why_not for e in search.rejected.values())
 
 
 class Half:

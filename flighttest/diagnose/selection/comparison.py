@@ -70,7 +70,7 @@ class Evidence:
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: strata
     (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`, of few groups `plain_gains`);
-    nothing: the estimate, where its 95 % interval holds its null value."""
+    nothing: the estimate, where its 95 % interval holds its null value; withdrawn: why the model with all that was named does not stay."""
 
     term: str
     nats: float
@@ -84,12 +84,13 @@ class Evidence:
     improved: tuple[str, ...]
     worsened: tuple[str, ...] = ()
     nothing: str = ""
+    withdrawn: str = ""
 
     @property
     def why_not(self) -> str:
         """Why it is not named, empty where it is."""
-        if self.inadmissible:
-            return self.inadmissible
+        if self.withdrawn or self.inadmissible:
+            return self.withdrawn or self.inadmissible
         if not self.floors >= LEAST_FLOORS:  # nor where it is not a number
             return f"its effect is {self.floors:.2g} noise floors, too small to be distinguished from a clean vehicle"
         if not self.improved:
@@ -192,12 +193,32 @@ def evidence_of(
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
+    if found.why_not:
+        return found
     # Asked last: it takes a covariance.
-    return (
-        found
-        if found.why_not
-        else replace(found, nothing=may_be_nothing(term, fitted, estimator, repeated=floor.repeated(*place)))
-    )
+    counted = floor.repeated(*place) and not beyond_discrepancy(fitted, profiled, estimator)
+    return replace(found, nothing=may_be_nothing(term, fitted, estimator, discrepancy=counted))
+
+
+def beyond_discrepancy(fitted: Fitted, effect: FloatArray, estimator: Estimator) -> bool:
+    """Whether an effect between two optima, (measured rows,) in the channels' units, is more than noise and an error of the equations that
+    all responses of a kind share may copy at a level of 5 %: with S_k its whitened sum of squares over the n_k samples of a channel and
+    kind, s_k^2 the largest variance of that error,
+
+        z^2 = (sum S_k)^2 / sum S_k (1 + n_k s_k^2) > 1.96^2.
+
+    Of a linear coefficient this is its value over its standard error. Of others that ratio falls again far from the null value (Hauck &
+    Donner 1977), while the effect between the optima does not.
+    """
+    rows, limits = fitted.rows, estimator.discrepancy_limits(fitted.model, fitted.at)
+    measured = rows.sample >= 0
+    square = (effect / rows.scale[measured]) ** 2
+    kinds = kinds_of(estimator.segments)[rows.segment[measured]]
+    place = rows.stratum[measured] * (int(kinds.max(initial=0)) + 1) + kinds
+    total, count = np.bincount(place, square), np.bincount(place)
+    shared = np.array([limits.get(rows.channels[k // (int(kinds.max(initial=0)) + 1)], 0.0) for k in range(total.size)])
+    variance = float(np.sum(total * (1.0 + count * shared)))
+    return variance > 0.0 and float(total.sum()) ** 2 > 1.96**2 * variance
 
 
 def least_size(
@@ -222,16 +243,16 @@ def least_size(
     return found
 
 
-def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, repeated: bool) -> str:
+def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepancy: bool) -> str:
     """The linear coefficients of a term all of whose 95 % intervals hold the null value: a name must not stand beside what may be nothing.
     Empty where one does not, and for terms without any. Nonlinear parameters are held: they mean nothing where a coefficient has its null
-    value (Davies 1977), so their error is none of its. repeated: whether steps were; if not, nothing but the residual itself limits what
-    the equations may err, and only the scatter between cells counts."""
+    value (Davies 1977), so their error is none of its. discrepancy: whether what the equations may err counts beside the scatter between
+    cells: not where no steps were repeated, since nothing but the residual limits it there, nor where the effect is beyond it."""
     own = [p for p in term.amplitudes if p.name in fitted.names]
     if not own:
         return ""
     known = estimator.covariance(fitted.model, fitted.at, fitted.names)
-    if not repeated:
+    if not discrepancy:
         known = replace(known, discrepancy=None)
     shapes = [known.names.index(p.name) for p in term.shapes if p.name in known.names]
     said = ""

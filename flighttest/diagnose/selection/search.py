@@ -30,6 +30,7 @@ from flighttest.diagnose.selection.comparison import (
     log_evidence,
     probability_of,
 )
+from flighttest.diagnose.selection.held_out import gains_held_out, held_out
 from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray, Optimum
@@ -98,6 +99,7 @@ class Search:
             if not self._round():
                 break
         self._judge_as_reported()
+        self.judge_as_a_whole()
 
     def _round(self) -> bool:
         """One linearisation; whether anything was tried from it that may lead further."""
@@ -145,6 +147,25 @@ class Search:
             self.rejected |= left
             if not left:
                 return
+
+    def judge_as_a_whole(self) -> None:
+        """Withdraw what was named where the model with it predicts more channels of what was not used surely worse than better, each
+        response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight."""
+        if not self.evidence:
+            return
+        assert self.base is not None
+        assert self.now is not None
+        assert self.floor is not None
+        before, after = ((f.rows, held_out(f.rows, f.names, self.groups)) for f in (self.base, self.now))
+        gains = gains_held_out(*before, *after, self.groups, self.floor).values()
+        better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
+        if worse <= better:
+            return
+        why = f"with all that was named more channels of what was not used are predicted worse than better ({worse} and {better})"
+        self.rejected |= {t: replace(e, withdrawn=why) for t, e in self.evidence.items()}
+        self.now, self.evidence = self.base, {}
+        self.progress(f"{' and '.join(sorted(self.rejected))}: {why}")
+        self.linearise()
 
     def _better(self, kept: Fitted, before: Fitted) -> bool:
         """Whether a model holds more than one before, or predicts better with other terms."""

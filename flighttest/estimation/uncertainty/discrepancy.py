@@ -49,9 +49,7 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
     for i, (residual, jacobian) in enumerate(weighing.profiled(at, active)):
         part = problem.parts[i]
         segment = np.array([r.index for r in part.responses])
-        for k in range(len(part.outputs)):
-            limit = _upper_limit(problem, part, residual[..., k], part.mask[..., k])
-            limit = min(limit, SHARE**2 * _moved(part, solution.evaluations[i].residual, k, solution.noise))
+        for k, limit in enumerate(_limits(problem, solution, i, residual)):
             for kind in np.unique(kinds[segment]):
                 mine = kinds[segment] == kind
                 columns = jacobian[mine, :, k][part.mask[mine, :, k]]
@@ -61,6 +59,23 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
     scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
     inverse = np.linalg.pinv(total / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     return np.asarray(inverse @ spread @ inverse)
+
+
+def discrepancy_limits(problem: Problem, solution: Solution) -> dict[str, float]:
+    """Channel to the largest variance s_g^2 of an error of the equations there, in variances of its noise."""
+    at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
+    weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
+    found: dict[str, float] = {}
+    for i, (residual, _) in enumerate(weighing.profiled(at, ())):
+        found |= zip(problem.parts[i].outputs, _limits(problem, solution, i, residual), strict=True)
+    return found
+
+
+def _limits(problem: Problem, solution: Solution, i: int, residual: FloatArray) -> list[float]:
+    """`discrepancy_limits` of the outputs of one part, its whitened residual (m, n, n_outputs) profiled."""
+    part, left = problem.parts[i], solution.evaluations[i].residual
+    limits = (_upper_limit(problem, part, residual[..., k], part.mask[..., k]) for k in range(len(part.outputs)))
+    return [min(limit, SHARE**2 * _moved(part, left, k, solution.noise)) for k, limit in enumerate(limits)]
 
 
 def _moved(part: Part, residual: FloatArray, k: int, noise: Noise) -> float:
