@@ -195,9 +195,13 @@ def evidence_of(
     )
     if found.why_not:
         return found
-    # Asked last: it takes a covariance.
-    counted = floor.repeated(*place) and not beyond_discrepancy(fitted, profiled, estimator)
-    return replace(found, nothing=may_be_nothing(term, fitted, estimator, discrepancy=counted))
+    # Asked last: it takes a covariance. Where a term's nonlinear parameters share its effect with others, no standard error at the estimate
+    # says anything of its absence, and groups that were not used have spoken of scatter.
+    repeated = floor.repeated(*place)
+    beyond = repeated and beyond_discrepancy(fitted, profiled, estimator)
+    if beyond and term.shapes:
+        return found
+    return replace(found, nothing=may_be_nothing(term, fitted, estimator, discrepancy=repeated and not beyond))
 
 
 def beyond_discrepancy(fitted: Fitted, effect: FloatArray, estimator: Estimator) -> bool:
