@@ -38,6 +38,7 @@ SELECTION = tuple(
 )
 CONSTANTS: dict[str, tuple[str, ...]] = {
     "diagnose/selection/search.py": SELECTION,
+    "diagnose/selection/aliases.py": SELECTION,
     "diagnose/selection/subsets.py": SELECTION,
     "diagnose/selection/comparison.py": SELECTION,
     "diagnose/selection/candidates.py": SELECTION,

@@ -152,11 +152,4 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     return np.asarray(columns @ (vectors[:, used] / np.sqrt(values[used])))
 
 
-def regression(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """(p,) least squares coefficients of (n,) values on (n, p) columns, which need not be of full rank."""
-    length = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), np.finfo(float).tiny)
-    unit = columns / length
-    return np.asarray(np.linalg.pinv(unit.T @ unit, rcond=RANK, hermitian=True) @ (unit.T @ values) / length)
-
-
 RANK = 1e-12  # relative eigenvalue of a Gram matrix of unit columns below which a direction is rounding error

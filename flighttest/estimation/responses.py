@@ -25,7 +25,7 @@ STEP_OF_POLE = {"translation": 1.0, "attitude": 0.25}  # step x pole (1/s), at m
 # Numbers of nodes are rounded up to one of these, so that responses of like length are integrated together.
 _BUCKETS = (32, 48, 64, 96, 128, 160, 208, 256, 320, 416, 512, 640, 832, 1024)
 NO_GROUND_M = 1e3  # height where none was recorded: no ground effect
-_ATTITUDE = frozenset({"roll", "pitch"})
+_ATTITUDE = frozenset({"roll_rad", "pitch_rad", "target_roll_rad", "target_pitch_rad"})
 _ANGLES = frozenset({"roll_rad", "pitch_rad", "yaw_rad"})
 HORIZONTAL = frozenset({"f_x_m_s2", "f_y_m_s2", "v_x_m_s", "v_y_m_s", "a_x_m_s2", "a_y_m_s2"})
 # How far an initial state may lie from its measurement, and from zero where it is not measured.
@@ -200,7 +200,7 @@ def prepare(
         if block.exogenous else np.empty((n, 0))  # fmt: skip
     if level:
         # Half an attitude would turn horizontal motion, which is not compared, into a vertical one that anything can be explained by.
-        e[:, [i for i, name in enumerate(block.exogenous) if _ATTITUDE & {*name.split("_")}]] = 0.0
+        e[:, [i for i, name in enumerate(block.exogenous) if name in _ATTITUDE]] = 0.0
     return Response(index, t, y, edges_s, values, e, start, std)
 
 

@@ -26,7 +26,7 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
     path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its name. columns: a
     column map (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
     """
-    # Damaged numbers: what comes of them is no number, or impossible.
+    # A damaged float may be a signalling NaN or overflow where it is cast: it becomes NaN, or is found impossible.
     with np.errstate(invalid="ignore", over="ignore"):
         recording = possible(_read(Path(path), columns))
     if not any(len(series) > 1 for series in recording.series.values()):

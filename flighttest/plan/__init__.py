@@ -1,7 +1,7 @@
 """A script compiled to a pure function of time, checked against limits and zone before anything flies."""
 
 from flighttest.plan.check import Battery, CheckResult, EnvelopeRow, TimelineRow, check
-from flighttest.plan.compile import compile_plan, compile_plans
+from flighttest.plan.compile import compile_plan
 from flighttest.plan.model import AttitudeTarget, CellPlan, Leg, Motion, Phase, Plan, Policy, Predictor, Snapshot
 
 __all__ = [
@@ -20,5 +20,4 @@ __all__ = [
     "TimelineRow",
     "check",
     "compile_plan",
-    "compile_plans",
 ]

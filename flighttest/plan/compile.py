@@ -95,13 +95,6 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
     )
 
 
-def compile_plans(
-    scripts: Sequence[Script], vehicle: Vehicle, predictor: Predictor, *, angle_boost: bool = False
-) -> tuple[Plan, ...]:
-    """The same for several scripts, each by itself."""
-    return tuple(compile_plan(script, vehicle, predictor, angle_boost=angle_boost) for script in scripts)
-
-
 def _distinct(cells: list[Cell]) -> list[Cell]:
     """Cells with labels of their own: the same step asked for twice is flown twice, under two names."""
     seen: dict[str, int] = {}

@@ -50,7 +50,6 @@ class Scripted(Search):
     asked: list = field(default_factory=list)
     lacking: bool = False
     bare: tuple = ()  # terms without a linear coefficient
-    small: tuple = ()  # terms whose effect is known to be small before a refit
 
     def fit_of(self, model, start, inactive, reported=False):
         return fitted(*model.terms) if reported else fitted()
@@ -72,9 +71,6 @@ class Scripted(Search):
 
     def judge_as_a_whole(self):
         """Of models without rows nothing is predicted."""
-
-    def _least_size(self, members, scored):
-        return 0.0 if any(c.term.id in self.small for c in members) else np.inf
 
     def refitted(self, among, members, scored):
         made = fitted(*among.model.terms, *(c.term.id for c in members))
@@ -119,10 +115,6 @@ def test_the_best_subset_is_refitted_and_what_it_needs_is_named(searched):
 
 def test_what_has_odds_against_it_is_not_refitted(searched):
     assert searched({"a": -0.1, "b": -3.0}, {}).refits == []
-
-
-def test_a_subset_with_a_term_whose_effect_is_too_small_to_stay_is_not_refitted(searched):
-    assert searched({"a": 5.0, "b": 4.0, "ab": 9.0}, {}, small=("b",)).refits == ["a"]
 
 
 def test_where_something_is_missing_terms_without_a_coefficient_are_refitted_whatever_their_score(searched):
@@ -268,8 +260,8 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     assert alias.confusable is tried
 
 
-@pytest.mark.parametrize(("after", "named"), [(0.5, {"a"}), (2.0, set())])
-def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, rng, after, named):
+@pytest.mark.parametrize(("after", "groups", "named"), [(0.5, 20, {"a"}), (2.0, 20, set()), (2.0, 5, {"a"})])
+def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, rng, after, groups, named):
     """A crashed flight had a wind and unequal spin-up named, each needed beside the other, with which lateral speed was off eleven times
     as far."""
     noise = rng.normal(size=1000)
@@ -279,7 +271,7 @@ def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, r
     )
     pool = (SimpleNamespace(id="a"),)
     floor = NoiseFloor({"f_z_m_s2": 0.1, "v_z_m_s": 0.1}, frozenset(), {})
-    search = Search(SimpleNamespace(segments=()), pool, np.arange(20), base=base, now=now, floor=floor)
+    search = Search(SimpleNamespace(segments=()), pool, np.arange(20) % groups, base=base, now=now, floor=floor)
     search.evidence = {"a": evidence("a")}
     monkeypatch.setattr(Search, "linearise", lambda _self: None)
     search.judge_as_a_whole()

@@ -122,7 +122,7 @@ def keeper_of_logs() -> Iterator[str]:
         server.close()
 
 
-_NOBODYS_PORT = 14999
+_UNUSED_PORT = 14999
 _READY, _NO_POSITION, _NOT_READY = (1.0, 3.0), (1.0, 1e6), (1e6, 1.0)
 """When the vehicle can arm and has a position, s."""
 IN_REAL_TIME: tuple[tuple[str, tuple[float, float], list[str], str], ...] = (
@@ -138,7 +138,7 @@ IN_REAL_TIME: tuple[tuple[str, tuple[float, float], list[str], str], ...] = (
 )
 FAST = ["run", "spot_check", "--connect", "sim", "--speed", "20"]
 AFTERWARDS: tuple[tuple[str, list[str], str], ...] = (
-    ("connecting", ["run", "spot_check", "--connect", f"udpin:127.0.0.1:{_NOBODYS_PORT}", "--yes"], "connecting"),
+    ("connecting", ["run", "spot_check", "--connect", f"udpin:127.0.0.1:{_UNUSED_PORT}", "--yes"], "connecting"),
     ("landing", [*FAST, "--only", "fly"], "landing "),
     ("restoring parameters", [*FAST, "--only", "fly"], "restoring parameters"),
     ("writing", [*FAST, "--only", "fly"], "writing the channels"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flighttest.pipeline.planning.checking import predictor_for
-from flighttest.plan import compile_plan, compile_plans
+from flighttest.plan import compile_plan
 from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.model import BranchingPredictor
 from flighttest.plan.rehearse import Row, rehearse
@@ -72,7 +72,7 @@ def test_plans_and_refusals_are_those_of_rehearsing_everything_from_its_start(zo
     assert isinstance(PRIOR, BranchingPredictor)
     assert not isinstance(Plain(PRIOR), BranchingPredictor)
     scripts = [load_script(resolve(name)) for name in ("tilt_throttle", "ground_effect", "free_flight", "lateral_stop")]
-    together = compile_plans(scripts, vehicle, PRIOR)
+    together = [compile_plan(script, vehicle, PRIOR) for script in scripts]
     for script, shared in zip(scripts, together, strict=True):
         apart = compile_plan(script, vehicle, Plain(PRIOR))
         assert shared.refusals == apart.refusals

@@ -15,17 +15,17 @@ import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
-from flighttest.diagnose.selection.candidates import Candidate, null_value, redundant, usual_size
+from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
     cross_validated,
+    held_out_falls,
     places,
-    plain_gains,
     size_in_floors,
     stratum_gains,
 )
 from flighttest.estimation.estimator import Estimator, finite
-from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal, regression
+from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisation, Optimum, orthonormal
 from flighttest.estimation.problem import Noise, kinds_of
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.estimation.uncertainty.covariance import interval_factor
@@ -35,8 +35,6 @@ from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
-# Below this a term that is linear beside the present model, whose effect is known before it is refitted, is not: it would leave again.
-REFITTED_FLOORS = 0.5 * LEAST_FLOORS
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ class Evidence:
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: strata
-    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`, of few groups `plain_gains`);
+    (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`; `held_out_falls` of few);
     nothing: the estimate, where its 95 % interval holds its null value; withdrawn: why the model with all that was named does not stay."""
 
     term: str
@@ -176,10 +174,10 @@ def evidence_of(
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
-    intervals = stratum_gains(before, after, groups) or plain_gains(
-        (without.rows, without.names), (fitted.rows, fitted.names), groups
-    )
-    intervals = {name: interval for name, interval in intervals.items() if name not in aside}
+    intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
+    if not intervals:  # of too few groups: the falls themselves
+        falls = held_out_falls((without.rows, without.names), (fitted.rows, fitted.names), groups)
+        intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     found = Evidence(
         term=term.id,
         nats=nats,
@@ -195,13 +193,23 @@ def evidence_of(
     )
     if found.why_not:
         return found
-    # Asked last: it takes a covariance. Where a term's nonlinear parameters share its effect with others, no standard error at the estimate
-    # says anything of its absence, and groups that were not used have spoken of scatter.
-    repeated = floor.repeated(*place)
-    beyond = repeated and beyond_discrepancy(fitted, profiled, estimator)
-    if beyond and term.shapes:
-        return found
-    return replace(found, nothing=may_be_nothing(term, fitted, estimator, discrepancy=repeated and not beyond))
+    # Asked last: it takes a covariance.
+    return replace(found, nothing=may_be_absent(term, fitted, profiled, estimator, repeated=floor.repeated(*place)))
+
+
+def may_be_absent(term: Term, fitted: Fitted, effect: FloatArray, estimator: Estimator, *, repeated: bool) -> str:
+    """Why a term's estimates do not exclude its absence, empty where they do. effect: of the term, as for `beyond_discrepancy`; repeated:
+    whether steps were.
+
+    By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
+    err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters not by a standard error at
+    the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were not used (`improved`).
+    """
+    if not repeated:
+        return may_be_nothing(term, fitted, estimator, discrepancy=False)
+    if not beyond_discrepancy(fitted, effect, estimator):
+        return may_be_nothing(term, fitted, estimator, discrepancy=True)
+    return "" if term.shapes else may_be_nothing(term, fitted, estimator, discrepancy=False)
 
 
 def beyond_discrepancy(fitted: Fitted, effect: FloatArray, estimator: Estimator) -> bool:
@@ -218,40 +226,19 @@ def beyond_discrepancy(fitted: Fitted, effect: FloatArray, estimator: Estimator)
     measured = rows.sample >= 0
     square = (effect / rows.scale[measured]) ** 2
     kinds = kinds_of(estimator.segments)[rows.segment[measured]]
-    place = rows.stratum[measured] * (int(kinds.max(initial=0)) + 1) + kinds
-    total, count = np.bincount(place, square), np.bincount(place)
-    shared = np.array([limits.get(rows.channels[k // (int(kinds.max(initial=0)) + 1)], 0.0) for k in range(total.size)])
-    variance = float(np.sum(total * (1.0 + count * shared)))
+    of_channel = np.array([limits.get(name, 0.0) for name in rows.channels])
+    n_kinds = int(kinds.max(initial=0)) + 1
+    place = rows.stratum[measured] * n_kinds + kinds
+    total, count = (np.bincount(place, what, of_channel.size * n_kinds).reshape(-1, n_kinds) for what in (square, None))
+    variance = float(np.sum(total * (1.0 + count * of_channel[:, None])))
     return variance > 0.0 and float(total.sum()) ** 2 > 1.96**2 * variance
-
-
-def least_size(
-    fitted: Fitted,
-    members: Sequence[Candidate],
-    coefficients: FloatArray,
-    segments: Sequence[Segment],
-    floor: NoiseFloor,
-) -> float:
-    """Size, in noise floors, of the smallest effect beside a fitted model and the other members, among members of linear coefficients
-    alone: of the others the refit may make more. coefficients: of the members' columns, one after the other."""
-    profiled = [fitted.rows.columns(fitted.names), *(c.columns for c in members)]
-    unprofiled = [fitted.rows.unprofiled_columns(fitted.names), *(c.unprofiled for c in members)]
-    ends, found = np.cumsum([c.columns.shape[1] for c in members]), math.inf
-    for k, c in enumerate(members):
-        if c.term.shapes or not c.names:
-            continue
-        own = coefficients[ends[k] - c.columns.shape[1] : ends[k]]
-        others, as_predicted = (np.concatenate([*a[: k + 1], *a[k + 2 :]], axis=1) for a in (profiled, unprofiled))
-        effect = c.unprofiled @ own - as_predicted @ regression(others, c.columns @ own)
-        found = min(found, size_in_floors(fitted.rows, effect, segments, floor)[0])
-    return found
 
 
 def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepancy: bool) -> str:
     """The linear coefficients of a term all of whose 95 % intervals hold the null value: a name must not stand beside what may be nothing.
     Empty where one does not, and for terms without any. Nonlinear parameters are held: they mean nothing where a coefficient has its null
     value (Davies 1977), so their error is none of its. discrepancy: whether what the equations may err counts beside the scatter between
-    cells: not where no steps were repeated, since nothing but the residual limits it there, nor where the effect is beyond it."""
+    cells; where no steps were repeated, nothing but the residual limits it."""
     own = [p for p in term.amplitudes if p.name in fitted.names]
     if not own:
         return ""

@@ -153,14 +153,17 @@ def stratum_gains(
     return found
 
 
-def plain_gains(
+def held_out_falls(
     before: tuple[Linearisation, Sequence[str]], after: tuple[Linearisation, Sequence[str]], groups: IntArray
-) -> dict[str, tuple[float, float]]:
-    """Channel to (g, g), the relative fall of the root mean square with which models (rows, names) predict groups that were not used: what
-    can be asked of fewer groups than an interval takes. No disturbance of a response is known, so that it explains nothing."""
+) -> dict[str, float]:
+    """Channel to the relative fall of the root mean square with which models (rows, names) predict groups that were not used: what can be
+    asked of fewer groups than an interval takes. No disturbance of a response is known, so that it explains nothing."""
     first, second = (mean_squares(rows, held_out(rows, names, groups), groups) for rows, names in (before, after))
-    falls = {c: 1.0 - float(np.sqrt(second[c][0].sum() / max(first[c][0].sum(), 1e-300))) for c in first}
-    return {c: (fall, fall) for c, fall in falls.items() if first[c][1].any()}
+    return {
+        c: 1.0 - float(np.sqrt(second[c][0].sum() / max(square.sum(), 1e-300)))
+        for c, (square, count) in first.items()
+        if count.any()
+    }
 
 
 @dataclass(frozen=True)

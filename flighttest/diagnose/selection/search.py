@@ -22,15 +22,13 @@ from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, fl
 from flighttest.diagnose.selection.candidates import Candidate, candidates_at, null_value
 from flighttest.diagnose.selection.comparison import (
     LEAST_FLOORS,
-    REFITTED_FLOORS,
     Evidence,
     Fitted,
     evidence_of,
-    least_size,
     log_evidence,
     probability_of,
 )
-from flighttest.diagnose.selection.held_out import gains_held_out, held_out
+from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out, held_out
 from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray, Optimum
@@ -111,13 +109,10 @@ class Search:
             proposed = self.subsets.terms(scored)
             if proposed & set(self.rejected):
                 continue
-            members = [self.candidates[j] for j in scored.members]
-            if self._least_size(members, scored) < REFITTED_FLOORS:
-                continue
             names = " and ".join(sorted(proposed))
             self.progress(f"refitting with {names}")
             try:
-                fitted = self.refitted(before, members, scored)
+                fitted = self.refitted(before, [self.candidates[j] for j in scored.members], scored)
                 if not fitted.finite:
                     continue
                 kept, evidence, left = self._pruned(fitted, proposed)
@@ -151,8 +146,8 @@ class Search:
     def judge_as_a_whole(self) -> None:
         """Withdraw what was named where the model with it predicts more channels of what was not used surely worse than better, each
         response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight."""
-        if not self.evidence:
-            return
+        if not self.evidence or np.unique(self.groups).size < FEWEST_GROUPS:
+            return  # of fewer groups no interval says anything, and each term was asked by itself
         assert self.base is not None
         assert self.now is not None
         assert self.floor is not None
@@ -186,12 +181,6 @@ class Search:
             singles = [s for s in self.scored if len(s.members) == 1 and s.log_odds <= 0.0]
             found += [s for s in singles if not self.candidates[s.members[0]].names]
         return found
-
-    def _least_size(self, members: list[Candidate], scored: Scored) -> float:
-        """`least_size` beside the present model."""
-        assert self.now is not None
-        assert self.floor is not None
-        return least_size(self.now, members, scored.coefficients, self.estimator.segments, self.floor)
 
     def linearise(self) -> None:
         """Columns of every candidate outside the present model, and the subsets of them, best first."""

@@ -25,8 +25,7 @@ REFUSED_IN_A_ROW_MAX = 4
 UNSETTLED_IN_A_ROW_MAX = 2  # each of them tried twice
 REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
-_RESET_GUESS_S = 10.0
-_TAKE_OFF_S = 40.0
+_RESET_GUESS_S, _TAKE_OFF_S = 10.0, 40.0
 _CLIMBS_M, _CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
 _VOLTAGE_WAIT_S = 1.0
 _LAND_S = 120.0
@@ -176,11 +175,12 @@ class Scheduler:
         """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
         control = self.control
         control.tell(doing="landing", next="", phase="")
-        deadline = math.inf
+        deadline = 0.0
         while not control.machine.state.is_end:
-            if control.machine.state is not FlightState.LANDING:
+            if control.machine.state is not FlightState.LANDING:  # or not any more: an earlier request came late
                 supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
-            if control.session.now_s() > (deadline := min(deadline, control.session.now_s() + _LAND_S)):
+            deadline = deadline or control.session.now_s() + _LAND_S
+            if control.session.now_s() > deadline:
                 control.on(Event.NOT_DOWN)
             control.cycle()
         control.recorder.event("note", "landed", control.session.now_s())

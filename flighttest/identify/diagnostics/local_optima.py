@@ -58,7 +58,9 @@ def local_optima(problem: Problem, solution: Solution, robust: bool) -> tuple[So
     """The best of several optima, and by name the parameters of others that this data cannot tell from it."""
     if not solution.status.good:
         return solution, {}
-    known, taken, found = covariance_of(problem, solution), dict[str, float](), dict[str, LocalOptimum]()
+    known = covariance_of(problem, solution)
+    taken: dict[str, float] = {}
+    found: dict[str, LocalOptimum] = {}
     for group in _groups(problem, solution):
         if all(followed(problem, solution, i) for i in group):
             continue
@@ -89,6 +91,8 @@ def _of_group(
     stride = -(-max(len(part.responses) for part in problem.parts) // SCOUTED)
     few = problem.thinned(stride) if stride > 1 else problem
     here = solve(few, Start(best.values, best.noise), free=free, robust=robust, max_iterations=SCOUT_STEPS)
+    if here.status is FitStatus.DIVERGED:
+        return {}, {}
     mine = covariance_of(few, here)
     taken: dict[str, float] = {}
     found: dict[str, LocalOptimum] = {}
@@ -104,13 +108,13 @@ def _of_group(
         other = solve(problem, Start(there, best.noise), free=free, robust=robust, max_iterations=MANY_STEPS)
         if not other.status.good:
             continue
-        theirs = covariance_of(problem, other)
-        apart = [n for n in free if _apart(n, best, known, other, theirs)]
-        better = _better(problem, best, other) if apart else BETTER + 1.0
-        if better < -BETTER:
+        known_there = covariance_of(problem, other)
+        apart = [n for n in free if _apart(n, best, known, other, known_there)]
+        better = _better(problem, best, other)
+        if apart and better < -BETTER:
             taken, found = {n: other.values[n] for n in free}, {}
-            best, known = other, theirs
-        elif better <= BETTER:
+            best, known, here, mine = other, known_there, scout, theirs
+        elif apart and better <= BETTER:
             found = {**found, **{n: LocalOptimum(other.values[n], better) for n in apart if n not in found}}
     return taken, found
 

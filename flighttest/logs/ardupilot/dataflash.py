@@ -67,8 +67,7 @@ class Table:
 
     def get(self, name: str) -> NDArray[np.float64]:
         """(n,) a numeric field in the unit its format letter implies."""
-        with np.errstate(invalid="ignore"):  # a damaged float32 may be a signalling NaN: a NaN like any other
-            values = self.raw[name].astype(np.float64)
+        values = self.raw[name].astype(np.float64)
         divisor = self.format.divisor(name)
         return values if divisor == 1.0 else values / divisor
 

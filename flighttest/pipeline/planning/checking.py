@@ -21,7 +21,7 @@ from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
 from flighttest.pipeline.store.history import DEFAULT_RUNS, check_runs
 from flighttest.pipeline.store.lineage import lineage_of
-from flighttest.plan import Plan, compile_plans
+from flighttest.plan import Plan, compile_plan
 from flighttest.plan import check as check_plan
 from flighttest.report.document import Cell, Section, Table
 from flighttest.report.numbers import number, percent, unit
@@ -69,7 +69,7 @@ def plans(
 ) -> tuple[Plan, ...]:
     """Load and compile; ScriptError lists everything wrong with a script."""
     loaded = [load_script(resolve(name)) for name in scripts]
-    return compile_plans(loaded, vehicle, predictor, angle_boost=angle_boost)
+    return tuple(compile_plan(script, vehicle, predictor, angle_boost=angle_boost) for script in loaded)
 
 
 def check(
@@ -94,7 +94,7 @@ def check(
         )
 
     def rehearsed(some: Sequence[Script]) -> list[tuple[Plan, PlannedInformation]]:
-        made = compile_plans(some, declared, prior)
+        made = [compile_plan(script, declared, prior) for script in some]
         return list(zip(made, planned_information(made, prior.model, prior.values), strict=True))
 
     loaded = [load_script(resolve(name)) for name in scripts]

@@ -1,4 +1,4 @@
-"""What earlier flights leave to the next: steps that are missing, parameters that nobody has put back."""
+"""What earlier flights leave to the next: steps that are missing, parameters that have not been restored."""
 
 from __future__ import annotations
 
