@@ -156,6 +156,14 @@ def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
     assert not repeated.exceeded("pitch_rad", "free", 1.7e-3**2, 1000.0)
 
 
+@pytest.mark.parametrize(
+    ("rms_m_s", "lasts_s", "exceeded"), [(0.075, 3.0, False), (0.075, 0.5, True), (0.12, 3.0, True)]
+)
+def test_without_repeats_a_velocity_integrates_the_drift_of_an_accelerometer(rms_m_s, lasts_s, exceeded):
+    floor = NoiseFloor({"v_z_m_s": 0.01}, frozenset(), {})
+    assert floor.exceeded("v_z_m_s", "pitch_step", rms_m_s**2, 1000.0, lasts_s) is exceeded
+
+
 def test_what_would_be_seen_is_reported_for_the_usual_value_of_a_nonlinear_parameter():
     term = SimpleNamespace(id="thrust_fade", shapes=(SimpleNamespace(name="tau", nominal=60.0),))
     settings = [SimpleNamespace(term=term, shape={"tau": tau}) for tau in (5.0, 40.0, 300.0)]

@@ -59,11 +59,16 @@ class NoiseFloor:
         """Whether repeats say what the floor of this channel is in this kind of maneuver."""
         return (channel, kind) in self.lack_by_kind
 
-    def at(self, channel: str, kind: str) -> float:
-        """The floor of one channel in one kind of maneuver: where none of its steps was repeated, no less than what estimators wander."""
+    def at(self, channel: str, kind: str, lasts_s: float = 0.0) -> float:
+        """The floor of one channel in one kind of maneuver: where none of its steps was repeated, no less than what estimators wander.
+
+        lasts_s: of its responses, where they are compared without a disturbance of their own. A velocity is the integral of an
+        accelerometer that drifts by c for so long, its initial value estimated: RMS c lasts_s / sqrt(12).
+        """
         if self.repeated(channel, kind):
             return self.std[channel]
-        return max(self.std[channel], DRIFT.get(channel, 0.0))
+        integrated = DRIFT[f"f_{channel[2:]}2"] * lasts_s / np.sqrt(12.0) if channel.startswith("v_") else 0.0
+        return max(self.std[channel], float(np.hypot(DRIFT.get(channel, 0.0), integrated)))
 
     def whole(self, channel: str) -> float:
         """The floor with everything in it that differs between repeats, the bins around jittering edges included."""
@@ -71,12 +76,12 @@ class NoiseFloor:
             return self.std[channel]
         return float(np.sqrt(max(self.std[channel] ** 2, self.lack_of_fit[channel][2])))
 
-    def exceeded(self, channel: str, kind: str, mean_square: float, count: float) -> bool:
+    def exceeded(self, channel: str, kind: str, mean_square: float, count: float, lasts_s: float = 0.0) -> bool:
         """Whether `count` independent samples of this mean square lie above the floor: by a quarter in power at least (half the floor in
         amplitude), by four times where no step was repeated, and more than chance would have it (0.1 %, for there are many places to
         look at). Where steps were repeated it is what the repeats share that counts (lack of fit), since a gusty response is no fault of
         the model."""
-        ratio = mean_square / self.at(channel, kind) ** 2
+        ratio = mean_square / self.at(channel, kind, lasts_s) ** 2
         if ratio <= (LEAST_RATIO if self.repeated(channel, kind) else GUESSED_RATIO):
             return False
         if self.repeated(channel, kind):

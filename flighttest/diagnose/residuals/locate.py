@@ -164,6 +164,11 @@ def _beside_disturbance(rows: Linearisation, at: IntArray, floor: float) -> floa
     return float(np.mean(residual**2)) / max(power_of_noise(residual, rows.segment[at]) / floor, 1.0) ** 2
 
 
+def _lasting(segments: Sequence[Segment], which: NDArray[np.intp]) -> float:
+    """RMS of how long these responses last, s."""
+    return float(np.sqrt(np.mean([(segments[i].t_s[-1] - segments[i].t_s[0]) ** 2 for i in which])))
+
+
 def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
     """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable.
 
@@ -184,22 +189,23 @@ def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, 
             if at.size < 40:
                 continue
             r = rows.unprofiled_residual[at]
-            least = floor.at(name, str(kind))
+            lasts_s = 0.0 if kind == "free" else _lasting(segments, np.unique(rows.segment[at]))
+            least = floor.at(name, str(kind), lasts_s)
             excess = float(np.sum(r**2)) / least**2 - at.size
             here = {v: x[at] for v, x in variables.items()}
             mean_square = _beside_disturbance(rows, at, least) if kind == "free" else float(np.mean(r**2))
-            if floor.exceeded(name, str(kind), mean_square, at.size / tau[c]) or ordered_by_a_variable(
+            if floor.exceeded(name, str(kind), mean_square, at.size / tau[c], lasts_s) or ordered_by_a_variable(
                 name, r, here, rows.segment[at], least, seed
             ):
-                places.append((excess, name, str(kind), at))
+                places.append((excess, name, str(kind), at, least))
     found = []
-    for _, name, kind, at in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
+    for _, name, kind, at, least in sorted(places, key=lambda p: -p[0])[:MOST_PLACES]:
         r = rows.unprofiled_residual[at]
         scores = {v: explained_by(r, x[at], rows.segment[at], seed) for v, x in variables.items()}
         best = max(scores, key=lambda v: (scores[v][1] <= 0.05, scores[v][0])) if scores else ""
         orders = Orders(best, variables[best][at], *scores[best]) if best else Orders()
         flown_as = maneuvers[kind].most_common(1)[0][0]
-        found.append(located_at(name, flown_as, kind, r, orders, floor.at(name, kind), floor.repeated(name, kind)))
+        found.append(located_at(name, flown_as, kind, r, orders, least, floor.repeated(name, kind)))
     return found
 
 
