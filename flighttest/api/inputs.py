@@ -112,12 +112,15 @@ class CampaignOptions(FlightOptions, total=False):
 
 class ProofOptions(TypedDict, total=False):
     """Further options of `prove`. generator: what flies; kind: only trials that hide nothing, one effect, two, or one that no term of the
-    catalogue describes; clean: draw on until so many trials hide nothing; scheduler: an existing Dask cluster, tcp://..."""
+    catalogue describes, or, of real flights, a natural pair; clean: draw on until so many trials hide nothing; scheduler: an existing Dask
+    cluster, tcp://...; recordings, data: list (recordings/1) and folder of the real flights that the generator 'recorded' takes."""
 
-    generator: Literal["rotor", "sitl"]
-    kind: Literal["clean", "single", "pair", "outside"] | None
+    generator: Literal["rotor", "sitl", "recorded"]
+    kind: Literal["clean", "single", "pair", "outside", "natural"] | None
     clean: int
     scheduler: str | None
+    recordings: AnyPath | None
+    data: AnyPath | None
 
 
 class ServeOptions(TypedDict, total=False):

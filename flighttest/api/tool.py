@@ -207,7 +207,7 @@ def prove(
     progress: ProgressLike | None = None,
     **options: Unpack[ProofOptions],
 ) -> Proved:
-    """Hide effects in simulated flights, diagnose them blind, and count what was found.
+    """Hide effects in simulated flights, or add them to real ones, diagnose them blind, and count what was found.
 
     output: folder for the truths and the scoreboard. options: `flighttest.api.inputs.ProofOptions`, as
     kind="clean".
@@ -216,5 +216,6 @@ def prove(
     from flighttest.proof.prove import ProofRequest
     from flighttest.proof.proving import prove as proof
 
-    result = proof(ProofRequest(trials, seed, workers=workers, **options), as_path(output), as_progress(progress))
+    request = ProofRequest(trials, seed, workers=workers, **paths_in(options, "recordings", "data"))
+    result = proof(request, as_path(output), as_progress(progress))
     return Proved(document=result.document, data=result.data, status=result.status, outcomes=tuple(result.value))

@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
 @command("prove")
 @click.option("--trials", type=click.IntRange(min=1), default=20, show_default=True)
-@click.option("--generator", type=click.Choice(["rotor", "sitl"]), default="rotor", show_default=True)
-@click.option("--kind", type=click.Choice(["clean", "single", "pair", "outside"]), help="Only such trials.")
+@click.option("--generator", type=click.Choice(["rotor", "sitl", "recorded"]), default="rotor", show_default=True)
+@click.option("--kind", type=click.Choice(["clean", "single", "pair", "outside", "natural"]), help="Only such trials.")
 @click.option(
     "--clean", type=click.IntRange(min=0), default=0, help="Draw on until so many trials have nothing hidden."
 )
+@click.option("--recordings", type=FILE, metavar="FILE", help="Of `recorded`: the list of real flights (recordings/1).")
+@click.option("--data", type=FOLDER, metavar="DIR", help="Of `recorded`: the folder that the listed files are in.")
 @click.option("--seed", type=int, help="First seed; otherwise new ones are drawn and printed.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--scheduler", metavar="URL", help="An existing Dask cluster, tcp://...")
@@ -40,7 +42,7 @@ def prove(
     output: Path | None,
     **options: Unpack[ProofOptions],
 ) -> int:
-    """Hide effects in simulated flights, diagnose them blind, and print the scoreboard."""
+    """Hide effects in simulated flights, or add them to real ones, diagnose them blind, and print the scoreboard."""
     with LiveProgress(context.show) as progress:
         answer = ft.prove(trials, seed=seed, workers=workers, output=output, progress=progress, **options)
     return context.finish(answer)

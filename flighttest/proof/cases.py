@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import count, islice
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -16,8 +16,15 @@ from flighttest.sim.plants.plant_motors import NOT_THE_PLANTS
 from flighttest.sim.plants.rotor_effects import EFFECTS, resolve
 from flighttest.sim.plants.rotor_vehicle import random_rotor
 
-Generator = Literal["rotor", "sitl"]
-Kind = Literal["clean", "single", "pair", "outside"]
+
+class _Kinds(Protocol):
+    @property
+    def kind(self) -> str: ...
+
+
+C = TypeVar("C", bound=_Kinds)
+Generator = Literal["rotor", "sitl", "recorded"]
+Kind = Literal["clean", "single", "pair", "outside", "natural"]
 # Shares of trials: clean, one effect, two effects, physics outside the catalogue.
 SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
 FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm
@@ -29,7 +36,8 @@ NOT_HIDDEN = ("linear_drag", "channel_delay")
 class Case:
     """One trial's truth. hide: effect to keys and values; conditions: noise factor, gusts m/s.
 
-    generator: 'rotor' is the built-in copter; 'sitl' is ArduCopter's firmware on the same body, rotors and air.
+    generator: 'rotor' is the built-in copter; 'sitl' is ArduCopter's firmware on the same body, rotors and air; 'recorded' is not drawn
+    here (`proof.recorded`).
     """
 
     index: int
@@ -55,7 +63,11 @@ def cases_of(
     seed: int, trials: int, generator: Generator = "rotor", kind: Kind | None = None, clean: int = 0
 ) -> list[Case]:
     """The first trials of a seed, of every kind or of one, and its next ones with nothing hidden until there are `clean` of these."""
-    drawn = (draw(seed, k, generator) for k in count())
+    return first_of((draw(seed, k, generator) for k in count()), trials, kind, clean)
+
+
+def first_of(drawn: Iterator[C], trials: int, kind: Kind | None, clean: int) -> list[C]:
+    """The first trials that are drawn, of every kind or of one, and the next ones with nothing hidden until there are `clean` of these."""
     first = list(islice((case for case in drawn if kind in (None, case.kind)), trials))
     lacking = max(clean - sum(case.kind == "clean" for case in first), 0)
     return first + list(islice((case for case in drawn if case.kind == "clean"), lacking))

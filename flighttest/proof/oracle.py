@@ -42,15 +42,20 @@ class Noise:
     std: dict[str, float]
     disturbance: dict[str, float]
 
+    def of_residual(self, left: Left) -> Noise:
+        """The same with samples as far as the base model leaves them: what is noise beside a difference of two flights."""
+        return replace(self, std=self.std | {c: float(np.std(x)) for c, x in _pooled(left.residual).items()})
+
 
 @dataclass(frozen=True)
 class Left:
     """What a refitted base leaves of one flight. residual: (response, channel) to (n,) in the channel's unit, from the same time before
-    its step on; kinds: response to its kind; disturbance: (response, block) to what was estimated."""
+    its step on; kinds: response to its kind; disturbance: (response, block) to what was estimated; parameters: block to its theta."""
 
     residual: Mapping[tuple[str, str], FloatArray]
     kinds: Mapping[str, str]
     disturbance: Mapping[tuple[str, str], FloatArray]
+    parameters: Mapping[str, FloatArray]
 
     def less(self, other: Left) -> Left:
         """The difference to another flight, where both have a response."""
@@ -114,18 +119,19 @@ def noise_of(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_volt
     return noise
 
 
-def left(segments: Sequence[Segment], noise: Noise, nominal_voltage_v: float) -> Left:
-    """What the base model leaves after a fit of its own to these responses."""
-    usable = [s for s in segments if s.usable and s.kind != "free"]
+def left(segments: Sequence[Segment], noise: Noise, nominal_voltage_v: float, free: bool = False) -> Left:
+    """What the base model leaves after a fit of its own to these responses; free: windows of free flight count, too."""
+    usable = [s for s in segments if s.usable and (free or s.kind != "free")]
     residual: dict[tuple[str, str], FloatArray] = {}
     disturbance: dict[tuple[str, str], FloatArray] = {}
+    parameters: dict[str, FloatArray] = {}
     for block in (_RollPitch(), _Yaw(), Translation(nominal_voltage_v)):
-        fed = [s for s in usable if not block.kinds or s.kind in block.kinds]
+        fed = [s for s in usable if _feeds(s, block)]
         if not fed:
             continue
         data = _Responses(fed)
         std = np.array([noise.std[c] for c in block.channels])
-        whiten = data.mask[:, :, None] / std
+        whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in block.channels], axis=1)[:, None] / std
         spread = noise.disturbance.get(block.name, FIRST_DISTURBANCE[block.name])
 
         start = np.array(block.start(data))
@@ -139,11 +145,23 @@ def left(segments: Sequence[Segment], noise: Noise, nominal_voltage_v: float) ->
             xtol=1e-7,
             max_nfev=30,
         )
+        parameters[block.name] = fitted.x
         rows, constant = _profiled(*block.of(data, fitted.x), whiten, spread)
         for i, s in enumerate(fed):
             disturbance[s.name, block.name] = constant[i]
-            residual |= {(s.name, c): rows[i, : data.n[i], k] * std[k] for k, c in enumerate(block.channels)}
-    return Left(residual, {s.name: s.kind for s in usable}, disturbance)
+            known = [(k, c) for k, c in enumerate(block.channels) if data.recorded(c)[i]]
+            residual |= {(s.name, c): rows[i, : data.n[i], k] * std[k] for k, c in known}
+    return Left(residual, {s.name: s.kind for s in usable}, disturbance, parameters)
+
+
+def _known(segment: Segment, channel: str) -> bool:
+    return channel in segment.y and bool(np.isfinite(segment.y[channel]).sum() > 1)
+
+
+def _feeds(segment: Segment, block: _Block) -> bool:
+    """Whether a response moves what a block describes, its inputs are known and some of its channels were recorded."""
+    moved = not block.kinds or segment.kind in (*block.kinds, "free")
+    return moved and set(block.inputs) <= set(segment.u) and any(_known(segment, c) for c in block.channels)
 
 
 def _misfit(block: _Block, data: _Responses, whiten: FloatArray, spread: float, theta: FloatArray) -> FloatArray:
@@ -177,17 +195,24 @@ class _Responses:
         self._segments, self._since = segments, since
         self._sampled: dict[str, FloatArray] = {}
 
-    def y(self, channel: str) -> FloatArray:
+    def recorded(self, channel: str) -> NDArray[np.bool_]:
+        """(m,) whether a channel was recorded in each."""
+        return np.array([_known(s, channel) for s in self._segments])
+
+    def y(self, channel: str, unrecorded: float = 0.0) -> FloatArray:
         """(m, n) what was measured."""
         if channel not in self._sampled:
-            self._sampled[channel] = self._on_grid(channel)
+            self._sampled[channel] = self._on_grid(channel, unrecorded)
         return self._sampled[channel]
 
-    def _on_grid(self, channel: str) -> FloatArray:
+    def _on_grid(self, channel: str, unrecorded: float) -> FloatArray:
         rows = []
         for s, since, at in zip(self._segments, self._since, self.t_s, strict=True):
-            known = np.isfinite(s.y[channel])
-            rows.append(np.interp(at, since[known], s.y[channel][known]))
+            if _known(s, channel):
+                known = np.isfinite(s.y[channel])
+                rows.append(np.interp(at, since[known], s.y[channel][known]))
+            else:
+                rows.append(np.full(at.size, unrecorded))
         return np.array(rows)
 
     def held(self, channel: str, delay_s: float) -> FloatArray:
@@ -215,6 +240,7 @@ class _Block(ABC):
 
     name: str
     channels: tuple[str, ...]
+    inputs: tuple[str, ...]
     kinds: tuple[str, ...] = ()
     bounds: tuple[Sequence[float], Sequence[float]]
 
@@ -231,6 +257,7 @@ class _RollPitch(_Block):
     """phi'' = omega^2 (phi_ref(t - T) + d - phi) - 2 zeta omega phi', pitch alike; theta: omega, zeta of both, T."""
 
     name, channels, kinds = "roll_pitch", ("roll_rad", "pitch_rad"), TILTED
+    inputs = ("roll_ref_rad", "pitch_ref_rad")
     bounds = ((1.0, 0.02, 1.0, 0.02, 0.0), (120.0, 3.0, 120.0, 3.0, 0.4))
 
     def start(self, r: _Responses) -> Sequence[float]:
@@ -253,7 +280,7 @@ class _RollPitch(_Block):
 class _Yaw(_Block):
     """r' = sigma (r_ref(t - T) + d - r); theta: sigma, T."""
 
-    name, channels, kinds = "yaw", ("r_rad_s",), ("yaw_rate_step",)
+    name, channels, kinds, inputs = "yaw", ("r_rad_s",), ("yaw_rate_step",), ("yaw_rate_ref_rad_s",)
     bounds = ((0.3, 0.0), (150.0, 0.4))
 
     def start(self, r: _Responses) -> Sequence[float]:
@@ -268,7 +295,7 @@ class _Yaw(_Block):
 class Translation(_Block):
     """a' = sigma (K (U/U_n)^alpha T(t - T_d) - a); f = a e_z - D R'v + R'd; v' = R f - g; theta: sigma, K, alpha, T_d, D (3)."""
 
-    name = "translation"
+    name, inputs = "translation", ("throttle",)
     channels = tuple(f"{k}_{axis}_{unit}" for k, unit in (("f", "m_s2"), ("v", "m_s")) for axis in "xyz")
     bounds = ((0.5, 1.0, -10.0, 0.0, -5.0, -5.0, -5.0), (150.0, 2000.0, 10.0, 0.4, 5.0, 5.0, 5.0))
 
@@ -278,14 +305,18 @@ class Translation(_Block):
     def start(self, r: _Responses) -> Sequence[float]:
         """sigma_t, K, alpha, delay and drag to start from."""
         f, throttle = np.mean(r.y("f_z_m_s2"), axis=1), np.mean(r.held("throttle", 0.08), axis=1)
-        return 12.0, float(np.median(f / throttle)), 1.5, 0.08, 0.3, 0.3, 0.3
+        lifts = np.where(r.recorded("f_z_m_s2"), f, G_M_S2)
+        return 12.0, float(np.median(lifts / np.maximum(throttle, 0.01))), 1.5, 0.08, 0.3, 0.3, 0.3
 
     def of(self, r: _Responses, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As `_Block.of`, drag and thrust in body axes and velocity in the world."""
         sigma, gain, alpha, delay, *drag = theta
         m, n = r.t_s.shape
-        voltage = np.repeat((r.y("voltage_v") / self.nominal_voltage_v) ** alpha, PARTS, axis=1)[:, : PARTS * (n - 1)]
-        turn = body_to_world(*(r.y(f"{axis}_rad") for axis in ("roll", "pitch", "yaw")))
+        ratio = r.y("voltage_v", self.nominal_voltage_v) / self.nominal_voltage_v
+        voltage = np.repeat(ratio**alpha, PARTS, axis=1)[:, : PARTS * (n - 1)]
+        level = ~(r.recorded("roll_rad") & r.recorded("pitch_rad"))[:, None]  # half an attitude is none
+        roll, pitch = (np.where(level, 0.0, r.y(f"{axis}_rad")) for axis in ("roll", "pitch"))
+        turn = body_to_world(roll, pitch, r.y("yaw_rad"))
         back = turn.transpose(0, 1, 3, 2)
         v = np.stack([r.y(f"v_{axis}_m_s") for axis in "xyz"], axis=2)
         force = -np.asarray(drag) * np.matmul(back, v[..., None])[..., 0]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -66,31 +66,70 @@ class Outcome:
         return cls(**{**data, **lists, **maps, "values": values})
 
 
-def judged(case: Case, found: DiagnosisData) -> Outcome:
-    """A case whose seal is opened beside its diagnosis (diagnosis.json); nothing that an oracle measures is in it."""
+class Sealed(Protocol):
+    """A trial's truth: its number, its kind, and the text that was sealed."""
+
+    @property
+    def index(self) -> int:
+        """Its number in the proof."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """What is hidden: nothing, one effect, two, ..."""
+        ...
+
+    def truth(self) -> str:
+        """As sealed: JSON with sorted keys."""
+        ...
+
+    def sha256(self) -> str:
+        """Of the truth."""
+        ...
+
+
+def judged(
+    case: Sealed,
+    hide: Mapping[str, Mapping[str, float]],
+    found: DiagnosisData,
+    own: Collection[str],
+    truth: Mapping[str, Mapping[str, float]],
+) -> Outcome:
+    """A case whose seal is opened beside its diagnosis (diagnosis.json); nothing that an oracle measures is in it.
+
+    hide: what was hidden, effect to values; own: terms that the vehicle is known to have without it; truth: true values by term, and of
+    the `BASE` model's parameters where they are known.
+    """
     findings = sorted(found["findings"], key=lambda f: f["evidence"].get("delta_bic") or 0.0)
     ranked = [f["term"] for f in findings]
-    own = tuple(t for t in ranked if case.generator == "sitl" and catalogue()[t].family == "autopilot")
+    its_own = tuple(t for t in ranked if t in own)
     unfinished = found["verdict"] in (Verdict.UNKNOWN_PHYSICS.name, Verdict.PARTLY.name)
     return Outcome(
         index=case.index,
         kind=case.kind,
         sha256=case.sha256(),
-        hide=case.hide,
-        named=tuple(t for t in ranked if t not in own),
+        hide=hide,
+        named=tuple(t for t in ranked if t not in its_own),
         probability={f["term"]: p for f in findings if (p := f["evidence"].get("probability")) is not None},
-        own=own,
+        own=its_own,
         verdict=found["verdict"],
-        values=_values(case, found),
+        values=_values(truth, found),
         base_r2=_r2(found),
         gain=_gain(found),
         # A firmware that adds something of its own is always located: what counts is what stays after that.
-        located=unfinished if own else bool(found["located"]),
+        located=unfinished if its_own else bool(found["located"]),
         confusable={
             f["term"]: tuple(r["term"] for r in f["rivals"] if r["verdict"] == TermVerdict.CONFUSABLE) for f in findings
         },
         truth=case.truth(),
     )
+
+
+def its_own(case: Case) -> frozenset[str]:
+    """Terms of a firmware, which brings loops of its own and is no part of what is hidden."""
+    if case.generator != "sitl":
+        return frozenset()
+    return frozenset(t for t, term in catalogue().items() if term.family == "autopilot")
 
 
 def shared_truth(case: Case) -> dict[str, dict[str, float]]:
@@ -110,11 +149,13 @@ def shared_truth(case: Case) -> dict[str, dict[str, float]]:
     return truth
 
 
-def _values(case: Case, found: DiagnosisData) -> dict[str, dict[str, tuple[float, float, float, float]]]:
+def _values(
+    truth: Mapping[str, Mapping[str, float]], found: DiagnosisData
+) -> dict[str, dict[str, tuple[float, float, float, float]]]:
     tables = {f["term"]: f["parameters"] for f in found["findings"]} | {BASE: found["after"]}
     return {
-        term: {k: (true, *_interval(tables[term][k])) for k, true in truth.items() if k in tables[term]}
-        for term, truth in shared_truth(case).items()
+        term: {k: (true, *_interval(tables[term][k])) for k, true in values.items() if k in tables[term]}
+        for term, values in truth.items()
         if term in tables
     }
 

@@ -14,17 +14,22 @@ import numpy as np
 
 from flighttest.datafiles import read_json
 from flighttest.errors import InputError
-from flighttest.proof.cases import Case, Generator, Kind, cases_of
+from flighttest.proof import trial
+from flighttest.proof.cases import Case, Generator, Kind, cases_of, first_of
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.trial import run
+from flighttest.proof.recorded.trial import run_recorded
+from flighttest.proof.recorded.cases import RecordedCase, drawn
+from flighttest.proof.recorded.sets import read_sets
 
 Report = Callable[[str], None]
+AnyCase = Case | RecordedCase
 
 
 @dataclass(frozen=True)
 class ProofRequest:
     """A proof as it is asked for. seed: a new one is drawn where None; kind: only such trials; clean: at least so many with nothing hidden,
-    as `cases_of`; workers: processes of this machine; scheduler: address of a Dask scheduler instead."""
+    as `cases_of`; workers: processes of this machine; scheduler: address of a Dask scheduler instead. recordings: list of recorded flights
+    (recordings/1) that the generator 'recorded' draws from; data: the folder that its files are relative to."""
 
     trials: int
     seed: int | None = None
@@ -33,6 +38,20 @@ class ProofRequest:
     clean: int = 0
     workers: int = 1
     scheduler: str | None = None
+    recordings: Path | None = None
+    data: Path | None = None
+
+
+def _cases(asked: ProofRequest, seed: int) -> Sequence[AnyCase]:
+    if asked.generator != "recorded":
+        return cases_of(seed, asked.trials, asked.generator, asked.kind, asked.clean)
+    if asked.recordings is None or asked.data is None:
+        raise InputError(
+            "the generator 'recorded' needs recordings",
+            "name their list with --recordings FILE and their folder with --data DIR",
+        )
+    every = drawn(seed, read_sets(asked.recordings), asked.data.resolve())
+    return first_of(every, asked.trials, asked.kind, asked.clean)
 
 
 def run_trials(
@@ -41,7 +60,7 @@ def run_trials(
     keep: Callable[[Sequence[Outcome], int], None] = lambda _outcomes, _seed: None,
     code: str = "",
     before: Sequence[Outcome] = (),
-    seal: Callable[[Sequence[Case]], None] = lambda _cases: None,
+    seal: Callable[[Sequence[AnyCase]], None] = lambda _cases: None,
 ) -> tuple[list[Outcome], int]:
     """Outcomes in order of the trials, and the seed they were drawn from.
 
@@ -52,7 +71,7 @@ def run_trials(
     if asked.trials < 1:
         raise InputError(f"{asked.trials} trials prove nothing", "ask for 1 or more")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if asked.seed is None else asked.seed
-    cases = cases_of(seed, asked.trials, asked.generator, asked.kind, asked.clean)
+    cases = _cases(asked, seed)
     seals = {case.index: case.sha256() for case in cases}
     done = list(before)
     if any(seals.get(outcome.index) != outcome.sha256 for outcome in done):
@@ -74,12 +93,16 @@ def run_trials(
     return in_order(done), seed
 
 
+def _run(case: AnyCase) -> Outcome:
+    return run_recorded(case) if isinstance(case, RecordedCase) else trial.run(case)
+
+
 def in_order(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """As the trials were drawn."""
     return sorted(outcomes, key=lambda o: o.index)
 
 
-def _outcomes(cases: Sequence[Case], workers: int, scheduler: str | None) -> Iterator[Outcome]:
+def _outcomes(cases: Sequence[AnyCase], workers: int, scheduler: str | None) -> Iterator[Outcome]:
     if scheduler is not None:
         try:
             from distributed import Client
@@ -89,14 +112,14 @@ def _outcomes(cases: Sequence[Case], workers: int, scheduler: str | None) -> Ite
                 "--scheduler needs the package `distributed`", "pip install flighttest[cluster]"
             ) from error
         with Client(scheduler) as client:
-            yield from (f.result() for f in finished(client.map(run, list(cases))))
+            yield from (f.result() for f in finished(client.map(_run, list(cases))))
         return
     if workers <= 1:
-        yield from map(run, cases)
+        yield from map(_run, cases)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
-            yield from (f.result() for f in as_completed([pool.submit(run, c) for c in cases]))
+            yield from (f.result() for f in as_completed([pool.submit(_run, c) for c in cases]))
         finally:  # an interrupt waits for the trials that fly, not for those that have not begun
             pool.shutdown(wait=False, cancel_futures=True)
 

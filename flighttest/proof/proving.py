@@ -7,9 +7,8 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.proof.cases import Case
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.prove import ProofRequest, commit_of, read, run_trials, write
+from flighttest.proof.prove import AnyCase, ProofRequest, commit_of, read, run_trials, write
 from flighttest.proof.scoreboard import SEALS, code_of, markdown, rates, score, seals, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl.launcher import find_arducopter
@@ -37,7 +36,7 @@ def prove(asked: ProofRequest, output: Path | None = None, progress: Progress = 
             (output / "proof.md").write_text(page, encoding="utf-8")
             (output / SEALS).write_text(seals(done), encoding="utf-8")
 
-    def seal(cases: Sequence[Case]) -> None:
+    def seal(cases: Sequence[AnyCase]) -> None:
         if output is not None:
             output.mkdir(parents=True, exist_ok=True)
             lines = "".join(f"{case.truth()}\n" for case in cases)

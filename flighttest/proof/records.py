@@ -25,6 +25,8 @@ class NameRates(TypedDict):
     outside_misnamed: Counted
     outside_located: Counted
     extra_names: Counted
+    changes: Counted
+    unchanged: Counted
 
 
 class Magnitudes(TypedDict):

@@ -153,7 +153,7 @@ def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
             raise MemoryError
         return outcome(case.index, "clean")
 
-    monkeypatch.setattr("flighttest.proof.prove.run", flown)
+    monkeypatch.setattr("flighttest.proof.trial.run", flown)
     with pytest.raises(MemoryError):
         proving.prove(ProofRequest(4, 7), output=tmp_path)
     truths = (tmp_path / "truths.jsonl").read_text().splitlines()
@@ -175,7 +175,7 @@ def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
         more = {"base_r2": 0.9, "gain": 0.5, "coverage": 0.95, "forces": {"updraft": (1.0, 0.9)}}
         return replace(outcome(case.index, case.kind, ["updraft"], ["steady_wind"], **more), sha256=case.sha256())
 
-    monkeypatch.setattr("flighttest.proof.prove.run", trial)
+    monkeypatch.setattr("flighttest.proof.trial.run", trial)
     monkeypatch.setattr(proving, "commit_of", lambda _folder: "commit abc")
     proving.prove(ProofRequest(4, 7), output=tmp_path)
     kept = (tmp_path / "proof.json").read_text()

@@ -1,0 +1,181 @@
+"""One sealed trial on real recordings: add what was drawn, diagnose blind, open; or compare two campaigns."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from flighttest.channels import HELD_GROUPS
+from flighttest.errors import FlighttestError, RecordingError
+from flighttest.pipeline.diagnosis.diagnose import MODEL_NAME, diagnose, run_diagnosis
+from flighttest.pipeline.identification.fitting import base_model
+from flighttest.pipeline.recordings.sources import Reading, open_recordings
+from flighttest.pipeline.validity.status import status
+from flighttest.proof import oracle
+from flighttest.proof.outcome import Outcome, judged
+from flighttest.proof.recorded.cases import ADDED, PART_S, Added, RecordedCase
+from flighttest.proof.recorded.injection import inject
+from flighttest.proof.recorded.side_by_side import Effects, Vehicle
+from flighttest.recording import Recording
+from flighttest.recording.model import Series
+from flighttest.segments import Segment, cut
+from flighttest.segments.airborne import flights
+from flighttest.validity.model import Verdict
+
+CHANGED = "change"  # what the flag of `status` is called among the names
+STEP_MARGIN_S = 0.5  # before a scripted step its commands hold already
+LEAST_SHARE = 0.5  # of the size asked for that an effect must reach to be the one
+
+
+def run_recorded(case: RecordedCase) -> Outcome:
+    """Read the recordings, add what was drawn, diagnose what comes of it, then open the seal."""
+    try:
+        return _compared(case) if case.kind == "natural" else _diagnosed(case)
+    except FlighttestError as error:
+        return Outcome(case.index, case.kind, case.sha256(), {}, error=error.message, truth=case.truth())
+
+
+def _read(case: RecordedCase, files: Sequence[str]) -> tuple[Recording, ...]:
+    columns = Path(case.columns) if case.columns else None
+    return open_recordings([Path(case.data) / f for f in files], Reading(columns))
+
+
+def _diagnosed(case: RecordedCase) -> Outcome:
+    recordings = tuple(part(r, case.begin) for r in _read(case, case.files))
+    voltage = base_model(recordings, None).nominal_voltage_v
+    flown = Flown.of(recordings, voltage, case.answer_1_s)
+    hide = _sized(case, flown)
+    added = flown.with_effects(hide)
+    wall, used = time.perf_counter(), _processor_s()
+    # Blind: the recordings, and nothing of what was added.
+    segments = tuple(s for recording in added for s in cut(recording))
+    found = run_diagnosis(segments, added, None, None)
+    wall, used = time.perf_counter() - wall, _processor_s() - used
+    sizes = {e: flown.size(hide) if len(hide) == 1 else flown.size(hide, without=e) for e in hide}
+    outcome = judged(case, hide, found.to_json(), case.own, hide)
+    kind = ("clean", "single", "pair")[len(hide)]  # these flights may show less than was asked for
+    return replace(outcome, kind=kind, sizes=sizes, cpu_s=used, wall_s=wall)
+
+
+def part(recording: Recording, begin: float) -> Recording:
+    """At most `PART_S` of its flight; begin: where, as a share of the time that is left over."""
+    spans = flights(recording)
+    if not spans or spans[-1][1] - spans[0][0] <= PART_S:
+        return recording
+    first = spans[0][0] + begin * (spans[-1][1] - spans[0][0] - PART_S)
+    last = first + PART_S
+    series = {}
+    for group, s in recording.series.items():
+        # What holds its value was set before.
+        start = (
+            np.searchsorted(s.t_s, first, side="right") - 1 if group in HELD_GROUPS else np.searchsorted(s.t_s, first)
+        )
+        inside = slice(max(int(start), 0), int(np.searchsorted(s.t_s, last, side="right")))
+        if s.t_s[inside].size:
+            series[group] = Series(s.t_s[inside], {name: x[inside] for name, x in s.columns.items()})
+    markers = tuple(m for m in recording.markers if first <= m.t_s <= last)
+    return replace(recording, series=series, markers=markers)
+
+
+def _processor_s() -> float:
+    """Of this process and of those that it has waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Recordings, the vehicle that flew them as the oracle fits it, what the base model leaves of them, and the noise that is in that."""
+
+    recordings: tuple[Recording, ...]
+    vehicle: Vehicle
+    steps: Mapping[str, Sequence[tuple[float, float]]]
+    left: oracle.Left
+    noise: oracle.Noise
+
+    @classmethod
+    def of(cls, recordings: tuple[Recording, ...], nominal_voltage_v: float, answer_1_s: float) -> Flown:
+        """RecordingError where there is too little to fit a vehicle to."""
+        segments = _segments(recordings)
+        noise = oracle.Noise(oracle.FIRST, oracle.FIRST_DISTURBANCE)
+        for _ in range(2):
+            left = oracle.left(segments, noise, nominal_voltage_v, free=True)
+            noise = noise.of_residual(left)
+        if "translation" not in left.parameters:
+            raise RecordingError("nothing in these flights moves the throttle", "list recordings of flights")
+        steps = {
+            r.name: [(s.t_s[0] - STEP_MARGIN_S, s.t_s[-1]) for s in segments if s.run == r.name and s.kind != "free"]
+            for r in recordings
+        }
+        vehicle = Vehicle.fitted(left.parameters, nominal_voltage_v, answer_1_s)
+        return cls(recordings, vehicle, steps, left, noise)
+
+    def with_effects(self, effects: Effects) -> tuple[Recording, ...]:
+        """The recordings as they would have been with the effects."""
+        return tuple(inject(r, effects, self.vehicle, flights(r), self.steps[r.name]) for r in self.recordings)
+
+    def size(self, effects: Effects, without: str = "") -> float:
+        """Noise floors that no refit of the base model copies: of all effects, or of one of them beside the others."""
+        after = self._left(effects)
+        before = self._left({e: v for e, v in effects.items() if e != without}) if without else self.left
+        return oracle.size_in_floors(after.less(before), self.noise)
+
+    def _left(self, effects: Effects) -> oracle.Left:
+        voltage = self.vehicle.nominal_voltage_v
+        return oracle.left(_segments(self.with_effects(effects)), self.noise, voltage, free=True)
+
+
+def _segments(recordings: Sequence[Recording]) -> list[Segment]:
+    """What is usable in them, by names that occur once."""
+    return [
+        replace(s, name=f"{r.name}/{s.name}") for r in recordings for s in cut(r) if s.usable and not s.between_steps
+    ]
+
+
+def _sized(case: RecordedCase, flown: Flown) -> dict[str, dict[str, float]]:
+    """The effects that are added: the first of the order that these flights show, each scaled to the size asked for as far as may be."""
+    found: dict[str, dict[str, float]] = {}
+    for effect in case.order:
+        if len(found) == len(case.sizes):
+            break
+        one, wanted = ADDED[effect], case.sizes[len(found)]
+        if not all(r.has(*one.needs) for r in flown.recordings):
+            continue
+        times, reached = 1.0, 0.0
+        for _ in range(3):  # regula falsi through the origin: sizes grow nearly linearly
+            values = _scaled(one, times, case.signs)
+            reached = flown.size({effect: values})
+            far = reached * one.most / times < 0.5 * LEAST_SHARE * wanted
+            if abs(reached / wanted - 1.0) < 0.2 or (reached < wanted and times >= one.most) or far:
+                break
+            times = float(np.clip(times * wanted / max(reached, 1e-3), 0.1, one.most))
+        if reached >= LEAST_SHARE * wanted:
+            found[effect] = values
+    return found
+
+
+def _scaled(one: Added, times: float, signs: Sequence[float]) -> dict[str, float]:
+    turned = dict(zip(one.scaled, signs, strict=False)) if one.signed else {}
+    factor = 1.0 / times if one.inverse else times
+    return {k: v * factor * turned.get(k, 1.0) if k in one.scaled else v for k, v in one.usual.items()}
+
+
+def _compared(case: RecordedCase) -> Outcome:
+    """Whether `status` flags the later campaign against a model of the earlier one."""
+    earlier, later = _read(case, case.earlier), _read(case, case.files)
+    wall, used = time.perf_counter(), _processor_s()
+    with tempfile.TemporaryDirectory() as folder:
+        diagnose(earlier, output=Path(folder) / "model")
+        found = status(later, None, Path(folder) / "model" / MODEL_NAME, Path(folder))
+    wall, used = time.perf_counter() - wall, _processor_s() - used
+    flagged = found.value.verdict is Verdict.STALE
+    return Outcome(
+        case.index, case.kind, case.sha256(), {CHANGED: {}} if case.differs else {}, named=(CHANGED,) if flagged else (),
+        verdict=found.value.verdict.name, cpu_s=used, wall_s=wall, truth=case.truth(),
+    )  # fmt: skip

@@ -1,0 +1,176 @@
+"""Proof on real recordings: what is added to them, how trials are drawn, what is counted."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from flighttest.errors import InputError
+from flighttest.frames import G_M_S2
+from flighttest.proof.outcome import Outcome
+from flighttest.proof.recorded import cases, sets, trial
+from flighttest.proof.recorded.injection import inject
+from flighttest.proof.recorded.side_by_side import Vehicle
+from flighttest.proof.scoreboard import score
+from flighttest.recording.model import Provenance, Recording, Series
+
+HOVER = 0.4
+VEHICLE = Vehicle(gain_m_s2=G_M_S2 / HOVER, ramp_1_s=20.0, drag_1_s=(0.0, 0.0, 0.0), answer_1_s=1.0)
+SPAN = (1.0, 19.0)
+
+
+def hovering(forward_m_s=0.0, tilt_rad=0.0):
+    """Level flight at a constant speed, without noise."""
+    t = np.arange(0.0, 20.0, 0.02)
+    flat = np.zeros(t.size)
+    columns = {
+        "attitude": {"roll_rad": flat, "pitch_rad": flat + tilt_rad, "yaw_rad": flat},
+        "rates": {"p_rad_s": flat, "q_rad_s": flat, "r_rad_s": flat},
+        "reference": {"roll_ref_rad": flat, "pitch_ref_rad": flat + tilt_rad, "throttle": flat + HOVER},
+        "specific_force": {"f_x_m_s2": flat, "f_y_m_s2": flat, "f_z_m_s2": flat + G_M_S2},
+        "velocity": {"v_x_m_s": flat + forward_m_s, "v_y_m_s": flat, "v_z_m_s": flat},
+        "height": {"height_m": flat + 5.0},
+    }
+    series = {group: Series(t, values) for group, values in columns.items()}
+    return Recording("hover", series, (), Provenance("a test", "table"))
+
+
+def added(effects, recording=None, vehicle=VEHICLE, steps=()):
+    """What an injection adds: channel to (times, difference)."""
+    before = recording or hovering()
+    after = inject(before, effects, vehicle, (SPAN,), steps)
+    return {
+        name: (s.t_s, after.series[group].columns[name] - values)
+        for group, s in before.series.items()
+        for name, values in s.columns.items()
+    }
+
+
+def test_nothing_added_leaves_a_recording_as_it_is():
+    assert all(np.allclose(change, 0.0, atol=1e-9) for _, change in added({}).values())
+
+
+def test_where_no_controller_answers_a_loss_of_thrust_is_integrated():
+    """v = -g depth (t - tau (1 - exp(-t / tau))), in a step that lasts all the flight."""
+    depth, tau = 0.05, 6.0
+    change = added({"thrust_fade": {"fade_depth": depth, "fade_tau": tau}}, steps=(SPAN,))
+    t, v = change["v_z_m_s"]
+    inside = (t > SPAN[0]) & (t < SPAN[1] - 0.1)
+    since = t[inside] - SPAN[0]
+    assert v[inside] == pytest.approx(-G_M_S2 * depth * (since - tau * (1 - np.exp(-since / tau))), abs=0.02)
+    assert np.all(change["throttle"][1] == 0.0)
+
+
+def test_a_controller_answers_between_steps_and_commands_hold_within():
+    fade = {"thrust_fade": {"fade_depth": 0.05, "fade_tau": 2.0}}
+    t, throttle = added(fade, steps=((8.0, 9.0),))["throttle"]
+    assert np.all(throttle[(t > 8.02) & (t < 8.98)] == 0.0)
+    assert throttle[np.searchsorted(t, 18.0)] == pytest.approx(HOVER * 0.05, rel=0.1)
+
+
+def test_drag_is_that_of_the_velocity_through_the_air():
+    t, f = added({"quadratic_drag": {"k_x": 0.03}}, hovering(4.0), steps=(SPAN,))["f_x_m_s2"]
+    assert f[np.searchsorted(t, SPAN[0] + 0.05)] == pytest.approx(-0.03 * 16.0, rel=0.02)
+
+
+def test_a_load_hangs_in_equilibrium_when_the_controller_answers():
+    t, v = added({"slung_payload": {"payload_ratio": 0.1, "cable_m": 0.8, "swing_damping": 0.05}})["v_z_m_s"]
+    assert np.max(np.abs(v[t < 18.9])) < 0.3
+    assert abs(v[np.searchsorted(t, 18.0)]) < 0.02
+
+
+def test_instruments_change_what_they_read_and_nothing_else():
+    change = added({"accelerometer_bias": {"bias_x": 0.2}, "velocity_latency": {"velocity_latency": 0.1}})
+    t, f = change["f_x_m_s2"]
+    assert np.allclose(f[(t > 1.0) & (t < 18.9)], 0.2)
+    assert all(np.allclose(change[c][1], 0.0) for c in ("v_x_m_s", "throttle", "roll_rad", "f_y_m_s2"))
+
+
+def test_a_rate_limit_slows_a_recorded_tilt():
+    flown = hovering()
+    reference = dict(flown.series["reference"].columns)
+    t = flown.series["reference"].t_s
+    reference["roll_ref_rad"] = np.where(t > 5.0, 0.4, 0.0)
+    flown = replace(flown, series={**flown.series, "reference": Series(t, reference)})
+    times, roll = added({"rate_limit": {"rate_max": 0.5}}, flown, steps=(SPAN,))["roll_rad"]
+    assert roll[np.searchsorted(times, 5.3)] < -0.05
+    assert abs(roll[np.searchsorted(times, 12.0)]) < 0.01
+
+
+LIST = """
+format: recordings/1
+sets:
+  - {name: new, source: somebody, files: ["new/*"], own: [throttle_curve], vehicle: one, state: undamaged}
+  - {name: cut, source: somebody, files: ["cut/*"], vehicle: one, state: cut}
+  - {name: alone, source: another, files: ["alone.csv"]}
+"""
+
+
+@pytest.fixture
+def listed(tmp_path):
+    for name in ("new/1.csv", "new/2.csv", "new/3.csv", "cut/1.csv", "cut/2.csv", "alone.csv"):
+        path = tmp_path / "data" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("t_s\n")
+    (tmp_path / "list.yaml").write_text(LIST)
+    return sets.read_sets(tmp_path / "list.yaml"), tmp_path / "data"
+
+
+def test_trials_are_drawn_from_the_seed_alone_and_hide_nothing_that_is_documented(listed):
+    first, again = (list(islice(cases.drawn(5, *listed), 60)) for _ in range(2))
+    assert [c.sha256() for c in first] == [c.sha256() for c in again]
+    assert {c.kind for c in first} == {kind for kind, _ in cases.SHARES}
+    assert all(c.order for c in first if c.kind in ("single", "pair"))
+    assert all("throttle_curve" not in c.order for c in first if c.name == "new")
+    assert "data" not in first[0].truth()  # no folder of a machine is in what is sealed
+    natural = [c for c in first if c.kind == "natural"]
+    assert {c.differs for c in natural} == {True, False}
+    assert all(not set(c.files) & set(c.earlier) for c in natural)
+    assert all(c.differs == (c.files[0].split("/")[0] != c.earlier[0].split("/")[0]) for c in natural)
+
+
+def test_a_list_of_recordings_says_what_is_wrong_with_it(tmp_path):
+    path = tmp_path / "list.yaml"
+    path.write_text(
+        "format: recordings/1\nsets:\n  - {name: a, source: b, files: [x], own: [no_such_term]}\n  - {name: c}\n"
+    )
+    with pytest.raises(InputError) as wrong:
+        sets.read_sets(path)
+    assert "no_such_term" in str(wrong.value)
+    assert "source" in str(wrong.value)
+    path.write_text("format: recordings/1\nsets:\n  - {name: a, source: b, files: [x]}\n")
+    with pytest.raises(InputError, match="none of the recordings"):
+        next(cases.drawn(1, sets.read_sets(path), tmp_path))
+
+
+def test_of_a_long_recording_a_part_is_taken():
+    t = np.arange(0.0, 400.0, 0.02)
+    flown = hovering()
+    height = Series(t, {"height_m": np.where((t > 10) & (t < 390), 5.0, 0.0)})
+    throttle = Series(t, {"throttle": np.where((t > 10) & (t < 390), HOVER, 0.0)})
+    flown = replace(flown, series={"height": height, "reference": throttle})
+    first, last = (trial.part(flown, begin).series["height"].t_s for begin in (0.0, 1.0))
+    assert first[-1] - first[0] == pytest.approx(cases.PART_S, abs=0.1)
+    assert last[-1] > 380.0
+    assert first[0] < 20.0
+    assert trial.part(hovering(), 0.5).series["height"].t_s.size == 1000
+
+
+def outcome(index, kind, hide=(), named=(), sizes=()):
+    return Outcome(index, kind, "", {e: {} for e in hide}, tuple(named), sizes=dict(sizes))
+
+
+def test_pairs_of_campaigns_are_counted_by_their_flag_and_are_no_clean_trials():
+    outcomes = [
+        outcome(0, "natural", [trial.CHANGED], [trial.CHANGED]),
+        outcome(1, "natural", [trial.CHANGED]),
+        outcome(2, "natural", [], [trial.CHANGED]),
+        outcome(3, "natural"),
+        outcome(4, "clean"),
+    ]
+    found = score(outcomes)
+    assert found["changes"] == (1, 2)
+    assert found["unchanged"] == (1, 2)
+    assert found["false_alarms"] == (0, 1)
+    assert {m["index"] for m in found["misses"]} == {1, 2}
