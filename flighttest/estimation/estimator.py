@@ -152,9 +152,9 @@ class Estimator:
         """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
         return covariance_of(self.problem(model), self._solution(model, at, names))
 
-    def discrepancy_limits(self, model: Model, at: Optimum) -> dict[str, float]:
+    def discrepancy_limits(self, model: Model, at: Optimum, level: float) -> dict[tuple[str, int], float]:
         """Of an optimum, as of `estimation.uncertainty.discrepancy`."""
-        return discrepancy_limits(self.problem(model), self._solution(model, at, ()))
+        return discrepancy_limits(self.problem(model), self._solution(model, at, ()), level)
 
     def _solution(self, model: Model, at: Optimum, names: Sequence[str]) -> Solution:
         """An optimum of `names` as a solution."""

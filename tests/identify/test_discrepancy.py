@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
+from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance, discrepancy_limits
 from flighttest.identify.fit import fit
 from tests.identify.campaign import TRUTH, campaign
 
@@ -47,6 +47,15 @@ def test_without_repeats_all_of_the_residual_may_be_discrepancy(yaw):
     again = fit(yaw)
     assert once.estimates["sigma_r"].std > 2 * once.estimates["sigma_r"].scatter
     assert once.estimates["sigma_r"].std > 1.5 * again.estimates["sigma_r"].std
+
+
+def test_of_a_kind_that_was_not_repeated_all_that_is_left_may_be_an_error_of_the_equations(yaw):
+    """Windows between repeated steps: thrust fade was named there, since the steps' repeats limited the error of the windows, too."""
+    found = fit(noisy(yaw, 0.05, 2))
+    estimate, limit = (discrepancy_limits(found.problem, found.solution, level)["r_rad_s", 0] for level in (0.5, 0.95))
+    assert estimate < limit < 0.2
+    alone = fit([replace(s, cell={**s.cell, "alone": k}) for k, s in enumerate(noisy(yaw, 0.05, 2))])
+    assert discrepancy_limits(alone.problem, alone.solution, 0.5)["r_rad_s", 0] == pytest.approx(1.0, abs=0.2)
 
 
 def noisy(segments, std, seed):

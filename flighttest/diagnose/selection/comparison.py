@@ -188,49 +188,62 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates),
         without=without,
-        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0),
+        improved=tuple(
+            n for n, (low, _) in intervals.items() if low > 0.0 and n not in unaffected(after.rows, before.rows)
+        ),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
     if found.why_not:
         return found
     # Asked last: it takes a covariance.
-    return replace(found, nothing=may_be_absent(term, fitted, profiled, estimator, repeated=floor.repeated(*place)))
+    return replace(found, nothing=may_be_absent(term, fitted, profiled, estimator))
 
 
-def may_be_absent(term: Term, fitted: Fitted, effect: FloatArray, estimator: Estimator, *, repeated: bool) -> str:
-    """Why a term's estimates do not exclude its absence, empty where they do. effect: of the term, as for `beyond_discrepancy`; repeated:
-    whether steps were.
+def unaffected(larger: Linearisation, smaller: Linearisation) -> frozenset[str]:
+    """Strata in which all that a term changes is less than one standard error of noise would be at a level of 5 %: sum of squares of the
+    whitened residuals' difference below 1.96^2. What is predicted better there is so because the base was estimated anew."""
+    found = set()
+    for name in {*larger.strata} & {*smaller.strata}:
+        one, other = (rows.residual[rows.stratum == rows.strata.index(name)] for rows in (larger, smaller))
+        if one.size == other.size and float(np.sum((one - other) ** 2)) < 1.96**2:
+            found.add(name)
+    return frozenset(found)
+
+
+def may_be_absent(term: Term, fitted: Fitted, effect: FloatArray, estimator: Estimator) -> str:
+    """Why a term's estimates do not exclude its absence, empty where they do. effect: of the term, as for `beyond_discrepancy`.
 
     By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
     err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters not by a standard error at
     the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were not used (`improved`).
     """
-    if not repeated:
-        return may_be_nothing(term, fitted, estimator, discrepancy=False)
-    if not beyond_discrepancy(fitted, effect, estimator):
-        return may_be_nothing(term, fitted, estimator, discrepancy=True)
-    return "" if term.shapes else may_be_nothing(term, fitted, estimator, discrepancy=False)
+    if beyond_discrepancy(fitted, effect, estimator):
+        return "" if term.shapes else may_be_nothing(term, fitted, estimator, discrepancy=False)
+    if not any(p.name in fitted.names for p in term.amplitudes):
+        return "its effect is within what the equations may err"
+    return may_be_nothing(term, fitted, estimator, discrepancy=True)
 
 
 def beyond_discrepancy(fitted: Fitted, effect: FloatArray, estimator: Estimator) -> bool:
     """Whether an effect between two optima, (measured rows,) in the channels' units, is more than noise and an error of the equations that
     all responses of a kind share may copy at a level of 5 %: with S_k its whitened sum of squares over the n_k samples of a channel and
-    kind, s_k^2 the largest variance of that error,
+    kind, s_k^2 the variance of that error, estimated such that it is as often too large as too small (a limit of it would be a
+    second level of significance),
 
         z^2 = (sum S_k)^2 / sum S_k (1 + n_k s_k^2) > 1.96^2.
 
     Of a linear coefficient this is its value over its standard error. Of others that ratio falls again far from the null value (Hauck &
     Donner 1977), while the effect between the optima does not.
     """
-    rows, limits = fitted.rows, estimator.discrepancy_limits(fitted.model, fitted.at)
+    rows, limits = fitted.rows, estimator.discrepancy_limits(fitted.model, fitted.at, 0.5)
     measured = rows.sample >= 0
     square = (effect / rows.scale[measured]) ** 2
     kinds = kinds_of(estimator.segments)[rows.segment[measured]]
-    of_channel = np.array([limits.get(name, 0.0) for name in rows.channels])
     n_kinds = int(kinds.max(initial=0)) + 1
+    of_place = np.array([[limits.get((name, kind), 0.0) for kind in range(n_kinds)] for name in rows.channels])
     place = rows.stratum[measured] * n_kinds + kinds
-    total, count = (np.bincount(place, what, of_channel.size * n_kinds).reshape(-1, n_kinds) for what in (square, None))
-    variance = float(np.sum(total * (1.0 + count * of_channel[:, None])))
+    total, count = (np.bincount(place, what, of_place.size).reshape(of_place.shape) for what in (square, None))
+    variance = float(np.sum(total * (1.0 + count * of_place)))
     return variance > 0.0 and float(total.sum()) ** 2 > 1.96**2 * variance
 
 
@@ -238,7 +251,7 @@ def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepa
     """The linear coefficients of a term all of whose 95 % intervals hold the null value: a name must not stand beside what may be nothing.
     Empty where one does not, and for terms without any. Nonlinear parameters are held: they mean nothing where a coefficient has its null
     value (Davies 1977), so their error is none of its. discrepancy: whether what the equations may err counts beside the scatter between
-    cells; where no steps were repeated, nothing but the residual limits it."""
+    cells."""
     own = [p for p in term.amplitudes if p.name in fitted.names]
     if not own:
         return ""

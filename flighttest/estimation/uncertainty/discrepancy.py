@@ -61,20 +61,38 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
     return np.asarray(inverse @ spread @ inverse)
 
 
-def discrepancy_limits(problem: Problem, solution: Solution) -> dict[str, float]:
-    """Channel to the largest variance s_g^2 of an error of the equations there, in variances of its noise."""
+def discrepancy_limits(problem: Problem, solution: Solution, level: float = LEVEL) -> dict[tuple[str, int], float]:
+    """(channel, kind as of `kinds_of`) to the largest variance s_g^2 of an error of the equations there, in variances of its noise; level:
+    of that limit, 0.5 for an estimate that is as often too large as too small. Of kinds of which nothing was repeated it is all that is
+    left."""
     at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
     weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
-    found: dict[str, float] = {}
+    kinds = kinds_of(problem.segments)
+    found: dict[tuple[str, int], float] = {}
     for i, (residual, _) in enumerate(weighing.profiled(at, ())):
-        found |= zip(problem.parts[i].outputs, _limits(problem, solution, i, residual), strict=True)
+        part = problem.parts[i]
+        index = np.array([r.index for r in part.responses])
+        repeated = _repeated(problem.cells[index])
+        limits = _limits(problem, solution, i, residual, level)
+        for kind in np.unique(kinds[index]):
+            mine = kinds[index] == kind
+            for k, name in enumerate(part.outputs):
+                mask = part.mask[mine, :, k]
+                left = float((residual[mine, :, k] ** 2 * mask).sum() / max(mask.sum(), 1))
+                found[name, int(kind)] = limits[k] if repeated[mine].any() else left
     return found
 
 
-def _limits(problem: Problem, solution: Solution, i: int, residual: FloatArray) -> list[float]:
+def _repeated(cells: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(m,) whether another response is of the same cell."""
+    _, which, count = np.unique(cells, return_inverse=True, return_counts=True)
+    return np.asarray(count[which] > 1)
+
+
+def _limits(problem: Problem, solution: Solution, i: int, residual: FloatArray, level: float = LEVEL) -> list[float]:
     """`discrepancy_limits` of the outputs of one part, its whitened residual (m, n, n_outputs) profiled."""
     part, left = problem.parts[i], solution.evaluations[i].residual
-    limits = (_upper_limit(problem, part, residual[..., k], part.mask[..., k]) for k in range(len(part.outputs)))
+    limits = (_upper_limit(problem, part, residual[..., k], part.mask[..., k], level) for k in range(len(part.outputs)))
     return [min(limit, SHARE**2 * _moved(part, left, k, solution.noise)) for k, limit in enumerate(limits)]
 
 
@@ -87,7 +105,7 @@ def _moved(part: Part, residual: FloatArray, k: int, noise: Noise) -> float:
     return float((apart**2).sum() / max(mask.sum(), 1) / noise.channel[part.outputs[k]] ** 2)
 
 
-def _upper_limit(problem: Problem, part: Part, residual: FloatArray, mask: NDArray[np.bool_]) -> float:
+def _upper_limit(problem: Problem, part: Part, residual: FloatArray, mask: NDArray[np.bool_], level: float) -> float:
     """Upper limit of s_g^2 of one channel, (m, n) whitened residual and which samples were measured."""
     segments = [problem.segments[r.index] for r in part.responses]
     cells = np.unique(problem.cells[[r.index for r in part.responses]], return_inverse=True)[1]
@@ -118,7 +136,7 @@ def _upper_limit(problem: Problem, part: Part, residual: FloatArray, mask: NDArr
         return float(np.mean(mean[seen] ** 2))
     noise = float((differing**2).sum() / (free * together))
     ratio = float((repeats[several] * shared[several] ** 2).sum() / (groups * together)) / max(noise, 1e-12)
-    limit = ratio * fisher_quantile(LEVEL, free, groups)
+    limit = ratio * fisher_quantile(level, free, groups)
     return max(0.0, noise * (limit - 1.0) / float(repeats[several].mean()))
 
 
