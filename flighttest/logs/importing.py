@@ -97,5 +97,5 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
             "a model is given with --model, a vehicle with --vehicle, a column map with --columns",
         )
     raise RecordingError(
-        f"{path}: this is no kind of log I know", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+        f"{path} is no kind of log that can be read", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
     )
