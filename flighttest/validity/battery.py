@@ -45,7 +45,7 @@ def check(new: tuple[float, float] | str, reference: tuple[float, float] | None)
     value, std = new
     half_width = 1.96 * std * 1000.0
     places = min(max(1 - math.floor(math.log10(half_width)), 0), 2) if half_width > 0.0 else 2
-    words = f"battery resistance {value * 1000:.{places}f} +- {half_width:.{places}f} mOhm"
+    words = f"battery resistance {value * 1000:.{places}f} ± {half_width:.{places}f} mOhm"
     if reference is None:
         return BatteryCheck(new, None, False, f"{words}; the model carries none to compare with")
     ratio = value / reference[0] if reference[0] else math.inf

@@ -186,7 +186,7 @@ def _reasons(doubtful: Sequence[Estimate]) -> list[str]:
     lines += [f"{e.name}: {e.why}" for e in single if e.std is None]
     if wide:
         words = ", ".join(
-            f"{e.name} {number(e.value, 2)} +- {number(e.std or 0.0, 2)} {unit(e.unit)}".strip() for e in wide
+            f"{e.name} {number(e.value, 2)} ± {number(e.std or 0.0, 2)} {unit(e.unit)}".strip() for e in wide
         )
         lines.insert(min(len(lines), MOST_REASONS - 1), f"too wide or in doubt, each for the reason below: {words}")
     rest = len(lines) - MOST_REASONS

@@ -35,7 +35,7 @@ def _section(result: CheckResult, verbose: bool) -> Section:
     blocks += [Paragraph(note, "warn") for note in result.notes]
     blocks.append(_envelope(result.envelope))
     if result.expected_std:
-        words = "; ".join(f"{name} +- {number(std, 2)}" for name, std in result.expected_std.items())
+        words = "; ".join(f"{name} ± {number(std, 2)}" for name, std in result.expected_std.items())
         blocks.append(Paragraph(f"Expected standard errors from this script: {words}."))
     if verbose:
         blocks.append(_timeline(result))

@@ -275,13 +275,13 @@ def _compatible(found: Compatibility) -> str:
     """What kinematics said of stamps and scale."""
 
     def late(value_s: float, std_s: float) -> str:
-        return f"{number(1000 * abs(value_s), 2)} +- {number(2000 * std_s, 1)} ms {'late' if value_s > 0 else 'early'}"
+        return f"{number(1000 * abs(value_s), 2)} ± {number(2000 * std_s, 1)} ms {'late' if value_s > 0 else 'early'}"
 
     far = abs(found.velocity_late_s) > LARGEST * PRIOR_S
     done = "too much for time stamps, and left as it is" if far else "corrected before anything is fitted"
     return (
         f"compatibility with the attitude by kinematics: velocity {late(found.velocity_late_s, found.velocity_late_std_s)} and "
-        f"{number(100 * abs(found.velocity_scale), 2)} +- {number(200 * found.velocity_scale_std, 1)} % too "
+        f"{number(100 * abs(found.velocity_scale), 2)} ± {number(200 * found.velocity_scale_std, 1)} % too "
         f"{'large' if found.velocity_scale > 0 else 'small'}, accelerometer {late(found.force_late_s, found.force_late_std_s)}; {done}"
     )
 
