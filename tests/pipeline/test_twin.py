@@ -93,7 +93,7 @@ def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, chang
         assert "above 1.2 noise floors in specific force up 3.00" in said
     if change:
         assert "K differs" in said
-    assert [s.id for s in verify_sections(data)] == ["channels", "parameters"]
+    assert [s.id for s in verify_sections(data)] == ["picture", "channels", "parameters"]
 
 
 def test_flying_is_offline_or_under_the_firmware():
@@ -128,4 +128,4 @@ def test_under_the_firmware_steps_are_judged_as_flown(monkeypatch):
         assert twin.compare_with_recordings(file, [], found, ())["verdict"] == "DIFFERS"
         data |= {"flights": 1, "assumed": [], "backend": "sitl"}
         assert f"{ratio:.2f}" in verify_sentence(data)
-        assert len(verify_sections(data)[0].blocks) == 2
+        assert len(verify_sections(data)[1].blocks) == 2

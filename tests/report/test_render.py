@@ -37,7 +37,8 @@ from flighttest.report.packing import figures_in, plotly_without_maps, unpacked
 from flighttest.report.render import figures, html, terminal
 from flighttest.report.render.figure_files import write_figures
 from flighttest.report.render.plain import plain
-from flighttest.report.render.svg import WIDTH
+from flighttest.report.render.plotly_figure import LIGHT
+from flighttest.report.render.svg import WIDTH, as_svg
 from flighttest.report.sections.diagnosis import diagnosis_sections, verdict_tone
 from flighttest.report.sections.diagnosis_figures import before_after
 from flighttest.report.tables import write_tables
@@ -362,3 +363,89 @@ def test_what_is_to_be_copied_stays_whole():
     joined = " ".join(" ".join(lines).replace("\\ ", "").split())
     assert joined.count(run) == 2, "the shell joins what ends in a backslash"
     assert all(len(line) <= 80 for line in lines if path not in line and "y y" not in line)
+
+
+def test_a_picture_comes_before_any_list():
+    """Two sentences and the picture are what a reader sees first; lists and tables follow it."""
+    cells = [
+        {
+            "channel": c,
+            "maneuver": "m",
+            "kind": "roll_step",
+            "phase": "steady",
+            "before_floors": 3.0,
+            "after_floors": 1.0,
+        }
+        for c in ("v_x", "r")
+    ]
+    data = {
+        "located": [
+            {"channel": "v_x", "sentence": "velocity north in roll steps: 1 m/s^2 where repeats differ by 0.1"}
+        ],
+        "residual_map": cells,
+    }
+    blocks = diagnosis_sections(data)[0].blocks
+    assert [type(b) for b in blocks[:2]] == [Figure, Bullets]
+    assert blocks[1].items == ("Velocity north in roll steps: 1 m/s² where repeats differ by 0.1.",)
+    assert list(blocks[0].panels[0].traces[0].y) == ["velocity north", "yaw rate"]
+
+
+def test_the_first_two_sentences_of_the_verdict_are_large():
+    page = html.page_of(Document("t", "One is 1.5 m. Two is so. 3 follow. And more."))
+    assert '<div class="verdict plain" role="status">One is 1.5 m. Two is so.<p>3 follow. And more.</p></div>' in page
+
+
+def test_a_narrow_page_breaks_names_and_no_units():
+    table = Table(("a", "b"), (("heading_rate_reference", "1.2 rad/s"), ("a_b<c_dd>", "x")))
+    page = html.page_of(Document("t", "v", sections=(Section("s", "", (table,)),)))
+    assert ">heading_<wbr>rate_<wbr>reference<" in page
+    assert ">1.2 rad/s<" in page
+    assert "a_b&lt;c_<wbr>dd&gt;" in page
+
+
+def barred(second):
+    bars = (
+        Trace(["a", "b"], [1.0, np.nan], "one", "before", "bars"),
+        Trace(["a", "b"], second, "two", "after", "bars"),
+    )
+    return Figure("bars", (Panel("p", "", "y", bars),), "c")
+
+
+def test_bars_stand_side_by_side_only_where_they_share_a_place():
+    modes = [figures.specification(barred(y))["panels"][0]["layout"]["barmode"] for y in ([2.0, 1.0], [np.nan, 1.0])]
+    assert modes == ["group", "overlay"]
+    assert {e["dash"] for e in figures.specification(barred([1.0, 1.0]))["legend"]} == {"solid"}
+
+
+def test_bars_and_error_bars_are_drawn_over_names_in_svg():
+    svg = as_svg(barred([2.0, 1.0]))
+    boxes = list(ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}rect"))[1:]
+    heights = [float(r.get("height")) for r in boxes]
+    assert len(boxes) == 3
+    assert heights[1] == pytest.approx(2 * heights[0], rel=0.01)
+    assert ">a</text>" in svg
+    assert ">b</text>" in svg
+    spread = Trace(["a", "b"], [0.0, 1.0], "one", "other", "errorbars", spread=np.array([5.0, np.nan]))
+    svg = as_svg(Figure("f", (Panel("p", "", "y", (spread,)),), "c"))
+    assert svg.count("<circle") == 2
+    assert svg.count(f'stroke="{LIGHT["other"]}"/>') == 1
+
+
+def test_a_logarithmic_axis_writes_its_numbers_in_full():
+    def ticks(high):
+        line = Trace([0.3, high], [1.0, 2.0], "l", "model")
+        return figures.specification(Figure("f", (Panel("p", "f, Hz", "y", (line,), log="x"),), "c"))["panels"][0][
+            "layout"
+        ]["xaxis"]
+
+    assert {"0.5", "1", "2", "5", "10"} <= set(ticks(20.0)["ticktext"])
+    assert "5" not in ticks(1e5)["ticktext"]
+    assert "100" in ticks(1e5)["ticktext"]
+
+
+def test_a_box_in_space_keeps_its_proportions_and_stays_in_sight():
+    path = Trace([0.0, 10.0], [0.0, 5.0], "p", "model", "lines3d", z=[0.0, 0.01])
+    scene = figures.specification(Figure("f", (Panel("p", "x", "y", (path,), "z"),), "c"))["panels"][0]["layout"][
+        "scene"
+    ]
+    assert scene["aspectratio"] == {"x": 1.0, "y": 0.5, "z": figures.LEAST_EDGE}

@@ -73,7 +73,7 @@ def test_wind_battery_and_parameters():
     }
     assert "With w_north 5: after 1.5 s the" in replay_sentence(data)
     shown = json.loads(json.dumps([{k: _lists(v) for k, v in vars(s).items()} for s in windy.shown]))
-    assert [s.id for s in replay_sections(data, shown)] == ["effects", "stretches"]
+    assert [s.id for s in replay_sections(data, shown)] == ["stretches", "effects"]
 
 
 def _lists(value):

@@ -189,7 +189,7 @@ def write_diagnosis(
         recordings,
         fit_view(fitted, segments),
         segments,
-        diagnosis=data,
+        diagnosis={**data, "next_path": str(folder / NEXT_NAME)},
         next_script=script,
         said=(found.sentence, verdict_tone(data)),
     )

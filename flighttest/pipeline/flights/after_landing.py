@@ -90,7 +90,7 @@ def analyse(
         data["model"] = model
     progress.stage("writing the report")
     view = fit_view(found.fit, found.segments) if found.fit is not None else None
-    page = _page(found, view, notes)
+    page = _page(found, view, landed)
     for folder in folders:
         html.write(page, folder / REPORT_NAME)
     data["report"] = str(folders[-1] / REPORT_NAME)
@@ -184,13 +184,13 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
     tone: Tone = "bad" if not view.good else "good" if all(p.known for p in view.parameters) else "warn"
     parts = [view.verdict]
     if found.diagnosis is not None:
-        parts.append(str(found.diagnosis.get("sentence", "")))
+        parts.insert(0, str(found.diagnosis.get("sentence", "")))
         tone = tone if found.explained else "warn"
     if found.validity is not None:
         stale = found.validity.verdict is Verdict.STALE
         if not renewed(found):
             # A few steps make no model: what was asked is whether the one in use still holds.
-            parts = [found.validity.sentence, *parts[1:]]
+            parts = [found.validity.sentence, *parts[:-1]]
             tone = TONES[found.validity.verdict]
             tone = tone if found.explained or tone != "good" else "warn"
         elif stale:
@@ -199,14 +199,19 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
     return " ".join(p for p in parts if p).strip(), tone
 
 
-def _page(found: Analysis, view: FitView | None, notes: Sequence[str]) -> Document:
+def _page(found: Analysis, view: FitView | None, landed: Landed) -> Document:
     verdict, tone = _verdict(found, view)
     extra: list[Section] = []
-    if notes:
-        extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(notes)),)))
+    if landed.notes:
+        extra.append(Section("flight", "Notes of the flight", (Bullets(tuple(landed.notes)),)))
     if found.validity is not None:
         extra += status_document(found.validity, {}, ()).sections
-    return run_document(found.recordings, view, found.segments, extra, diagnosis=found.diagnosis, said=(verdict, tone))
+    diagnosis = found.diagnosis
+    if diagnosis is not None:
+        folder = landed.folders[-1]
+        options = f"{words_of(folder)}{out_words(landed.out)}"
+        diagnosis = {**diagnosis, "next_path": str(folder / NEXT_NAME), "next_options": options}
+    return run_document(found.recordings, view, found.segments, extra, diagnosis=diagnosis, said=(verdict, tone))
 
 
 def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Document, accepting: str) -> Document:

@@ -20,7 +20,9 @@ from flighttest.pipeline.presenters.fit_view import METRICS, fit_view, metrics, 
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.recordings.time_budget import time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
+from flighttest.pipeline.store.flown_with import words_of
 from flighttest.pipeline.store.history import FIT_NAME
+from flighttest.pipeline.store.models import NEXT_NAME
 from flighttest.recording import Recording
 from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report.document import Document, Section, Tone
@@ -145,12 +147,14 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
         reason = error.message
     view = fit_view(found, segments) if found is not None else None
     diagnosis = read_diagnosis(folder / DIAGNOSIS_NAME) if folder.is_dir() else None
+    if diagnosis is not None:
+        diagnosis = {**diagnosis, "next_path": str(folder / NEXT_NAME), "next_options": words_of(folder)}
     document = run_document(
         recordings,
         view,
         segments,
         diagnosis=diagnosis,
-        said=(f"No model could be fitted: {reason}." if reason else "", None),
+        said=(f"No model could be fitted: {reason}." if reason else _with_diagnosis(view, diagnosis), None),
     )
     target = output or (folder / REPORT_NAME if folder.is_dir() else Path(REPORT_NAME))
     if folder.is_dir() and output is None:
@@ -158,6 +162,13 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
         if found is not None and not (folder / FIT_NAME).exists():
             model_file.write(folder / FIT_NAME, model_data(found, recordings, None))
     return written(document, target, Status.UNEXPLAINED if found is None else Status.DONE)
+
+
+def _with_diagnosis(view: FitView | None, diagnosis: DiagnosisData | None) -> str:
+    """What the diagnosis found, then the fit; '' without a diagnosis."""
+    if view is None or diagnosis is None:
+        return ""
+    return f"{diagnosis.get('sentence', '')} {view.verdict}".strip()
 
 
 def campaign_of(folder: Path) -> list[Path]:
@@ -192,11 +203,12 @@ def _report_diagnosis(folder: Path, output: Path | None) -> Result:
     """The page of a diagnosis, from its files alone."""
     data = read_diagnosis(folder / DIAGNOSIS_NAME) or DiagnosisData()
     script = ""
-    if (folder / "next.yaml").is_file():
-        script = read_text(folder / "next.yaml", ScriptError, "script")
+    if (folder / NEXT_NAME).is_file():
+        script = read_text(folder / NEXT_NAME, ScriptError, "script")
     facts = {"diagnosis": str(folder / DIAGNOSIS_NAME)}
     if (folder / "model.yaml").is_file():
         facts["model"] = ", ".join(term for term in model_file.read(folder / "model.yaml").model.terms)
     verdict = str(data.get("sentence") or data.get("verdict", ""))
-    document = Document("flighttest diagnosis", verdict, verdict_tone(data), diagnosis_sections(data, script), facts)
+    shown: DiagnosisData = {**data, "next_path": str(folder / NEXT_NAME)}
+    document = Document("flighttest diagnosis", verdict, verdict_tone(data), diagnosis_sections(shown, script), facts)
     return written(document, output or folder / REPORT_NAME)

@@ -29,6 +29,8 @@ _WIDTH: dict[Role, float] = {
     "limit": 1.0,
 }
 SIGNIFICANT_DIGITS = 5  # more than a screen can show; keeps the file small
+LEAST_EDGE = 0.25  # of the longest edge of a box in space
+FINE_DECADES = 2.5  # up to so many powers of ten a logarithmic axis names 2 and 5 of each, too
 LEAST_HEAT = 4.0  # noise floors: the deepest colour means no less, so that noise alone, a quarter of it, is pale
 
 
@@ -60,9 +62,13 @@ def _legend(figure: Figure) -> list[LegendEntry]:
             if label and trace.mode != "heat":
                 entries.setdefault(
                     label,
-                    {"name": label, "role": trace.role, "dash": _DASH.get(trace.role, "solid"), "shown": trace.shown},
+                    {"name": label, "role": trace.role, "dash": _dash(trace), "shown": trace.shown},
                 )
     return list(entries.values())
+
+
+def _dash(trace: Trace) -> str:
+    return "solid" if trace.mode == "bars" else _DASH.get(trace.role, "solid")
 
 
 def _panel(panel: Panel, heat_top: float | None = None) -> PanelSpec:
@@ -82,7 +88,9 @@ def _panel(panel: Panel, heat_top: float | None = None) -> PanelSpec:
             "xaxis": {**scene_axis, "title": {"text": panel.x_label}},
             "yaxis": {**scene_axis, "title": {"text": panel.y_label}},
             "zaxis": {**scene_axis, "title": {"text": panel.z_label}},
-            "aspectmode": "data",
+            "aspectmode": "manual",
+            "aspectratio": _proportions(panel),
+            "camera": {"eye": {"x": 1.05, "y": 1.05, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}},
         }
         layout["margin"] = {"l": 0, "r": 0, "t": 34, "b": 0}
     else:
@@ -92,12 +100,49 @@ def _panel(panel: Panel, heat_top: float | None = None) -> PanelSpec:
             layout["xaxis"]["dtick"] = 1  # runs are counted: there is none between two
         layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
         for name in panel.log:
-            layout[f"{name}axis"]["type"] = "log"
+            values = _log_ticks(np.concatenate([np.asarray(getattr(t, name), dtype=float) for t in panel.traces]))
+            layout[f"{name}axis"] |= {"type": "log", "tickvals": values, "ticktext": [f"{v:g}" for v in values]}
         if panel.equal:
             layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
+        if any(trace.mode == "bars" for trace in panel.traces):
+            layout["barmode"] = "group" if _side_by_side(panel) else "overlay"
     hover = _hover(panel)
     data = [{**_trace(trace, heat_top), "hovertemplate": hover} for trace in panel.traces]
     return {"data": data, "layout": layout, "title": panel.title}
+
+
+def _proportions(panel: Panel) -> dict[str, float]:
+    """Edges of the box in space, metres as long along all three, the longest 1; none so short that it cannot be seen."""
+    reach = {}
+    for axis in "xyz":
+        values = np.concatenate([np.asarray(getattr(t, axis), dtype=float) for t in panel.traces])
+        known = values[np.isfinite(values)]
+        reach[axis] = float(np.ptp(known)) if known.size else 0.0
+    longest = max(reach.values()) or 1.0
+    return {axis: max(length / longest, LEAST_EDGE) for axis, length in reach.items()}
+
+
+def _side_by_side(panel: Panel) -> bool:
+    """Whether two of the panel's bars stand at one place."""
+    places = [
+        x
+        for t in panel.traces
+        if t.mode == "bars"
+        for x, y in zip(t.x, np.asarray(t.y, dtype=float), strict=True)
+        if np.isfinite(y)
+    ]
+    return len(set(places)) < len(places)
+
+
+def _log_ticks(values: np.ndarray) -> list[float]:
+    """Where a logarithmic axis has its numbers, written in full: plotly's own show 0.5 and 5 as the same small 5."""
+    known = values[np.isfinite(values) & (values > 0.0)]
+    if known.size == 0:
+        return []
+    low, high = np.log10(known.min()), np.log10(known.max())
+    digits = (1, 2, 5) if high - low <= FINE_DECADES else (1,)
+    powers = range(int(np.floor(low)) - 1, int(np.ceil(high)) + 2)
+    return [float(f"{digit}e{power}") for power in powers for digit in digits]
 
 
 def _hover(panel: Panel) -> str:

@@ -26,6 +26,8 @@ from flighttest.report.packing import pack_series, packed, packed_figures, packe
 from flighttest.report.render.figures import specification
 
 SPECS = "packed-figures"
+LEADING = 2  # sentences of the verdict that are set large
+PROSE = 18  # characters of a table's cell from which on its column is read as prose
 VIEWER_SAMPLES, LEAST_CHANNEL = 300_000, 2000  # samples of all channels together, and of one at the least
 THEME_BUTTON = '<button id="theme" type="button">light / dark</button>'
 
@@ -55,7 +57,7 @@ def page_of(document: Document) -> str:
 <body>
 <header><h1>{escape(document.title)}</h1>{THEME_BUTTON if figures else ""}</header>
 <main>
-<div class="verdict {document.tone}" role="status">{escape(document.verdict)}</div>
+<div class="verdict {document.tone}" role="status">{_verdict(document.verdict)}</div>
 <nav>{links}</nav>
 {sections}
 {facts}
@@ -76,6 +78,13 @@ def write(document: Document, path: Path) -> Path:
 
 def _asset(name: str) -> str:
     return resources.files("flighttest.report.render").joinpath(name).read_text(encoding="utf-8")
+
+
+def _verdict(text: str) -> str:
+    """The first sentences large, what else there is to say smaller below."""
+    said = re.split(r"(?<=[.!?]) +(?=[A-Z0-9])", text)
+    first, rest = " ".join(said[:LEADING]), " ".join(said[LEADING:])
+    return escape(first) + (f"<p>{escape(rest)}</p>" if rest else "")
 
 
 def _section(section: Section) -> str:
@@ -114,7 +123,10 @@ def _facts(facts: Facts) -> str:
 
 
 def _table(table: Table) -> str:
-    side = [table.align[i] if i < len(table.align) else "left" for i in range(len(table.columns))]
+    side: list[str] = [table.align[i] if i < len(table.align) else "left" for i in range(len(table.columns))]
+    for i in range(1, len(side)):
+        if side[i] == "left" and any(len(_text(row[i])) >= PROSE for row in table.rows):
+            side[i] = "left prose"
     head = "".join(f'<th class="{side[i]}">{escape(name)}</th>' for i, name in enumerate(table.columns))
     body = "".join("<tr>" + "".join(_cell(cell, side[i]) for i, cell in enumerate(row)) + "</tr>" for row in table.rows)
     caption = f'<p class="caption">{escape(table.caption)}</p>' if table.caption else ""
@@ -126,11 +138,20 @@ def _table(table: Table) -> str:
     return whole + caption
 
 
+def _text(cell: Cell | str) -> str:
+    return cell if isinstance(cell, str) else f"{cell.text} {cell.note}"
+
+
 def _cell(cell: Cell | str, side: str) -> str:
     if isinstance(cell, str):
-        return f'<td class="{side}">{escape(cell)}</td>'
+        return f'<td class="{side}">{_breakable(cell)}</td>'
     note = f"<small>{escape(cell.note)}</small>" if cell.note else ""
-    return f'<td class="{side}"><span class="{cell.tone}">{escape(cell.text)}</span>{note}</td>'
+    return f'<td class="{side}"><span class="{cell.tone}">{_breakable(cell.text)}</span>{note}</td>'
+
+
+def _breakable(text: str) -> str:
+    """Escaped; a narrow page may break a long name after its underscores and slashes, but no unit."""
+    return re.sub(r"(?<=\S{4})([_/])(?=\w\w)", r"\1<wbr>", escape(text))
 
 
 def _figures(blocks: Sequence[Block]) -> list[Figure]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 from typing import Any
@@ -21,7 +22,22 @@ _LEFT, _RIGHT, _ABOVE, _BELOW = 56, 14, 26, 42  # px: margins of the axes in a p
 _MARGIN = 0.05  # above and below what is drawn, of its height
 _DASHED = {"before": "6 3", "limit": "2 3", "reference": "2 3"}
 _WIDTHS = {"measured": 2.4, "before": 1.6, "after": 1.6, "simulated": 3.2}
+_LETTER, _LEAN, _SLOPE = (
+    5.6,
+    50,
+    math.sin(math.radians(50)),
+)  # px of a letter; degrees by which names below columns lean
+_BAR = 0.8  # of the place of a column, all its bars together
 _OVER_SIMULATED = 0.9  # width of what is measured where the model's line is the wide one
+
+
+@dataclass(frozen=True)
+class _Box:
+    """Where a panel's axes are, px: from the left edge, across, and up."""
+
+    left: float
+    across: float
+    up: float
 
 
 def as_svg(figure: Figure) -> str:
@@ -64,23 +80,36 @@ def _pen(trace: Trace, over_simulated: bool = False) -> str:
 
 
 def _panel(panel: Panel) -> str:
-    across, up = WIDTH - _LEFT - _RIGHT, PANEL_HEIGHT - _ABOVE - _BELOW
     heat = next((t for t in panel.traces if t.mode == "heat"), None)
+    names = list(dict.fromkeys(str(v) for t in panel.traces for v in t.x if isinstance(v, str)))
+    left = _LEFT if heat is None else max(_LEFT, 12 + _LETTER * max((len(str(n)) for n in heat.y), default=0))
+    below = _BELOW + round(_LETTER * _SLOPE * max((len(n) for n in names), default=0))
+    box = _Box(left, WIDTH - left - _RIGHT, PANEL_HEIGHT - _ABOVE - below)
     if heat is not None:
-        return _heat(panel, heat, across, up)
+        return _heat(panel, heat, box)
+    places = {name: float(i) for i, name in enumerate(names)}
     log = {axis: axis in panel.log for axis in "xy"}
-    values = {axis: [_scaled(getattr(t, axis), log[axis]) for t in panel.traces] for axis in "xy"}
-    x, y = _span(values["x"]), _span(values["y"])
+    values = {
+        axis: [_scaled([places.get(v, v) for v in getattr(t, axis)], log[axis]) for t in panel.traces] for axis in "xy"
+    }
+    bars_end = [ys + sign * np.asarray(t.spread) for t, ys in zip(panel.traces, values["y"], strict=True)
+                if t.spread is not None for sign in (1.0, -1.0)]  # fmt: skip
+    x, y = _span(values["x"]), _span([*values["y"], *bars_end])
+    barred = any(t.mode == "bars" for t in panel.traces)
+    if barred:
+        x, y = (x[0] - 0.5, x[1] + 0.5), (min(y[0], 0.0), max(y[1], 0.0))
     y = (y[0] - _MARGIN * (y[1] - y[0]), y[1] + _MARGIN * (y[1] - y[0]))
 
     def at(a: float, b: float) -> str:
-        return f"{_LEFT + across * (a - x[0]) / (x[1] - x[0]):.1f},{_ABOVE + up * (y[1] - b) / (y[1] - y[0]):.1f}"
+        across = box.left + box.across * (a - x[0]) / (x[1] - x[0])
+        return f"{across:.1f},{_ABOVE + box.up * (y[1] - b) / (y[1] - y[0]):.1f}"
 
-    parts = [f'<text x="{_LEFT}" y="14" font-size="12">{escape(panel.title)}</text>']
-    for value in _ticks(*x):
+    parts = [f'<text x="{box.left}" y="14" font-size="12">{escape(panel.title)}</text>']
+    for value in () if places else _ticks(*x):
         (px, py), (_, top) = at(value, y[0]).split(","), at(value, y[1]).split(",")
         parts.append(f'<path d="M{px} {top}V{py}" stroke="{LIGHT["grid"]}"/>')
         parts.append(f'<text x="{px}" y="{float(py) + 15:.1f}" text-anchor="middle">{_tick(value, log["x"])}</text>')
+    parts += [_leaning(name, *map(float, at(place, y[0]).split(","))) for name, place in places.items()]
     for value in _ticks(*y):
         (px, py), (end, _) = at(x[0], value).split(","), at(x[1], value).split(",")
         parts.append(f'<path d="M{px} {py}H{end}" stroke="{LIGHT["grid"]}"/>')
@@ -88,16 +117,46 @@ def _panel(panel: Panel) -> str:
             f'<text x="{float(px) - 6:.1f}" y="{float(py) + 4:.1f}" text-anchor="end">{_tick(value, log["y"])}</text>'
         )
     wide = any(t.role == "simulated" for t in panel.traces)
+    bars = [t for t in panel.traces if t.mode == "bars"]
     for trace, xs, ys in zip(panel.traces, values["x"], values["y"], strict=True):
         pairs = [(float(a), float(b)) for a, b in zip(xs, ys, strict=True) if math.isfinite(a) and math.isfinite(b)]
+        if trace.mode == "bars":
+            width = _BAR / len(bars)
+            shift = width * (bars.index(trace) - (len(bars) - 1) / 2)
+            for a, b in pairs:
+                (px, foot), (_, end) = at(a + shift, 0.0).split(","), at(a, b).split(",")
+                thick = width * box.across / (x[1] - x[0])
+                above, high = min(float(foot), float(end)), abs(float(foot) - float(end))
+                parts.append(
+                    f'<rect x="{float(px) - thick / 2:.1f}" y="{above:.1f}" width="{thick:.1f}" height="{high:.1f}" '
+                    f'fill="{LIGHT[trace.role]}"/>'
+                )
+            continue
         if trace.mode == "steps":
             pairs = [p for (a, b), (c, _) in pairwise([*pairs, *pairs[-1:]]) for p in ((a, b), (c, b))]
         if trace.mode in ("markers", "markers3d", "errorbars"):
-            places = [at(a, b).split(",") for a, b in pairs]
-            parts += [f'<circle cx="{cx}" cy="{cy}" r="2.2" fill="{LIGHT[trace.role]}"/>' for cx, cy in places]
+            dots = [at(a, b).split(",") for a, b in pairs]
+            parts += [f'<circle cx="{cx}" cy="{cy}" r="2.2" fill="{LIGHT[trace.role]}"/>' for cx, cy in dots]
+            for a, b, half in _spread(trace, xs, ys):
+                (px, top), (_, foot) = at(a, b + half).split(","), at(a, b - half).split(",")
+                parts.append(f'<path d="M{px} {top}V{foot}" stroke="{LIGHT[trace.role]}"/>')
             continue
         parts.append(f'<polyline points="{" ".join(at(a, b) for a, b in pairs)}" {_pen(trace, wide)}/>')
-    return "".join([*parts, _labels(panel, across, up)])
+    return "".join([*parts, _labels(panel, box)])
+
+
+def _spread(trace: Trace, xs: np.ndarray, ys: np.ndarray) -> list[tuple[float, float, float]]:
+    """(x, y, half width) of every error bar."""
+    if trace.spread is None:
+        return []
+    return [
+        (float(a), float(b), float(s)) for a, b, s in zip(xs, ys, trace.spread, strict=True) if math.isfinite(a + b + s)
+    ]
+
+
+def _leaning(name: str, x: float, y: float) -> str:
+    """The name of a column below it."""
+    return f'<text transform="translate({x + 4:.1f},{y + 14:.1f}) rotate(-{_LEAN})" text-anchor="end">{escape(name)}</text>'
 
 
 def _scaled(values: Any, log: bool) -> np.ndarray:
@@ -112,15 +171,15 @@ def _tick(value: float, log: bool) -> str:
     return f"{10.0**value:.3g}" if log else f"{value:g}"
 
 
-def _heat(panel: Panel, heat: Trace, across: float, up: float) -> str:
+def _heat(panel: Panel, heat: Trace, box: _Box) -> str:
     """Cells of a table, darker for larger numbers, with the numbers in them."""
     table = np.asarray(heat.z, dtype=float)
     top = float(np.nanmax(table)) if np.isfinite(table).any() else 1.0
-    w, h = across / max(table.shape[1], 1), up / max(table.shape[0], 1)
-    parts = [f'<text x="{_LEFT}" y="14" font-size="12">{escape(panel.title)}</text>']
+    w, h = box.across / max(table.shape[1], 1), box.up / max(table.shape[0], 1)
+    parts = [f'<text x="{box.left}" y="14" font-size="12">{escape(panel.title)}</text>']
     for (row, column), value in np.ndenumerate(table):
         if math.isfinite(value):
-            left, above = _LEFT + column * w, _ABOVE + row * h
+            left, above = box.left + column * w, _ABOVE + row * h
             parts.append(
                 f'<rect x="{left:.1f}" y="{above:.1f}" width="{w:.1f}" height="{h:.1f}" fill="#f08a4b" fill-opacity="{value / top:.2f}"/>'
             )
@@ -129,19 +188,16 @@ def _heat(panel: Panel, heat: Trace, across: float, up: float) -> str:
             )
     for i, name in enumerate(heat.y):
         parts.append(
-            f'<text x="{_LEFT - 6}" y="{_ABOVE + (i + 0.5) * h + 4:.1f}" text-anchor="end">{escape(str(name))}</text>'
+            f'<text x="{box.left - 6}" y="{_ABOVE + (i + 0.5) * h + 4:.1f}" text-anchor="end">{escape(str(name))}</text>'
         )
-    for i, name in enumerate(heat.x):
-        parts.append(
-            f'<text x="{_LEFT + (i + 0.5) * w:.1f}" y="{_ABOVE + up + 15:.1f}" text-anchor="middle">{escape(str(name))}</text>'
-        )
+    parts += [_leaning(str(name), box.left + (i + 0.5) * w, _ABOVE + box.up) for i, name in enumerate(heat.x)]
     return "".join(parts)
 
 
-def _labels(panel: Panel, across: float, up: float) -> str:
+def _labels(panel: Panel, box: _Box) -> str:
     return (
-        f'<text x="{_LEFT + across / 2}" y="{PANEL_HEIGHT - 8}" text-anchor="middle">{escape(panel.x_label)}</text>'
-        f'<text transform="translate(14,{_ABOVE + up / 2}) rotate(-90)" text-anchor="middle">{escape(panel.y_label)}</text>'
+        f'<text x="{box.left + box.across / 2}" y="{PANEL_HEIGHT - 8}" text-anchor="middle">{escape(panel.x_label)}</text>'
+        f'<text transform="translate(14,{_ABOVE + box.up / 2}) rotate(-90)" text-anchor="middle">{escape(panel.y_label)}</text>'
     )
 
 

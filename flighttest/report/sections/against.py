@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import TypedDict, cast
+
+import numpy as np
 
 from flighttest.channels import WORDS
-from flighttest.report.document import Align, Block, Bullets, Cell, Section, Table, Tone
+from flighttest.report.document import Align, Block, Bullets, Cell, Figure, Panel, Role, Section, Table, Tone, Trace
 from flighttest.report.numbers import join, number, percent, to_error, unit
 
 _KINDS: dict[str, tuple[str, Tone]] = {
@@ -17,6 +19,8 @@ _KINDS: dict[str, tuple[str, Tone]] = {
     "UNTESTED": ("not tested", "quiet"),
 }
 _STEPS_SHOWN = 40
+_BARS: tuple[Role, ...] = ("before", "after")
+Z_95 = 1.96
 
 
 class DifferenceRow(TypedDict):
@@ -115,16 +119,73 @@ def against_sections(data: AgainstData) -> tuple[Section, ...]:
     """Parameters, prediction errors, steps, and what each side's diagnosis said."""
     return tuple(
         s
-        for s in (_parameters(data), _prediction(data), steps_section(data.get("steps", ())), _sides(data))
+        for s in (
+            _picture(data),
+            _parameters(data),
+            _prediction(data),
+            steps_section(data.get("steps", ())),
+            _sides(data),
+        )
         if s is not None
     )
+
+
+def _picture(data: AgainstData) -> Section | None:
+    judged = {c: p for c, p in data["prediction"].items() if p["floor"]}
+    errors = {
+        "simulator": {c: p["before"] / p["floor"] for c, p in judged.items()},
+        "corrected": {c: p["after"] / p["floor"] for c, p in judged.items()},
+    }
+    figure = comparison_figure(data["parameters"], errors, "real", "simulated")
+    return None if figure is None else Section("picture", "", (figure,))
+
+
+def comparison_figure(
+    parameters: Sequence[DifferenceRow], errors: Mapping[str, Mapping[str, float]], first: str, second: str
+) -> Figure | None:
+    """By channel the errors in noise floors, and by parameter the difference in its standard errors, the largest first. errors: by what
+    they are of, by channel."""
+    panels = []
+    channels = list(dict.fromkeys(c for by_channel in errors.values() for c in by_channel))
+    if channels:
+        heads = [WORDS.get(c, c) for c in channels]
+        bars = [
+            Trace(heads, [by_channel.get(c, np.nan) for c in channels], name, role, "bars")
+            for (name, by_channel), role in zip(errors.items(), _BARS, strict=False)
+        ]
+        floor = Trace([heads[0], heads[-1]], [1.0, 1.0], "noise floor", "limit")
+        panels.append(Panel("prediction error", "", "noise floors", (*bars, floor)))
+    tested = sorted(
+        ((r, r["difference"] / r["std"]) for r in parameters if r["difference"] is not None and r["std"]),
+        key=lambda pair: -abs(pair[1]),
+    )
+    if tested:
+        heads = [r["name"] for r, _ in tested]
+        sides = (("differs", "model", True), ("no difference beyond chance", "other", False))
+        found = [
+            Trace(heads, [z if r["differs"] is differs else np.nan for r, z in tested], name, cast(Role, role), "bars")
+            for name, role, differs in sides
+            if any(r["differs"] is differs for r, _ in tested)
+        ]
+        limits = [
+            Trace([heads[0], heads[-1]], [sign * Z_95] * 2, "95 % of chance, for one alone", "limit")
+            for sign in (1, -1)
+        ]
+        panels.append(Panel(f"parameters, {first} minus {second}", "", "standard errors", (*found, *limits)))
+    if not panels:
+        return None
+    caption = (
+        "Left: what is left of each channel, in what its noise alone would leave. Right: how far each parameter differs, in standard "
+        "errors of the difference; of many parameters, one of twenty is beyond the dashed lines by chance."
+    )
+    return Figure("comparison", tuple(panels), caption, 2, 340)
 
 
 def _parameters(data: AgainstData) -> Section:
     blocks: list[Block] = [parameter_table(data["parameters"], "real", "simulated")]
     if data["notes"]:
         blocks.insert(0, Bullets(tuple(data["notes"])))
-    return Section("parameters", "What the simulator has otherwise", tuple(blocks))
+    return Section("parameters", "Parameters of both sides", tuple(blocks))
 
 
 def parameter_table(parameters: Sequence[DifferenceRow], first: str, second: str) -> Table:
@@ -151,7 +212,11 @@ def parameter_table(parameters: Sequence[DifferenceRow], first: str, second: str
         "chance at 1 % over all parameters together; 'same to': the difference that four of five such pairs would show."
     )
     return Table(
-        ("parameter", first, second, "unit", "difference", "change", ""), tuple(rows), align, caption, detail=(5,)
+        ("parameter", first, second, "unit", "difference", "change", "verdict"),
+        tuple(rows),
+        align,
+        caption,
+        detail=(5,),
     )
 
 

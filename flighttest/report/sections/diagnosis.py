@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import cast
 
@@ -9,7 +11,7 @@ from flighttest.diagnose.records import DiagnosisData, HeldOutRow, ParameterRow,
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.report.document import Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
-from flighttest.report.sections.diagnosis_figures import before_after, heat_map, regimes
+from flighttest.report.sections.diagnosis_figures import before_after, channel_words, heat_map, regimes
 
 _VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
@@ -68,7 +70,7 @@ def missing_sections(data: DiagnosisData) -> tuple[Section, ...]:
 
 def _located(data: DiagnosisData) -> Section:
     located = data.get("located") or ()
-    blocks: list[Block] = []
+    blocks: list[Block] = [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
     if not located:
         blocks.append(Paragraph("Nowhere above the noise floor."))
     else:
@@ -76,7 +78,6 @@ def _located(data: DiagnosisData) -> Section:
     aside = data.get("set_aside") or {}
     if aside.get("sentence"):
         blocks.append(Paragraph(_sentence(str(aside["sentence"])), "warn"))
-    blocks += [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
     weaker = sorted(
         {str(f.get("from")) for f in (data.get("noise_floor") or {}).values() if f.get("from") != "repeats"}
     )
@@ -86,7 +87,12 @@ def _located(data: DiagnosisData) -> Section:
 
 
 def _sentence(text: str) -> str:
+    text = _squares(text)
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
+def _squares(text: str) -> str:
+    return re.sub(r"\b(s|m|rad)\^2", r"\1²", text)
 
 
 def _findings(data: DiagnosisData) -> Section:
@@ -195,7 +201,7 @@ def _heldout_rows(data: DiagnosisData) -> list[tuple[Cell | str, ...]]:
         drop = "-" if low is None or high is None else f"{number(low, 3)} to {number(high, 3)}"
         better = low is not None and low > 0
         after = Cell(number(h.get("rmse_after"), 3), "good" if better else "plain")
-        rows.append((channel, number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), drop))
+        rows.append((channel_words(channel), number(h.get("rmse_before"), 3), after, number(h.get("floor"), 3), drop))
     return rows
 
 
@@ -220,7 +226,9 @@ def _baselines(data: DiagnosisData) -> Table | None:
     names = list(dict.fromkeys(n for entry in table.values() for n in entry))
     if not names:
         return None
-    rows = tuple((channel, *(number(entry.get(n), 3) for n in names)) for channel, entry in table.items())
+    rows = tuple(
+        (channel_words(channel), *(number(entry.get(n), 3) for n in names)) for channel, entry in table.items()
+    )
     numbers: list[Align] = ["right" for _ in names]
     return Table(("channel", *names), rows, ("left", *numbers), "RMSE of simpler predictions beside it.", fold=True)
 
@@ -249,7 +257,8 @@ def _limits(data: DiagnosisData) -> Section:
             )
         )
     unseen = tuple(
-        (str(u.get("term", "")), str(u.get("why", "")), str(u.get("fly") or "-")) for u in data.get("untestable") or ()
+        (str(u.get("term", "")), _squares(str(u.get("why", ""))), str(u.get("fly") or "-"))
+        for u in data.get("untestable") or ()
     )
     if unseen:
         caption = "This data could not have shown them: not seen is not the same as absent."
@@ -286,7 +295,8 @@ def _next(data: DiagnosisData, script: str) -> Section | None:
         return None
     said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
     reason = data.get("next_reason") or {}
-    command = str(said or f"flighttest run {data.get('next_path', name)}{data.get('next_options', '')}")
+    path = shlex.quote(str(data.get("next_path") or name))
+    command = str(said or f"flighttest run {path}{data.get('next_options', '')}")
     # A command that cannot be flown is not shown as one.
     blocks: list[Block] = [] if reason.get("fits_zone") is False else [Code(command)]
     if reason.get("sentence"):

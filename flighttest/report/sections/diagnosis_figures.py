@@ -6,13 +6,21 @@ from typing import Any, Literal
 
 import numpy as np
 
+from flighttest.channels import WORDS
+from flighttest.diagnose.model import short
 from flighttest.diagnose.records import DiagnosisData, MapCell, Overlay
 from flighttest.report.document import Figure, Panel, Role, Trace
 from flighttest.report.numbers import unit
 from flighttest.report.sections.fit import KIND_WORDS
 
 MAX_OVERLAYS = 6
+_WORDS = {short(name): words for name, words in WORDS.items()}
 _Curve = Literal["measured", "before", "after"]
+
+
+def channel_words(channel: str) -> str:
+    """A channel as diagnosis.json names it (v_x, r) as people read it: velocity north, yaw rate."""
+    return _WORDS.get(channel, WORDS.get(channel, channel))
 
 
 def heat_map(data: DiagnosisData) -> Figure | None:
@@ -22,7 +30,7 @@ def heat_map(data: DiagnosisData) -> Figure | None:
         return None
     channels = list(dict.fromkeys(str(c["channel"]) for c in cells))
     columns = list(dict.fromkeys(_column(c) for c in cells))
-    panels = []
+    panels, words = [], [channel_words(c) for c in channels]
     for key, title in (("before_floors", "base model"), ("after_floors", "with what was left out")):
         if key == "after_floors" and not data.get("findings"):
             continue
@@ -31,7 +39,7 @@ def heat_map(data: DiagnosisData) -> Figure | None:
             place = str(c["channel"]), _column(c)
             worst[place] = max(worst.get(place, 0.0), _number(c.get(key)))
         table = [[worst.get((ch, col), float("nan")) for col in columns] for ch in channels]
-        panels.append(Panel(title, "", "", (Trace(columns, channels, "noise floors", "other", "heat", z=table),)))
+        panels.append(Panel(title, "", "", (Trace(columns, words, "noise floors", "other", "heat", z=table),)))
     caption = "RMS error in units of the noise floor, the worst step of each kind and phase: 1 is noise alone."
     return Figure("where", tuple(panels), caption, 2, max(280, 190 + 24 * len(channels)))
 
@@ -61,7 +69,8 @@ def regimes(data: DiagnosisData) -> Figure | None:
                 level = np.full(x.size, sign * float(floor))
                 traces.append(Trace(x, level, "noise floor", "limit"))
         flown = str(curve.get("maneuver", ""))
-        title = f"{curve.get('channel')} in {KIND_WORDS.get(flown, flown.replace('_', ' '))}"
+        channel = channel_words(str(curve.get("channel")))
+        title = f"{channel} in {KIND_WORDS.get(flown, flown.replace('_', ' '))}"
         panels.append(Panel(title, label, f"mean error, {unit(str(curve.get('unit', '')))}", tuple(traces)))
     if not panels:
         return None
@@ -79,7 +88,9 @@ def before_after(data: DiagnosisData) -> Figure | None:
         t = np.asarray(o["t_s"], dtype=float)
         traces = tuple(Trace(t, np.asarray(o[key], dtype=float), name, role) for key, name, role in lines)
         units = unit(str(o.get("unit", "")))
-        panels.append(Panel(str(o["segment"]), "time since the step, s", f"{o['channel']}, {units}", traces))
+        panels.append(
+            Panel(str(o["segment"]), "time since the step, s", f"{channel_words(o['channel'])}, {units}", traces)
+        )
     if not panels:
         return None
     caption = "The responses that were worst before." if found else "The responses that fit worst."

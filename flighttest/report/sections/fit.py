@@ -51,7 +51,7 @@ def cell_words(cell: Mapping[str, float]) -> str:
 
 def parameters(view: FitView) -> Section:
     """The parameter table."""
-    columns = ("parameter", "value", "unit", "95 % interval", "", "what it is")
+    columns = ("parameter", "value", "unit", "95 % interval", "state", "what it is")
     align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
     rows = tuple(_parameter_row(p) for p in view.parameters)
     blocks: list[Block] = [Table(columns, rows, align, detail=(len(columns) - 1,))]
@@ -184,7 +184,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
     metric_names = [
         m
         for m in ("delay_s", "rise_s", "overshoot", "settling_s", "steady_error")
-        if any(m in s.metrics for s in views)
+        if any(_metric(s.metrics.get(m)) != "-" for s in views)
     ]
     titles = {
         "delay_s": "delay s",
@@ -193,7 +193,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
         "settling_s": "settling s",
         "steady_error": "steady error",
     }
-    columns = ("response", "kind", "step", "repeat", *(titles[m] for m in metric_names), "", "why")
+    columns = ("response", "kind", "step", "repeat", *(titles[m] for m in metric_names), "state", "why")
     align = ("left", "left", "left", "right", *("right" for _ in metric_names), "left", "left")
     rows = tuple(
         (

@@ -10,7 +10,14 @@ import numpy as np
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.report.document import Block, Bullets, Cell, Figure, Panel, Section, Table, Trace
 from flighttest.report.numbers import join, number, unit
-from flighttest.report.sections.against import DifferenceRow, StepRow, parameter_table, steps_section, titled
+from flighttest.report.sections.against import (
+    DifferenceRow,
+    StepRow,
+    comparison_figure,
+    parameter_table,
+    steps_section,
+    titled,
+)
 
 _WORDS = WORDS | {"p_z_m": "height"}
 _PANELS = 3  # channels drawn of each stretch
@@ -107,7 +114,7 @@ def verify_sentence(data: TwinData) -> str:
     if data["verdict"] == "NOTHING_MISSING":
         said = f", {number(channels[worst]['ratio'], 3)} of {WORDS.get(worst, worst)}" if worst is not None else ""
         return (
-            f"NOTHING_MISSING: the twin flies as recorded. Its error is at most {data['near_floor']:g} noise floors in every "
+            f"The twin flies as recorded (NOTHING_MISSING). Its error is at most {data['near_floor']:g} noise floors in every "
             f"channel{said and f' (largest{said})'}, and no parameter differs beyond its error."
         )
     parts = []
@@ -165,8 +172,11 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
         if flights
         else "recorded commands alone, nothing flown"
     )
+    errors = {"twin": {c: v["ratio"] for c, v in judged(data).items()}}
+    picture = comparison_figure(data["parameters"], errors, "recorded", "twin")
     blocks: list[Block] = [Bullets(tuple(lines)), parameter_table(data["parameters"], "recorded", "twin")]
-    found = [
+    found = [] if picture is None else [Section("picture", "", (picture,))]
+    found += [
         Section("channels", "Twin against recordings", tuple(tables), f"Compared: {how}."),
         Section("parameters", "Parameters", tuple(blocks)),
     ]
@@ -226,7 +236,7 @@ def _off(channel: str, value: float) -> str:
 
 
 def replay_sections(data: ReplayData, shown: Sequence[Stretch]) -> tuple[Section, ...]:
-    """Effects by channel, and the stretches where they show most."""
+    """The stretches where the change shows most, and its effect by channel."""
     rows: list[tuple[Cell | str, ...]] = []
     for c, e in data["effects"].items():
         if e["size"] is None:
@@ -253,7 +263,7 @@ def replay_sections(data: ReplayData, shown: Sequence[Stretch]) -> tuple[Section
     lead = "; ".join(data["changes"]) or "the twin as identified"
     found = [Section("effects", "Recorded commands on the twin", (table,), f"{lead[:1].upper()}{lead[1:]}.")]
     figure = _stretches(data, shown)
-    return (*found, Section("stretches", "Where it shows most", (figure,))) if figure is not None else tuple(found)
+    return (Section("stretches", "Where it shows most", (figure,)), *found) if figure is not None else tuple(found)
 
 
 def _stretches(data: ReplayData, shown: Sequence[Stretch]) -> Figure | None:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
 from flighttest.identify.validation.validate import GROUPS, UNITS, Validation, Variation
 from flighttest.report.document import Align, Bullets, Cell, Figure, Panel, Role, Section, Table, Trace
 from flighttest.report.numbers import number, unit
 
+FloatArray = NDArray[np.float64]
 ROLES: dict[Variation, Role] = {
     Variation.FULL: "model",
     Variation.LINEARISED: "linearised",
@@ -15,26 +21,26 @@ ROLES: dict[Variation, Role] = {
     Variation.HOLD: "reference",
     Variation.PREVIOUS: "before",
 }
+ROLL = (("roll rate", "p_rad_s", "roll rate, rad/s"), ("roll", "roll_rad", "roll, rad"))
+PITCH = (("pitch rate", "q_rad_s", "pitch rate, rad/s"), ("pitch", "pitch_rad", "pitch, rad"))
 PANELS = (
-    ("roll rate", "p_rad_s", "roll rate, rad/s"),
-    ("roll", "roll_rad", "roll, rad"),
     ("yaw rate", "r_rad_s", "yaw rate, rad/s"),
     ("yaw", "yaw_rad", "yaw, rad"),
-    ("acceleration north", "a_x_m_s2", "a_x, m/s²"),
-    ("acceleration west", "a_y_m_s2", "a_y, m/s²"),
-    ("acceleration up", "a_z_m_s2", "a_z, m/s²"),
+    ("acceleration north", "a_x_m_s2", "acceleration north, m/s²"),
+    ("acceleration west", "a_y_m_s2", "acceleration west, m/s²"),
+    ("acceleration up", "a_z_m_s2", "acceleration up, m/s²"),
 )
 
 
 def validation_sections(found: Validation, of: str = "") -> tuple[Section, ...]:
-    """Sentences, Figure 5, and one table per group of channels. of: which part of the flights, where it is not all of them."""
+    """Figure 5, sentences, and one table per group of channels. of: which part of the flights, where it is not all of them."""
     mark = f"-{of.replace(' ', '-')}" if of else ""
     figure = _figure5(found, f"figure5{mark}")
     count = len(found.segments)
     kind = f"step{'s' if count != 1 else ''}" if of == "steps" else f"stretch{'es' if count != 1 else ''} of flight"
     lead = f"{found.starts} starts in {count} {kind}; only recorded commands and voltage drive the models."
     title = f"Prediction of {of}" if of else "Prediction against these flights"
-    sections = [Section(f"validation{mark}", title, (Bullets(found.sentences), figure), lead)]
+    sections = [Section(f"validation{mark}", title, (figure, Bullets(found.sentences)), lead)]
     title = f"Errors by horizon, {of}" if of else "Errors by horizon"
     sections.append(Section(f"horizons{mark}", title, (_table(found),)))
     return tuple(sections)
@@ -52,8 +58,8 @@ def _figure5(found: Validation, name: str) -> Figure:
                 traces.append(
                     Trace(made["p_x_m"], made["p_y_m"], variation.value, ROLES[variation], "lines3d", z=made["p_z_m"])
                 )
-        panels.append(Panel("position", "north m", "west m", tuple(traces), "up m"))
-    for title, channel, label in PANELS:
+        panels.append(Panel("position", "north, m", "west, m", tuple(traces), "up, m"))
+    for title, channel, label in (*(PITCH if _pitches(f.measured) else ROLL), *PANELS):
         if channel not in f.measured:
             continue
         lines = [Trace(f.t_s, f.measured[channel], "measured", "measured")]
@@ -65,6 +71,12 @@ def _figure5(found: Validation, name: str) -> Figure:
         panels.append(Panel(title, "time, s", label, tuple(lines)))
     caption = f"The liveliest {f.t_s[-1]:.1f} s of the flight ({f.segment}): measured, and each model run open loop from the same start."
     return Figure(name, tuple(panels), caption, 2, 270)
+
+
+def _pitches(measured: Mapping[str, FloatArray]) -> bool:
+    """Whether the stretch moves more in pitch than in roll."""
+    moved = {name: float(np.ptp(measured[name])) for name in ("roll_rad", "pitch_rad") if name in measured}
+    return moved.get("pitch_rad", 0.0) > moved.get("roll_rad", 0.0)
 
 
 def _table(found: Validation) -> Table:

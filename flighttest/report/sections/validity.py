@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from flighttest.report.document import (
     Align,
     Block,
@@ -14,6 +16,7 @@ from flighttest.report.document import (
     Figure,
     Panel,
     Paragraph,
+    Role,
     Section,
     Table,
     Tone,
@@ -133,7 +136,7 @@ def _tests(found: Assessment) -> Section:
         last = Cell(word, "bad" if found.battery.alarm else "good" if before else "quiet")
         rows.append(("battery", "internal resistance", Cell(moved, bad), "-", "-", last))
     align: tuple[Align, ...] = ("left", "left", "right", "right", "right", "left")
-    heads = ("subset", "what moved most", "change", "shows from", "chance", "")
+    heads = ("subset", "what moved most", "change", "shows from", "p-value", "")
     return Section("tests", "", (Table(heads, tuple(rows), align, _caption(found, brief=True)),))
 
 
@@ -144,7 +147,7 @@ def _caption(found: Assessment, *, brief: bool = False) -> str:
         return f"A change below 'shows from' may go unseen. False alarms: {rate} of campaigns."
     how = f"like steps with like, {matched} kinds of step; " if matched else ""
     return (
-        f"shows from: a smaller change may have happened unseen; {how}chance: of such a difference without a change, alarm below "
+        f"shows from: a smaller change may have happened unseen; {how}p-value: chance of such a difference without a change, alarm below "
         f"{level:.2g}, which an unchanged vehicle raises in {rate} of campaigns."
     )
 
@@ -166,13 +169,37 @@ def _tests_in_full(found: Assessment) -> Section:
                     Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if first else "",
                 )
             )
-    table = Table(
-        ("subset", "parameter", "change", "z", "shows from", "compared by", "chance", ""),
-        tuple(rows),
-        ("left", "left", "right", "right", "right", "left", "right", "left"),
-        _caption(found),
+    blocks: list[Block] = [_shifts(found)]
+    blocks.append(
+        Table(
+            ("subset", "parameter", "change", "z", "shows from", "compared by", "p-value", ""),
+            tuple(rows),
+            ("left", "left", "right", "right", "right", "left", "right", "left"),
+            _caption(found),
+        )
     )
-    return Section("tests", "The new flight against the model", (table,))
+    return Section("tests", "The new flight against the model", tuple(blocks))
+
+
+def _shifts(found: Assessment) -> Figure:
+    """By parameter how far it moved, with the change that would show as its bar."""
+    traces = []
+    sides: tuple[tuple[str, bool, Role], ...] = (("changed", True, "limit"), ("as before", False, "other"))
+    for name, alarm, role in sides:
+        moved = [
+            (parameter, 100.0 * change, 100.0 * t.detectable.get(parameter, float("nan")))
+            for t in found.tests
+            if t.alarm is alarm
+            for parameter, (change, _) in t.shifts.items()
+        ]
+        if moved:
+            names, changes, least = ([m[k] for m in moved] for k in range(3))
+            traces.append(Trace(names, changes, name, role, "errorbars", spread=np.asarray(least, dtype=float)))
+    caption = (
+        "Point: how far the new flight's estimate is from the model's. Bar: the change that would show; a smaller one may have "
+        "happened unseen."
+    )
+    return Figure("shifts", (Panel("change of each parameter", "", "change, %", tuple(traces)),), caption, 1, 340)
 
 
 def _drifts(found: Assessment) -> Section:
@@ -289,7 +316,7 @@ def _latest(name: str, numbered: Sequence[tuple[int, HistoryPoint]], unit_text: 
     (_, first), (number, last) = numbered[0], numbered[-1]
     (before, _), (now, half) = first.parameters[name], last.parameters[name]
     change = percent((now - before) / abs(before)) if len(numbered) > 1 and before else "-"
-    return name, f"{to_error(now, half)} +- {to_error(half, half)}", unit(unit_text), f"{number}", change
+    return name, f"{to_error(now, half)} ± {to_error(half, half)}", unit(unit_text), f"{number}", change
 
 
 def changes_between(points: Sequence[HistoryPoint]) -> dict[str, tuple[str, ...]]:
