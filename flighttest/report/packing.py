@@ -18,8 +18,11 @@ import plotly
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
+from flighttest.segments.health import GAP_TIMES
+
 FloatArray = NDArray[np.float64]
 MISSING = -32768
+LEAST_GAP_S = 0.25  # a shorter one no picture of a flight shows
 STEPS, MIDDLE = 65000, 32500  # of a value between a channel's smallest and largest: 16 bits
 LEAST_COLUMN = 12  # shorter columns of numbers stay in the text
 MAP_WORKER = re.compile(r"""exports='(?:[^'\\]|\\.)*maplibre-gl-worker(?:[^'\\]|\\.)*'""")
@@ -210,6 +213,16 @@ def coarse(t_s: FloatArray, values: FloatArray, most: int) -> tuple[FloatArray, 
     return times, np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1).ravel()
 
 
+def _with_breaks(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> tuple[FloatArray, Mapping[str, FloatArray]]:
+    """A sample without a value in the middle of every gap, so that no line is drawn where nothing was recorded."""
+    steps = np.diff(t_s)
+    if not steps.size:
+        return t_s, columns
+    gaps = np.flatnonzero(steps > max(GAP_TIMES * float(np.median(steps)), LEAST_GAP_S))
+    middle = t_s[gaps] + steps[gaps] / 2.0
+    return np.insert(t_s, gaps + 1, middle), {n: np.insert(v, gaps + 1, np.nan) for n, v in columns.items()}
+
+
 def pack_series(
     groups: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]], most: int
 ) -> tuple[list[PackedGroup], bytes]:
@@ -225,7 +238,8 @@ def pack_series(
         size += len(data)
         return size - len(data)
 
-    for group, (t_s, columns) in groups.items():
+    for group, (recorded_s, recorded) in groups.items():
+        t_s, columns = _with_breaks(recorded_s, recorded)
         thin: dict[str, FloatArray] = {}
         times = t_s
         for name, values in columns.items():
@@ -237,7 +251,7 @@ def pack_series(
             "t": add(deltas),
             "n": int(times.size),
             "t0": float(times[0]),
-            "of": int(t_s.size),
+            "of": int(recorded_s.size),
             "channels": [],
         }
         for name, values in thin.items():

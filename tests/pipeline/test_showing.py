@@ -96,6 +96,18 @@ def test_a_long_channel_keeps_its_peaks():
     assert len(data) < 10_000
 
 
+def test_no_line_is_drawn_where_nothing_was_recorded():
+    """A gap of 26 s of a log of 2014 was a straight line from one attitude to the next."""
+    t = np.concatenate([np.arange(0.0, 10.0, 0.02), np.arange(36.0, 40.0, 0.02)])
+    described, data = pack_series({"attitude": (t, {"roll_rad": np.ones(t.size)})}, 10_000)
+    assert described[0]["of"] == t.size
+    assert described[0]["n"] == t.size + 1
+    coded = np.frombuffer(data, "<i2", t.size + 1, described[0]["channels"][0]["at"])
+    assert np.flatnonzero(coded == MISSING).tolist() == [500]
+    steady, _ = pack_series({"attitude": (t[:500], {"roll_rad": np.ones(500)})}, 10_000)
+    assert steady[0]["n"] == 500
+
+
 def test_figures_and_plotly_are_packed_once(shown):
     text = shown[1].read_text()
     assert text.count('id="packed-plotly"') == text.count(f'id="{html.SPECS}"') == 1

@@ -192,10 +192,10 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     worst = max(look.sampling, key=lambda s: s.lost, default=None)
     doubts = []
     if worst is not None and worst.lost > 0.02:
-        doubts.append(f"{worst.group.replace('_', ' ')} is missing for {worst.lost:.0%} of the time")
+        doubts.append(f"{100 * worst.lost:.0f} % of the time has no {worst.group.replace('_', ' ')}")
     if recording.provenance.losses:
         count = len(recording.provenance.losses)
-        doubts.append(f"{count} thing{'s' if count > 1 else ''} lost or odd in reading it")
+        doubts.append(f"reading it has {count} remark{'s' if count > 1 else ''} (see its health)")
     good = [one.expected.name for one in look.outlook if one.enough]
     if not any(one.expected.std is not None for one in look.outlook):
         outlook, tone = "Nothing of it can be used for a fit.", "bad"

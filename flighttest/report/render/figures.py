@@ -59,7 +59,7 @@ def _legend(figure: Figure) -> list[LegendEntry]:
     for panel in figure.panels:
         for trace in panel.traces:
             label = trace.group or trace.name
-            if label and trace.mode != "heat":
+            if label and trace.mode not in ("heat", "track"):
                 entries.setdefault(
                     label,
                     {"name": label, "role": trace.role, "dash": _dash(trace), "shown": trace.shown},

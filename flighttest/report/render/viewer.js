@@ -21,15 +21,19 @@
   function windowed(channel, from, to) {
     const a = Math.max(below(channel.t, from) - 1, 0), b = Math.min(below(channel.t, to) + 1, channel.t.length);
     const every = Math.max(1, Math.floor((2 * (b - a)) / POINTS)), x = [], y = [];
-    for (let i = a; i < b; i += every) {
-      let low = -1, high = -1;
-      for (let k = i; k < Math.min(i + every, b); k++) {
-        if (Number.isNaN(channel.y[k])) continue;
+    for (let i = a; i < b;) {
+      let low = -1, high = -1, k = i;
+      for (; k < Math.min(i + every, b) && !Number.isNaN(channel.y[k]); k++) {
         if (low < 0 || channel.y[k] < channel.y[low]) low = k;
         if (high < 0 || channel.y[k] > channel.y[high]) high = k;
       }
-      if (low < 0) { x.push(channel.t[i]); y.push(null); continue; }
-      for (const k of low === high ? [low] : low < high ? [low, high] : [high, low]) { x.push(channel.t[k]); y.push(channel.y[k]); }
+      if (low >= 0) for (const j of low === high ? [low] : low < high ? [low, high] : [high, low]) { x.push(channel.t[j]); y.push(channel.y[j]); }
+      if (k < b && Number.isNaN(channel.y[k])) {  // the line breaks where nothing was recorded
+        x.push(channel.t[k]);
+        y.push(null);
+        while (k < b && Number.isNaN(channel.y[k])) k++;
+      }
+      i = k;
     }
     return { x, y };
   }
@@ -106,10 +110,11 @@
         yaxis: { ...axis, title: { text: strip.unit, standoff: 4 }, fixedrange: false },
       };
     }
-    // Names of modes above the first strip, where they are long enough to be read.
+    // Names of modes above the first strip, where there is room for them: 7 px a letter.
+    const wide = () => Math.max((onPaper ? window.printedWidth(1) : place.clientWidth) - 68, 1);
     const labels = (c) => words.marks
       .map((m) => ({ ...m, from: Math.max(m[0], range[0]), to: Math.min(m[1], range[1]) }))
-      .filter((m) => m[3] === "mode" && m.to - m.from > 0.06 * (range[1] - range[0]))
+      .filter((m) => m[3] === "mode" && m.to - m.from > (7 * m[2].length / wide()) * (range[1] - range[0]))
       .map((m) => ({ x: m.from, y: 1.3, xref: "x", yref: "paper", xanchor: "left", showarrow: false, text: m[2], font: { size: 11, color: c.reference } }));
     function draw(printing = false) {
       onPaper = printing;

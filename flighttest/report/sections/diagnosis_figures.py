@@ -88,9 +88,7 @@ def before_after(data: DiagnosisData) -> Figure | None:
         t = np.asarray(o["t_s"], dtype=float)
         traces = tuple(Trace(t, np.asarray(o[key], dtype=float), name, role) for key, name, role in lines)
         units = unit(str(o.get("unit", "")))
-        panels.append(
-            Panel(str(o["segment"]), "time since the step, s", f"{channel_words(o['channel'])}, {units}", traces)
-        )
+        panels.append(Panel(str(o["segment"]), "time, s", f"{channel_words(o['channel'])}, {units}", traces))
     if not panels:
         return None
     caption = "The responses that were worst before." if found else "The responses that fit worst."

@@ -147,7 +147,7 @@ def what(look: Look) -> Section:
             )
         blocks.append(
             Table(
-                ("parameter", "expected error", "unit", "of its value", "can be determined", "what would identify it"), tuple(rows),
+                ("parameter", "expected error", "unit", "of its value", "can be determined", "fly"), tuple(rows),
                 ("left", "right", "left", "right", "left", "left"),
                 "Before any fit: Fisher information of the recorded commands at nominal parameters, with the noise of a usual outdoor "
                 "vehicle. A fit knows less where repeats are few or differ, or where the model misses something.",
@@ -228,7 +228,7 @@ def health(look: Look) -> Section:
             s.group.replace("_", " "), f"{number(s.rate_hz, 3)}", str(s.samples), str(s.gaps) if s.gaps else "-",
             Cell(f"{s.longest_s:.2f}" if s.gaps else "-", "warn" if s.gaps else "plain"),
             Cell(percent(s.lost) if s.gaps else "-", "bad" if s.lost > 0.02 else "plain"), percent(s.jitter, 0),
-            Cell(percent(s.missing, 0) if s.missing > 0.005 else "-", "warn"), ", ".join(s.channels),
+            Cell(percent(s.missing, 0), "warn") if s.missing > 0.005 else "-", ", ".join(s.channels),
         )
         for s in look.sampling
     )  # fmt: skip
