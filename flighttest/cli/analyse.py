@@ -131,14 +131,15 @@ def diagnose(
 ) -> int:
     """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
     with LiveProgress(context.show) as progress:
-        if not simulated:
+        answer: ft.Answer
+        if simulated:
+            answer = ft.against(
+                runs, simulated, model=model, vehicle=vehicle, output=output, columns=options["columns"], progress=progress,
+                weather=options["weather"], workers=options["workers"],
+            )  # fmt: skip
+        else:
             answer = ft.diagnose(*runs, model=model, vehicle=vehicle, output=output, progress=progress, **options)
-            return context.finish(answer)
-        opposed = ft.against(
-            runs, simulated, model=model, vehicle=vehicle, output=output, columns=options["columns"], progress=progress,
-            weather=options["weather"], workers=options["workers"],
-        )  # fmt: skip
-    return context.finish(opposed)
+    return context.finish(answer)
 
 
 @command("report")

@@ -145,7 +145,8 @@ def sign(context: Context, key: Path, connect: str, remove: bool) -> int:
     The key crosses the link in the clear: use a cable.
     """
     with LiveProgress(context.show, keep=True) as progress:
-        return context.finish(ft.sign(connect, key, remove=remove, progress=progress))
+        answer = ft.sign(connect, key, remove=remove, progress=progress)
+    return context.finish(answer)
 
 
 @command("demo")
@@ -161,7 +162,8 @@ def demo(context: Context, hide: tuple[str, ...], seed: int, airframe: Literal["
     Two minutes, no vehicle needed. What was concealed is shown last.
     """
     with LiveProgress(context.show, keep=True) as progress:
-        return context.finish(ft.demo(out, hide=hide, seed=seed, airframe=airframe, progress=progress))
+        answer = ft.demo(out, hide=hide, seed=seed, airframe=airframe, progress=progress)
+    return context.finish(answer)
 
 
 COMMANDS: tuple[click.Command, ...] = (demo, check, run, sim, fetch_log, sign)

@@ -75,8 +75,9 @@ def twin(
     if changes and not replayed:
         raise click.UsageError("--set changes the vehicle of a --replay")
     with LiveProgress(context.show) as progress:
+        answer: ft.Answer
         if replayed:
-            replay = ft.replay(
+            answer = ft.replay(
                 model,
                 *replayed,
                 changes=changes,
@@ -84,8 +85,8 @@ def twin(
                 columns=options["columns"],
                 progress=progress,
             )
-            return context.finish(replay)
-        answer = ft.twin(model, *verified, progress=progress, **options)
+        else:
+            answer = ft.twin(model, *verified, progress=progress, **options)
     return context.finish(answer)
 
 

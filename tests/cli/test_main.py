@@ -1,5 +1,6 @@
 """Words to exit code: mistakes give one clear message and a number, in both languages; a fault of ours gives a traceback."""
 
+import ast
 import io
 import json
 import os
@@ -231,6 +232,25 @@ def test_on_a_terminal_stages_stay_only_where_they_are_asked_for():
             progress.stage("reading 4 recordings")
         last = out.getvalue().rpartition("\x1b[2K")[2] if not stays else out.getvalue()
         assert ("reading 4 recordings" in last) is stays
+
+
+def test_no_answer_is_printed_while_progress_is_drawn():
+    """The last stage of a diagnosis stood below its answer: progress has to end first."""
+    seen = 0
+    for name in sorted(os.listdir(os.path.dirname(cli_main.__file__))):
+        if not name.endswith(".py"):
+            continue
+        with open(os.path.join(os.path.dirname(cli_main.__file__), name), encoding="utf-8") as file:
+            tree = ast.parse(file.read())
+        for block in (
+            n for n in ast.walk(tree) if isinstance(n, ast.With) and "LiveProgress(" in ast.unparse(n.items[0])
+        ):
+            seen += 1
+            called = {
+                c.func.attr for c in ast.walk(block) if isinstance(c, ast.Call) and isinstance(c.func, ast.Attribute)
+            }
+            assert "finish" not in called, f"{name}:{block.lineno}"
+    assert seen >= 8
 
 
 def test_a_damaged_list_of_durations_is_no_error(tmp_path):

@@ -75,7 +75,7 @@ def _health(facts: FlightFacts) -> str:
 def picture(facts: FlightFacts) -> RenderableType:
     """What moves now, what comes next, progress, margins, link, and how to stop."""
     grid = Table.grid(padding=(0, 2), expand=True)
-    grid.add_column(style="dim", no_wrap=True, width=8)
+    grid.add_column(style="dim", no_wrap=True, width=9)
     grid.add_column(ratio=1)
     now = Text(facts.doing or "-", style="bold")
     if facts.phase:
