@@ -197,8 +197,9 @@ def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
     )
     try:
         note("ArduPilot SITL", str(find_arducopter()), True)
-    except FlighttestError as error:
-        note("ArduPilot SITL", "", False, f"only for --backend sitl: {error.hint}", needed=False)
+    except FlighttestError:
+        how = "only for --backend sitl: see sitl/README.md, or fly the built-in vehicle: --connect sim"
+        note("ArduPilot SITL", "", False, how, needed=False)
     ports = [f"{p.device} ({p.description})" for p in list_ports.comports()]
     note("serial ports", ", ".join(ports), bool(ports), "none is seen: plug in the vehicle or the radio", needed=False)
     with socket.socket() as probe:

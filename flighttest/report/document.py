@@ -25,6 +25,7 @@ Role = Literal[
     "band",
     "other",
 ]
+OMITTED = " "  # in place of a block's `brief`: a terminal shows nothing of it unless everything is asked for
 Align = Literal["left", "right"]
 
 

@@ -12,6 +12,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from flighttest.report.document import (
+    OMITTED,
     Block,
     Bullets,
     Cell,
@@ -48,13 +49,20 @@ def render(document: Document, everything: bool = False) -> RenderableType:
     if document.facts:
         parts.append(_Facts(Facts(tuple(document.facts.items()))))
     shown = [section for section in document.sections if everything or not section.detail]
-    hidden = [s.title.lower() for s in document.sections if s not in shown and not _pictures(s)]
+    hidden = [
+        s.title.lower() for s in document.sections if not everything and (_omits(s) if s in shown else not _pictures(s))
+    ]
     parts.extend(drawn for section in shown if (drawn := _section(section, everything)) is not None)
     if hidden:
         parts += ["", _Prose(f"--all shows more: {', '.join(hidden)}", "dim")]
     if document.footer:
         parts += ["", _Prose(document.footer, "dim")]
     return Group(*parts)
+
+
+def _omits(section: Section) -> bool:
+    """Whether a block of it is shown only where everything is asked for, and nothing stands for it."""
+    return any(isinstance(b, Table | Code | Bullets) and b.brief == OMITTED for b in section.blocks)
 
 
 def _pictures(section: Section) -> bool:
@@ -76,7 +84,7 @@ def _section(section: Section, everything: bool) -> RenderableType | None:
 
 def _block(block: Block, everything: bool) -> RenderableType | None:
     if isinstance(block, Table | Code | Bullets) and block.brief and not everything:
-        return _Prose(block.brief)
+        return None if block.brief == OMITTED else _Prose(block.brief)
     if isinstance(block, Paragraph):
         return _Prose(block.text, STYLE[block.tone])
     if isinstance(block, Bullets):

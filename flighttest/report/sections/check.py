@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from flighttest.frames import compass_from_yaw
 from flighttest.plan import CheckResult, EnvelopeRow
-from flighttest.report.document import Align, Block, Bullets, Cell, Document, Paragraph, Section, Table
+from flighttest.report.document import OMITTED, Align, Block, Bullets, Cell, Document, Paragraph, Section, Table
 from flighttest.report.numbers import duration, join, number
 
 MAX_REFUSALS = 8
@@ -36,7 +36,7 @@ def _section(result: CheckResult, verbose: bool) -> Section:
     blocks.append(_envelope(result.envelope))
     if result.expected_std:
         words = "; ".join(f"{name} ± {number(std, 2)}" for name, std in result.expected_std.items())
-        blocks.append(Paragraph(f"Expected standard errors from this script: {words}."))
+        blocks.append(Bullets((f"Expected standard errors from this script: {words}.",), OMITTED))
     if verbose:
         blocks.append(_timeline(result))
     return Section(result.name, result.name, tuple(blocks), lead)
@@ -75,7 +75,9 @@ def _envelope(rows: Sequence[EnvelopeRow]) -> Table:
         "useful: what is left of the record after the delay; height: lowest and highest in the zone; out: furthest from "
         "the start along the ground; lost: with the link lost at the worst moment."
     )
-    return Table(columns, tuple(_row(row) for row in rows), ("left", *numbers, "left"), caption, detail=(5, 10))
+    return Table(
+        columns, tuple(_row(row) for row in rows), ("left", *numbers, "left"), caption, fold=True, detail=(5, 10)
+    )
 
 
 def _row(row: EnvelopeRow) -> tuple[Cell | str, ...]:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 from flighttest.diagnose.records import DiagnosisData, HeldOutRow, ParameterRow, RivalRow
 from flighttest.identify.models.model_blocks import FlightWindRow
-from flighttest.report.document import Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
+from flighttest.report.document import OMITTED, Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, channel_words, heat_map, regimes
 
+FEW_PLACES = 2  # where a mismatch is, which a terminal names without being asked
 _VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
     "NOTHING_MISSING": "good",
@@ -74,7 +76,10 @@ def _located(data: DiagnosisData) -> Section:
     if not located:
         blocks.append(Paragraph("Nowhere above the noise floor."))
     else:
-        blocks.append(Bullets(tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))))
+        said = tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))
+        more = len(said) - FEW_PLACES
+        places = f"{more} more place{'s' if more > 1 else ''}: --all lists them."
+        blocks.append(Bullets(said, " ".join((*said[:FEW_PLACES], places)) if more > 0 else ""))
     aside = data.get("set_aside") or {}
     if aside.get("sentence"):
         blocks.append(Paragraph(_sentence(str(aside["sentence"])), "warn"))
@@ -106,14 +111,17 @@ def _findings(data: DiagnosisData) -> Section:
         if said:
             blocks.append(Paragraph(_sentence(str(said))))
         if item.get("equation"):
-            blocks.append(Code(str(item["equation"])))
+            blocks.append(Code(str(item["equation"]), brief=OMITTED))
         if item.get("parameters"):
-            blocks.append(_parameters(item["parameters"]))
+            table = _parameters(item["parameters"])
+            blocks.append(
+                replace(table, brief=OMITTED) if said else table
+            )  # the sentence has the values and their errors
         lines = [_rival(r) for r in item.get("rivals") or ()]
         if item.get("doubt"):
             lines.append(f"doubt: {item['doubt']}")
         if lines:
-            blocks.append(Bullets(tuple(lines)))
+            blocks.append(Bullets(tuple(lines), brief=OMITTED if verdict == "SUPPORTED" else ""))
     for shape in data.get("unknown") or ():
         blocks.append(Paragraph(_sentence(str(shape.get("sentence") or "something without a name")), "warn"))
         if shape.get("formula"):
@@ -182,10 +190,10 @@ def _improvement(data: DiagnosisData) -> Section | None:
         blocks.append(figure)
     moved = _moved(data)
     if moved is not None:
-        blocks.append(moved)
+        blocks.append(replace(moved, brief=OMITTED))
     baselines = _baselines(data)
     if baselines is not None:
-        blocks.append(baselines)
+        blocks.append(replace(baselines, brief=OMITTED))
     if not blocks or not (data.get("findings") or ()):
         return None
     return Section("improvement", "Does it fit better?", tuple(blocks))
@@ -238,7 +246,8 @@ def _limits(data: DiagnosisData) -> Section:
     candidates = [c for c in data.get("candidates") or () if c.get("verdict") == "NOT_NEEDED"]
     not_needed = [str(t) for t in data.get("not_needed") or ()]
     if not_needed:
-        blocks.append(Paragraph(f"Looked for and not needed: {', '.join(not_needed)}."))
+        brief = f"{len(not_needed)} effects of the catalogue were looked for and are not needed."
+        blocks.append(Bullets((f"Looked for and not needed: {', '.join(not_needed)}.",), brief))
     if candidates:
         rows = tuple(
             (str(c["term"]), number(c.get("delta_bic"), 3), number(c.get("probability"), 2), str(c.get("why", "")))
@@ -253,7 +262,7 @@ def _limits(data: DiagnosisData) -> Section:
                 align,
                 caption,
                 fold=True,
-                brief="--all says why not.",
+                brief=OMITTED,
             )
         )
     unseen = tuple(
@@ -274,9 +283,8 @@ def _limits(data: DiagnosisData) -> Section:
             for k, v in smallest.items()
         )
         caption = "The smallest effect that would have been noticed."
-        brief = "--all lists the smallest effect of each kind that would have been noticed."
         blocks.append(
-            Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True, brief=brief)
+            Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True, brief=OMITTED)
         )
     left = data.get("unexplained")
     if left:

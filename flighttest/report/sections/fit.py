@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from flighttest.identify.response_analysis.comparison import Overlay, ThrustPoint
 from flighttest.report.document import (
@@ -25,6 +26,7 @@ from flighttest.report.sections.responses import response_sections
 
 MAX_CORRELATIONS = 6
 MANY_OUTLIERS = 6
+FEW_REMARKS = 2  # of a fit, which a terminal shows without being asked
 POINTS = 100  # of a trace in a picture of many
 TONE = {"known": "good", "weak": "warn", "not identifiable": "bad", "held": "quiet"}
 KIND_WORDS = {
@@ -55,17 +57,17 @@ def parameters(view: FitView) -> Section:
     align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
     rows = tuple(_parameter_row(p) for p in view.parameters)
     blocks: list[Block] = [Table(columns, rows, align, detail=(len(columns) - 1,))]
+    remarks: list[str] = []
     strong = [(a, b, c) for a, b, c in view.correlations if abs(c) >= view.correlation_above]
     if strong:
         words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong[:MAX_CORRELATIONS])
         words += f"; and {len(strong) - MAX_CORRELATIONS} more pairs" if len(strong) > MAX_CORRELATIONS else ""
-        blocks.append(
-            Paragraph(f"Estimates that move together (correlation above {view.correlation_above:g}): {words}.", "quiet")
-        )
-    if view.warnings:
-        blocks.append(Bullets(view.warnings))
-    if view.notes:
-        blocks.append(Bullets(view.notes))
+        remarks.append(f"estimates that move together (correlation above {view.correlation_above:g}): {words}")
+    remarks += [*view.warnings, *view.notes]
+    if remarks:
+        # Where nothing is known the reasons are the answer.
+        many = len(remarks) > FEW_REMARKS and any(p.known for p in view.parameters)
+        blocks.append(Bullets(tuple(remarks), f"{len(remarks)} remarks on them: --all lists them." if many else ""))
     return Section("parameters", "Parameters", tuple(blocks))
 
 
@@ -93,7 +95,7 @@ def quality(view: FitView) -> Section:
                 "quiet",
             )
         )
-    return Section("quality", "What the model leaves", tuple(blocks))
+    return Section("quality", "What the model leaves", tuple(blocks), detail=True)
 
 
 def _parameter_row(p: ParameterView) -> tuple[Cell | str, ...]:
@@ -222,7 +224,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
     if outliers:
         blocks.append(Bullets(tuple(outliers)))
     if rows:
-        steady = [4 + i for i, m in enumerate(metric_names) if m in ("settling_s", "steady_error")]
+        steady = [4 + i for i, m in enumerate(metric_names) if m in ("overshoot", "settling_s", "steady_error")]
         detail = (3, *steady, len(columns) - 1)
         blocks.append(Table(columns, rows, align, fold=len(rows) > 12, detail=detail))  # type: ignore[arg-type]
     return Section("segments", "Responses", tuple(blocks), lead)
@@ -257,5 +259,8 @@ def fit_sections(view: FitView) -> tuple[Section, ...]:
         found.append(quality(view))
     found += response_sections(view)
     if view.segments:
-        found.append(segments(view.segments))
+        cut = segments(view.segments)
+        brief = "--all and `flighttest segment` list them."
+        blocks = (replace(b, brief=brief) if isinstance(b, Table) else b for b in cut.blocks)
+        found.append(replace(cut, blocks=tuple(blocks)))
     return tuple(found)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.identify.validation.validate import GROUPS, UNITS, Validation, Variation
-from flighttest.report.document import Align, Bullets, Cell, Figure, Panel, Role, Section, Table, Trace
+from flighttest.report.document import OMITTED, Align, Bullets, Cell, Figure, Panel, Role, Section, Table, Trace
 from flighttest.report.numbers import number, unit
 
 FloatArray = NDArray[np.float64]
@@ -20,6 +21,12 @@ ROLES: dict[Variation, Role] = {
     Variation.ONLY_DELAY: "only_delay",
     Variation.HOLD: "reference",
     Variation.PREVIOUS: "before",
+}
+FIRST_GROUPS = 2  # of errors
+NAMES = {  # of a table's rows, each in one line
+    Variation.LINEARISED: "linearised",
+    Variation.NO_BATTERY: "no battery",
+    Variation.HOLD: "last value",
 }
 ROLL = (("roll rate", "p_rad_s", "roll rate, rad/s"), ("roll", "roll_rad", "roll, rad"))
 PITCH = (("pitch rate", "q_rad_s", "pitch rate, rad/s"), ("pitch", "pitch_rad", "pitch, rad"))
@@ -42,7 +49,7 @@ def validation_sections(found: Validation, of: str = "") -> tuple[Section, ...]:
     title = f"Prediction of {of}" if of else "Prediction against these flights"
     sections = [Section(f"validation{mark}", title, (figure, Bullets(found.sentences)), lead)]
     title = f"Errors by horizon, {of}" if of else "Errors by horizon"
-    sections.append(Section(f"horizons{mark}", title, (_table(found),)))
+    sections.append(Section(f"horizons{mark}", title, _tables(found)))
     return tuple(sections)
 
 
@@ -79,11 +86,18 @@ def _pitches(measured: Mapping[str, FloatArray]) -> bool:
     return moved.get("pitch_rad", 0.0) > moved.get("roll_rad", 0.0)
 
 
-def _table(found: Validation) -> Table:
+def _tables(found: Validation) -> tuple[Table, ...]:
+    """Position and velocity, then what else was compared, which a terminal leaves out for one screen."""
+    names = tuple(GROUPS)
+    first, rest = (_table(found, groups) for groups in (names[:FIRST_GROUPS], names[FIRST_GROUPS:]))
+    return tuple(t for t in (first, replace(rest, brief=OMITTED, caption="")) if t.rows) or (first,)
+
+
+def _table(found: Validation, groups: Sequence[str]) -> Table:
     horizons = sorted({e.horizon_s for e in found.errors})
     variations = [v for v in Variation if any(e.variation is v for e in found.errors)]
     rows: list[tuple[Cell | str, ...]] = []
-    for group in GROUPS:
+    for group in groups:
         best = {
             h: min((r for v in variations if (r := found.rmse(v, group, h)) is not None), default=None)
             for h in horizons
@@ -96,7 +110,7 @@ def _table(found: Validation) -> Table:
                 value = found.rmse(v, group, h)
                 cells.append(Cell(number(value, 3), "good" if value is not None and value == best[h] else "plain"))
             head = f"{group}, {unit(UNITS[group])}" if index == 0 else ""
-            rows.append((head, v.value, *cells))
+            rows.append((head, NAMES.get(v, v.value), *cells))
     numbers: list[Align] = ["right" for _ in horizons]
     caption = "Root mean square error after each horizon; green: the smallest in its column."
     full = [e for e in found.errors if e.variation is Variation.FULL and e.few]
