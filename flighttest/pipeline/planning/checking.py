@@ -147,7 +147,7 @@ def _expected_section(altogether: Sequence[Expected]) -> Section | None:
         share = percent(e.std / abs(e.value)) if e.value else "-"
         best = "; ".join(cell for cell, _ in e.best[:2])
         rows.append((e.name, number(e.std, 2), unit(e.unit), share, number(e.std_twice, 2), best))
-    head = ("parameter", "expected error", "unit", "", "with twice the repeats", "most informative steps")
+    head = ("parameter", "expected error", "unit", "of its value", "with twice the repeats", "most informative steps")
     table = Table(head, tuple(rows), ("left", "right", "left", "right", "right", "left"), detail=(4, 5))
     lead = (
         "Standard errors to expect from these scripts, with the prior model and the noise of a usual outdoor vehicle."
