@@ -52,6 +52,15 @@ def test_attitude_steps_are_both_signs_of_both_axes():
         assert sum(piece.duration_s for piece in cell.tail) >= 1.0
 
 
+def test_a_banked_turn_is_whole_so_that_the_vehicle_is_at_rest_after_it():
+    found = cells("banked_turn: {tilt_rad: 0.4, rate_rad_s: [1, 2], sign: both}")
+    assert [cell.values["rate_rad_s"] for cell in found] == [1.0, -1.0, 2.0, -2.0]
+    for cell in found:
+        (turn,) = (piece for piece in cell.lead if piece.record)
+        assert turn.roll_rad == 0.4
+        assert abs(turn.yaw_rate_rad_s) * turn.duration_s == pytest.approx(2 * math.pi)
+
+
 @pytest.mark.parametrize("reversals", [1, 2, 3, 4])
 def test_doublets_end_at_rest_where_they_began_to_move(reversals):
     (cell,) = cells(f"doublet: {{axis: pitch, amplitude_rad: 0.2, sign: positive, reversals: {reversals}}}")

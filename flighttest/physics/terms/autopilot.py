@@ -297,7 +297,7 @@ heading_rate_reference = Term(
     doubt="the pitch rate is the measured one, not the target's; seen only where the vehicle is banked while it pitches or turns",
     hides_in=("sigma_r",),
     told_apart_by="yaw rate while banked",
-    reveals="free_flight",
+    reveals="banked_turn",
     needs=("yaw_rate_ref_rad_s", "r_rad_s", "roll_rad"),
 )  # fmt: skip
 

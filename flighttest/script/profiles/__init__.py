@@ -5,7 +5,7 @@ from __future__ import annotations
 from flighttest.script.profiles.attitude import ATTITUDE_STEP, DOUBLET, THREE_TWO_ONE_ONE
 from flighttest.script.profiles.declare import Cell, Duration, Field, Profile
 from flighttest.script.profiles.steady import FREE_FLIGHT, HOVER, REST
-from flighttest.script.profiles.sweeps import CHIRP, RAMP, YAW_RATE_STEP
+from flighttest.script.profiles.sweeps import BANKED_TURN, CHIRP, RAMP, YAW_RATE_STEP
 from flighttest.script.profiles.throttle import THROTTLE_PAIR, TILT_THROTTLE
 from flighttest.script.profiles.timeline import Chirp, Piece, Ramp, Timeline
 
@@ -14,6 +14,7 @@ PROFILES: dict[str, Profile] = {
     for profile in (
         ATTITUDE_STEP,
         YAW_RATE_STEP,
+        BANKED_TURN,
         THROTTLE_PAIR,
         TILT_THROTTLE,
         DOUBLET,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from flighttest.script.profiles.declare import COAST, ENTRY, SIGN, Cell, Field, Profile, Settings, signs
@@ -66,6 +67,38 @@ YAW_RATE_STEP = Profile(
         COAST,
     ),
     _yaw_steps,
+)
+
+
+def _banked_turns(settings: Settings, throttle_unit: float) -> list[Cell]:
+    return [
+        Cell(
+            label=f"roll{tilt:+.2f}_yaw{sign * rate:+.2f}",
+            kind="free",
+            values={"amplitude_rad": tilt, "rate_rad_s": sign * rate},
+            lead=(
+                Piece("entry", settings["entry_s"]),
+                Piece("turn", 2.0 * math.pi / rate, roll_rad=tilt, yaw_rate_rad_s=sign * rate, record=True),
+            ),
+            tail=(Piece("coast", settings["coast_s"]),),
+        )
+        for tilt in settings["tilt_rad"]
+        for rate in settings["rate_rad_s"]
+        for sign in signs(settings["sign"])
+    ]
+
+
+BANKED_TURN = Profile(
+    "banked_turn",
+    "one whole turn at a constant rate while rolled, after which the vehicle is at rest again, aside of where it began",
+    (
+        Field("tilt_rad", "numbers", "roll asked for", "rad", 0.02, 1.05),
+        Field("rate_rad_s", "numbers", "yaw rate asked for, positive to the left", "rad/s", 0.5, 10.0),
+        SIGN,
+        ENTRY,
+        COAST,
+    ),
+    _banked_turns,
 )
 
 
