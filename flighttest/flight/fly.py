@@ -135,8 +135,10 @@ class _Flight:
             self.recorder.manifest["outcome"] = str(error)
             raise
         finally:
-            left = self._close()
-            state = self._left(scheduler)
+            try:
+                left = self._close()
+            finally:  # a defect of ours may be met again here; how the vehicle is left is known all the same
+                state = self._left(scheduler)
         if why:
             self.notes.append(why)
         self.recorder.manifest |= {

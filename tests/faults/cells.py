@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -15,7 +15,7 @@ from flighttest.flight import FlightResult, FlightState, LegOutcome, recorder
 from flighttest.flight.execution.machine import TABLE, Event, Machine
 from flighttest.mavlink import CopterMode
 from flighttest.sim import SimOptions
-from tests.faults.proxy import EPOCH_S, Endless, Fault, Proxy, When
+from tests.faults.proxy import EPOCH_S, Broken, Endless, Fault, Proxy, When
 from tests.flight.faulty import fly, make_leg, make_plan
 
 FOR_GOOD_S = 1e6
@@ -39,7 +39,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("5760 bytes/s", 30.0, bytes_per_s=5760.0),
     Fault("reset for 1 s", 1.0, up=True, down=True, cut=True),
     Fault("stall 4 s, then all", 4.0, hold=True),
-    Fault("client frozen 4 s", 4.0, freeze=True),
+    Fault("client frozen 4 s", 4.0, freeze_s=4.0),
     Fault("clock leaps a day", 1.0, leap=True),
     Fault("one false stamp", 1.0, stamp=True),
     Fault("one false mode", 1.0, false_mode=True),
@@ -81,7 +81,7 @@ class Cell:
     of every change of the flight's state."""
 
     fault: Fault
-    when: When
+    when: When | FlightState
     ended: str
     seconds: float
     wrong: tuple[str, ...]
@@ -120,14 +120,14 @@ class Vehicle(Protocol):
 
 def judge(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], truth: Callable[[], Vehicle]) -> Cell:
     """Fly (given how often Ctrl-C was pressed), and hold what the flight says against the truth."""
-    with changes_of_state() as changes:
-        cell = _judged(proxy, flight, truth)
+    with changes_of_state(proxy) as changes:
+        cell = _judged(proxy, flight, truth, changes)
     return replace(cell, changes=frozenset(changes))
 
 
 @contextlib.contextmanager
-def changes_of_state() -> Iterator[set[tuple[FlightState, Event]]]:
-    """The changes of state of all flights meanwhile, as (state, event)."""
+def changes_of_state(proxy: Proxy) -> Iterator[set[tuple[FlightState, Event]]]:
+    """The changes of state of a flight meanwhile, as (state, event); the proxy is told of each."""
 
     def on(machine: Machine, event: Event, why: str = "") -> FlightState:
         before = machine.state
@@ -136,6 +136,7 @@ def changes_of_state() -> Iterator[set[tuple[FlightState, Event]]]:
         finally:
             if machine.state is not before:
                 seen.add((before, event))
+                proxy.reach(machine.state)
 
     seen: set[tuple[FlightState, Event]] = set()
     taken_in = Machine.on
@@ -143,7 +144,12 @@ def changes_of_state() -> Iterator[set[tuple[FlightState, Event]]]:
         yield seen
 
 
-def _judged(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], truth: Callable[[], Vehicle]) -> Cell:
+def _judged(
+    proxy: Proxy,
+    flight: Callable[[Callable[[], int]], FlightResult],
+    truth: Callable[[], Vehicle],
+    changes: Collection[tuple[FlightState, Event]],
+) -> Cell:
     fault, when = proxy.fault, proxy.when
     try:
         with full_disk(proxy):
@@ -152,10 +158,13 @@ def _judged(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], t
         wrong = [] if not truth().armed else [f"an error left an armed vehicle: {error.message}"]
         wrong += [] if proxy.began_s is not None else ["refused before the fault began"]
         return Cell(fault, when, f"{REFUSED}: {error.message}", proxy.now_s - EPOCH_S, tuple(wrong))
+    except Broken as broken:  # as it is meant to: a defect is raised, after the vehicle was seen to
+        return Cell(fault, when, f"BROKEN: {broken}", proxy.now_s - EPOCH_S, ())
     except Endless as endless:
         return Cell(fault, when, "ENDLESS", proxy.now_s - EPOCH_S, (str(endless),))
     seconds = proxy.now_s - EPOCH_S
-    wrong = tuple(_wrong(proxy, result, truth()))
+    handed = any(event is Event.HAND_OVER for _, event in changes)
+    wrong = tuple(_wrong(proxy, result, truth(), handed=handed))
     return Cell(fault, when, f"{result.outcome.name}, {result.left.name}", seconds, wrong)
 
 
@@ -183,15 +192,15 @@ def full_disk(proxy: Proxy) -> Iterator[None]:
         yield
 
 
-def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
-    """What the result says that is not so, and what should have been."""
+def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool) -> list[str]:
+    """What the result says that is not so, and what should have been. handed: to the pilot, by agreement."""
     fault, left = proxy.fault, result.left
     found = []
     truths = {
         FlightState.LANDED: not vehicle.armed and vehicle.landed,
         FlightState.NOT_ARMED: not vehicle.armed,
         FlightState.DISARMED: not vehicle.armed,
-        FlightState.WITH_PILOT: proxy.switched_s is not None and vehicle.mode == fault.pilot_mode,
+        FlightState.WITH_PILOT: handed or (proxy.switched_s is not None and vehicle.mode == fault.pilot_mode),
         FlightState.IN_ABORT_MODE: vehicle.armed
         and vehicle.mode in (CopterMode.BRAKE, CopterMode.LOITER, CopterMode.LAND),
     }
@@ -210,7 +219,7 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle) -> list[str]:
         found.append(f"left {left.name} by a fault that passed")
     if vehicle.armed and not reported_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
         found.append("armed, and not said so")
-    if proxy.switched_s is not None and fault.lasts_s < 1e3:
+    if proxy.switched_s is not None and fault.lasts_s < 1e3 and not handed:
         same = proxy.when is When.ABORTING and fault.pilot_mode is CopterMode.BRAKE  # what was asked for anyhow
         if proxy.when is not When.PREFLIGHT and not same and vehicle.mode != fault.pilot_mode:
             found.append(f"the pilot chose {fault.pilot_mode.name}, the vehicle is in mode {vehicle.mode}")

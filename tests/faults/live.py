@@ -95,7 +95,7 @@ class LiveProxy(Proxy):
                 return
 
     def _freeze(self) -> None:
-        time.sleep(self.fault.lasts_s / self.speed)
+        time.sleep(self.fault.freeze_s / self.speed)
 
     def close(self) -> None:
         """Give the link back."""

@@ -10,6 +10,7 @@ import random
 from dataclasses import dataclass, field
 from enum import Enum
 
+from flighttest.flight import FlightState
 from flighttest.link.clock import FollowedClock
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
@@ -18,6 +19,8 @@ from flighttest.sim import InProcess, SimOptions
 STEP_S = 0.0025
 EPOCH_S = 1000.0
 LEAP_S = 86400.0
+_ID = slice(7, 10)  # of a MAVLink 2 frame
+_BY_FORCE = 21196  # of arming and disarming commands
 
 
 class When(Enum):
@@ -38,17 +41,23 @@ class Endless(Exception):
     """The flight did not end in time."""
 
 
+class Broken(Exception):
+    """What no transport should raise."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """What is done to frames from its beginning on, for `lasts_s`. up, down: whether that direction is lost for good meanwhile.
 
     loss: share lost each way; double: each frame twice; jitter_s: each frame late by up to this, in any order; latency_s: all late;
-    hold: nothing passes, and all of it at the end; freeze: the client itself stands still; leap, stamp: the vehicle's clock a day
-    ahead, for good or in one frame; twin: a second vehicle of the same id; station: another ground station switches streams
+    hold: nothing passes, and all of it at the end; freeze_s: for how long the client itself stands still; leap, stamp: the vehicle's
+    clock a day ahead, for good or in one frame; twin: a second vehicle of the same id; station: another ground station switches streams
     off, once; reboot: the vehicle starts anew; pilot_after_s: when the pilot chooses `pilot_mode` (also when another fault is there);
     corrupt: share of frames each way of which one bit is turned; bytes_per_s: of a serial line, with a buffer of a second; false_mode,
     false_disarmed: one HEARTBEAT that is not so; presses: how often Ctrl-C is pressed; disk: the disk of the record is full; cut: the
-    first frame each way breaks off in its middle, as where a connection is reset.
+    first frame each way breaks off in its middle, as where a connection is reset; kill: the pilot stops the motors, once; no_beats: the
+    vehicle's HEARTBEATs are lost meanwhile; back_after_s: when the pilot chooses GUIDED_NOGPS; anew: the vehicle's clock begins anew,
+    which nothing else shows; broken: the transport raises an error that nobody foresees.
     """
 
     name: str
@@ -60,7 +69,7 @@ class Fault:
     jitter_s: float = 0.0
     latency_s: float = 0.0
     hold: bool = False
-    freeze: bool = False
+    freeze_s: float = 0.0
     leap: bool = False
     stamp: bool = False
     twin: bool = False
@@ -75,11 +84,16 @@ class Fault:
     presses: int = 0
     disk: bool = False
     cut: bool = False
+    kill: bool = False
+    no_beats: bool = False
+    back_after_s: float | None = None
+    anew: bool = False
+    broken: bool = False
 
     @property
     def for_good(self) -> bool:
-        """Whether the link never comes back."""
-        return (self.up or self.down) and self.lasts_s >= 1e3
+        """Whether it never passes. A disk is no reason to leave a vehicle."""
+        return self.lasts_s >= 1e3 and not self.disk
 
 
 @dataclass
@@ -88,7 +102,7 @@ class Proxy:
 
     options: SimOptions
     fault: Fault
-    when: When
+    when: When | FlightState
     after_s: float = 0.0
     limit_s: float = 400.0
     seed: int = 1
@@ -114,7 +128,7 @@ class Proxy:
         self._twin_next_s = 0.0
         self._free_s: dict[bool, float] = {}  # when a serial line will have sent all, by whether it is the uplink
         self._done: set[str] = set()
-        self._reached: dict[When, float] = {}
+        self._reached: dict[When | FlightState, float] = {}
 
     def clock(self) -> FollowedClock:
         """The client's clock, on this host's time."""
@@ -127,9 +141,15 @@ class Proxy:
         """Whether the fault is there now."""
         return self.began_s is not None and self.began_s <= self.now_s < self.began_s + self.fault.lasts_s
 
-    def reached(self, when: When) -> bool:
+    def reached(self, when: When | FlightState) -> bool:
         """Whether the client has come to that."""
         return when in self._reached
+
+    def reach(self, when: When | FlightState) -> None:
+        """Note that the client has come to that; the fault may begin with it."""
+        self._reached.setdefault(when, self.now_s)
+        if self.began_s is None and self.when in self._reached:
+            self.began_s = self._reached[self.when] + self.after_s
 
     def _look(self, message: object) -> None:
         """What the client is at."""
@@ -144,9 +164,7 @@ class Proxy:
         elif kind == "COMMAND_LONG":
             seen = self._command(int(message.command), float(message.param1), int(message.param2))  # type: ignore[attr-defined]
         if seen is not None:
-            self._reached.setdefault(seen, self.now_s)
-        if self.began_s is None and self.when in self._reached:
-            self.began_s = self._reached[self.when] + self.after_s
+            self.reach(seen)
 
     def _command(self, command: int, first: float, second: int) -> When | None:
         if command == book.MAV_CMD_COMPONENT_ARM_DISARM and first == 1.0:
@@ -182,6 +200,10 @@ class Proxy:
         if self._once("pilot", fault.pilot_after_s is not None, fault.pilot_after_s or 0.0):
             self.switched_s = self.now_s
             self._switch()
+        if self._once("back", fault.back_after_s is not None, fault.back_after_s or 0.0):
+            self._choose(CopterMode.GUIDED_NOGPS)
+        if self._once("kill", fault.kill):
+            self._kill()
         if self._once("reboot", fault.reboot):
             self._reboot()
 
@@ -193,8 +215,16 @@ class Proxy:
 
     def _switch(self) -> None:
         """The pilot moves the mode switch."""
-        mode = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(self.fault.pilot_mode), 9)
-        self._to_vehicle(bytes(mode.pack(self._station)))
+        self._choose(self.fault.pilot_mode)
+
+    def _choose(self, mode: CopterMode) -> None:
+        chosen = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(mode), 9)
+        self._to_vehicle(bytes(chosen.pack(self._station)))
+
+    def _kill(self) -> None:
+        """The pilot stops the motors, as by a switch of the transmitter."""
+        stop = (book.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0.0, _BY_FORCE, 0, 0, 0, 0, 0)
+        self._to_vehicle(bytes(book.MAVLink_command_long_message(1, 1, *stop).pack(self._station)))
 
     def _reboot(self) -> None:
         """The vehicle starts anew."""
@@ -203,12 +233,13 @@ class Proxy:
 
     def _freeze(self) -> None:
         """The program stands still, and time does not."""
-        self._pass(self.fault.lasts_s)
+        self._pass(self.fault.freeze_s)
 
     # -- as a transport ------------------------------------------------------------------------------------------------------
 
     def send(self, data: bytes) -> None:
         """Frames of the client."""
+        self._raise_where_broken()
         for message in self._ours.parse_buffer(data) or []:
             self._look(message)
             if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET") and message.param_id == "SIM_LOCKSTEP":
@@ -221,7 +252,8 @@ class Proxy:
         """Let up to timeout_s pass; what has arrived."""
         if self.now_s - EPOCH_S > self.limit_s:
             raise Endless(f"still flying after {self.limit_s:.0f} s")
-        if self._once("freeze", self.fault.freeze):
+        self._raise_where_broken()
+        if self._once("freeze", self.fault.freeze_s > 0.0):
             self._freeze()
         wait_s = max(timeout_s, 1e-6) if timeout_s > 0.0 else 0.0  # one below rounding would never end
         end_s = self.now_s + wait_s
@@ -230,6 +262,10 @@ class Proxy:
             if data or self.now_s >= end_s:
                 return data
             self._pass(STEP_S)  # all of it: time moves on however short the wait
+
+    def _raise_where_broken(self) -> None:
+        if self.fault.broken and self.active:
+            raise Broken("the transport is broken")
 
     def close(self) -> None:
         """Nothing to give back."""
@@ -263,6 +299,9 @@ class Proxy:
             else:
                 message.base_mode &= ~book.MAV_MODE_FLAG_SAFETY_ARMED  # type: ignore[attr-defined]
             return bytes(message.pack(again))  # type: ignore[attr-defined]
+        if fault.anew and getattr(message, "time_boot_ms", 0):
+            message.time_boot_ms -= int(1e3 * (self.began_s - self._start_s))  # type: ignore[attr-defined]
+            return bytes(message.pack(again))  # type: ignore[attr-defined]
         if not (fault.leap or fault.stamp):
             return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
         if fault.stamp and kind != "ATTITUDE":
@@ -292,6 +331,12 @@ class Proxy:
             if fault.cut and self._once("cut up" if queue is self._up else "cut down", True):
                 frame, lost = frame[: len(frame) // 2], False
             if lost or self._draw.random() < fault.loss:
+                return
+            if (
+                fault.no_beats
+                and queue is self._down
+                and int.from_bytes(frame[_ID], "little") == book.MAVLINK_MSG_ID_HEARTBEAT
+            ):
                 return
             due_s += fault.latency_s + fault.jitter_s * self._draw.random()
             if self._draw.random() < fault.corrupt:

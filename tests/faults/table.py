@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from tests.faults.cells import CHANGES, FAULTS, STATES, Cell, fly_cell
+from tests.faults.changes import PROVOKED, Provoked
 from tests.faults.defects import HEADING as DEFECTS_HEADING
 from tests.faults.defects import table as of_defects
 from tests.faults.endurance import GROWTH_MAX_MB, RANDOM_FLIGHTS, Drawn, Soak, live_soak, random_flight, soak
@@ -38,31 +39,50 @@ def one(fault: Fault, when: When) -> Cell:
         return fly_cell(fault, when, Path(folder) / "run")
 
 
-def page(cells: list[Cell]) -> str:
-    """docs/faults.md."""
-    wrong = [cell for cell in cells if not cell.ok]
+def provoke(provoked: Provoked) -> Cell:
+    """A flight for one change of state."""
+    return provoked.fly()
+
+
+def page(cells: list[Cell], provoked: list[Cell]) -> str:
+    """docs/faults.md: the table, and the flights of `PROVOKED`."""
+    wrong = [cell for cell in (*cells, *provoked) if not cell.ok]
     by_place = {(cell.fault.name, cell.when): cell for cell in cells}
     lines = [
         "# Faults of the link in every state of a flight", "",
         INTRODUCTION, "",
-        f"{len(cells) - len(wrong)} of {len(cells)} cells are right.", "",
+        f"{sum(cell.ok for cell in cells)} of {len(cells)} cells are right.", "",
         "| fault | " + " | ".join(when.value for when in STATES) + " |", "|---|" + "---|" * len(STATES),
     ]  # fmt: skip
     for fault in FAULTS:
         row = [by_place[fault.name, when] for when in STATES]
         cells_of = [f"{'' if c.ok else '**wrong:** '}{c.ended.split(':')[0]} ({c.seconds:.0f} s)" for c in row]
         lines.append(f"| {fault.name} | " + " | ".join(cells_of) + " |")
-    seen = frozenset().union(*(cell.changes for cell in cells)) & CHANGES
-    unseen = ", ".join(sorted(f"{state.name} {event.name}" for state, event in CHANGES - seen))
-    lines += [
-        "",
-        f"Of the {len(CHANGES)} changes of state ([operations.md](operations.md)) {len(seen)} happened in these flights.",
-    ]
-    lines += [f"Not in them (tests walk every row of the table): {unseen}."] if unseen else []
+    lines += ["", *_of_changes(cells, provoked)]
     if wrong:
         lines += ["", "What is wrong:", ""]
         lines += [f"- {c.fault.name}, {c.when.value}: {'; '.join(c.wrong)}" for c in wrong]
     return "\n".join(lines) + "\n"
+
+
+def _of_changes(cells: list[Cell], provoked: list[Cell]) -> list[str]:
+    """Which changes of the flight's state happened, and in which flights those that no cell makes."""
+    in_cells = frozenset().union(*(cell.changes for cell in cells)) & CHANGES
+    seen = in_cells | (frozenset().union(*(cell.changes for cell in provoked)) & CHANGES)
+    unseen = ", ".join(sorted(f"{state.name} {event.name}" for state, event in CHANGES - seen))
+    lines = [
+        f"Of the {len(CHANGES)} changes of state ([operations.md](operations.md)) {len(in_cells)} happened in "
+        f"these flights, {len(seen)} with those below: flights for a change each, "
+        "whose fault begins when the flight's state is the one named. ",
+        f"{sum(cell.ok for cell in provoked)} of {len(provoked)} are right: the change happened, and the flight "
+        "ended as the table of states says.",
+    ]
+    lines += [f"**wrong:** in none of them: {unseen}."] if unseen else []
+    lines += ["", "| state | event | fault | how it ended | s |", "|---|---|---|---|---|"]
+    for p, cell in zip(PROVOKED, provoked, strict=True):
+        ended = cell.ended if cell.ok else f"**wrong:** {cell.ended}"
+        lines.append(f"| {p.state.name} | {p.event.name} | {p.fault.name} | {ended} | {cell.seconds:.0f} |")
+    return lines
 
 
 SITL_HEADING = "## On a real ArduCopter"
@@ -273,8 +293,8 @@ def main() -> int:
     elif words.lines:
         heading, (part, right) = LINES_HEADING, over_lines(words.jobs)
     else:
-        cells = fly_all(words.jobs)
-        heading, part, right = "", page(cells), all(cell.ok for cell in cells)
+        cells, provoked = fly_all(words.jobs)
+        heading, part, right = "", page(cells, provoked), all(cell.ok for cell in (*cells, *provoked))
     if words.output is None:
         sys.stdout.write(part)
         return 0 if right else 1
@@ -296,15 +316,18 @@ def fly_on_sitl(jobs: int) -> list[Cell]:
     return [found[place] for place in DANGEROUS]
 
 
-def fly_all(jobs: int) -> list[Cell]:
-    """Every cell on the built-in vehicle."""
+def fly_all(jobs: int) -> tuple[list[Cell], list[Cell]]:
+    """Every cell on the built-in vehicle, and the flights for the changes of state that none of them makes."""
     places = [(fault, when) for fault in FAULTS for when in STATES]
     with ProcessPoolExecutor(jobs) as pool:
         cells: list[Cell] = []
         for cell in pool.map(one, *zip(*places, strict=True)):
             cells.append(cell)
             tell(cell)
-    return cells
+        provoked = list(pool.map(provoke, PROVOKED))
+    for cell in provoked:
+        tell(cell)
+    return cells, provoked
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ import pytest
 
 from flighttest.flight import LegOutcome
 from flighttest.sim import SimOptions
-from tests.faults.cells import FAULTS, QUICK, fly_cell
+from tests.faults.cells import CHANGES, FAULTS, QUICK, fly_cell
+from tests.faults.changes import PROVOKED
 from tests.faults.defects import DEFECTS, Defect
 from tests.faults.interrupts import measure
 from tests.faults.proxy import Fault, Proxy, When
@@ -26,6 +27,22 @@ def test_the_page_has_every_fault_and_none_is_wrong(repository: Path) -> None:
     rows = {line.split("|")[1].strip() for line in text.splitlines() if line.startswith("|")}
     assert not {fault.name for fault in FAULTS} - rows, "run `make faults`"
     assert "**wrong:**" not in text
+
+
+def test_the_page_has_a_flight_for_every_change_of_state(repository: Path) -> None:
+    text = (repository / "docs" / "faults.md").read_text(encoding="utf-8")
+    assert f"Of the {len(CHANGES)} changes of state" in text, "run `make faults`"
+    assert f", {len(CHANGES)} with those below" in text
+    rows = {tuple(cell.strip() for cell in line.split("|")[1:3]) for line in text.splitlines() if line.startswith("|")}
+    assert not {(p.state.name, p.event.name) for p in PROVOKED} - rows
+
+
+@pytest.mark.parametrize("name", ["ARMING REBOOTED", "CLIMBING OVER"])
+def test_a_change_of_state_that_no_cell_makes(name: str) -> None:
+    """Two that cost little; all of them by `make faults`."""
+    (provoked,) = (p for p in PROVOKED if f"{p.state.name} {p.event.name}" == name)
+    cell = provoked.fly()
+    assert cell.ok, f"{cell.ended}: {cell.wrong}"
 
 
 def test_ctrl_c_is_answered_at_a_terminal() -> None:

@@ -4,9 +4,11 @@ from itertools import product
 
 import pytest
 
+from flighttest.flight.execution import control, scheduler, supervisor
 from flighttest.flight.execution.machine import (
     ENDS,
     EXTERNAL,
+    IMPOSSIBLE,
     OURS,
     TABLE,
     Event,
@@ -16,6 +18,8 @@ from flighttest.flight.execution.machine import (
     table_as_markdown,
 )
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
+from flighttest.link.session import UNANSWERED_S
+from tests.flight.faulty import GATE, GOOD
 
 LIVE = [s for s in FlightState if not s.is_end]
 HELD_TO = """
@@ -30,12 +34,9 @@ GROUND    UPLINK_GONE   GROUND
 GROUND    OVER          NOT_ARMED
 ARMING    ARMED         CLIMBING
 ARMING    FOREIGN_MODE  NOT_ARMED      TAKE_OVER
-ARMING    DISARMED      DISARMED       DISARMED
-ARMING    DROPPED       DISARMED       DISARMED
 ARMING    REBOOTED      NOT_ARMED      REBOOTED
 ARMING    DOWNLINK_GONE UNKNOWN        LINK_LOST
 ARMING    UPLINK_GONE   TO_AUTOPILOT   UPLINK_LOST
-ARMING    GIVEN_UP      TO_AUTOPILOT   OPERATOR_ABORT
 ARMING    OVER          NOT_ARMED
 CLIMBING  RETURN        RETURNING
 CLIMBING  ASK           ASKING
@@ -44,8 +45,6 @@ CLIMBING  DISARMED      DISARMED       DISARMED
 CLIMBING  DROPPED       DISARMED       DISARMED
 CLIMBING  REBOOTED      UNKNOWN        REBOOTED
 CLIMBING  DOWNLINK_GONE UNKNOWN        LINK_LOST
-CLIMBING  UPLINK_GONE   TO_AUTOPILOT   UPLINK_LOST
-CLIMBING  GIVEN_UP      TO_AUTOPILOT   OPERATOR_ABORT
 CLIMBING  OVER          TO_AUTOPILOT
 RETURNING RETURN        RETURNING
 RETURNING SETTLED       FLYING
@@ -57,7 +56,6 @@ RETURNING DROPPED       DISARMED       DISARMED
 RETURNING REBOOTED      UNKNOWN        REBOOTED
 RETURNING DOWNLINK_GONE UNKNOWN        LINK_LOST
 RETURNING UPLINK_GONE   TO_AUTOPILOT   UPLINK_LOST
-RETURNING GIVEN_UP      TO_AUTOPILOT   OPERATOR_ABORT
 RETURNING OVER          TO_AUTOPILOT
 FLYING    RETURN        RETURNING
 FLYING    ASK           ASKING
@@ -66,8 +64,6 @@ FLYING    DISARMED      DISARMED       DISARMED
 FLYING    DROPPED       DISARMED       DISARMED
 FLYING    REBOOTED      UNKNOWN        REBOOTED
 FLYING    DOWNLINK_GONE UNKNOWN        LINK_LOST
-FLYING    UPLINK_GONE   TO_AUTOPILOT   UPLINK_LOST
-FLYING    GIVEN_UP      TO_AUTOPILOT   OPERATOR_ABORT
 FLYING    OVER          TO_AUTOPILOT
 ASKING    ASK           ASKING
 ASKING    HOLDS         HOLDING
@@ -87,8 +83,6 @@ HOLDING   DISARMED      DISARMED       DISARMED
 HOLDING   DROPPED       DISARMED       DISARMED
 HOLDING   REBOOTED      UNKNOWN        REBOOTED
 HOLDING   DOWNLINK_GONE UNKNOWN        LINK_LOST
-HOLDING   UPLINK_GONE   IN_ABORT_MODE  UPLINK_LOST
-HOLDING   GIVEN_UP      IN_ABORT_MODE  OPERATOR_ABORT
 HOLDING   OVER          IN_ABORT_MODE
 LANDING   RETURN        RETURNING
 LANDING   ASK           ASKING
@@ -99,7 +93,6 @@ LANDING   REBOOTED      UNKNOWN        REBOOTED
 LANDING   DOWNLINK_GONE LANDING_UNSEEN LINK_LOST
 LANDING   UPLINK_GONE   LANDING
 LANDING   NOT_DOWN      LANDING_UNSEEN NOT_LANDED
-LANDING   GIVEN_UP      LANDING_UNSEEN OPERATOR_ABORT
 LANDING   OVER          LANDING_UNSEEN
 HANDED    RETURN        HANDED
 HANDED    HAND_OVER     HANDED
@@ -125,7 +118,17 @@ def test_the_table_is_the_one_written_out() -> None:
 
 @pytest.mark.parametrize(("state", "event"), list(product(LIVE, EXTERNAL)))
 def test_what_others_do_is_foreseen_in_every_state(state: FlightState, event: Event) -> None:
-    assert (state, event) in TABLE
+    assert ((state, event) in TABLE) is not ((state, event) in IMPOSSIBLE)
+
+
+def test_what_is_called_impossible_is_so_by_its_limits() -> None:
+    longest_climb_s = scheduler._TAKE_OFF_S + scheduler._CLIMBS_WITHIN_S
+    assert longest_climb_s + UNANSWERED_S < control.UPLINK_GIVE_UP_S, (
+        "the take-off itself waits for an answer for so long"
+    )
+    assert GATE.uplink_silence_max_s < control.UPLINK_GIVE_UP_S
+    held_s = supervisor.NEXT_MODE_AFTER_S * len(supervisor.abort_modes(GOOD)) + supervisor.REST_PATIENCE_S
+    assert GATE.uplink_silence_max_s + held_s < control.UPLINK_GIVE_UP_S
 
 
 @pytest.mark.parametrize(("state", "event"), list(TABLE))

@@ -113,10 +113,10 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.GROUND, E.DISARMED): Next(S.GROUND),
         (S.HANDED, E.DISARMED): Next(S.HANDED),
         (S.LANDING, E.DISARMED): Next(S.LANDED),
-        **{(s, E.DISARMED): Next(S.DISARMED, Out.DISARMED) for s in OURS - {S.LANDING}},
+        **{(s, E.DISARMED): Next(S.DISARMED, Out.DISARMED) for s in IN_AIR - {S.LANDING}},
         (S.GROUND, E.DROPPED): Next(S.GROUND),
         (S.HANDED, E.DROPPED): Next(S.HANDED),
-        **{(s, E.DROPPED): Next(S.DISARMED, Out.DISARMED) for s in OURS},
+        **{(s, E.DROPPED): Next(S.DISARMED, Out.DISARMED) for s in IN_AIR},
         (S.GROUND, E.REBOOTED): Next(S.GROUND),
         (S.HANDED, E.REBOOTED): Next(S.WITH_PILOT, Out.REBOOTED),
         (S.ARMING, E.REBOOTED): Next(S.NOT_ARMED, Out.REBOOTED),
@@ -126,12 +126,9 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         **{(s, E.DOWNLINK_GONE): Next(S.UNKNOWN, Out.LINK_LOST) for s in OURS - {S.LANDING}},
         (S.LANDING, E.DOWNLINK_GONE): Next(S.LANDING_UNSEEN, Out.LINK_LOST),
         **{(s, E.UPLINK_GONE): Next(s) for s in (S.GROUND, S.HANDED, S.LANDING)},  # nothing has to reach the vehicle
-        (S.HOLDING, E.UPLINK_GONE): Next(S.IN_ABORT_MODE, Out.UPLINK_LOST),
-        **{(s, E.UPLINK_GONE): Next(S.TO_AUTOPILOT, Out.UPLINK_LOST) for s in OURS - {S.HOLDING, S.LANDING}},
-        **{(s, E.GIVEN_UP): Next(S.TO_AUTOPILOT, Out.OPERATOR_ABORT) for s in OURS - {S.HOLDING, S.LANDING}},
-        (S.HOLDING, E.GIVEN_UP): Next(S.IN_ABORT_MODE, Out.OPERATOR_ABORT),
+        **{(s, E.UPLINK_GONE): Next(S.TO_AUTOPILOT, Out.UPLINK_LOST) for s in (S.ARMING, S.RETURNING, S.ASKING)},
+        (S.ASKING, E.GIVEN_UP): Next(S.TO_AUTOPILOT, Out.OPERATOR_ABORT),
         (S.LANDING, E.NOT_DOWN): Next(S.LANDING_UNSEEN, Out.NOT_LANDED),
-        (S.LANDING, E.GIVEN_UP): Next(S.LANDING_UNSEEN, Out.OPERATOR_ABORT),
         # the end of what the program does, wherever it stands
         (S.GROUND, E.OVER): Next(S.NOT_ARMED),
         (S.ARMING, E.OVER): Next(S.NOT_ARMED),
@@ -146,7 +143,18 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
 
 TABLE = _table()
 EXTERNAL = (E.FOREIGN_MODE, E.DISARMED, E.DROPPED, E.REBOOTED, E.DOWNLINK_GONE, E.UPLINK_GONE, E.OVER)
-"""Events that may come in any state."""
+"""Events that others cause, in any state but those of `IMPOSSIBLE`."""
+IMPOSSIBLE: dict[tuple[FlightState, Event], str] = {
+    (S.ARMING, E.DISARMED): "disarmed follows armed, and armed ends ARMING first",
+    (S.ARMING, E.DROPPED): "disarmed follows armed, and armed ends ARMING first",
+    (S.CLIMBING, E.UPLINK_GONE): "a climb begins with an answer and ends within 44 s, before 60 s without one",
+    (S.FLYING, E.UPLINK_GONE): "a step ends by its gate after seconds without an answer",
+    (
+        S.HOLDING,
+        E.UPLINK_GONE,
+    ): "the abort mode is asked for in the first seconds only, LAND after them, and is waited in for 6 s",
+}
+"""External events that a state cannot see, and why: no row, so that one would be a defect, which ends in the abort mode."""
 
 
 @dataclass
@@ -194,6 +202,8 @@ def table_as_markdown() -> str:
     lines = ["| state | event | follows |", "|---|---|---|"]
     for state, cells in rows:
         lines += [f"| {state.name} | {e.name} | {cell} |" for e, cell in zip(Event, cells, strict=True) if cell]
+    lines += ["", "What cannot happen has no row:", ""]
+    lines += [f"- {state.name} {event.name}: {why}." for (state, event), why in IMPOSSIBLE.items()]
     return "\n".join(lines) + "\n"
 
 
