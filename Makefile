@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test check mutants faults faults-sitl faults-endurance faults-lines faults-interrupts frozen sitl docs docs-site docs-figures notebooks clean
+.PHONY: demo test check mutants faults faults-sitl faults-endurance faults-lines faults-interrupts faults-changes frozen sitl docs docs-site docs-figures notebooks clean
 .DEFAULT_GOAL := demo
 
 .venv/installed: requirements.lock pyproject.toml
@@ -23,6 +23,9 @@ check: .venv/installed
 	$(BIN)/mypy
 	$(BIN)/mypy examples/log_report.py
 	$(BIN)/lint-imports
+
+faults-changes: .venv/installed  ## a flight for each change of the flight's state that no fault of the table makes
+	$(BIN)/python -m tests.faults.table --changes -o docs/faults.md
 
 frozen: .venv/installed  ## diagnose the frozen bench of sealed flights and compare with the answers kept
 	$(BIN)/python -m benchmarks.frozen
