@@ -38,7 +38,7 @@ from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.clock import Clock
 from flighttest.link.port import Port
-from flighttest.link.session import LinkSilent, Session
+from flighttest.link.session import LinkSilent, Session, StoppedByOperator
 from flighttest.link.streams import Streams
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
@@ -131,10 +131,13 @@ class _Flight:
                 with contextlib.suppress(Exception):  # whatever fails again here is the lesser news
                     supervisor.let_go(control, "the program failed")
                 raise
+        except StoppedByOperator:
+            outcome = FlightOutcome.OPERATOR_STOP
         except FlighttestError as error:
             self.recorder.manifest["outcome"] = str(error)
             raise
         finally:
+            self.session.stop_asked = None
             try:
                 left = self._close()
             finally:  # a defect of ours may be met again here; how the vehicle is left is known all the same
@@ -173,6 +176,7 @@ class _Flight:
     def _prepare(self) -> FlightControl:
         session, vehicle = self.session, self.vehicle
         set_params, waived = self.options.set_params, frozenset(self.options.waive)
+        session.stop_asked = lambda: self.options.stop_requested() > 0  # until something is set that must be restored
         self._say("connecting")
         beat = session.connect()
         if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
@@ -231,6 +235,7 @@ class _Flight:
                 "free some space, or choose --out",
             )
         self._say("checking the vehicle")
+        session.stop_asked = None
         self._inherit(set_params or simulator)
         found = preflight.checks(situation)
         if simulator:

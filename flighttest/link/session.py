@@ -32,6 +32,10 @@ class LinkSilent(LinkError):
     """The vehicle was there, and is not heard any more, or does not hear us: not a refusal."""
 
 
+class StoppedByOperator(LinkError):
+    """The operator asked to stop while `Session.stop_asked` was set: nothing on the vehicle was changed yet."""
+
+
 @dataclass(frozen=True)
 class Heard:
     """A message with the vehicle's time of its arrival, s."""
@@ -45,7 +49,7 @@ class Session:
 
     vehicle_system is 0 until the first HEARTBEAT of an autopilot. latest: message name to the last one heard from the vehicle. others:
     system ids of further autopilots that were heard, the vehicle's own where there are two of it. boots: how often the vehicle's clock
-    began anew.
+    began anew. stop_asked: set as long as waiting may be broken off (`advance` raises StoppedByOperator once it is true).
     """
 
     def __init__(self, port: Port, clock: Clock | None = None) -> None:
@@ -68,6 +72,7 @@ class Session:
         self._held = False
         self._sequence = Sequence()
         self.link = LinkMachine()
+        self.stop_asked: Callable[[], bool] | None = None
 
     def listen(self, listener: Callable[[Message, float], None]) -> None:
         """Call `listener(message, vehicle time s)` for every message from the vehicle."""
@@ -134,6 +139,8 @@ class Session:
     def advance(self, until_s: float) -> None:
         """Let time pass until the vehicle's clock shows until_s, taking in what arrives. Returns at once when it is past."""
         while True:
+            if self.stop_asked is not None and self.stop_asked():
+                raise StoppedByOperator("the operator asked to stop before anything was changed on the vehicle")
             self._keep_alive()
             if self._grants is not None:
                 self._advance_granted(until_s)
