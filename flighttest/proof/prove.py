@@ -17,9 +17,9 @@ from flighttest.errors import InputError
 from flighttest.proof import trial
 from flighttest.proof.cases import Case, Generator, Kind, cases_of, first_of
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.recorded.trial import run_recorded
 from flighttest.proof.recorded.cases import RecordedCase, drawn
 from flighttest.proof.recorded.sets import read_sets
+from flighttest.proof.recorded.trial import run_recorded
 
 Report = Callable[[str], None]
 AnyCase = Case | RecordedCase
