@@ -141,7 +141,7 @@ class _Flight:
             try:
                 left = self._close()
             finally:  # a defect of ours may be met again here; how the vehicle is left is known all the same
-                state = self._left(scheduler)
+                state = scheduler.control.machine.on(Event.OVER) if scheduler is not None else FlightState.NOT_ARMED
         if why:
             self.notes.append(why)
         self.recorder.manifest |= {
@@ -371,10 +371,6 @@ class _Flight:
         scheduler.land()
         return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
 
-    @staticmethod
-    def _left(scheduler: Scheduler | None) -> FlightState:
-        return scheduler.control.machine.on(Event.OVER) if scheduler is not None else FlightState.NOT_ARMED
-
     def _close(self) -> dict[str, float]:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         self._external_changes.known.clear()  # what changes from now on is restored
@@ -389,10 +385,8 @@ class _Flight:
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
                 left = self._changes.pending
                 self.notes.append(str(error))
-        if self.session.port.turned_away:
-            self._note(f"{self.session.port.turned_away} datagrams that others sent to this port were left out")
-        if self.session.port.refused:
-            self._note(f"{self.session.port.refused} frames that were not signed with the key were left out")
+        for text in self.session.port.left_out():
+            self._note(text)
         left |= self._unrestored
         if left:
             text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())

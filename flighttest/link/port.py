@@ -188,6 +188,14 @@ class Port:
             )  # a datagram that came twice or late is not 255 lost ones
         self._sequence[source] = sequence
 
+    def left_out(self) -> list[str]:
+        """What others sent and was not taken in, as sentences."""
+        counted = (
+            (self.turned_away, "datagrams that others sent to this port"),
+            (self.refused, "frames that were not signed with the key"),
+        )
+        return [f"{count} {what} were left out" for count, what in counted if count]
+
     @property
     def loss_share(self) -> float:
         """Share of the vehicle's frames that never arrived, 0..1."""

@@ -122,7 +122,7 @@ def test_what_others_do_is_foreseen_in_every_state(state: FlightState, event: Ev
 
 
 def test_what_is_called_impossible_is_so_by_its_limits() -> None:
-    longest_climb_s = scheduler._TAKE_OFF_S + scheduler._CLIMBS_WITHIN_S
+    longest_climb_s = scheduler.TAKE_OFF_WITHIN_S + scheduler.CLIMBS_WITHIN_S
     assert longest_climb_s + UNANSWERED_S < control.UPLINK_GIVE_UP_S, (
         "the take-off itself waits for an answer for so long"
     )

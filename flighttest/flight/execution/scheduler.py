@@ -25,8 +25,8 @@ REFUSED_IN_A_ROW_MAX = 4
 UNSETTLED_IN_A_ROW_MAX = 2  # each of them tried twice
 REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
-_RESET_GUESS_S, _TAKE_OFF_S = 10.0, 40.0
-_CLIMBS_M, _CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
+_RESET_GUESS_S, TAKE_OFF_WITHIN_S = 10.0, 40.0
+_CLIMBS_M, CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
 _VOLTAGE_WAIT_S = 1.0
 _LAND_S = 120.0
 _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
@@ -110,7 +110,7 @@ class Scheduler:
             return self._climb_by_throttle(height)
         answer = vehicle.take_off(height)
         # A repeated request is refused in the air.
-        climbs = answer.tries > 1 and self._reaches(_CLIMBS_M, _CLIMBS_WITHIN_S)
+        climbs = answer.tries > 1 and self._reaches(_CLIMBS_M, CLIMBS_WITHIN_S)
         if answer.result is None and not climbs:
             self.notes.append("the vehicle did not answer the request to take off")
             return FlightOutcome.CLIMB_ENDED
@@ -128,7 +128,7 @@ class Scheduler:
         control.on(Event.OVER)
 
     def _climb(self, height: float) -> FlightOutcome | None:
-        return None if self._reaches(height - 0.5, _TAKE_OFF_S) else self._not_climbed(height)
+        return None if self._reaches(height - 0.5, TAKE_OFF_WITHIN_S) else self._not_climbed(height)
 
     def _reaches(self, height: float, within_s: float) -> bool:
         """Whether the vehicle is seen at a height in time, or the operator asks to stop before."""
@@ -142,14 +142,14 @@ class Scheduler:
     def _not_climbed(self, height: float) -> FlightOutcome:
         seen = self.control.state.height_m
         known = "its height is not known" if seen is None else f"its height is {seen:.1f} m"
-        self.notes.append(f"the vehicle did not climb to {height:g} m within {_TAKE_OFF_S:.0f} s: {known}")
+        self.notes.append(f"the vehicle did not climb to {height:g} m within {TAKE_OFF_WITHIN_S:.0f} s: {known}")
         return FlightOutcome.CLIMB_ENDED
 
     def _climb_by_throttle(self, height: float) -> FlightOutcome | None:
         """Without a position: throttle up gently over level attitude, hold at the height."""
         control = self.control
         control.after()
-        deadline = control.session.now_s() + _TAKE_OFF_S
+        deadline = control.session.now_s() + TAKE_OFF_WITHIN_S
         began = control.session.now_s()
         while control.session.now_s() < deadline:
             state = control.state
