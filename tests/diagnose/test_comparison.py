@@ -361,16 +361,17 @@ def test_an_effect_between_two_optima_is_compared_with_what_the_equations_may_er
 
 
 @pytest.mark.parametrize(
-    ("term", "effect", "said"),
+    ("term", "effect", "repeated", "said"),
     [
-        ("thrust_fade", 4.0, False),  # beyond what the equations may err, with a nonlinear parameter
-        ("thrust_fade", 0.5, True),
-        ("axial_inflow", 4.0, True),  # linear: the scatter between cells is asked of
-        ("motor_saturation", 4.0, False),
-        ("motor_saturation", 0.5, True),  # no coefficient says whether it is there
+        ("thrust_fade", 4.0, True, False),  # beyond what the equations may err, with a nonlinear parameter
+        ("thrust_fade", 0.5, True, True),
+        ("thrust_fade", 4.0, False, True),
+        ("axial_inflow", 4.0, True, True),  # linear: the scatter between cells is asked of
+        ("motor_saturation", 4.0, False, False),
+        ("motor_saturation", 0.5, False, True),  # no coefficient says whether it is there
     ],
 )
-def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term, effect, said):
+def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term, effect, repeated, said):
     """The share of a pole of 3400 nats was 1 +- 1 by scatter alone: it and the delay are one direction."""
     found = catalogue()[term]
     name = found.params[0].name
@@ -382,7 +383,7 @@ def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term
     )
     n = SEGMENTS * EACH
     fit = fitted(rng.normal(size=n), np.ones((n, 1)), (name,), Model((term,)), {name: 0.99})
-    assert bool(may_be_absent(found, fit, np.full(n, effect), estimator)) is said
+    assert bool(may_be_absent(found, fit, np.full(n, effect), estimator, repeated=repeated)) is said
 
 
 def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):

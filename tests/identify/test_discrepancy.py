@@ -55,7 +55,7 @@ def test_of_a_kind_that_was_not_repeated_all_that_is_left_may_be_an_error_of_the
     estimate, limit = (discrepancy_limits(found.problem, found.solution, level)["r_rad_s", 0] for level in (0.5, 0.95))
     assert estimate < limit < 0.2
     alone = fit([replace(s, cell={**s.cell, "alone": k}) for k, s in enumerate(noisy(yaw, 0.05, 2))])
-    assert discrepancy_limits(alone.problem, alone.solution, 0.5)["r_rad_s", 0] == pytest.approx(1.0, abs=0.2)
+    assert discrepancy_limits(alone.problem, alone.solution, 0.5)["r_rad_s", 0] > 2 * limit
 
 
 def noisy(segments, std, seed):

@@ -196,7 +196,7 @@ def evidence_of(
     if found.why_not:
         return found
     # Asked last: it takes a covariance.
-    return replace(found, nothing=may_be_absent(term, fitted, profiled, estimator))
+    return replace(found, nothing=may_be_absent(term, fitted, profiled, estimator, repeated=floor.repeated(*place)))
 
 
 def unaffected(larger: Linearisation, smaller: Linearisation) -> frozenset[str]:
@@ -210,15 +210,17 @@ def unaffected(larger: Linearisation, smaller: Linearisation) -> frozenset[str]:
     return frozenset(found)
 
 
-def may_be_absent(term: Term, fitted: Fitted, effect: FloatArray, estimator: Estimator) -> str:
-    """Why a term's estimates do not exclude its absence, empty where they do. effect: of the term, as for `beyond_discrepancy`.
+def may_be_absent(term: Term, fitted: Fitted, effect: FloatArray, estimator: Estimator, *, repeated: bool) -> str:
+    """Why a term's estimates do not exclude its absence, empty where they do. effect: of the term, as for `beyond_discrepancy`; repeated:
+    whether steps were.
 
     By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
-    err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters not by a standard error at
-    the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were not used (`improved`).
+    err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters, where repeats vouch for it,
+    not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
+    not used (`improved`).
     """
     if beyond_discrepancy(fitted, effect, estimator):
-        return "" if term.shapes else may_be_nothing(term, fitted, estimator, discrepancy=False)
+        return "" if term.shapes and repeated else may_be_nothing(term, fitted, estimator, discrepancy=False)
     if not any(p.name in fitted.names for p in term.amplitudes):
         return "its effect is within what the equations may err"
     return may_be_nothing(term, fitted, estimator, discrepancy=True)

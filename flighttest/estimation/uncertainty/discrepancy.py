@@ -64,7 +64,7 @@ def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequenc
 def discrepancy_limits(problem: Problem, solution: Solution, level: float = LEVEL) -> dict[tuple[str, int], float]:
     """(channel, kind as of `kinds_of`) to the largest variance s_g^2 of an error of the equations there, in variances of its noise; level:
     of that limit, 0.5 for an estimate that is as often too large as too small. Of kinds of which nothing was repeated it is all that is
-    left."""
+    left, or `SHARE`."""
     at = State(np.zeros(0), list(solution.local), list(solution.evaluations))
     weighing = LikelihoodWeights(problem, solution.noise, solution.response_weight, robust=True)
     kinds = kinds_of(problem.segments)
@@ -74,12 +74,16 @@ def discrepancy_limits(problem: Problem, solution: Solution, level: float = LEVE
         index = np.array([r.index for r in part.responses])
         repeated = _repeated(problem.cells[index])
         limits = _limits(problem, solution, i, residual, level)
+        moved = [
+            SHARE**2 * _moved(part, solution.evaluations[i].residual, k, solution.noise)
+            for k in range(len(part.outputs))
+        ]
         for kind in np.unique(kinds[index]):
             mine = kinds[index] == kind
             for k, name in enumerate(part.outputs):
                 mask = part.mask[mine, :, k]
                 left = float((residual[mine, :, k] ** 2 * mask).sum() / max(mask.sum(), 1))
-                found[name, int(kind)] = limits[k] if repeated[mine].any() else left
+                found[name, int(kind)] = limits[k] if repeated[mine].any() else min(left, moved[k])
     return found
 
 
