@@ -10,6 +10,7 @@ from made_rows import autoregressive, responses, rows_of
 from flighttest.diagnose.residuals.lack_of_fit import floor_of
 from flighttest.diagnose.selection.candidates import redundant
 from flighttest.diagnose.selection.comparison import (
+    Between,
     Evidence,
     Fitted,
     beyond_discrepancy,
@@ -354,10 +355,10 @@ def test_an_effect_between_two_optima_is_compared_with_what_the_equations_may_er
     effect = size * rng.normal(size=SEGMENTS * EACH)
     limited = SimpleNamespace(segments=segments, discrepancy_limits=lambda *_: {("f_z_m_s2", 0): 1.0})
     effect *= size / np.sqrt(np.mean(effect**2))
-    assert beyond_discrepancy(fit, effect, limited) is beyond
+    assert beyond_discrepancy(fit, Between(effect), limited) is beyond
     precise = SimpleNamespace(segments=segments, discrepancy_limits=lambda *_: {})
-    assert beyond_discrepancy(fit, effect, precise)
-    assert not beyond_discrepancy(fit, 0.0 * effect, precise)
+    assert beyond_discrepancy(fit, Between(effect), precise)
+    assert not beyond_discrepancy(fit, Between(0.0 * effect), precise)
 
 
 @pytest.mark.parametrize(
@@ -383,7 +384,7 @@ def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term
     )
     n = SEGMENTS * EACH
     fit = fitted(rng.normal(size=n), np.ones((n, 1)), (name,), Model((term,)), {name: 0.99})
-    assert bool(may_be_absent(found, fit, np.full(n, effect), estimator, repeated=repeated)) is said
+    assert bool(may_be_absent(found, fit, Between(np.full(n, effect)), estimator, repeated=repeated)) is said
 
 
 def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):
@@ -410,3 +411,14 @@ def test_better_predictions_count_where_a_term_acts(rng):
     little, much = 0.08 * (rows.stratum == 0), 0.09 * (rows.stratum == 0)  # squares of 500 samples: 3.2 and 4.05
     assert unaffected(replace(rows, residual=rows.residual + little), rows) == {rows.channels[0], rows.channels[1]}
     assert unaffected(replace(rows, residual=rows.residual + much), rows) == {rows.channels[1]}
+
+
+@pytest.mark.parametrize(("push_m_s2", "beyond"), [(0.05, False), (0.2, True)])
+def test_a_push_that_all_responses_share_is_compared_with_what_instruments_drift_by(push_m_s2, beyond):
+    """Winds of 0.06 +- 0.7 m/s were named for a mean disturbance of 0.05 m/s^2; one of 2.5 m/s pushes by 0.75 m/s^2."""
+    fit = fitted(np.ones(SEGMENTS * EACH), np.ones((SEGMENTS * EACH, 1)), ("p0",))
+    noise = Noise({}, {"a_d_x_m_s2": 0.02})
+    fit = replace(fit, at=replace(fit.at, noise=noise))
+    estimator = SimpleNamespace(segments=responses(SEGMENTS, EACH, REPEATS), discrepancy_limits=lambda *_: {})
+    between = Between(np.zeros(SEGMENTS * EACH), {"a_d_x_m_s2": np.full(SEGMENTS, push_m_s2 / 0.02)})
+    assert beyond_discrepancy(fit, between, estimator) is beyond

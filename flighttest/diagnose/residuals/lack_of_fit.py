@@ -33,6 +33,12 @@ DRIFT = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
     for k, unit, std in (("f", "m_s2", 0.05), ("a", "m_s2", 0.1), ("v", "m_s", 0.03))
     for axis in "xyz"
 }
+# The same of the constant disturbances of responses: what drifts in seconds stays for all of a short flight.
+DISTURBANCE_DRIFT = {
+    "roll_d_rad": DRIFT["roll_rad"],
+    "pitch_d_rad": DRIFT["pitch_rad"],
+    "yaw_rate_d_rad_s": DRIFT["r_rad_s"],
+} | {f"a_d_{axis}_m_s2": DRIFT[f"f_{axis}_m_s2"] for axis in "xyz"}
 
 
 @dataclass(frozen=True)

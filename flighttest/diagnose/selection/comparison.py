@@ -8,13 +8,13 @@ where its probability, prior odds included, is above `PROBABILITY`, its effect h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
-from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.residuals.lack_of_fit import DISTURBANCE_DRIFT, RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
@@ -196,7 +196,27 @@ def evidence_of(
     if found.why_not:
         return found
     # Asked last: it takes a covariance.
-    return replace(found, nothing=may_be_absent(term, fitted, profiled, estimator, repeated=floor.repeated(*place)))
+    between = Between(profiled, shifted(after.rows, before.rows))
+    return replace(found, nothing=may_be_absent(term, fitted, between, estimator, repeated=floor.repeated(*place)))
+
+
+@dataclass(frozen=True)
+class Between:
+    """What a term changes between two optima. effect: (measured rows,) in the channels' units, nuisance parameters profiled out;
+    disturbances: name to the change of each response's, in standard deviations of their noise."""
+
+    effect: FloatArray
+    disturbances: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+def shifted(larger: Linearisation, smaller: Linearisation) -> dict[str, FloatArray]:
+    """Disturbance to the change of each response's, whitened: `Between.disturbances`."""
+    found = {}
+    for name in {*larger.disturbances} & {*smaller.disturbances}:
+        one, other = (rows.residual[rows.stratum == rows.strata.index(name)] for rows in (larger, smaller))
+        if one.size == other.size:
+            found[name] = one - other
+    return found
 
 
 def unaffected(larger: Linearisation, smaller: Linearisation) -> frozenset[str]:
@@ -210,43 +230,47 @@ def unaffected(larger: Linearisation, smaller: Linearisation) -> frozenset[str]:
     return frozenset(found)
 
 
-def may_be_absent(term: Term, fitted: Fitted, effect: FloatArray, estimator: Estimator, *, repeated: bool) -> str:
-    """Why a term's estimates do not exclude its absence, empty where they do. effect: of the term, as for `beyond_discrepancy`; repeated:
-    whether steps were.
+def may_be_absent(term: Term, fitted: Fitted, between: Between, estimator: Estimator, *, repeated: bool) -> str:
+    """Why a term's estimates do not exclude its absence, empty where they do. between: its effect; repeated: whether steps were.
 
     By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
     err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters, where repeats vouch for it,
     not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
     not used (`improved`).
     """
-    if beyond_discrepancy(fitted, effect, estimator):
+    if beyond_discrepancy(fitted, between, estimator):
         return "" if term.shapes and repeated else may_be_nothing(term, fitted, estimator, discrepancy=False)
     if not any(p.name in fitted.names for p in term.amplitudes):
         return "its effect is within what the equations may err"
     return may_be_nothing(term, fitted, estimator, discrepancy=True)
 
 
-def beyond_discrepancy(fitted: Fitted, effect: FloatArray, estimator: Estimator) -> bool:
-    """Whether an effect between two optima, (measured rows,) in the channels' units, is more than noise and an error of the equations that
-    all responses of a kind share may copy at a level of 5 %: with S_k its whitened sum of squares over the n_k samples of a channel and
-    kind, s_k^2 the variance of that error, estimated such that it is as often too large as too small (a limit of it would be a
-    second level of significance),
+def beyond_discrepancy(fitted: Fitted, between: Between, estimator: Estimator) -> bool:
+    """Whether an effect between two optima is more than noise and an error that responses share may copy at a level of 5 %: with S_k its
+    whitened sum of squares over the n_k samples of a channel and kind, or over the n_k responses of a disturbance, s_k^2 the variance of
+    what they share,
 
         z^2 = (sum S_k)^2 / sum S_k (1 + n_k s_k^2) > 1.96^2.
 
-    Of a linear coefficient this is its value over its standard error. Of others that ratio falls again far from the null value (Hauck &
+    s_k^2 of a channel is the variance of an error of the equations, estimated such that it is as often too large as too small (a limit of
+    it would be a second level of significance); of a disturbance, what instruments drift by (`DISTURBANCE_DRIFT`), alike in all responses.
+    Of a linear coefficient z is its value over its standard error. Of others that ratio falls again far from the null value (Hauck &
     Donner 1977), while the effect between the optima does not.
     """
     rows, limits = fitted.rows, estimator.discrepancy_limits(fitted.model, fitted.at, 0.5)
     measured = rows.sample >= 0
-    square = (effect / rows.scale[measured]) ** 2
+    square = (between.effect / rows.scale[measured]) ** 2
     kinds = kinds_of(estimator.segments)[rows.segment[measured]]
     n_kinds = int(kinds.max(initial=0)) + 1
     of_place = np.array([[limits.get((name, kind), 0.0) for kind in range(n_kinds)] for name in rows.channels])
     place = rows.stratum[measured] * n_kinds + kinds
     total, count = (np.bincount(place, what, of_place.size).reshape(of_place.shape) for what in (square, None))
-    variance = float(np.sum(total * (1.0 + count * of_place)))
-    return variance > 0.0 and float(total.sum()) ** 2 > 1.96**2 * variance
+    sum_of_squares, variance = float(total.sum()), float(np.sum(total * (1.0 + count * of_place)))
+    for name, change in between.disturbances.items():
+        shared = (DISTURBANCE_DRIFT[name] / fitted.at.noise.disturbance[name]) ** 2
+        sum_of_squares += float(change @ change)
+        variance += float(change @ change) * (1.0 + change.size * shared)
+    return variance > 0.0 and sum_of_squares**2 > 1.96**2 * variance
 
 
 def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepancy: bool) -> str:
