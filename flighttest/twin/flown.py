@@ -3,7 +3,8 @@
 With x_i the recorded responses of one step, m in number, and y the mean of the twin's n: RMS of x_i - y, against what the repeats of the
 recording by themselves would give, s sqrt(1 + 1/n) with s^2 the variance between the repeats. Each response counts from its own state
 before the step, and moved in time to where it fits y best: a link delivers one command earlier than another by milliseconds, which on the
-slope of a step is more than all else that repeats differ by. The mean of these moves is given apart, as a delay.
+slope of a step is more than all else that repeats differ by. The mean of these moves is given apart, as a delay. Compared is what was
+commanded alike: the stop after a step is planned with what is known of the vehicle by then, and the twin's plan knows more.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from flighttest.segments.commands import alike_until_s
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -44,7 +46,7 @@ def flown_errors(real: Sequence[Segment], twin: Sequence[Segment]) -> dict[str, 
         for channel in DRIVEN[mine[0].kind]:
             if not all(channel in s.y and np.isfinite(s.y[channel]).sum() >= _FEWEST for s in (*mine, *theirs)):
                 continue
-            end = min(float(s.t_s[-1]) - s.t_step_s for s in (*mine, *theirs)) - MOVE_S
+            end = alike_until_s((*mine, *theirs)) - MOVE_S
             grid = np.arange(0.0, end, GRID_S)
             if grid.size < _FEWEST:
                 continue

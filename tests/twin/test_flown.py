@@ -1,8 +1,11 @@
 """Steps flown by both, against what repeats differ by."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from flighttest.segments.commands import alike_until_s
 from flighttest.segments.model import Segment
 from flighttest.twin.flown import flown_errors
 
@@ -56,3 +59,21 @@ def test_a_delay_is_distinguished_and_jitter_of_the_link_does_not_widen_the_floo
     assert found["later_std_s"] == pytest.approx(0.008 / np.sqrt(60), rel=0.4)
     assert found["floor"] < 0.012
     assert found["ratio"] < 1.1
+
+
+def stopped_after(rng, count, stop_s):
+    """Steps of 0.2 rad that a counter-step ends."""
+    command = (np.array([4.0, 5.0, 5.0 + stop_s]), np.array([0.0, 0.2, -0.2]))
+    return [
+        replace(s, u={"roll_ref_rad": command}, y={"roll_rad": np.where(stop_s + 0.01 > T, s.y["roll_rad"], -0.2)})
+        for s in steps(rng, count)
+    ]
+
+
+def test_a_stop_that_was_planned_otherwise_is_not_compared():
+    rng = np.random.default_rng(6)
+    found = flown_errors(stopped_after(rng, 20, 0.7), stopped_after(rng, 20, 0.5))["roll_rad"]
+    assert found["ratio"] < 1.2
+    # A stop that comes a target earlier is the link's jitter, and what follows it is compared.
+    assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.68)]) == pytest.approx(0.98)
+    assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.5)]) == pytest.approx(0.5, abs=0.02)
