@@ -29,6 +29,7 @@ from flighttest.identify.fit import Fit, fit
 from flighttest.identify.selection import problem_of
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
+from flighttest.segments.commands import alike_until_s
 from flighttest.segments.model import Segment
 
 NO_LOOPS = "one side has no attitude references"
@@ -367,8 +368,8 @@ _GRID_S = 0.02
 
 
 def step_by_step(real: Sequence[Segment], simulated: Sequence[Segment]) -> tuple[StepDifference, ...]:
-    """Mean responses of the steps that both sides flew, the largest difference first. No model is in it; nor is what repeats differ by,
-    as their voltage."""
+    """Mean responses of the steps that both sides flew, the largest difference first, as long as the commands are alike. No model is
+    in it; nor is what repeats differ by, as their voltage."""
     sides: list[dict[object, list[Segment]]] = [{}, {}]
     for cells, segments in zip(sides, (real, simulated), strict=True):
         for s in segments:
@@ -378,7 +379,7 @@ def step_by_step(real: Sequence[Segment], simulated: Sequence[Segment]) -> tuple
     for key in sides[0].keys() & sides[1].keys():
         mine, theirs = sides[0][key], sides[1][key]
         channel, unit = _STEPPED[mine[0].kind]
-        end = min(float(s.t_s[-1]) - s.t_step_s for s in (*mine, *theirs))
+        end = alike_until_s((*mine, *theirs))
         grid = np.arange(0.0, end, _GRID_S)
         if grid.size < 5:
             continue
