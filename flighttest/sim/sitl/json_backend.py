@@ -10,9 +10,11 @@ On the wire NED and FRD (`frames` pins the signs); the plant is NWU and FLU.
 
 from __future__ import annotations
 
+import selectors
 import socket
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from math import sqrt
 from typing import Protocol
 
@@ -20,6 +22,7 @@ from flighttest.errors import InputError, LinkError
 from flighttest.sim.noise import Noise
 from flighttest.sim.plants.plant import Motion
 from flighttest.sim.sensors import SensorNoise
+from flighttest.sim.sitl.relay import Relay
 
 # magic, frame rate Hz, frame count, 16 or 32 pulse widths us (libraries/SITL/examples/JSON/readme.md in ArduPilot)
 _SHORT, _LONG = struct.Struct("<HHI16H"), struct.Struct("<HHI32H")
@@ -29,6 +32,9 @@ _IDLE_S = 0.2
 _STOPPED_S = 2.0  # on the ground without a turning motor, of the plant's time, until a flight counts as over
 # The firmware refuses to arm with a gyro below 1.8 times its 400 Hz loop; motor outputs change at 400 Hz.
 RATE_HZ = 800
+# The firmware adds up whole microseconds, rounded down, of differences between stamps: a little more than a step is a whole step.
+_STRETCH = 1.0 + 1e-5
+_BUSY_S = 0.005
 
 
 class MotorDriven(Protocol):
@@ -67,7 +73,7 @@ def state_text(
     shake, tremble: what vibration adds to specific force, m/s^2, and to rates, rad/s.
     """
     return (
-        f'\n{{"timestamp":{t_s:.6f},"imu":{{"gyro":[{m.p + tremble[0]:.8g},{tremble[1] - m.q:.8g},{tremble[2] - m.r:.8g}],'
+        f'\n{{"timestamp":{t_s:.9f},"imu":{{"gyro":[{m.p + tremble[0]:.8g},{tremble[1] - m.q:.8g},{tremble[2] - m.r:.8g}],'
         f'"accel_body":[{m.fx + shake[0]:.8g},{shake[1] - m.fy:.8g},{shake[2] - m.fz:.8g}]}},'
         f'"position":[{m.px:.9g},{-m.py:.9g},{-m.pz:.9g}],"attitude":[{m.roll:.8g},{-m.pitch:.8g},{-m.yaw:.8g}],'
         f'"velocity":[{m.vx:.8g},{-m.vy:.8g},{-m.vz:.8g}],"rng_1":{m.voltage:.5f},"rng_2":{m.current:.4f}}}\n'
@@ -75,7 +81,8 @@ def state_text(
 
 
 class JsonBackend:
-    """Serves one plant to one firmware. time_s: plant time, s; steps: how many; frames_lost: packets that never came.
+    """Serves one plant to one firmware. time_s: plant time, s; vehicle_us: the firmware's time, us; steps: how many; frames_lost: packets
+    that never came.
 
     After each landing the plant gets a battery as it began with: full, or one that rests at rested_v, V.
     """
@@ -99,6 +106,7 @@ class JsonBackend:
         self._socket.settimeout(_IDLE_S)
         self.port = int(self._socket.getsockname()[1])
         self.time_s = 0.0
+        self.vehicle_us = 0
         self.steps = self.frames_lost = 0
         self._frame = -1
         self._answer = b""
@@ -112,8 +120,12 @@ class JsonBackend:
         """End `run` when the firmware falls silent: one that waits for an answer would not notice that its parent is gone."""
         self._finishing = True
 
-    def run(self) -> None:
-        """Answer until `stop`, or after `finish` until the firmware is silent."""
+    def run(self, relay: Relay | None = None) -> None:
+        """Answer until `stop`, or after `finish` until the firmware is silent. relay: a ground program's way to the firmware, which may
+        grant time (`relay.Relay`)."""
+        if relay is not None:
+            self._run_between(relay)
+            return
         sock, receive = self._socket, self._socket.recvfrom
         try:
             while not self._stopped:
@@ -130,6 +142,47 @@ class JsonBackend:
         finally:
             sock.close()
 
+    def _run_between(self, relay: Relay) -> None:
+        """The same with a ground program's bytes passing beside, and no further than it grants."""
+        sock, selector = self._socket, relay.selector
+        sock.setblocking(False)
+        selector.register(sock, selectors.EVENT_READ)
+        waiting: tuple[bytes, tuple[str, int]] | None = None  # the firmware's packet that is not answered yet
+        try:
+            while not self._stopped:
+                if waiting is not None:
+                    if relay.may_run(self.vehicle_us + self._step_us(waiting[0])):
+                        packet, peer = waiting
+                        waiting = None
+                        if self.take(packet):
+                            sock.sendto(self._answer, peer)
+                    elif not relay.resting or relay.granted:
+                        relay.waits(self.vehicle_us)
+                        continue
+                found = selector.select(_BUSY_S if relay.busy else _IDLE_S)
+                if not found and self._finishing:
+                    return
+                heard = False
+                for key, _ in found:
+                    if key.fileobj is sock:
+                        heard = True
+                    else:
+                        relay.look(key.fileobj)
+                if heard:
+                    with suppress(ConnectionRefusedError, BlockingIOError):
+                        waiting = sock.recvfrom(256)
+                relay.flush()
+        finally:
+            relay.close()
+            sock.close()
+
+    def _step_us(self, packet: bytes) -> int:
+        """How far an answer to this packet takes the firmware's time, us."""
+        found = motor_commands(packet, self.plant.motors)
+        if found is None or found[0] == self._frame:
+            return 0
+        return int(1e6 * _STRETCH / (found[1] if found[1] >= 1 else RATE_HZ))
+
     def take(self, packet: bytes) -> bool:
         """Step the plant for one packet; whether there is an answer to send."""
         found = motor_commands(packet, self.plant.motors)
@@ -140,10 +193,12 @@ class JsonBackend:
             return True  # our answer was lost: the firmware asks again, and no time has passed
         if self._frame >= 0 and frame > self._frame + 1:
             self.frames_lost += frame - self._frame - 1
-        self._frame = frame
         dt = 1.0 / (rate_hz if rate_hz >= 1 else RATE_HZ)
         self.plant.step(commands, dt)
         self.time_s += dt
+        begun = self._frame < 0 or frame < self._frame  # a firmware takes its first stamp for its time
+        self.vehicle_us = int(1e6 * _STRETCH * self.time_s) if begun else self.vehicle_us + int(1e6 * _STRETCH * dt)
+        self._frame = frame
         self.steps += 1
         self._look_after(any(commands), dt)
         self._answer = self._state(dt)
@@ -161,12 +216,12 @@ class JsonBackend:
     def _state(self, dt_s: float) -> bytes:
         noise, motion = self._noise, self.plant.motion
         if noise is None or motion.on_ground:  # motors that carry nothing hardly shake the frame
-            return state_text(self.time_s, motion)
+            return state_text(_STRETCH * self.time_s, motion)
         # White noise of one density whatever the step: a 400 Hz sample has the stated deviation.
         density = sqrt(1.0 / (400.0 * dt_s))
         a, g, draw = noise.accel_m_s2 * density, noise.gyro_rad_s * density, self._draw
         return state_text(
-            self.time_s, motion, (a * draw(), a * draw(), a * draw()), (g * draw(), g * draw(), g * draw())
+            _STRETCH * self.time_s, motion, (a * draw(), a * draw(), a * draw()), (g * draw(), g * draw(), g * draw())
         )
 
 

@@ -1,7 +1,7 @@
 """A real ArduPilot firmware on the rotor vehicle's physics, or an identified one's: both processes, started and stopped together.
 
 The physics runs in a process of its own (one core), the firmware in another; the ground program has its url and nothing else, so no
-truth can reach a recording.
+truth can reach a recording. What it sends passes through the physics' process (`relay`), so that both can step through time together.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
 from flighttest.sim.sensors import SensorNoise
 from flighttest.sim.sitl.json_backend import RATE_HZ, JsonBackend, MotorDriven, bind_physics
-from flighttest.sim.sitl.launcher import Sitl, SitlOptions, launch, sitl_dir
+from flighttest.sim.sitl.launcher import Sitl, SitlOptions, free_ports, launch, sitl_dir
+from flighttest.sim.sitl.relay import Relay, listen
 
+_HOST = "127.0.0.1"
 _STOP_PATIENCE_S = 3.0
 # Full roll of ArduCopter's stock simulated quadrotor makes 404 rad/s^2. About half the default gain: these rotors have a lag, the
 # stock ones have none.
@@ -99,9 +101,8 @@ def firmware_parameters(options: SimOptions) -> dict[str, float]:
 class PhysicsSitl:
     """A firmware on our physics. url: where a ground program connects; vehicle: the `Sitl`; stopped when the `with` block ends."""
 
-    def __init__(self, vehicle: Sitl, physics: subprocess.Popen[bytes]) -> None:
-        self.vehicle, self._physics = vehicle, physics
-        self.url = vehicle.url
+    def __init__(self, vehicle: Sitl, physics: subprocess.Popen[bytes], url: str) -> None:
+        self.vehicle, self._physics, self.url = vehicle, physics, url
 
     @property
     def alive(self) -> bool:
@@ -129,12 +130,14 @@ class PhysicsSitl:
 def launch_on_physics(
     options: SimOptions, *, folder: Path | None = None, wait_s: float = 180.0, binary: Path | None = None, port: int = 0
 ) -> PhysicsSitl:
-    """Start the rotor vehicle of `options` under a real ArduCopter and wait until it can arm. port: as in `SitlOptions`. LinkError,
-    InputError as `launch`."""
+    """Start the rotor vehicle of `options` under a real ArduCopter and wait until it can arm. port: of the url, 0 takes a free one.
+    LinkError, InputError as `launch`."""
     parameters = firmware_parameters(options)
-    sock = bind_physics("127.0.0.1", 0)
-    physics_port = int(sock.getsockname()[1])
-    physics = start_physics(sock, options)
+    listening = listen(_HOST, port)
+    sock = bind_physics(_HOST, 0)
+    url, physics_port = f"tcp:{_HOST}:{listening.getsockname()[1]}", int(sock.getsockname()[1])
+    base = free_ports()
+    physics = start_physics(sock, options, (listening, base))
     shipped = sitl_dir()
     try:
         vehicle = launch(
@@ -146,7 +149,7 @@ def launch_on_physics(
                 rate_hz=RATE_HZ,
                 scripts=(shipped / "scripts" / "battery.lua",),
                 folder=folder,
-                port=port,
+                port=base,
             ),
             wait_s=wait_s,
             binary=binary,
@@ -154,15 +157,22 @@ def launch_on_physics(
     except BaseException:
         stop_physics(physics)
         raise
-    return PhysicsSitl(vehicle, physics)
+    return PhysicsSitl(vehicle, physics, url)
 
 
-def start_physics(sock: socket.socket, options: SimOptions) -> subprocess.Popen[bytes]:
-    """The physics in a process of its own, on a bound UDP socket that it takes over."""
+def start_physics(
+    sock: socket.socket, options: SimOptions, relayed: tuple[socket.socket, int] | None = None
+) -> subprocess.Popen[bytes]:
+    """The physics in a process of its own, on a bound UDP socket that it takes over. relayed: where ground programs connect, and the port
+    of the firmware they are to reach."""
     build_motor_plant(options)  # raise here, with its hint, what the child would only die of
+    sockets = [sock, *([relayed[0]] if relayed else [])]
     words = [sys.executable, "-m", "flighttest.sim.sitl.physics", str(sock.fileno()), options.to_json()]
-    process = subprocess.Popen(words, stdin=subprocess.PIPE, pass_fds=(sock.fileno(),), start_new_session=True)
-    sock.close()
+    words += [str(relayed[0].fileno()), str(relayed[1])] if relayed else []
+    descriptors = tuple(s.fileno() for s in sockets)
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, pass_fds=descriptors, start_new_session=True)
+    for one in sockets:
+        one.close()
     return process
 
 
@@ -177,9 +187,12 @@ def stop_physics(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def serve_physics(descriptor: int, options: SimOptions) -> None:
+def serve_physics(descriptor: int, options: SimOptions, listening: int | None = None, firmware_port: int = 0) -> None:
     """The child's part: serve until the parent's end of our standard input closes."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, fileno=descriptor)
+    relay = None
+    if listening is not None:
+        relay = Relay(socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=listening), (_HOST, firmware_port))
     noise = SensorNoise(**(options.model.get("noise", {}) if options.model else {})).scaled(options.noise)
     plant = build_motor_plant(options)
     backend = JsonBackend(plant, sock=sock, noise=noise, seed=options.seed, rested_v=options.voltage_v)
@@ -190,8 +203,8 @@ def serve_physics(descriptor: int, options: SimOptions) -> None:
         backend.finish()
 
     threading.Thread(target=watch, daemon=True).start()
-    backend.run()
+    backend.run(relay)
 
 
 if __name__ == "__main__":
-    serve_physics(int(sys.argv[1]), SimOptions.from_json(sys.argv[2]))
+    serve_physics(int(sys.argv[1]), SimOptions.from_json(sys.argv[2]), *map(int, sys.argv[3:]))
