@@ -67,9 +67,7 @@ from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 NEAR_FLOOR = 1.2  # noise floors that the twin's error may have in a channel that it predicts
 _DOF = 30.0  # of the model's own standard errors, which a model file does not keep
 _SPEED = 20.0
-_FIRMWARE_SPEED = (
-    3.0  # times real time: targets are due every 20 ms of the firmware's clock, and both processes share the machine
-)
+_FIRMWARE_SPEED = 20.0  # at most: time is granted, and a machine that is slower takes longer
 NOT_A_FILE = "as given"  # of a model that is in no file
 _Launched = AbstractContextManager[Simulation] | AbstractContextManager[PhysicsSitl]
 

@@ -36,6 +36,18 @@ def alike_until_s(segments: Sequence[Segment]) -> float:
     return float(t[parted[0]]) if parted.size else end
 
 
+def held_until_s(segment: Segment) -> float:
+    """Seconds for which the commands stay as the step has set them, or until the record ends."""
+    end = float(segment.t_s[-1]) - segment.t_step_s
+    for name, bound in _ALIKE.items():
+        if name in segment.u and len(segment.u[name][0]):
+            t, values = segment.u[name][0] - segment.t_step_s, segment.u[name][1]
+            first = values[max(int(np.searchsorted(t, 1e-6, side="right")) - 1, 0)]
+            left = t[(t > 0.0) & (np.abs(values - first) > bound)]
+            end = min(end, float(left[0])) if left.size else end
+    return end
+
+
 def _held(segment: Segment, name: str, t: FloatArray) -> FloatArray:
     """A reference at times since the step, held from each edge to the next."""
     edges, values = segment.u[name]

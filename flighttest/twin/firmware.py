@@ -1,15 +1,17 @@
 """An identified model under the real ArduCopter firmware: a frame whose closed attitude loops come out as identified.
 
-A model's attitude loops are closed ones, autopilot included. With the gains that the vehicle recorded, one frame gives them: the
-angular acceleration of a full output and the lag of the motors are fitted, axis by axis, so that `firmware_loops` answers steps as the
-model does. Where an axis' gains are not known, or cannot give the identified loop, gains are chosen as well, and that is said.
-Thrust, drag and every other term of the translation are the model's own; the motors' static curve is in them, so the firmware's is off.
+A model's attitude loops are closed ones, autopilot included. With the gains that the vehicle recorded, one frame gives them: the angular
+acceleration of a full output and the lag of the motors are fitted, axis by axis, so that `firmware_loops` answers steps as the vehicle
+did: by the mean responses that the model file keeps of its flights, whose form no second-order loop has, else by the model's own answers.
+The moments grow with the voltage as the thrust does, since they are of the same motors. Where an axis' gains are not known, or cannot
+give the identified loop, gains are chosen as well, and that is said. Thrust, drag and every other term of the translation are the model's
+own; the motors' static curve is in them, so the firmware's is off.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,7 +32,11 @@ from flighttest.twin.vehicle import options_of
 
 FloatArray = NDArray[np.float64]
 
-STEPS = {"roll": (0.2, 0.4), "pitch": (0.2, 0.4), "yaw": (1.0,)}  # rad, rad/s: of the paper's maneuvers
+STEPS = {
+    "roll": (0.2, 0.4),
+    "pitch": (0.2, 0.4),
+    "yaw": (1.0,),
+}  # rad, rad/s: of the paper's maneuvers, where none were kept
 SECONDS = 1.2
 NEAR = 0.05  # RMS error of a step, as a share of it, up to which the recorded gains are believed to be those that flew
 GAIN_RAD_S2 = 400.0  # of a frame whose gains are chosen: ArduCopter's stock simulated quadrotor makes 404
@@ -51,15 +57,29 @@ _LINEAR = {
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """An answer to one step. t_s, answer: (n,) s since the step, rad or rad/s; gain: moments at its voltage, in those at the nominal one;
+    flown: by the vehicle itself."""
+
+    step: float
+    t_s: FloatArray
+    answer: FloatArray
+    gain: float = 1.0
+    flown: bool = False
+
+
+@dataclass(frozen=True)
 class Axis:
     """What was fitted for one axis. gain: angular acceleration of a full output, rad/s^2; lag_s: of its motors; delay_s: of the link and
-    all else ahead of the firmware; error: RMS over the steps, as a share of them; gains: chosen ones, {} where the recorded ones fly."""
+    all else ahead of the firmware; error: RMS over the steps, as a share of them; gains: chosen ones, {} where the recorded ones fly;
+    flown: by steps as they were flown, not as the model answers them."""
 
     gain: float
     lag_s: float
     delay_s: float
     error: float
     gains: Mapping[str, float]
+    flown: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +105,7 @@ class Frame:
         )
         lacking = " and ".join(self.not_represented)
         return (
-            f"frame by the identified loops: {chosen}",
+            f"frame by the {'steps as flown' if all(a.flown for a in self.axes.values()) else 'identified loops'}: {chosen}",
             *self.notes,
             *([f"{lacking}: not in it, since the firmware has an estimator of its own"] if lacking else []),
             f"{1e3 * self.link_delay_s:.0f} ms of the identified delay are of the recorded link: not in it",
@@ -171,12 +191,12 @@ def frame_of_axis(stored: ModelFile, axis: str, loop: Loop, lags: tuple[float, f
     wanted, most = wanted_answers(stored, axis), min(2.0 * _hover(stored), 1.0)
 
     def made(x: FloatArray) -> list[FloatArray]:
-        return _answers(axis, loop, math.exp(x[0]), math.exp(x[1]), len(wanted[0]), most)
+        return _answers(axis, loop, math.exp(x[0]), math.exp(x[1]), wanted, most)
 
     x, error, delay = _least(
-        axis, wanted, made, [[math.log(g), math.log(math.sqrt(lags[0] * lags[1]))] for g in STARTS_RAD_S2], (1.0, lags)
+        wanted, made, [[math.log(g), math.log(math.sqrt(lags[0] * lags[1]))] for g in STARTS_RAD_S2], (1.0, lags)
     )
-    return Axis(math.exp(x[0]), math.exp(x[1]), delay, error, {})
+    return Axis(math.exp(x[0]), math.exp(x[1]), delay, error, {}, wanted[0].flown)
 
 
 def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:
@@ -194,31 +214,33 @@ def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:
         return replace(loop, angle_p=angle, rate_p=rate, rate_i=0.1 * rate)
 
     def made(x: FloatArray) -> list[FloatArray]:
-        return _answers(axis, settled(x), GAIN_RAD_S2, lag, len(wanted[0]), most)
+        return _answers(axis, settled(x), GAIN_RAD_S2, lag, wanted, most)
 
-    x, error, delay = _least(axis, wanted, made, [start], (0.01, (1e-4, 5.0)))
+    x, error, delay = _least(wanted, made, [start], (0.01, (1e-4, 5.0)))
     found = settled(x)
     gains = {f"ATC_ANG_{name}_P": found.angle_p, f"ATC_RAT_{name}_P": found.rate_p, f"ATC_RAT_{name}_I": found.rate_i}
-    return Axis(GAIN_RAD_S2, lag, delay, error, gains)
+    return Axis(GAIN_RAD_S2, lag, delay, error, gains, wanted[0].flown)
 
 
 def _least(
-    axis: str,
-    wanted: list[FloatArray],
+    wanted: Sequence[Wanted],
     made: Callable[[FloatArray], list[FloatArray]],
     starts: list[list[float]],
     bounds: tuple[float, tuple[float, float]],
 ) -> tuple[FloatArray, float, float]:
     """Least squares over two logarithms and the delay from the best of some starts; (the two, RMS share of the step, delay s)."""
-    t = LOOP_S * np.arange(len(wanted[0]))
     known: dict[tuple[float, ...], list[FloatArray]] = {}
 
     def off(x: FloatArray) -> FloatArray:
         key = tuple(x[:2])
         if key not in known:
             known[key] = made(x)
-        late = [np.interp(t - x[2], t, y) for y in known[key]]
-        return np.concatenate([(a - b) / s for a, b, s in zip(late, wanted, STEPS[axis], strict=True)])
+        return np.concatenate(
+            [
+                (np.interp(w.t_s - x[2], LOOP_S * np.arange(y.size), y) - w.answer) / w.step
+                for w, y in zip(wanted, known[key], strict=True)
+            ]
+        )
 
     lower = [math.log(bounds[0]), math.log(bounds[1][0]), DELAY_S[0]]
     upper = [math.log(1e4), math.log(bounds[1][1]), DELAY_S[1]]
@@ -227,8 +249,21 @@ def _least(
     return found.x[:2], float(np.sqrt(np.mean(found.fun**2))), float(found.x[2])
 
 
-def wanted_answers(stored: ModelFile, axis: str) -> list[FloatArray]:
-    """The model's answers to steps at time zero, delay included, at the loop's rate."""
+def wanted_answers(stored: ModelFile, axis: str) -> list[Wanted]:
+    """Steps as they were flown, where the model file keeps them, else the model's answers to steps at time zero; delay included."""
+    kept = (stored.fit_quality.get("flown_steps") or {}).get(axis) or []
+    alpha = stored.values["alpha"] if stored.valid.get("voltage_v") else 0.0
+    nominal_v = stored.model.nominal_voltage_v
+    flown = []
+    for row in kept:
+        volts, answer = row.get("voltage_v"), np.asarray(row["answer"], dtype=float)
+        gain = (float(volts) / nominal_v) ** alpha if volts else 1.0
+        t_s = float(row["period_s"]) * np.arange(answer.size, dtype=float)
+        flown.append(Wanted(float(row["size"]), t_s, answer, gain, True))
+    return flown or _model_answers(stored, axis)
+
+
+def _model_answers(stored: ModelFile, axis: str) -> list[Wanted]:
     model, values = stored.model, stored.values
     t: FloatArray = LOOP_S * np.arange(round(SECONDS / LOOP_S), dtype=float)
     volts = {"voltage_v": (t, np.full(t.size, model.nominal_voltage_v))}
@@ -238,7 +273,8 @@ def wanted_answers(stored: ModelFile, axis: str) -> list[FloatArray]:
         zero = (np.array([-1.0]), np.array([0.0]))
         u = dict.fromkeys(_REFERENCE.values(), zero) | {"throttle": (np.array([-1.0]), np.array([hover]))}
         u[_REFERENCE[axis]] = (np.array([-1.0, 0.0]), np.array([0.0, step]))
-        answers.append(np.asarray(simulate(model, values, t, {"p_z_m": 50.0}, u, volts)[_OUTPUT[axis]]))
+        y = np.asarray(simulate(model, values, t, {"p_z_m": 50.0}, u, volts)[_OUTPUT[axis]])
+        answers.append(Wanted(step, t, y))
     return answers
 
 
@@ -246,14 +282,20 @@ def _hover(stored: ModelFile) -> float:
     return float(stored.model.hover_throttle(stored.values, stored.model.nominal_voltage_v))
 
 
-def _answers(axis: str, loop: Loop, gain: float, lag_s: float, count: int, most: float) -> list[FloatArray]:
+def _answers(
+    axis: str, loop: Loop, gain: float, lag_s: float, wanted: Sequence[Wanted], most: float
+) -> list[FloatArray]:
+    """The loop's answers to the same steps, at its rate from the step on and as long as the latest delay asks for."""
     found = []
-    for step in STEPS[axis]:
+    for w in wanted:
+        count = round((float(w.t_s[-1]) - DELAY_S[0]) / LOOP_S) + 1
         if axis == "yaw":
-            angle, rate = _demanded(step, loop, count)
-            found.append(firmware_loops.fly(loop, gain, lag_s, angle, rate, most)[1])
+            angle, rate = _demanded(w.step, loop, count)
+            found.append(firmware_loops.fly(loop, gain * w.gain, lag_s, angle, rate, most)[1])
         else:
-            found.append(firmware_loops.fly(loop, gain, lag_s, np.full(count, step), np.zeros(count), most)[0])
+            found.append(
+                firmware_loops.fly(loop, gain * w.gain, lag_s, np.full(count, w.step), np.zeros(count), most)[0]
+            )
     return found
 
 

@@ -14,8 +14,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from flighttest.segments.commands import alike_until_s
+from flighttest.identify.models.model_blocks import FlownStepBlock
+from flighttest.segments.commands import alike_until_s, held_until_s
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -25,9 +27,15 @@ Curve = Callable[[FloatArray], FloatArray]
 DRIVEN: Mapping[str, tuple[str, ...]] = {
     "roll_step": ("roll_rad",), "pitch_step": ("pitch_rad",), "yaw_rate_step": ("r_rad_s",), "throttle_step": ("f_z_m_s2",),
 }  # fmt: skip
+# Steps of roll, pitch and yaw by what sets their size.
+ATTITUDE_STEPS: Mapping[str, tuple[str, str, str]] = {
+    "roll": ("roll_step", "amplitude_rad", "roll_rad"), "pitch": ("pitch_step", "amplitude_rad", "pitch_rad"),
+    "yaw": ("yaw_rate_step", "rate_rad_s", "r_rad_s"),
+}  # fmt: skip
+LONGEST_S = 1.2  # of a mean response: the loops have settled, and a counter-step follows
 GRID_S = 0.02
 MOVE_S = 0.1  # most that a link's delay is taken to differ by
-_MOVES_S = 0.001
+_COARSE_S, _MOVES_S = 0.01, 0.001
 _WITHIN = (-0.4, -0.2, 0.0, 0.2, 0.4)
 _FEWEST = 5  # samples of a response
 
@@ -66,6 +74,46 @@ def flown_errors(real: Sequence[Segment], twin: Sequence[Segment]) -> dict[str, 
     return dict(sorted(found.items()))
 
 
+def mean_steps(segments: Sequence[Segment]) -> dict[str, list[FlownStepBlock]]:
+    """Mean responses of roll, pitch and yaw rate by size of step, both signs taken as one; each moved in time to fit the others, and the
+    mean of the moves put back, so that the link's jitter blurs nothing. An axis without steps is not in it."""
+    found: dict[str, list[FlownStepBlock]] = {}
+    for axis, (kind, size, channel) in ATTITUDE_STEPS.items():
+        sizes: dict[float, list[tuple[Curve, float, float]]] = {}
+        for cell in _cells([s for s in segments if s.kind == kind and channel in s.y]).values():
+            for s in (s for s in cell if np.isfinite(s.y[channel]).sum() >= _FEWEST):
+                curve, sign = _since_the_step(s, channel, exact=True), math.copysign(1.0, s.cell[size])
+                row = (_scaled(curve, sign), min(map(held_until_s, cell)) - MOVE_S, _mean_voltage(s))
+                sizes.setdefault(abs(round(s.cell[size], 4)), []).append(row)
+        for step, rows in sorted(sizes.items()):
+            grid = np.arange(0.0, min(LONGEST_S, *(end for _, end, _ in rows)), GRID_S)
+            if step == 0.0 or grid.size < _FEWEST:
+                continue
+            curves = [curve for curve, _, _ in rows]
+            y = curves[0](grid)
+            for _ in range(2):
+                moves = [_best_move(curve, y, grid) for curve in curves]
+                y = np.mean(
+                    [_moved(c, m - float(np.mean(moves)), grid) for c, m in zip(curves, moves, strict=True)], axis=0
+                )
+            volts = float(np.mean([v for _, _, v in rows]))
+            block: FlownStepBlock = {
+                "size": step, "responses": len(rows), "voltage_v": round(volts, 3) if math.isfinite(volts) else None,
+                "period_s": GRID_S, "answer": [round(float(v), 5) for v in y],
+            }  # fmt: skip
+            found.setdefault(axis, []).append(block)
+    return found
+
+
+def _scaled(curve: Curve, factor: float) -> Curve:
+    return lambda at: factor * curve(at)
+
+
+def _mean_voltage(segment: Segment) -> float:
+    volts = segment.y.get("voltage_v")
+    return float(np.nanmean(volts)) if volts is not None and np.isfinite(volts).any() else math.nan
+
+
 def _in_step(
     mine: Sequence[Segment], theirs: Sequence[Segment], channel: str, grid: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -92,13 +140,15 @@ def _cells(segments: Sequence[Segment]) -> dict[object, list[Segment]]:
     return cells
 
 
-def _since_the_step(segment: Segment, channel: str) -> Curve:
-    """The response as a function of the time since the step, less its mean before it."""
+def _since_the_step(segment: Segment, channel: str, exact: bool = False) -> Curve:
+    """The response as a function of the time since the step, less its mean before it. exact: read at that very time."""
     t, y = segment.t_s - segment.t_step_s, segment.y[channel]
     good = np.isfinite(y)
     t, y = t[good], y[good]
     before = y[t <= 0.0]
     y = y - (before.mean() if before.size else y[0])
+    if exact:
+        return CubicSpline(t, y, extrapolate=False) if t.size > 3 else lambda at: np.interp(at, t, y)
     # Over one sample, so that the noise is much the same wherever between two samples the response is read.
     return lambda at: np.asarray(np.mean([np.interp(at + d * GRID_S, t, y) for d in _WITHIN], axis=0))
 
@@ -109,5 +159,10 @@ def _moved(curve: Curve, late_s: float, grid: FloatArray) -> FloatArray:
 
 def _best_move(curve: Curve, y: FloatArray, grid: FloatArray) -> float:
     """How much later than y this response comes, s, within MOVE_S: least squares."""
-    tried = np.arange(-MOVE_S, MOVE_S + 0.5 * _MOVES_S, _MOVES_S)
-    return float(min(tried, key=lambda m: float(np.sum((_moved(curve, m, grid) - y) ** 2))))
+    best, reach = 0.0, MOVE_S
+    for step in (_COARSE_S, _MOVES_S):
+        tried = best + step * np.arange(-round(reach / step), round(reach / step) + 1)
+        tried = tried[np.abs(tried) <= MOVE_S + 1e-9]
+        best = float(min(tried, key=lambda m: float(np.sum((_moved(curve, m, grid) - y) ** 2))))
+        reach = _COARSE_S
+    return best

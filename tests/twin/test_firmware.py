@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,8 +35,10 @@ def test_with_recorded_gains_gain_and_lag_of_the_frame_are_found(monkeypatch):
 
     def flown(_stored, axis):
         t = LOOP_S * np.arange(COUNT)
-        made = [fly(loop, 300.0, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0] for step in firmware.STEPS[axis]]
-        return [np.interp(t - 0.06, t, y) for y in made]
+        made = [
+            (step, fly(loop, 300.0, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0]) for step in firmware.STEPS[axis]
+        ]
+        return [firmware.Wanted(step, t, np.interp(t - 0.06, t, y)) for step, y in made]
 
     monkeypatch.setattr(firmware, "wanted_answers", flown)
     found = firmware.frame_of_axis(stored(parameters), "roll", loop)
@@ -43,6 +46,24 @@ def test_with_recorded_gains_gain_and_lag_of_the_frame_are_found(monkeypatch):
     assert found.lag_s == pytest.approx(0.02, rel=0.05)
     assert found.delay_s == pytest.approx(0.06, abs=1e-3)
     assert found.error < 1e-3
+
+
+def test_a_frame_is_of_the_steps_as_flown_at_the_voltage_they_were_flown_at():
+    parameters = {n: v for n, v in DEFAULTS.items() if n.startswith(("ATC_RAT_RLL", "ATC_RAT_PIT"))}
+    loop, file = loop_of("roll", parameters), stored(parameters, alpha=1.5)
+    volts = 1.1 * file.model.nominal_voltage_v
+    rows = []
+    for step in (0.2, 0.5):
+        y = fly(loop, 300.0 * 1.1**1.5, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0]
+        row = {"size": step, "responses": 6, "voltage_v": volts, "period_s": 0.02, "answer": y[:400:8].tolist()}
+        rows.append(row)
+    file = replace(file, fit_quality={"flown_steps": {"roll": rows}})
+    found = firmware.frame_of_axis(file, "roll", loop)
+    assert found.flown
+    assert found.gain == pytest.approx(300.0, rel=0.01)
+    assert found.lag_s == pytest.approx(0.02, rel=0.03)
+    assert found.delay_s == pytest.approx(0.0, abs=1e-3)
+    assert not firmware.frame_of_axis(stored(parameters), "roll", loop).flown
 
 
 def test_without_recorded_gains_gains_are_chosen_and_said():

@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.segments.commands import alike_until_s
 from flighttest.segments.model import Segment
-from flighttest.twin.flown import flown_errors
+from flighttest.twin.flown import MOVE_S, flown_errors, mean_steps
 
 T = np.arange(-0.2, 1.0, 0.02)
 
@@ -77,3 +77,18 @@ def test_a_stop_that_was_planned_otherwise_is_not_compared():
     # A stop that comes a target earlier is the link's jitter, and what follows it is compared.
     assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.68)]) == pytest.approx(0.98)
     assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.5)]) == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_mean_response_is_of_both_signs_and_late_by_the_mean_delay():
+    rng = np.random.default_rng(7)
+    flown = [
+        replace(s, u={"roll_ref_rad": (np.array([4.0, 5.0, 5.9]), np.array([0.0, a, -a]))}, cell={"amplitude_rad": a})
+        for a in (0.2, -0.2)
+        for s in steps(rng, 8, noise=1e-4, amplitude=a, late=0.04, jitter=0.01, offset=0.1)
+    ]
+    (found,) = mean_steps(flown)["roll"]
+    assert (found["size"], found["responses"]) == (0.2, 16)
+    t = found["period_s"] * np.arange(len(found["answer"]))
+    assert t[-1] == pytest.approx(0.9 - MOVE_S, abs=0.021)  # the counter-step is not in it
+    assert found["answer"] == pytest.approx(0.2 * np.clip((t - 0.04) / 0.3, 0.0, 1.0), abs=4e-3)
+    assert mean_steps([s for s in flown if s.kind == "pitch_step"]) == {}

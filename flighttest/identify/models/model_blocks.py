@@ -132,8 +132,20 @@ class StepsBlock(TypedDict):
     flown: list[dict[str, PlainData]]
 
 
+class FlownStepBlock(TypedDict):
+    """The mean answer to steps of one size, both signs taken as one: rad or rad/s, from the step on every period_s; voltage_v: at them,
+    None where it was not recorded."""
+
+    size: float
+    responses: int
+    voltage_v: float | None
+    period_s: float
+    answer: list[float]
+
+
 class QualityBlock(FitChecks, total=False):
-    """The block fit_quality: how good the fit is, and what later flights are compared with (discrepancy, steps, hover, battery)."""
+    """The block fit_quality: how good the fit is, and what later flights are compared with (discrepancy, steps, hover, battery), and
+    the steps of roll, pitch and yaw rate as they were flown (flown_steps), by which a twin under the real firmware gets its frame."""
 
     status: str
     iterations: int
@@ -147,6 +159,7 @@ class QualityBlock(FitChecks, total=False):
     steps: StepsBlock
     hover: HoverBlock
     battery: BatteryBlock
+    flown_steps: dict[str, list[FlownStepBlock]]
 
 
 class ModelData(TypedDict, total=False):

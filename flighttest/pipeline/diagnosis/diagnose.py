@@ -184,7 +184,11 @@ def write_diagnosis(
     (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
     fitted, kept = refit(found, segments, base, progress)
     model = model_data(fitted, recordings, vehicle) | {"diagnosed": looked_for(found)}
-    model_file.write(folder / MODEL_NAME, carry_over(model, base, kept) if base is not None and kept else model)
+    if base is not None and kept:
+        model = carry_over(model, base, kept)
+        before = base.fit_quality.get("flown_steps") or {}
+        model["fit_quality"]["flown_steps"] = {**before, **model["fit_quality"].get("flown_steps", {})}
+    model_file.write(folder / MODEL_NAME, model)
     page = run_document(
         recordings,
         fit_view(fitted, segments),

@@ -36,6 +36,7 @@ from flighttest.report.numbers import join, paths
 from flighttest.report.render.plain import plain
 from flighttest.report.sections import fit as fit_sections
 from flighttest.segments import Segment, cut
+from flighttest.twin.flown import mean_steps
 from flighttest.validity import matched_pair
 from flighttest.validity.between_campaigns import measured
 from flighttest.validity.hover import hover
@@ -226,6 +227,9 @@ def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | N
         extra["hover"] = plain(level)
     if battery:
         extra["battery"] = battery
+    flown = mean_steps(found.problem.segments)
+    if flown:
+        extra["flown_steps"] = flown
     data = model_file.as_data(found, fingerprint=of_recordings(recordings, vehicle), extra_quality=extra)
     whose = identity_of(recordings, vehicle)
     return {"format": data["format"], "vehicle": whose.as_data(), **data}
