@@ -16,6 +16,7 @@ from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import lineage
 from flighttest.pipeline.store.flown_with import FlownWith, keep, options_of
 from flighttest.pipeline.store.history import DEFAULT_RUNS
+from flighttest.pipeline.store.models import twin_command
 from flighttest.report.sections.diagnosis import missing_sections
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 
@@ -84,6 +85,28 @@ def test_an_accepted_model_comes_with_the_command_for_its_twin(call, tmp_path):
     said = joined(text)
     assert f"flighttesttwin{out}/models/heron/001.yaml--verify{out}/flown" in said
     assert "flynext" not in said
+
+
+@pytest.mark.parametrize(
+    ("firmware", "here", "backend"),
+    [
+        ("ArduCopter 4.7.0-dev (265753db)", True, " --backend sitl"),
+        ("ArduCopter 4.7.0-dev (265753db)", False, ""),
+        ("ArduCopter 4.7.0-dev (simulate)", True, ""),
+    ],
+)
+def test_a_twin_flies_under_the_firmware_that_flew_where_there_is_one(tmp_path, monkeypatch, firmware, here, backend):
+    program = tmp_path / "arducopter"
+    program.write_text("")
+    program.chmod(0o755 if here else 0o644)
+    monkeypatch.setenv("ARDUCOPTER", str(program))
+    (tmp_path / "flown").mkdir()
+    (tmp_path / "flown" / "script.yaml").write_text("")
+    path = write_model(tmp_path / "one") / "model.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"fingerprint": {"firmware": firmware}}))
+    command = twin_command(path, [tmp_path / "flown", tmp_path / "a log"])
+    assert command == f"flighttest twin {path} --verify {tmp_path}/flown{backend}"
+    assert twin_command(path, [tmp_path / "a log"]) == ""
 
 
 def test_what_is_to_fly_after_accept_and_status_flies_the_vehicle_of_the_models_flights(call, tmp_path):

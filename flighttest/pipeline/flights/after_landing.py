@@ -24,7 +24,7 @@ from flighttest.pipeline.store.flown_with import out_words, words_of
 from flighttest.pipeline.store.history import FIT_NAME, as_good
 from flighttest.pipeline.store.identities import whose
 from flighttest.pipeline.store.lineage import joint_fit_command, model_of, worse
-from flighttest.pipeline.store.models import NEXT_NAME, accepted
+from flighttest.pipeline.store.models import NEXT_NAME, accepted, twin_command
 from flighttest.pipeline.validity.reflights import reflights
 from flighttest.pipeline.validity.status import Today, judge
 from flighttest.recording import Recording
@@ -243,6 +243,13 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
     facts["model"] = str(folders[-1] / kept) if found.fit is not None else "-"
     if accepting:
         facts["accept it"] = accepting
+    if (
+        found.previous is not None
+        and found.previous.path
+        and not renewed(found)
+        and found.previous.model.attitude_loops
+    ):
+        facts["its twin"] = twin_command(Path(found.previous.path), folders)
     facts["report"] = str(folders[-1] / REPORT_NAME)
     if found.diagnosis is not None and (folders[-1] / "next.yaml").is_file():
         reason = found.diagnosis.get("next_reason") or {}

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from flighttest.errors import FlighttestError
+from flighttest.errors import FlighttestError, LinkError
+from flighttest.identify.models import model_file
 from flighttest.pipeline.results import Result
 from flighttest.pipeline.store.flown_with import options_of
 from flighttest.pipeline.store.history import check_runs, when
 from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since, take_into_use
 from flighttest.report.document import Cell, Document, Paragraph, Section, Table
 from flighttest.report.numbers import join
+from flighttest.sim.sitl.launcher import find_arducopter
 from flighttest.vehicle.load import load_vehicle
 
+SIMULATED = "(simulate"  # in the firmware's version: the built-in autopilot's
 NEXT_NAME = "next.yaml"  # the flight that a diagnosis proposes, beside its model
 
 
@@ -35,15 +39,31 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
         before = whole.generations[-2]
         facts["before it"] = f"model {before.number}: {'; '.join(before.ended)}"
     facts["now"] = "flighttest status RUN, run, check, validate RUN and export use it for this vehicle"
-    flown = [shlex.quote(str(out / name)) for name in made.runs if (out / name / "script.yaml").is_file()]
-    if flown:
-        facts["its twin"] = f"flighttest twin {shlex.quote(str(whole.current))} --verify {' '.join(flown)}"
+    command = twin_command(whole.current, [out / name for name in made.runs]) if whole.current is not None else ""
+    if command:
+        facts["its twin"] = command
     script = path / NEXT_NAME
     if script.is_file() and _fits_zone(path):
         flies = options_of([*(out / name for name in made.runs), path], out, vehicle)
         facts["fly next"] = f"flighttest run {shlex.quote(str(script))}{flies}"
     document = Document("accept", _sentence(whole, made), "good", (), facts)
     return Result(document, {"vehicle": whole.vehicle, "file": str(whole.current), **asdict(made)}, value=whole)
+
+
+def twin_command(model: Path, flown: Sequence[Path]) -> str:
+    """The command that flies the scripts of these runs on a model's twin, under the real ArduCopter where one flew and one is on this
+    machine; '' where none of them has a script."""
+    scripted = [shlex.quote(str(run)) for run in flown if (run / "script.yaml").is_file()]
+    if not scripted:
+        return ""
+    stored = model_file.read(model, whole=True)
+    firmware = str(stored.fingerprint.get("firmware") or "")
+    backend = ""
+    if firmware.startswith("ArduCopter") and SIMULATED not in firmware and stored.model.attitude_loops:
+        with suppress(LinkError):
+            find_arducopter()
+            backend = " --backend sitl"
+    return f"flighttest twin {shlex.quote(str(model))} --verify {' '.join(scripted)}{backend}"
 
 
 def _fits_zone(folder: Path) -> bool:
