@@ -36,6 +36,9 @@ FLOWN_S = 4.0
 STABLE = 2.0  # step times the model's fastest pole: Runge-Kutta of fourth order diverges above 2.78
 TOLERANCE = 1e-3
 MOST_ITERATIONS = 50
+MOST_INNER = (
+    20  # of a quadratic program: what converges takes 3 to 15; more go on at the limit of the numbers' precision
+)
 NEAR_M = 0.5
 
 
@@ -141,7 +144,7 @@ class Planner:
         weights = np.concatenate([np.tile(np.concatenate([self.q, self.r]), HORIZON), 10.0 * self.q])
         self.hessian = ca.diag(ca.DM(weights))
         self.weights = weights
-        options = {"hpipm": {"iter_max": 60}, "inf": 1e8, "error_on_fail": False}
+        options = {"hpipm": {"iter_max": MOST_INNER}, "inf": 1e8, "error_on_fail": False}
         self.solver = ca.conic("plan", "hpipm", {"h": self.hessian.sparsity(), "a": self.pattern}, options)
         entries = np.array(self.pattern.get_triplet())
         self.row, self.column = entries[0], entries[1]
@@ -241,6 +244,11 @@ class Planner:
         gain = feedback(hover_a[0], hover_b[0] * (self.u_high > self.u_low), self.q, self.r)
         spread, half = np.zeros((self.n_x, len(order))), [np.zeros(self.n_x)]
         covariance = np.asarray(known)[np.ix_(pick, pick)]
+        # The covariance is of the scatter of responses; a parameter's standard error holds what the equations may err, too.
+        stated = np.array([self.described["parameters"][n].get("std") or 0.0 for n in order])
+        scatter = np.sqrt(np.diag(covariance))
+        scale = np.maximum(np.divide(stated, scatter, out=np.ones_like(stated), where=scatter > 0.0), 1.0)
+        covariance = covariance * np.outer(scale, scale)
         h = INTERVAL_S / self.steps
         for k in range(HORIZON):
             x, added = self.x_plan[:, k], np.zeros_like(spread)
@@ -317,7 +325,7 @@ def main() -> None:
         print("tube: the model states no errors")
     else:
         at = {s: half[place, round(s / INTERVAL_S)].max() for s in (1, 3, 10)}
-        print(f"tube of the plan: 95 % within {', '.join(f'{w:.2f} m after {s} s' for s, w in at.items())}")
+        print(f"tube of the plan: 95 % within {', '.join(f'{w:.3f} m after {s} s' for s, w in at.items())}")
         if words.figure:
             words.figure.write_text(drawn(planner, half))
 
