@@ -2,11 +2,16 @@
 
 Target shaping, angle controller, rate controller and their filters at 400 Hz; the frame turns its output 0..1 into an angular acceleration
 through a first-order lag. Left out: slew and sum limits of the rate controller, notch filters, boosts on fast throttle changes.
+
+Two numbers are of the firmware as it runs here, on a physics of 800 steps a second, and were measured: a frame of 400 rad/s^2 and 6.8 ms,
+flown under it, looked like one of 374 rad/s^2 and 8.6 ms through these loops without them, and like 397 and 6.6 with them; the rotor
+vehicle's own 426 rad/s^2 and 5 ms came out as 401 and 7.1, with them as 428 and 5.0.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -17,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 LOOP_S = 0.0025
 _SUBSTEPS = 2  # of the physics behind the firmware, whose gyro filter runs at that rate
+_OUTPUT_STEPS = 2  # of the physics, until what the controller put out turns the frame
+_GYRO_BAND = 1.25  # cut-off of the gyro filter, of the one that is set
 # What the firmware does where nothing is set (AC_AttitudeControl.h, AC_AttitudeControl_Multi.h, AP_InertialSensor.cpp).
 DEFAULTS: dict[str, float] = {
     "ATC_RATE_FF_ENAB": 1.0, "ATC_INPUT_TC": 0.15, "INS_GYRO_FILTER": 20.0,
@@ -96,7 +103,8 @@ def fly(
 ) -> tuple[FloatArray, FloatArray]:
     """Angle rad and rate rad/s after every loop, (n,) each, from rest. gain: angular acceleration of a full output, rad/s^2; lag_s: of the
     motors; angle, rate (n,): the demanded angle rad and rate rad/s; most: output that the mixer lets through at the present throttle."""
-    gyro_step = _low_pass_2(loop.gyro_hz, LOOP_S / _SUBSTEPS)
+    gyro_step = _low_pass_2(_GYRO_BAND * loop.gyro_hz, LOOP_S / _SUBSTEPS)
+    under_way = deque([0.0] * _OUTPUT_STEPS)
     share_t, share_e, share_d = (_share(hz) for hz in (loop.target_hz, loop.error_hz, loop.derivative_hz))
     h = LOOP_S / _SUBSTEPS
     keep = math.exp(-h / lag_s)
@@ -114,7 +122,9 @@ def fly(
         out = loop.rate_p * error + integral + loop.rate_d * derivative + loop.rate_ff * filtered
         push = gain * min(max(out, -most), most)
         for _ in range(_SUBSTEPS):
-            accel = push + (accel - push) * keep
+            under_way.append(push)
+            now = under_way.popleft()
+            accel = now + (accel - now) * keep
             x += h * (v + 0.5 * h * accel)
             v += h * accel
             gyro = gyro_step(v)
