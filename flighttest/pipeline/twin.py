@@ -28,6 +28,8 @@ from flighttest.flight import FlightOptions, fly
 from flighttest.identify.fit import fit
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.physics.catalogue import catalogue
+from flighttest.physics.compose import block_of
 from flighttest.pipeline.diagnosis.against import difference_row, of_one_vehicle
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all
@@ -238,22 +240,27 @@ def compare_with_recordings(
     stored: ModelFile, segments: Sequence[Segment], found: Diagnosis, flown: Sequence[Segment], firmware: bool = False
 ) -> TwinData:
     """twin/1: parameters, error by channel in noise floors, steps, and the verdict. firmware: the attitude loops that flew are the
-    firmware's, not the model's: the channels of the steps are judged by the flown responses."""
+    firmware's, not the model's: the channels of the steps are judged by the flown responses, and a term of the loops that the recordings
+    need is looked for in the twin's flights."""
     assert found.fit is not None
     model = stored.model
     errors = {n: (p.std, _DOF) for n, p in stored.parameters.items() if p.std is not None and n in model.names}
     values: Mapping[str, float] = stored.values
+    loops: tuple[str, ...] = ()
     if flown:
         usable = [s for s in flown if s.usable]
-        again = fit(usable, model, select="all", start=stored.values)
+        if firmware:
+            loops = tuple(t for t in found.accepted if t not in model.terms and block_of(catalogue()[t]) == "attitude")
+        again = fit(usable, model.with_terms(*loops), select="all", start={**found.fit.values, **stored.values})
         known = errors_of(again)
         # The twin's own recordings, and the error of the model that it flies.
         errors = {n: (math.hypot(s, known[n][0]), min(d, known[n][1])) for n, (s, d) in errors.items() if n in known}
-        values = again.values
+        errors |= {n: e for n, e in known.items() if n not in model.names}
+        model, values = again.model, again.values
     real, twin = side_of(found.fit, found), Side(model, values, errors)
     rows = differences_of(real, twin)
     usable = [s for s in segments if s.usable]
-    made = prediction_quality(usable, model, stored.values, found.fit.noise)
+    made = prediction_quality(usable, stored.model, stored.values, found.fit.noise)
     floors, fitted = floors_of(found.fit, found), found.fit.quality
     channels = {
         c: {"rmse": q.rmse, "floor": floors[c], "ratio": q.rmse / floors[c], "fitted": fitted[c].rmse / floors[c]}
@@ -268,9 +275,9 @@ def compare_with_recordings(
         "format": "twin/1",
         "verdict": "NOTHING_MISSING" if not differing and not above else "DIFFERS",
         "near_floor": NEAR_FLOOR,
-        "terms": list(model.terms),
+        "terms": list(stored.model.terms),
         "titles": {t.id: t.title for t in found.model.built_terms},
-        "lacks": list(found.accepted),
+        "lacks": [t for t in found.accepted if t not in loops],
         "differing": [d.name for d in differing],
         "channels": plain(channels),
         "flown_channels": plain(steps_flown),

@@ -129,3 +129,33 @@ def test_under_the_firmware_steps_are_judged_as_flown(monkeypatch):
         data |= {"flights": 1, "assumed": [], "backend": "sitl"}
         assert f"{ratio:.2f}" in verify_sentence(data)
         assert len(verify_sections(data)[1].blocks) == 2
+
+
+@pytest.mark.parametrize(
+    ("firmware", "pole", "lacks"), [(True, 0.05, []), (True, 0.15, []), (False, 0.05, ["attitude_extra_pole"])]
+)
+def test_a_term_of_the_loops_is_looked_for_in_what_flew_under_the_firmware(monkeypatch, firmware, pole, lacks):
+    """The loops that fly there are the firmware's: that the model has no third pole does not mean that the twin has none."""
+    file = stored()
+    model = file.model.with_terms("attitude_extra_pole")
+    values = model.start(file.values) | {"attitude_pole_tau": 0.05, "attitude_pole_share": 0.5}
+    real = SimpleNamespace(quality={}, noise=None, values=values)
+    found = diagnosed(real, model)
+    found.accepted = ("attitude_extra_pole",)
+    errors = {n: (0.01 * abs(values[n]) + 1e-6, 30.0) for n in model.names}
+    monkeypatch.setattr(twin, "prediction_quality", lambda *_: {})
+    monkeypatch.setattr(twin, "side_of", lambda _fit, _found: twin.Side(model, values, errors))
+    monkeypatch.setattr(twin, "flown_errors", lambda *_: {})
+    monkeypatch.setattr(twin, "step_by_step", lambda *_: ())
+
+    def fitted(_segments, of, **_more):
+        flown = {n: values[n] for n in of.names} | (
+            {"attitude_pole_tau": pole} if "attitude_pole_tau" in of.names else {}
+        )
+        return SimpleNamespace(model=of, values=flown)
+
+    monkeypatch.setattr(twin, "fit", fitted)
+    monkeypatch.setattr(twin, "errors_of", lambda f: {n: errors[n] for n in f.model.names})
+    data = twin.compare_with_recordings(file, [], found, [SimpleNamespace(usable=True)], firmware=firmware)
+    assert data["lacks"] == lacks
+    assert ("attitude_pole_tau" in data["differing"]) == (pole > 0.1 or not firmware)
