@@ -389,9 +389,8 @@ def step_by_step(real: Sequence[Segment], simulated: Sequence[Segment]) -> tuple
         if min(len(mine), len(theirs)) > 1:
             scatter = math.sqrt(sum(float(np.mean(np.var(r, axis=0, ddof=1))) / len(r) for r in rows))
         cell, repeats = dict(mine[0].cell), (len(mine), len(theirs))
-        found.append(
-            StepDifference(mine[0].kind, cell, channel, unit, repeats, float(np.sqrt(np.mean(off**2))), scatter)
-        )
+        rms = float(np.sqrt(np.mean(off**2)))
+        found.append(StepDifference(mine[0].kind, cell, channel, unit, repeats, rms, scatter))
     return tuple(sorted(found, key=lambda d: -d.rms / (d.scatter or math.inf)))
 
 

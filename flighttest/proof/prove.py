@@ -44,6 +44,11 @@ class ProofRequest:
 
 def _cases(asked: ProofRequest, seed: int) -> Sequence[AnyCase]:
     if asked.generator != "recorded":
+        if asked.recordings is not None or asked.data is not None:
+            raise InputError(
+                f"the generator {asked.generator!r} flies and takes no recordings",
+                "add --generator recorded, or leave --recordings and --data out",
+            )
         return cases_of(seed, asked.trials, asked.generator, asked.kind, asked.clean)
     if asked.recordings is None or asked.data is None:
         raise InputError(

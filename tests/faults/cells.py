@@ -127,7 +127,7 @@ def judge(proxy: Proxy, flight: Callable[[Callable[[], int]], FlightResult], tru
 
 @contextlib.contextmanager
 def changes_of_state(proxy: Proxy) -> Iterator[set[tuple[FlightState, Event]]]:
-    """The changes of state of a flight meanwhile, as (state, event); the proxy is told of each."""
+    """The changes of state of a flight meanwhile, as (state, event); the proxy gets each of them."""
 
     def on(machine: Machine, event: Event, why: str = "") -> FlightState:
         before = machine.state

@@ -9,6 +9,7 @@ import pytest
 from flighttest.errors import InputError
 from flighttest.frames import G_M_S2
 from flighttest.proof.outcome import Outcome
+from flighttest.proof.prove import ProofRequest, run_trials
 from flighttest.proof.recorded import cases, sets, trial
 from flighttest.proof.recorded.injection import inject
 from flighttest.proof.recorded.side_by_side import Vehicle
@@ -174,3 +175,10 @@ def test_pairs_of_campaigns_are_counted_by_their_flag_and_are_no_clean_trials():
     assert found["unchanged"] == (1, 2)
     assert found["false_alarms"] == (0, 1)
     assert {m["index"] for m in found["misses"]} == {1, 2}
+
+
+def test_recordings_are_of_the_generator_that_takes_them(tmp_path):
+    with pytest.raises(InputError, match="takes no recordings"):
+        run_trials(ProofRequest(1, 1, data=tmp_path))
+    with pytest.raises(InputError, match="needs recordings"):
+        run_trials(ProofRequest(1, 1, generator="recorded", data=tmp_path))

@@ -19,7 +19,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as book
 
-from flighttest.errors import LinkError
 from flighttest.sim.wire import Decoder
 
 PARAMETER = "SIM_LOCKSTEP"
@@ -60,22 +59,6 @@ class Frames:
             at += size
         self._rest = data[at:]
         return data[:at]
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """A TCP socket that listens on host:port, 0 any free one; LinkError where it cannot."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        sock.bind((host, port))
-    except OSError as error:
-        sock.close()
-        raise LinkError(
-            f"port {port} cannot be had: {error.strerror}",
-            "stop what listens there, or give another port (0 takes a free one)",
-        ) from error
-    sock.listen(8)
-    return sock
 
 
 class Relay:
