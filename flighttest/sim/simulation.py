@@ -19,7 +19,8 @@ from typing import Literal
 
 from flighttest.errors import LinkError
 from flighttest.sim.options import SimOptions
-from flighttest.sim.server import Server, bind_datagrams, listen
+from flighttest.sim.ports import bind_datagrams, listen
+from flighttest.sim.server import Server
 
 _STOP_PATIENCE_S = 3.0
 

@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.plants.plant_motors import MotorPlant
-from flighttest.sim.server import listen
+from flighttest.sim.ports import listen
 from flighttest.sim.sitl.json_backend import JsonBackend
 from flighttest.sim.sitl.relay import PARAMETER, Frames, Relay
 

@@ -22,8 +22,8 @@ from flighttest.sim.plants.battery import Battery
 from flighttest.sim.plants.plant_motors import MotorPlant
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
+from flighttest.sim.ports import listen
 from flighttest.sim.sensors import SensorNoise
-from flighttest.sim.server import listen
 from flighttest.sim.sitl.json_backend import RATE_HZ, JsonBackend, MotorDriven, bind_physics
 from flighttest.sim.sitl.launcher import Sitl, SitlOptions, free_ports, launch, sitl_dir
 from flighttest.sim.sitl.relay import Relay
