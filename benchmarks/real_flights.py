@@ -22,23 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.page import write_block
+from flighttest.proof.recorded.sets import read_sets
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-NEURAL_FLY = REPOSITORY / "examples" / "columns" / "neural_fly.yaml"
+LISTED = REPOSITORY / "examples" / "recordings" / "public.yaml"
 CALM = ("NOTHING_MISSING", "EXPLAINED")
 ANY = (*CALM, "PARTLY")
-# A small quadrotor's thrust is quadratic in its command (Foerster 2015, system identification of the Crazyflie).
-THRUST = frozenset({"throttle_curve", "throttle_offset"})
-# What ArduCopter's own loops do: boost by lean angle, shaped references, heading hold (AC_AttitudeControl).
-AUTOPILOT = frozenset(
-    {"angle_boost", "reference_shaping", "yaw_rate_shaping", "heading_hold", "heading_rate_reference", "turn_axes",
-     "rotor_speed_lag", "attitude_extra_pole", "roll_pitch_coupling"}
-)  # fmt: skip
-
-# What ArduPilot's own simulator flies: drag by areaCd v^2, rotors that lose outflow with the speed of the air into them, momentum drag
-# with the square root of thrust, a battery with a resistance (libraries/SITL: SIM_Frame.cpp calculate_forces, SIM_Motor.cpp
-# calculate_forces and calc_thrust, SIM_Battery.cpp).
-ARDUPILOT_SITL = frozenset({"quadratic_drag", "axial_inflow", "thrust_scaled_drag", "voltage_sag"})
 
 
 @dataclass(frozen=True)
@@ -57,70 +46,42 @@ class Recordings:
     refused: str = ""
 
 
-def flights_of(data: Path) -> list[Recordings]:
-    """Every set that is here."""
-    tunnel = "wind_tunnel/custom_figure8_*_{}.csv.gz"
-    drag = frozenset({"thrust_scaled_drag", "quadratic_drag", "attitude_offset", "translational_lift", *THRUST})
-    normal = "propeller_damage/controller_data/normal_flight/E8_log0{}"
+# What a set's documentation supports, by words of its name, and the verdicts that fit it; the first that matches counts.
+SUPPORTS = (
+    ("weight_on_string", "a load on a string; a change of mass or of a propeller shows against the undamaged model only", ANY),
+    ("propeller damage", "nothing but the thrust curve: a change shows against the undamaged model only", CALM),
+    ("still air", "no wind", ANY),
+    ("failure", "a mechanical failure in flight: located, or outside what a flight model holds", (*ANY, "UNKNOWN_PHYSICS")),
+    ("ArduCopter SITL", "the autopilot's own, and what its simulator flies", ANY),
+    ("ArduCopter", "pilot's flight outdoors: wind possible, nothing else documented", ANY),
+    ("real firmware", "the autopilot's own", CALM),
+)  # fmt: skip
+
+
+def flights_of() -> list[Recordings]:
+    """Every set that is listed, and three questions beside them."""
+    listed = {one.name: one for one in read_sets(LISTED)}
+    normal = listed["propeller damage, controller_data, normal_flight"]
+    tunnel = [one for one in listed.values() if one.source == "wind tunnel"]
+    own = frozenset(term for one in tunnel for term in one.own)
     found = [
         Recordings(
-            "propeller damage, two undamaged flights", (normal.format(0), normal.format(1)), "nothing but the thrust curve",
-            allowed=THRUST,
+            "propeller damage, two undamaged flights", tuple(f.replace("*", f"E8_log0{k}") for k in (0, 1) for f in normal.files),
+            "nothing but the thrust curve", allowed=frozenset(normal.own),
         ),
         Recordings(
-            "wind tunnel, nine flights", (tunnel.format("*wind"),), "winds of 0, 4.2 and 8.5 m/s along x", ANY,
-            drag | {"steady_wind"}, frozenset({"steady_wind"}), NEURAL_FLY, {"35wind": 4.2, "70wind": 8.5, "nowind": 0.0},
+            "wind tunnel, nine flights", tuple(f for one in tunnel for f in one.files), "winds of 0, 4.2 and 8.5 m/s along x", ANY,
+            own, frozenset({"steady_wind"}), tunnel[0].columns, {"35wind": 4.2, "70wind": 8.5, "nowind": 0.0},
         ),
-        Recordings(
-            "wind tunnel, still air", (tunnel.format("nowind"),), "no wind", ANY, drag, columns=NEURAL_FLY
-        ),
-    ]  # fmt: skip
-    for kind in ("controller_data", "motor_data"):
-        root = data / "propeller_damage" / kind
-        for folder in sorted(root.iterdir()) if root.is_dir() else []:
-            loaded = "weight_on_string" in folder.name
-            found.append(
-                Recordings(
-                    f"propeller damage, {kind}, {folder.name}", (f"propeller_damage/{kind}/{folder.name}/*",),
-                    "a load on a string; a change of mass or of a propeller shows against the undamaged model only" if loaded
-                    else "nothing but the thrust curve: a change shows against the undamaged model only",
-                    ANY if loaded else CALM, THRUST | ({"slung_payload"} if loaded else set()),
-                )
-            )  # fmt: skip
-    for file in ("copter_3.2_2014.BIN", "copter_3.4_erlebrain3.BIN", "copter_3.4_mechanical_failure.bin"):
-        found.append(
-            Recordings(
-                f"ArduCopter, {file}", (f"arducopter_logs/{file}",),
-                "pilot's flight outdoors: wind possible, nothing else documented" if "failure" not in file
-                else "a mechanical failure in flight: located, or outside what a flight model holds",
-                ANY if "failure" not in file else (*ANY, "UNKNOWN_PHYSICS"), AUTOPILOT | THRUST | {"steady_wind", "attitude_offset"},
-            )
-        )  # fmt: skip
-    for file in ("sitl_4.7dev_steps.BIN", "sitl_4.7dev_steps.tlog"):
-        found.append(
-            Recordings(
-                f"ArduCopter SITL, {file}",
-                (f"arducopter_logs/{file}",),
-                "the autopilot's own, and what its simulator flies",
-                ANY,
-                AUTOPILOT | THRUST | ARDUPILOT_SITL,
-            )
-        )
-    for file in ("recording.BIN.xz", "recording.tlog.gz"):
-        found.append(
-            Recordings(
-                f"real firmware, clean, {file}",
-                (f"real_firmware_clean/{file}",),
-                "the autopilot's own",
-                CALM,
-                AUTOPILOT,
-            )
-        )
-    found.append(
         Recordings(
             "thrust stand", ("thrust_stand/data/single_rotor/xNova-SR-ramp.csv",), "refused: no flight", refused="RecordingError",
-        )
-    )  # fmt: skip
+        ),
+    ]  # fmt: skip
+    for one in listed.values():
+        if one in tunnel and "still air" not in one.name:
+            continue  # asked of all nine
+        supports, verdicts = next((text, fit) for words, text, fit in SUPPORTS if words in one.name)
+        found.append(Recordings(one.name, one.files, supports, verdicts, frozenset(one.own), columns=one.columns))
     return found
 
 
@@ -210,7 +171,7 @@ def main() -> None:
         "| recordings | files | flown, s | documentation supports | answer | judged | s per 100 s of flight: wall / processor |",
         "|---|---|---|---|---|---|---|",
     ]
-    for one in flights_of(data):
+    for one in flights_of():
         if not asked.words or any(w in one.name for w in asked.words):
             lines.append(row(one, data))
             print(lines[-1], file=sys.stderr, flush=True)

@@ -125,7 +125,7 @@ def judged(
     )
 
 
-def its_own(case: Case) -> frozenset[str]:
+def firmware_terms(case: Case) -> frozenset[str]:
     """Terms of a firmware, which brings loops of its own and is no part of what is hidden."""
     if case.generator != "sitl":
         return frozenset()

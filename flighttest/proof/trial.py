@@ -19,7 +19,7 @@ from flighttest.physics.model import Model
 from flighttest.proof import oracle
 from flighttest.proof.cases import ALIASED, Case
 from flighttest.proof.flying import fly_campaign, options_of
-from flighttest.proof.outcome import Outcome, its_own, judged, shared_truth
+from flighttest.proof.outcome import Outcome, firmware_terms, judged, shared_truth
 from flighttest.segments import Segment
 from flighttest.sim.plants.rotor_vehicle import random_rotor
 
@@ -59,7 +59,7 @@ def opened(case: Case, found: DiagnosisData, measured: Measured) -> Outcome:
         for effect, true in measured.forces.items()
     }
     return replace(
-        judged(case, case.hide, found, its_own(case), shared_truth(case)),
+        judged(case, case.hide, found, firmware_terms(case), shared_truth(case)),
         sizes=measured.sizes,
         classes=measured.classes,
         forces=forces,

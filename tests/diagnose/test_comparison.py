@@ -10,10 +10,11 @@ from made_rows import autoregressive, responses, rows_of
 from flighttest.diagnose.residuals.lack_of_fit import floor_of
 from flighttest.diagnose.selection.candidates import redundant
 from flighttest.diagnose.selection.comparison import (
-    Between,
+    Change,
     Evidence,
     Fitted,
     beyond_discrepancy,
+    change_by_stratum,
     evidence_of,
     inadmissible,
     log_evidence,
@@ -22,7 +23,6 @@ from flighttest.diagnose.selection.comparison import (
     may_be_nothing,
     probability_of,
     standard_errors,
-    unaffected,
 )
 from flighttest.diagnose.selection.held_out import CrossValidation, cross_validated, held_out_falls, stratum_gains
 from flighttest.estimation.linearisation import Optimum
@@ -355,10 +355,10 @@ def test_an_effect_between_two_optima_is_compared_with_what_the_equations_may_er
     effect = size * rng.normal(size=SEGMENTS * EACH)
     limited = SimpleNamespace(segments=segments, discrepancy_limits=lambda *_: {("f_z_m_s2", 0): 1.0})
     effect *= size / np.sqrt(np.mean(effect**2))
-    assert beyond_discrepancy(fit, Between(effect), limited) is beyond
+    assert beyond_discrepancy(fit, Change(effect), limited) is beyond
     precise = SimpleNamespace(segments=segments, discrepancy_limits=lambda *_: {})
-    assert beyond_discrepancy(fit, Between(effect), precise)
-    assert not beyond_discrepancy(fit, Between(0.0 * effect), precise)
+    assert beyond_discrepancy(fit, Change(effect), precise)
+    assert not beyond_discrepancy(fit, Change(0.0 * effect), precise)
 
 
 @pytest.mark.parametrize(
@@ -384,7 +384,7 @@ def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term
     )
     n = SEGMENTS * EACH
     fit = fitted(rng.normal(size=n), np.ones((n, 1)), (name,), Model((term,)), {name: 0.99})
-    assert bool(may_be_absent(found, fit, Between(np.full(n, effect)), estimator, repeated=repeated)) is said
+    assert bool(may_be_absent(found, fit, Change(np.full(n, effect)), estimator, repeated=repeated)) is said
 
 
 def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):
@@ -409,8 +409,9 @@ def test_better_predictions_count_where_a_term_acts(rng):
     """Thrust fade was named for horizontal disturbances, which it does not touch."""
     rows = rows_of(rng.normal(size=1000), np.zeros((1000, 0)), channel=np.arange(1000) % 2)
     little, much = 0.08 * (rows.stratum == 0), 0.09 * (rows.stratum == 0)  # squares of 500 samples: 3.2 and 4.05
-    assert unaffected(replace(rows, residual=rows.residual + little), rows) == {rows.channels[0], rows.channels[1]}
-    assert unaffected(replace(rows, residual=rows.residual + much), rows) == {rows.channels[1]}
+    for added, visible in ((little, False), (much, True)):
+        change = Change(added, change_by_stratum(replace(rows, residual=rows.residual + added), rows))
+        assert [change.visible_in(channel) for channel in rows.channels] == [visible, False]
 
 
 @pytest.mark.parametrize(("push_m_s2", "beyond"), [(0.05, False), (0.2, True)])
@@ -419,6 +420,7 @@ def test_a_push_that_all_responses_share_is_compared_with_what_instruments_drift
     fit = fitted(np.ones(SEGMENTS * EACH), np.ones((SEGMENTS * EACH, 1)), ("p0",))
     noise = Noise({}, {"a_d_x_m_s2": 0.02})
     fit = replace(fit, at=replace(fit.at, noise=noise))
+    fit = replace(fit, rows=replace(fit.rows, disturbances=("a_d_x_m_s2",)))
     estimator = SimpleNamespace(segments=responses(SEGMENTS, EACH, REPEATS), discrepancy_limits=lambda *_: {})
-    between = Between(np.zeros(SEGMENTS * EACH), {"a_d_x_m_s2": np.full(SEGMENTS, push_m_s2 / 0.02)})
-    assert beyond_discrepancy(fit, between, estimator) is beyond
+    change = Change(np.zeros(SEGMENTS * EACH), {"a_d_x_m_s2": np.full(SEGMENTS, push_m_s2 / 0.02)})
+    assert beyond_discrepancy(fit, change, estimator) is beyond

@@ -57,7 +57,7 @@ class Fault:
     false_disarmed: one HEARTBEAT that is not so; presses: how often Ctrl-C is pressed; disk: the disk of the record is full; cut: the
     first frame each way breaks off in its middle, as where a connection is reset; kill: the pilot stops the motors, once; no_beats: the
     vehicle's HEARTBEATs are lost meanwhile; back_after_s: when the pilot chooses GUIDED_NOGPS; anew: the vehicle's clock begins anew,
-    which nothing else shows; broken: the transport raises an error that nobody foresees.
+    which nothing else shows; broken: the transport raises an error of a kind that the code does not expect.
     """
 
     name: str

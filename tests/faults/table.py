@@ -82,7 +82,7 @@ def of_changes(cells: list[Cell]) -> str:
         CHANGES_HEADING, "",
         "Written by `make faults-changes`: the same flights, but the fault begins when the flight's state is the one named.",
         "A flight is right where the change happened, the flight ended as the table of states says, and by the rules above.",
-        "BROKEN: the transport raised an error that nobody foresees; it is raised on, after the vehicle's state was settled.", "",
+        "BROKEN: the transport raised an error of an unexpected kind; it is raised again after the vehicle's state was settled.", "",
         f"{sum(cell.ok for cell in cells)} of {len(cells)} are right.", "",
         "| state | event | fault | how it ended | s |", "|---|---|---|---|---|",
     ]  # fmt: skip

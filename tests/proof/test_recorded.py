@@ -182,3 +182,16 @@ def test_recordings_are_of_the_generator_that_takes_them(tmp_path):
         run_trials(ProofRequest(1, 1, data=tmp_path))
     with pytest.raises(InputError, match="needs recordings"):
         run_trials(ProofRequest(1, 1, generator="recorded", data=tmp_path))
+
+
+def test_the_public_list_is_read_and_a_real_hop_is_diagnosed_blind(repository, shared_data):
+    listed = sets.read_sets(repository / "examples" / "recordings" / "public.yaml")
+    assert all(one.found(shared_data) for one in listed)
+    case = next(c for c in cases.drawn(1, listed, shared_data) if c.kind == "single")
+    hop = next(str(f.relative_to(shared_data)) for f in listed[0].found(shared_data))
+    case = replace(case, name=listed[0].name, files=(hop,), columns=None, order=("velocity_latency",), sizes=(1.5,))
+    found = trial.run_recorded(case)
+    assert not found.error
+    assert found.sha256 == case.sha256()
+    assert set(found.hide) == {"velocity_latency"}
+    assert found.sizes["velocity_latency"] > trial.LEAST_SHARE * 1.5

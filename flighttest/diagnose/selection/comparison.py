@@ -34,6 +34,7 @@ from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
+NORMAL_95 = 1.96  # two-sided 95 % quantile of the standard normal distribution
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
 
 
@@ -174,6 +175,7 @@ def evidence_of(
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
+    change = Change(profiled, change_by_stratum(after.rows, before.rows))
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
         falls = held_out_falls((without.rows, without.names), (fitted.rows, fitted.names), groups)
@@ -188,64 +190,56 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates),
         without=without,
-        improved=tuple(
-            n for n, (low, _) in intervals.items() if low > 0.0 and n not in unaffected(after.rows, before.rows)
-        ),
+        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and change.visible_in(name)),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
     if found.why_not:
         return found
     # Asked last: it takes a covariance.
-    between = Between(profiled, shifted(after.rows, before.rows))
-    return replace(found, nothing=may_be_absent(term, fitted, between, estimator, repeated=floor.repeated(*place)))
+    return replace(found, nothing=may_be_absent(term, fitted, change, estimator, repeated=floor.repeated(*place)))
 
 
 @dataclass(frozen=True)
-class Between:
+class Change:
     """What a term changes between two optima. effect: (measured rows,) in the channels' units, nuisance parameters profiled out;
-    disturbances: name to the change of each response's, in standard deviations of their noise."""
+    by_stratum: channel or disturbance to its rows' change, in standard deviations of their noise."""
 
     effect: FloatArray
-    disturbances: Mapping[str, FloatArray] = field(default_factory=dict)
+    by_stratum: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def visible_in(self, stratum: str) -> bool:
+        """Whether a filter matched to the change would have a signal-to-noise ratio above 1.96 there. Else it cannot be distinguished from
+        nothing at a level of 5 %, and what is predicted better there is so because the base was estimated anew."""
+        change = self.by_stratum.get(stratum)
+        return change is None or float(change @ change) > NORMAL_95**2
 
 
-def shifted(larger: Linearisation, smaller: Linearisation) -> dict[str, FloatArray]:
-    """Disturbance to the change of each response's, whitened: `Between.disturbances`."""
+def change_by_stratum(larger: Linearisation, smaller: Linearisation) -> dict[str, FloatArray]:
+    """`Change.by_stratum` of two models whose rows are whitened by the same noise, of strata that have the same rows in both."""
     found = {}
-    for name in {*larger.disturbances} & {*smaller.disturbances}:
+    for name in {*larger.strata} & {*smaller.strata}:
         one, other = (rows.residual[rows.stratum == rows.strata.index(name)] for rows in (larger, smaller))
         if one.size == other.size:
             found[name] = one - other
     return found
 
 
-def unaffected(larger: Linearisation, smaller: Linearisation) -> frozenset[str]:
-    """Strata in which all that a term changes is less than one standard error of noise would be at a level of 5 %: sum of squares of the
-    whitened residuals' difference below 1.96^2. What is predicted better there is so because the base was estimated anew."""
-    found = set()
-    for name in {*larger.strata} & {*smaller.strata}:
-        one, other = (rows.residual[rows.stratum == rows.strata.index(name)] for rows in (larger, smaller))
-        if one.size == other.size and float(np.sum((one - other) ** 2)) < 1.96**2:
-            found.add(name)
-    return frozenset(found)
-
-
-def may_be_absent(term: Term, fitted: Fitted, between: Between, estimator: Estimator, *, repeated: bool) -> str:
-    """Why a term's estimates do not exclude its absence, empty where they do. between: its effect; repeated: whether steps were.
+def may_be_absent(term: Term, fitted: Fitted, change: Change, estimator: Estimator, *, repeated: bool) -> str:
+    """Why a term's estimates do not exclude its absence, empty where they do. change: what it changes; repeated: whether steps were.
 
     By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
     err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters, where repeats vouch for it,
     not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
     not used (`improved`).
     """
-    if beyond_discrepancy(fitted, between, estimator):
+    if beyond_discrepancy(fitted, change, estimator):
         return "" if term.shapes and repeated else may_be_nothing(term, fitted, estimator, discrepancy=False)
     if not any(p.name in fitted.names for p in term.amplitudes):
         return "its effect is within what the equations may err"
     return may_be_nothing(term, fitted, estimator, discrepancy=True)
 
 
-def beyond_discrepancy(fitted: Fitted, between: Between, estimator: Estimator) -> bool:
+def beyond_discrepancy(fitted: Fitted, change: Change, estimator: Estimator) -> bool:
     """Whether an effect between two optima is more than noise and an error that responses share may copy at a level of 5 %: with S_k its
     whitened sum of squares over the n_k samples of a channel and kind, or over the n_k responses of a disturbance, s_k^2 the variance of
     what they share,
@@ -259,18 +253,18 @@ def beyond_discrepancy(fitted: Fitted, between: Between, estimator: Estimator) -
     """
     rows, limits = fitted.rows, estimator.discrepancy_limits(fitted.model, fitted.at, 0.5)
     measured = rows.sample >= 0
-    square = (between.effect / rows.scale[measured]) ** 2
+    square = (change.effect / rows.scale[measured]) ** 2
     kinds = kinds_of(estimator.segments)[rows.segment[measured]]
     n_kinds = int(kinds.max(initial=0)) + 1
     of_place = np.array([[limits.get((name, kind), 0.0) for kind in range(n_kinds)] for name in rows.channels])
     place = rows.stratum[measured] * n_kinds + kinds
     total, count = (np.bincount(place, what, of_place.size).reshape(of_place.shape) for what in (square, None))
     sum_of_squares, variance = float(total.sum()), float(np.sum(total * (1.0 + count * of_place)))
-    for name, change in between.disturbances.items():
+    for name, shift in ((n, x) for n, x in change.by_stratum.items() if n in rows.disturbances):
         shared = (DISTURBANCE_DRIFT[name] / fitted.at.noise.disturbance[name]) ** 2
-        sum_of_squares += float(change @ change)
-        variance += float(change @ change) * (1.0 + change.size * shared)
-    return variance > 0.0 and sum_of_squares**2 > 1.96**2 * variance
+        sum_of_squares += float(shift @ shift)
+        variance += float(shift @ shift) * (1.0 + shift.size * shared)
+    return variance > 0.0 and sum_of_squares**2 > NORMAL_95**2 * variance
 
 
 def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepancy: bool) -> str:
@@ -335,12 +329,12 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
 
 def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:
     """Whether data tell an estimate from the coefficient's usual value."""
-    return abs(fitted.at.values[p.name] - p.nominal) > 1.96 * standard_errors(fitted, segments)[p.name]
+    return abs(fitted.at.values[p.name] - p.nominal) > NORMAL_95 * standard_errors(fitted, segments)[p.name]
 
 
 def _by_chance(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
     """How far on the wrong side a coefficient may be estimated that is next to nothing."""
-    return max(0.1 * abs(usual_size(p)), 1.96 * standard_errors(fitted, segments)[p.name])
+    return max(0.1 * abs(usual_size(p)), NORMAL_95 * standard_errors(fitted, segments)[p.name])
 
 
 def _most(what: str, values: dict[str, float], segment: Segment) -> float:

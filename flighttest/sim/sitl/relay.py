@@ -5,8 +5,8 @@ A firmware waits for each answer of its physics, and the physics answers no furt
 frame passes as it is. Without it a target arrives when both processes happen to be scheduled: at four times real time, a host that is
 late by 10 ms makes a target late by 40 ms.
 
-The firmware reads and writes its serial ports every 10 ms of its own time (ArduPilot's SITL); that stays. A signed frame is nobody's
-business here: a ground program that signs flies on the firmware's own clock.
+The firmware reads and writes its serial ports every 10 ms of its own time (ArduPilot's SITL); that stays. Signed frames pass as they are:
+a ground program that signs flies on the firmware's own clock.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class Relay:
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self.selector.register(sock, selectors.EVENT_READ)
             self._frames, self._decoder = Frames(), Decoder()
-            self.selector.unregister(self._listening)  # whoever comes meanwhile waits
+            self.selector.unregister(self._listening)  # a second ground program waits until the first has left
 
     def _leave(self) -> None:
         """A side hung up: what hung on its leash runs freely."""
