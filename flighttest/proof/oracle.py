@@ -50,7 +50,8 @@ class Noise:
 @dataclass(frozen=True)
 class Left:
     """What a refitted base leaves of one flight. residual: (response, channel) to (n,) in the channel's unit, from the same time before
-    its step on; kinds: response to its kind; disturbance: (response, block) to what was estimated; parameters: block to its theta."""
+    its step on; kinds: response to its kind; disturbance: (response, block) to what was estimated; parameters: block to its theta,
+    NaN where the fit ended at a bound."""
 
     residual: Mapping[tuple[str, str], FloatArray]
     kinds: Mapping[str, str]
@@ -145,7 +146,7 @@ def left(segments: Sequence[Segment], noise: Noise, nominal_voltage_v: float, fr
             xtol=1e-7,
             max_nfev=30,
         )
-        parameters[block.name] = fitted.x
+        parameters[block.name] = np.where(fitted.active_mask == 0, fitted.x, np.nan)
         rows, constant = _profiled(*block.of(data, fitted.x), whiten, spread)
         for i, s in enumerate(fed):
             disturbance[s.name, block.name] = constant[i]

@@ -66,7 +66,9 @@ def test_where_no_controller_answers_a_loss_of_thrust_is_integrated():
 def test_a_controller_answers_between_steps_and_commands_hold_within():
     fade = {"thrust_fade": {"fade_depth": 0.05, "fade_tau": 2.0}}
     t, throttle = added(fade, steps=((8.0, 9.0),))["throttle"]
-    assert np.all(throttle[(t > 8.02) & (t < 8.98)] == 0.0)
+    within = throttle[(t > 8.02) & (t < 8.98)]
+    assert np.ptp(within) == 0.0
+    assert within[0] == pytest.approx(HOVER * 0.05, rel=0.15)  # what hovered before the step
     assert throttle[np.searchsorted(t, 18.0)] == pytest.approx(HOVER * 0.05, rel=0.1)
 
 
@@ -195,3 +197,23 @@ def test_the_public_list_is_read_and_a_real_hop_is_diagnosed_blind(repository, s
     assert found.sha256 == case.sha256()
     assert set(found.hide) == {"velocity_latency"}
     assert found.sizes["velocity_latency"] > trial.LEAST_SHARE * 1.5
+
+
+def test_a_vehicle_that_answers_late_is_controlled_no_faster_than_it_can_be():
+    """With lags of two seconds a loop of 2 rad/s is unstable: a throttle of 432 had been added to a recording."""
+    slow = replace(VEHICLE, ramp_1_s=0.5, delay_s=0.18, answer_1_s=2.0)
+    change = added(
+        {"throttle_curve": {"curvature": 0.5}, "thrust_fade": {"fade_depth": 0.1, "fade_tau": 2.0}}, vehicle=slow
+    )
+    assert np.max(np.abs(change["v_z_m_s"][1])) < 5.0
+    throttle = HOVER + change["throttle"][1]
+    assert throttle.min() >= 0.0
+    assert throttle.max() <= 1.0
+    assert replace(slow, ramp_1_s=20.0, delay_s=0.02).bandwidth_1_s == 2.0
+
+
+def test_a_load_does_not_fall_in_a_step():
+    t, v = added(
+        {"slung_payload": {"payload_ratio": 0.15, "cable_m": 0.8, "swing_damping": 0.05}}, steps=((4.0, 14.0),)
+    )["v_z_m_s"]
+    assert np.max(np.abs(v[t < 18.9])) < 0.5

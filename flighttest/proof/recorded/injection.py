@@ -3,7 +3,7 @@
 The recorded flight is followed sample by sample; beside it runs the same vehicle with the effect in it. Only their difference is
 simulated: noise, wind and whatever else is in the recording stay as they are. Between scripted steps the controller answers the
 difference (a position loop of a drawn bandwidth asks for tilt and throttle against it), so that commands change, too; in a step the
-script's commands hold. World NWU, body FLU. Shares no line with the physics that diagnoses.
+script's commands hold, on top of the throttle that hovered before it. World NWU, body FLU. Shares no line with the physics that diagnoses.
 
     f_B = f_A + (a_B - a_A) e_z - D (R_B' v_B - R_A' v_A) + effect(R_B, v_B, thrust),   v_B' - v_A' = R_B f_B - R_A f_A
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import cos, sin
+from math import cos, exp, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from scipy.signal import savgol_filter
 from flighttest.channels import CHANNELS, HELD_GROUPS
 from flighttest.frames import G_M_S2
 from flighttest.proof.oracle import body_to_world
-from flighttest.proof.recorded.side_by_side import STEP_S, Air, Effects, Loops, Thrust, Vehicle
+from flighttest.proof.recorded.side_by_side import DAMPING, STEP_S, Air, Effects, Loops, Thrust, Vehicle
 from flighttest.recording.model import Recording, Series
 from flighttest.sim.plants.slung import SlungLoad
 
@@ -31,7 +31,6 @@ FloatArray = NDArray[np.float64]
 
 SMOOTH_S = 0.2  # window over which a force is differentiated from velocities, or thrust is read off an accelerometer
 TURN_S = 0.07  # window over which rates are differentiated: steps of attitude have accelerations of 10 Hz
-DAMPING = 0.9  # of the position loop that answers
 MOST_TILT_RAD = 0.3  # that it asks for beyond the recorded
 
 
@@ -133,21 +132,30 @@ def _difference(
     for begin, end in steps:
         idle |= (seen.t_s >= begin) & (seen.t_s <= end)
     voltage = (seen.get("voltage_v", vehicle.nominal_voltage_v) / vehicle.nominal_voltage_v) ** vehicle.alpha
-    thrust = Thrust(vehicle, effects, seen.get("throttle"), voltage)
+    recorded = seen.get("throttle")
+    thrust = Thrust(vehicle, effects, recorded, voltage)
     loops = Loops(
         vehicle, effects, *(seen.get(f"{a}") for a in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s"))
     )
     air = Air(effects, seen.get("height_m"), seen.t_s - seen.t_s[0])
     load = SlungLoad(1.0, dict(effects["slung_payload"])) if "slung_payload" in effects else None
-    trim = np.array([0.0, 0.0, G_M_S2 * load.mass_kg if load else 0.0])  # the pilot hovers with the load
-    drag, w = np.array(vehicle.drag_1_s), vehicle.answer_1_s
+    load_trim = np.array([0.0, 0.0, G_M_S2 * load.mass_kg if load else 0.0])  # the pilot hovers with the load
+    trim = float(
+        load_trim[2]
+    )  # upward, of the controller, on the average of its own time: what a script's steps start from
+    drag, w = np.array(vehicle.drag_1_s), vehicle.bandwidth_1_s
     tilts = tilted and seen.has("roll_ref_rad", "pitch_ref_rad")
     v, p = np.zeros(3), np.zeros(3)
     rows = np.zeros((seen.t_s.size, len(_ADDED)))
     for k in range(seen.t_s.size):
-        against = np.zeros(3) if idle[k] else trim - 2.0 * DAMPING * w * v - w * w * p
+        if not idle[k]:
+            against = load_trim - 2.0 * DAMPING * w * v - w * w * p
+            trim = trim + (1.0 - exp(-w * STEP_S)) * (against[2] - trim)
+        else:
+            against = np.array([0.0, 0.0, trim])
         roll_ref, pitch_ref = _tilt_for(against, float(rpy[k, 2])) if tilts else (0.0, 0.0)
         throttle = float(against[2]) / (vehicle.gain_m_s2 * float(voltage[k])) if seen.has("throttle") else 0.0
+        throttle = min(max(throttle, -float(recorded[k])), max(1.0 - float(recorded[k]), 0.0))  # from none to all of it
         more = thrust.advance(k, throttle)
         angles, rates = loops.advance(k, roll_ref, pitch_ref)
         after = body_to_world(*(rpy[k] + angles * (tilted, tilted, 1.0)))

@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float]]
 
 STEP_S = 0.01
+DAMPING = 0.9  # of the position loop that answers
+MOST_PHASE_RAD = 0.55  # at its crossover, that a lag may take of it
 
 
 @dataclass(frozen=True)
@@ -46,17 +48,31 @@ class Vehicle:
     def fitted(cls, parameters: Mapping[str, FloatArray], nominal_voltage_v: float, answer_1_s: float) -> Vehicle:
         """Of the oracle's own fit of the base model (`oracle.Left.parameters`); what it could not fit keeps its default."""
         made = cls(nominal_voltage_v=nominal_voltage_v, answer_1_s=answer_1_s)
-        if "translation" in parameters:
-            ramp, gain, alpha, delay, *drag = map(float, parameters["translation"])
-            x, y, z = (max(d, 0.0) for d in drag)
-            made = replace(made, ramp_1_s=ramp, gain_m_s2=gain, alpha=alpha, delay_s=delay, drag_1_s=(x, y, z))
-        if "roll_pitch" in parameters:
-            w1, z1, w2, z2, delay = map(float, parameters["roll_pitch"])
-            made = replace(made, omega_1_s=(w1, w2), zeta=(z1, z2), attitude_delay_s=delay)
-        if "yaw" in parameters:
-            rate, delay = map(float, parameters["yaw"])
-            made = replace(made, yaw_1_s=rate, yaw_delay_s=delay)
-        return made
+
+        def known(block: str, *defaults: float) -> list[float]:
+            fitted = parameters.get(block, np.array(defaults))
+            return np.where(np.isfinite(fitted), fitted, defaults).tolist()
+
+        ramp, gain, alpha, delay, *drag = known(
+            "translation", made.ramp_1_s, made.gain_m_s2, made.alpha, made.delay_s, *made.drag_1_s
+        )
+        x, y, z = (max(d, 0.0) for d in drag)
+        (w1, w2), (z1, z2) = made.omega_1_s, made.zeta
+        w1, z1, w2, z2, late = known("roll_pitch", w1, z1, w2, z2, made.attitude_delay_s)
+        rate, yaw_delay = known("yaw", made.yaw_1_s, made.yaw_delay_s)
+        return replace(
+            made, ramp_1_s=ramp, gain_m_s2=gain, alpha=alpha, delay_s=delay, drag_1_s=(x, y, z), omega_1_s=(w1, w2),
+            zeta=(z1, z2), attitude_delay_s=late, yaw_1_s=rate, yaw_delay_s=yaw_delay,
+        )  # fmt: skip
+
+    @property
+    def bandwidth_1_s(self) -> float:
+        """Of the position loop: `answer_1_s`, or what its slowest actuator (thrust, roll, pitch) lets it have with a phase margin of 40
+        degrees. A loop w^2, 2 (0.9) w on a double integrator crosses over near 1.8 w with 73
+        degrees; a lag and delay of T take 1.8 w T rad."""
+        thrust = 1.0 / self.ramp_1_s + self.delay_s
+        tilt = max(2.0 * z / w for w, z in zip(self.omega_1_s, self.zeta, strict=True)) + self.attitude_delay_s
+        return min(self.answer_1_s, MOST_PHASE_RAD / (2.0 * DAMPING * max(thrust, tilt)))
 
 
 class _Delayed:
