@@ -51,7 +51,7 @@ class Vehicle:
 
         def known(block: str, *defaults: float) -> list[float]:
             fitted = parameters.get(block, np.array(defaults))
-            return np.where(np.isfinite(fitted), fitted, defaults).tolist()
+            return [float(x) if np.isfinite(x) else default for x, default in zip(fitted, defaults, strict=True)]
 
         ramp, gain, alpha, delay, *drag = known(
             "translation", made.ramp_1_s, made.gain_m_s2, made.alpha, made.delay_s, *made.drag_1_s

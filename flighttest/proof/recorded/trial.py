@@ -31,6 +31,9 @@ from flighttest.validity.model import Verdict
 CHANGED = "change"  # what the flag of `status` is called among the names
 STEP_MARGIN_S = 0.5  # before a scripted step its commands hold already
 LEAST_SHARE = 0.5  # of the size asked for that an effect must reach to be the one
+MOST_DEPARTURE_M_S = (
+    5.0  # from the recorded velocity; beyond it the flight, with whatever ended its steps, would have been another one
+)
 
 
 def run_recorded(case: RecordedCase) -> Outcome:
@@ -120,6 +123,16 @@ class Flown:
         """The recordings as they would have been with the effects."""
         return tuple(inject(r, effects, self.vehicle, flights(r), self.steps[r.name]) for r in self.recordings)
 
+    def departure_m_s(self, effects: Effects) -> float:
+        """Most that any velocity changes by, m/s."""
+        most = 0.0
+        for before, after in zip(self.recordings, self.with_effects(effects), strict=True):
+            for name in ("v_x_m_s", "v_y_m_s", "v_z_m_s"):
+                if before.has(name):
+                    change = after.channel(name)[1] - before.channel(name)[1]
+                    most = max(most, float(np.nanmax(np.abs(change), initial=0.0)))
+        return most
+
     def size(self, effects: Effects, without: str = "") -> float:
         """Noise floors that no refit of the base model copies: of all effects, or of one of them beside the others."""
         after = self._left(effects)
@@ -155,7 +168,7 @@ def _sized(case: RecordedCase, flown: Flown) -> dict[str, dict[str, float]]:
             if abs(reached / wanted - 1.0) < 0.2 or (reached < wanted and times >= one.most) or far:
                 break
             times = float(np.clip(times * wanted / max(reached, 1e-3), 0.1, one.most))
-        if reached >= LEAST_SHARE * wanted:
+        if reached >= LEAST_SHARE * wanted and flown.departure_m_s({effect: values}) <= MOST_DEPARTURE_M_S:
             found[effect] = values
     return found
 
