@@ -57,7 +57,8 @@ class Param:
     typical size, used to normalise. one_sided: physics allows only the side of `off` on which `nominal` lies (a drag cannot push): an
     estimate well on the other side is another effect in disguise. alone: whether it can be all there is of its term (a wind that only
     rises cannot: what does that is thrust). limits: what it is a limit of, 'throttle' or 'tilt_rate' (what the angle loops ask for): a
-    limit that was not reached cannot be known.
+    limit that was not reached cannot be known. natural_bound: the bound at which the term is still itself, in its limit (a time
+    constant too short, or too long, to be seen); at any other its estimate is not what its name says.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Param:
     one_sided: bool = False
     alone: bool = True
     limits: Literal["", "throttle", "tilt_rate"] = ""
+    natural_bound: Literal["", "lower", "upper"] = ""
 
 
 @dataclass(frozen=True)

@@ -293,6 +293,15 @@ def test_a_limit_that_nothing_went_beyond_is_none(term, limit, reached):
     assert (inadmissible(catalogue()[term], model, [step], 30) == "") is reached
 
 
+def test_a_time_constant_too_short_to_be_seen_leaves_shaping_what_it_is():
+    """With 19,700 nats reference shaping was refused on a part of a firmware's log for 0.02 s, and a rate limit of 276 nats named."""
+    model = Model(("linear_drag", "reference_shaping"))
+    values = {"shaping_accel": 70.0, "shaping_tc": 0.02, "shaping_ff": 0.13}
+    assert judged("reference_shaping", model, values) == ""
+    assert "bound" in judged("reference_shaping", model, values | {"shaping_tc": 0.6})
+    assert "bound" in judged("reference_shaping", model, values | {"shaping_accel": 400.0})
+
+
 def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert found().why_not == ""
     assert "not used" in replace(found(), improved=()).why_not

@@ -313,8 +313,9 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
             return f"{', '.join(p.name for p in coefficients if not p.alone)} alone, without the rest of the term, is another effect"
     for p in own:
         value = values[p.name]
+        bound = "lower" if value <= p.lower else "upper" if value >= p.upper else ""
         # Where the usual value is the bound, as of a pure pole, to be there is usual.
-        at_bound = (value <= p.lower or value >= p.upper) and value != p.nominal
+        at_bound = bound not in ("", p.natural_bound) and value != p.nominal
         # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
             return f"{p.name} is at its bound, {value:.3g} {p.unit}"

@@ -134,7 +134,7 @@ reference_shaping = Term(
         ),
         Param(
             "shaping_tc", "t_c", "s", 0.15, 0.02, 0.6, 0.03, "time constant of the shaping near the target",
-            "ATC_INPUT_TC, 0.15 s by default", "shape", None, (0.08, 0.15, 0.3),
+            "ATC_INPUT_TC, 0.15 s by default", "shape", None, (0.08, 0.15, 0.3), natural_bound="lower",
         ),
         Param(
             "shaping_ff", "k_ff", "1", 1.0, -0.2, 1.5, 0.2, "share of the target's rate that the rate loop is given beforehand",

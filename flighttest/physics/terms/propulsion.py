@@ -211,7 +211,7 @@ thrust_fade = Term(
             "motor heat: 0.02 to 0.1", one_sided=True),
         Param(
             "fade_tau", "τ_f", "s", 150.0, 15.0, 2000.0, 50.0, "time constant since take-off",
-            "thermal time constants of motors: 60 to 300 s", "shape", None, (40.0, 120.0, 400.0),
+            "thermal time constants of motors: 60 to 300 s", "shape", None, (40.0, 120.0, 400.0), natural_bound="upper",
         ),
     ),
     build=_fade,
@@ -246,7 +246,7 @@ voltage_sag = Term(
             "internal resistance of a 6S pack: 1 to 4 V at full current", one_sided=True),
         Param(
             "sag_tau", "τ_U", "s", 0.6, 0.05, 8.0, 0.2, "time the logged voltage takes to follow",
-            "filters of battery monitors, battery polarisation: 0.2 to 5 s", "shape", None, (0.25, 0.6, 1.5),
+            "filters of battery monitors, battery polarisation: 0.2 to 5 s", "shape", None, (0.25, 0.6, 1.5), natural_bound="lower",
         ),
     ),
     build=_sag,
