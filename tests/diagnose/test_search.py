@@ -49,14 +49,14 @@ class Scripted(Search):
     refits: list = field(default_factory=list)
     asked: list = field(default_factory=list)
     lacking: bool = False
-    bare: tuple = ()  # terms without a linear coefficient
+    bent: tuple = ()  # terms with nonlinear parameters
 
     def fit_of(self, model, start, inactive, reported=False):
         return fitted(*model.terms) if reported else fitted()
 
     def linearise(self):
         self.candidates = [
-            SimpleNamespace(term=t, names=() if t.id in self.bare else ("c",))
+            SimpleNamespace(term=SimpleNamespace(id=t.id, shapes=("s",) if t.id in self.bent else ()), names=("c",))
             for t in self.pool
             if t.id not in self.named
         ]
@@ -117,10 +117,10 @@ def test_what_has_odds_against_it_is_not_refitted(searched):
     assert searched({"a": -0.1, "b": -3.0}, {}).refits == []
 
 
-def test_where_something_is_missing_terms_without_a_coefficient_are_refitted_whatever_their_score(searched):
+def test_where_something_is_missing_nonlinear_terms_are_refitted_whatever_their_score(searched):
     scores, finds = {"a": -5.0, "b": -9.0, "ab": -2.0}, {"a": 0.0, "b": 0.0}
-    assert searched(scores, finds, lacking=True, bare=("b",)).refits == ["b"]
-    assert searched(scores, finds, lacking=False, bare=("b",)).refits == []
+    assert searched(scores, finds, lacking=True, bent=("b",)).refits == ["b"]
+    assert searched(scores, finds, lacking=False, bent=("b",)).refits == []
 
 
 def test_a_term_that_left_is_not_proposed_again_from_the_same_model(searched):

@@ -174,12 +174,13 @@ class Search:
         return sum(log_evidence(kept, before, self.estimator, self.groups, floor).values()) > 0.0
 
     def _proposals(self) -> list[Scored]:
-        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient: a
-        score needs a derivative at the null value, and a finite difference says little where the base has to move far."""
+        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term with nonlinear parameters: a score
+        is a derivative at the null value, and says little where the effect is large and the base has to move far. (A slung load of 0.29
+        of the vehicle's mass had no score at all, and 151,000 nats once it was refitted.)"""
         found = [s for s in self.scored if s.log_odds > 0.0]
         if self.subsets is not None and self.lack_of_fit:
             singles = [s for s in self.scored if len(s.members) == 1 and s.log_odds <= 0.0]
-            found += [s for s in singles if not self.candidates[s.members[0]].names]
+            found += [s for s in singles if self.candidates[s.members[0]].term.shapes]
         return found
 
     def linearise(self) -> None:
