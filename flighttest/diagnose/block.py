@@ -5,8 +5,9 @@ Blocks share nothing but the recordings, so that they can be searched in paralle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,3 +187,13 @@ def _candidates(search: Search) -> list[CandidateRow]:
                 }
             )  # fmt: skip
     return found
+
+
+def listed(answers: Sequence[Answer], what: str) -> list[Any]:
+    """One of the blocks' lists (a field of `Answer`), one after the other."""
+    return [each for a in answers for each in getattr(a, what)]
+
+
+def merged(answers: Sequence[Answer], what: str) -> dict[str, Any]:
+    """One of the blocks' tables (a field of `Answer`) in one."""
+    return {key: value for a in answers for key, value in getattr(a, what).items()}

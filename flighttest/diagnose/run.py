@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.block import SEED, Answer, Asked, answer
+from flighttest.diagnose.block import SEED, Answer, Asked, answer, listed, merged
+from flighttest.diagnose.conclusion import (
+    UNMOVED,
+    compensated_voltage,
+    different_delays,
+    moved_parameters,
+    predicted_worse,
+    pushed_once,
+    sentence_of,
+    verdict_of,
+)
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Diagnosis, TermVerdict, Untestable, Verdict
 from flighttest.diagnose.next_flight import Flyable, Question, as_shipped, propose
-from flighttest.diagnose.records import CandidateRow, Description, HeldOutRow, NextReason, ParameterRow
+from flighttest.diagnose.records import CandidateRow, Description, NextReason
 from flighttest.diagnose.residual_regression import describe
 from flighttest.diagnose.residuals.outlying import set_aside
 from flighttest.diagnose.selection.detectability import UNSEEN, missing_channels
@@ -26,7 +36,6 @@ from flighttest.estimation.solver import Start
 from flighttest.identify.diagnostics.local_optima import misfit
 from flighttest.identify.fit import Fit, default_model, fit, has_attitude_references
 from flighttest.identify.selection import able
-from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Term
@@ -35,17 +44,10 @@ from flighttest.script.model import ScriptData
 from flighttest.segments.model import Segment
 
 LEAST_SEGMENTS = 4
-EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
-DELAYS_DIFFER_S = 0.01
-COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 SHAPE_ALONE = "times its usual self"
-UNMOVED = "these flights do not move what it acts on"
 UNTRIED = "not looked for to the end: the search was interrupted"
-# A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is reported.
-MOVED, MOVED_ERRORS = 0.05, 4.0
-
 
 SideBySide = Callable[[Callable[[Sequence[str]], list[Answer]], Sequence[str], Sequence[float]], list[Answer]]
 
@@ -85,12 +87,7 @@ def diagnose(
         model = default_model(usable)
     if model.attitude_loops and not has_attitude_references(usable):
         model = replace(model, attitude_loops=False)
-    known = catalogue()
-    pool = tuple(
-        t
-        for t in known.values()
-        if t.id not in model.terms and (only is None or t.id in only) and block_of(t) != "delay"
-    )
+    pool = _pool(model, only)
     say = progress or silent
     say("fitting the base model")
     base = _fitted(usable, model, {k: v[0] for k, v in (previous or {}).items()})
@@ -123,13 +120,13 @@ def diagnose(
     found = _assembled(asked, answers, group_name, flyable)
     if not aside:
         return found
-    count = len(aside["segments"])
-    said = (
-        "1 response that something pushed once is"
-        if count == 1
-        else f"{count} responses that something pushed once are"
-    )
-    return replace(found, sentence=f"{found.sentence} {said} set aside.", set_aside=aside)
+    return replace(found, sentence=f"{found.sentence} {pushed_once(len(aside['segments']))}", set_aside=aside)
+
+
+def _pool(model: Model, only: Sequence[str] | None) -> tuple[Term, ...]:
+    """Candidates: terms of the catalogue that the base does not hold."""
+    known = (t for t in catalogue().values() if t.id not in model.terms and block_of(t) != "delay")
+    return tuple(t for t in known if only is None or t.id in only)
 
 
 def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float]) -> Fit:
@@ -159,34 +156,25 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         for search in searches
         if term in search.evidence
     ]
-    located, unseen = (_all(answers, what) for what in ("located", "unseen"))
-    levels = _merged(answers, "levels")
-    for term in pool:
-        missing = missing_channels(term, segments)
-        if missing and term.id not in {u.term for u in unseen}:
-            unseen.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False))
+    located, levels = listed(answers, "located"), merged(answers, "levels")
     tried = {t.id for a in answers if a.complete and a.search for t in a.search.pool}
-    determined = tried | {u.term for u in unseen} | {f.term for f in findings}
-    unseen += [Untestable(t.id, UNMOVED if complete else UNTRIED, t.reveals) for t in pool if t.id not in determined]
+    unseen = _not_testable(asked, answers, tried | set(accepted), complete)
     hidden = {u.term: u.why for u in unseen}
     units = {p.name: p.unit for t in pool for p in t.params}
     named = {f.term for f in findings} | set(hidden)
-    shares = _all(answers, "shares")  # channels count alike, whatever their floors
+    shares = listed(answers, "shares")  # channels count alike, whatever their floors
     share = float(np.mean(shares)) if shares else 0.0
     staying = {c for a in answers for c in a.staying}
     so_far = verdict_of(bool(findings), share, bool(located), bool(staying))
     cut_short = () if complete else ("interrupted: candidates not tried are not in this answer",)
-    formulas: list[Description] = []
-    if so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY):
-        asked.tell("describing what has no name")
-        for search in searches:
-            formulas += describe(search, segments, asked.groups, _with_forces(staying))
+    nameless = so_far in (Verdict.UNKNOWN_PHYSICS, Verdict.PARTLY)
+    formulas = _described(asked, searches, staying) if nameless else []
     asked.tell("choosing the next flight")
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else None
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
         sentence=sentence_of(so_far, findings, share, located, complete)
-        + predicted_worse(_merged(answers, "heldout"))
+        + predicted_worse(merged(answers, "heldout"))
         + moved_parameters(asked.previous, after),
         located=tuple(located),
         findings=tuple(findings),
@@ -201,29 +189,53 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         accepted=accepted,
         before=before,
         after=after,
-        heldout=_merged(answers, "heldout"),
-        noise_floor=_merged(answers, "floors"),
-        baselines=_merged(answers, "baselines"),
-        residual_map=tuple(_all(answers, "cells")),
-        regimes=tuple(_all(answers, "curves")),
-        overlays=tuple(_all(answers, "overlaid")),
-        # What these flights could not have shown was not ruled out by them.
-        candidates=tuple(
-            CandidateRow({**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]})
-            if c["term"] in hidden
-            else c
-            for a in answers
-            for c in a.candidates
-        ),
+        heldout=merged(answers, "heldout"),
+        noise_floor=merged(answers, "floors"),
+        baselines=merged(answers, "baselines"),
+        residual_map=tuple(listed(answers, "cells")),
+        regimes=tuple(listed(answers, "curves")),
+        overlays=tuple(listed(answers, "overlaid")),
+        candidates=_candidate_rows(answers, hidden),
         cost={"added_parameters": len(after) - len(before), "held_out_groups": group_name},
         unknown=tuple(formulas),
         mass=mass_test(asked.previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
         next_flight="next.yaml" if proposal else None,
         next_script=proposal[1] if proposal else None,
         next_reason=proposal[0] if proposal else {},
-        notes=(*_all(answers, "notes"), *cut_short, *_delays(after), *compensated_voltage(after)),
+        notes=(*listed(answers, "notes"), *cut_short, *different_delays(after), *compensated_voltage(after)),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
+    )
+
+
+def _not_testable(
+    asked: Asked, answers: Sequence[Answer], determined: Collection[str], complete: bool
+) -> list[Untestable]:
+    """Candidates that these flights say nothing of, with the reason. determined: ids of those that were tried or named."""
+    found: list[Untestable] = listed(answers, "unseen")
+    known = {u.term for u in found}
+    for term in asked.pool:
+        missing = missing_channels(term, asked.segments)
+        if missing and term.id not in known:
+            found.append(Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False))
+    known = {u.term for u in found} | set(determined)
+    why = UNMOVED if complete else UNTRIED
+    return found + [Untestable(t.id, why, t.reveals) for t in asked.pool if t.id not in known]
+
+
+def _described(asked: Asked, searches: Sequence[Search], staying: set[str]) -> list[Description]:
+    """What has no name, by sparse regression. staying: channels whose mismatch stays."""
+    asked.tell("describing what has no name")
+    channels = _with_forces(staying)
+    return [one for search in searches for one in describe(search, asked.segments, asked.groups, channels)]
+
+
+def _candidate_rows(answers: Sequence[Answer], hidden: Mapping[str, str]) -> tuple[CandidateRow, ...]:
+    """Rows of every candidate; what these flights could not have shown (hidden: id to reason) was not ruled out by them."""
+    return tuple(
+        CandidateRow({**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]}) if c["term"] in hidden else c
+        for a in answers
+        for c in a.candidates
     )
 
 
@@ -252,16 +264,6 @@ def _in_units(name: str, unit: str) -> str:
     return name if unit == "1" else f"{unit} ({name})"
 
 
-def _all(answers: Sequence[Answer], what: str) -> list[Any]:
-    """The blocks' lists, one after the other."""
-    return [each for a in answers for each in getattr(a, what)]
-
-
-def _merged(answers: Sequence[Answer], what: str) -> dict[str, Any]:
-    """The blocks' tables in one."""
-    return {key: value for a in answers for key, value in getattr(a, what).items()}
-
-
 def _next(
     searches: Sequence[Search],
     findings: Sequence[Any],
@@ -270,12 +272,10 @@ def _next(
     flyable: Flyable,
 ) -> tuple[NextReason, ScriptData] | None:
     """The flight that separates rivals; where there are none, one that shows what could not be seen."""
+    estimated = {k: v for s in searches if s.now for k, v in s.now.at.values.items()}
     for search in searches:
         assert search.now is not None
-        values = {
-            **search.now.model.start(),
-            **{k: v for s in searches if s.now for k, v in s.now.at.values.items()},
-        }
+        values = {**search.now.model.start(), **estimated}
         asked = []
         for f in (f for f in findings if f.term in search.evidence):
             for r in (r for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE):
@@ -286,10 +286,7 @@ def _next(
     hidden = [u for u in unseen if u.recorded]
     for search in searches:
         assert search.now is not None
-        values = {
-            **search.now.model.start(),
-            **{k: v for s in searches if s.now for k, v in s.now.at.values.items()},
-        }
+        values = {**search.now.model.start(), **estimated}
         here = {t.id for t in search.pool}
         asked = [
             Question(terms[u.term], None, {p.name: p.nominal for p in terms[u.term].params})
@@ -304,82 +301,3 @@ def _next(
 def _with_forces(channels: set[str]) -> set[str]:
     """A velocity that goes astray was pushed: its force is to be described."""
     return channels | {f"{force}_{c[2:]}" for c in channels if c.startswith("v_") for force in ("f", "a")}
-
-
-def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:
-    """What the refit of the base has taken up: parameters that are no longer those of the model given."""
-    changes = {}
-    for name in (n for n in previous if n in after and not n.startswith("T_d")):
-        old, std = previous[name]
-        difference = float(after[name]["value"]) - old
-        error = float(np.hypot(float(after[name]["scatter"]), std or 0.0))
-        if old and abs(difference) > max(MOVED * abs(old), MOVED_ERRORS * error):
-            changes[name] = difference / abs(old)
-    if not changes:
-        return ""
-    largest = sorted(changes, key=lambda n: -abs(changes[n]))
-    words = ", ".join(f"{n} {100 * changes[n]:+.0f} %" for n in largest[:3])
-    more = f" and {len(largest) - 3} more" if len(largest) > 3 else ""
-    return f" The model given does not hold as it is ({words}{more}): its parameters were fitted anew."
-
-
-def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
-    """Channels (short) that the model with what is named predicts worse, of responses not used: the 95 % interval of the drop in RMSE is
-    below zero, and the error is above the noise floor."""
-    worse = {c: rows["all"] for c, rows in held.items() if rows["all"]["gain_95"][1] < 0.0}
-    said = [
-        f"{c} ({row['rmse_after'] / row['rmse_before']:.2g} times the error)"
-        for c, row in worse.items()
-        if row["rmse_after"] > row["floor"]
-    ]
-    return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
-
-
-def _delays(table: Mapping[str, ParameterRow]) -> list[str]:
-    """Channel delays that differ: the model has one per channel, so this needs no term."""
-    known = {n: (float(table[n]["value"]), float(table[n]["scatter"])) for n in DELAY_PARAM.values() if n in table}
-    if len(known) < 2:
-        return []
-    (late, (most, most_std)), (early, (least, least_std)) = (
-        max(known.items(), key=lambda kv: kv[1][0]), min(known.items(), key=lambda kv: kv[1][0])
-    )  # fmt: skip
-    if most - least < DELAYS_DIFFER_S or most - least < 4 * float(np.hypot(most_std, least_std)):
-        return []
-    return [
-        f"channel_delay: {late} is {1000 * (most - least):.0f} ms longer than {early}; the model has a delay for each channel, "
-        "so that no further term is needed"
-    ]
-
-
-def compensated_voltage(table: Mapping[str, ParameterRow]) -> list[str]:
-    """Thrust that does not follow the voltage: somebody makes up for it, and it is no physics of the vehicle."""
-    alpha = table.get("alpha")
-    if alpha is None or float(alpha["value"]) + 2 * float(alpha["std"]) > COMPENSATED:
-        return []
-    return [
-        f"battery compensation: alpha is {float(alpha['value']):.2f} ± {1.96 * float(alpha['std']):.2f}, where motors on a battery have 1 "
-        "to 2: the autopilot makes up for the voltage (ArduPilot MOT_BAT_VOLT_MAX), or the ESCs hold the rotor speed"
-    ]
-
-
-def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
-    """The answer as a whole. share: of the excess that stays; still: whether a mismatch is located with what is named, too."""
-    if not any_named:
-        return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
-    return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
-
-
-def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
-    """The answer in one sentence."""
-    if not complete and verdict is Verdict.NOTHING_MISSING:
-        return "Interrupted: nothing was found missing until then, and what was not searched may hide something."
-    more = "" if complete else " Interrupted: there may be more."
-    names = ", ".join(f.title.lower() for f in findings)
-    if verdict is Verdict.EXPLAINED:
-        return f"Left out: {names}. With it {100 * max(0.0, 1 - share):.0f} % of the excess error is gone.{more}"
-    if verdict is Verdict.PARTLY:
-        return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained.{more}"
-    if verdict is Verdict.NOTHING_MISSING:
-        return "Nothing is missing above the noise floor; see the smallest effects that would have been noticed."
-    determined = f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
-    return determined + more

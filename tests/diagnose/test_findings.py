@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flighttest.diagnose.conclusion import predicted_worse
 from flighttest.diagnose.findings import held_out_gain, parameter_table
 from flighttest.diagnose.records import HeldOutRow
-from flighttest.diagnose.run import predicted_worse
 from flighttest.identify.fit import Estimate
 from flighttest.physics.model import Model
 

@@ -8,7 +8,7 @@ import pytest
 from made_rows import responses, rows_of
 from scipy import stats
 
-from flighttest.diagnose import next_flight, run
+from flighttest.diagnose import conclusion, next_flight
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.residuals import locate
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
@@ -232,9 +232,9 @@ def test_a_curve_is_of_the_steps_that_were_located():
 
 @pytest.mark.parametrize(("alpha", "std", "reported"), [(0.03, 0.05, True), (1.7, 0.03, False), (0.1, 0.4, False)])
 def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, std, reported):
-    notes = run.compensated_voltage({"alpha": {"value": alpha, "std": std}})
+    notes = conclusion.compensated_voltage({"alpha": {"value": alpha, "std": std}})
     assert bool(notes) is reported
-    assert run.compensated_voltage({}) == []
+    assert conclusion.compensated_voltage({}) == []
     if reported:
         assert "MOT_BAT_VOLT_MAX" in notes[0]
 

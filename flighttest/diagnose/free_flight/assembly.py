@@ -7,12 +7,20 @@ and errors of the equation error estimate; output error evaluates it over the wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from flighttest.diagnose.block import SEED, Answer, Asked, answer
+from flighttest.diagnose.block import SEED, Answer, Asked, answer, listed, merged
+from flighttest.diagnose.conclusion import (
+    UNMOVED,
+    compensated_voltage,
+    moved_parameters,
+    predicted_worse,
+    sentence_of,
+    verdict_of,
+)
 from flighttest.diagnose.findings import finding, parameter_table
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.prediction import groups_left_out, held_out_table, share_gained
@@ -29,14 +37,6 @@ from flighttest.diagnose.model import Diagnosis, Finding, Rival, TermVerdict, Un
 from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, ParameterRow
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
-from flighttest.diagnose.run import (
-    UNMOVED,
-    compensated_voltage,
-    moved_parameters,
-    predicted_worse,
-    sentence_of,
-    verdict_of,
-)
 from flighttest.diagnose.selection.candidates import usual_size
 from flighttest.diagnose.selection.comparison import probability_of
 from flighttest.diagnose.selection.detectability import PLAUSIBLE, POWER, UNSEEN, missing_channels
@@ -180,20 +180,13 @@ class _Assembly:
         floor = free_flight_floor(after_rows, self.air)
         places = locate(before_rows, self.segments, floor, SEED)
         left = [p for p in locate(after_rows, self.air, floor, SEED) if p.regime]
-        first, last = excess(before_rows, floor), excess(after_rows, floor)
-        above = {p.channel for p in places}
-        shares = [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
-        shares += [s for a in self.answers for s in a.shares]
-        share = float(np.mean(shares)) if shares else 0.0
-        located = [*places, *(p for a in self.answers for p in a.located)]
-        staying = [*left, *(c for a in self.answers for c in a.staying)]
+        share = self._share_left(excess(before_rows, floor), excess(after_rows, floor), {p.channel for p in places})
+        located = [*places, *listed(self.answers, "located")]
+        staying = [*left, *listed(self.answers, "staying")]
         held = held_out_table(found) if found.named else {}
-        whole = {**held, **{k: v for a in self.answers for k, v in a.heldout.items()}}
+        whole = {**held, **merged(self.answers, "heldout")}
         before, after = table_of(found.base, self.model), parameter_table(fitted)
-        findings = [self._finding(n, held, after) for n in found.named.values()]
-        findings += [
-            finding(s, t, after, self.asked.groups, SEED) for s in self.searches for t in s.evidence if self.asked
-        ]
+        findings = self._findings(held, after)
         unseen, levels = self._unseen()
         verdict = verdict_of(bool(findings), share, bool(located), bool(staying))
         accepted = (*found.named, *self.loops)
@@ -221,24 +214,39 @@ class _Assembly:
             heldout=whole,
             noise_floor={
                 **{short(c): FloorRow({"value": v, "from": FROM_EQUATIONS}) for c, v in floor.std.items()},
-                **{k: v for a in self.answers for k, v in a.floors.items()},
+                **merged(self.answers, "floors"),
             },
             baselines={},
             residual_map=(
-                *residual_map(before_rows, after_rows, self.segments, floor), *(c for a in self.answers for c in a.cells),
+                *residual_map(before_rows, after_rows, self.segments, floor), *listed(self.answers, "cells"),
             ),
             regimes=(
-                *regime_curves(places, before_rows, after_rows, self.segments), *(c for a in self.answers for c in a.curves),
+                *regime_curves(places, before_rows, after_rows, self.segments), *listed(self.answers, "curves"),
             ),
-            overlays=(*overlays(before_rows, after_rows, self.segments), *(o for a in self.answers for o in a.overlaid)),
+            overlays=(*overlays(before_rows, after_rows, self.segments), *listed(self.answers, "overlaid")),
             candidates=tuple(self._candidates(hidden)),
             cost={"added_parameters": len(after) - len(before), "held_out_groups": groups_left_out(found)[1]},
             mass=mass_test(previous, {n: (row["value"], row["scatter"]) for n, row in after.items()}),
-            notes=(*(n for a in self.answers for n in a.notes), *self._notes(), *compensated_voltage(after)),
+            notes=(*listed(self.answers, "notes"), *self._notes(), *compensated_voltage(after)),
             complete=self.complete,
             runs=tuple(dict.fromkeys(s.run for s in self.segments)),
             winds=tuple(wind_rows(found.winds, found.declared)),
         )  # fmt: skip
+
+    def _share_left(self, first: Mapping[str, float], last: Mapping[str, float], above: set[str]) -> float:
+        """Of mean squares above the floor, before (first) and after (last): of the channels (short) above it, and of the loops."""
+        shares = [min(last[n] / e, 1.0) for n, e in first.items() if short(n) in above and e > 0]
+        shares += listed(self.answers, "shares")
+        return float(np.mean(shares)) if shares else 0.0
+
+    def _findings(
+        self, held: Mapping[str, Mapping[str, HeldOutRow]], after: Mapping[str, ParameterRow]
+    ) -> list[Finding]:
+        """Of the equations, then of the attitude loops."""
+        found = [self._finding(n, held, after) for n in self.found.named.values()]
+        if self.asked is None:
+            return found
+        return found + [finding(s, t, after, self.asked.groups, SEED) for s in self.searches for t in s.evidence]
 
     def _fit(self) -> Fit:
         """The final model: attitude loops by output error, the translation as the equations have it."""
@@ -305,38 +313,35 @@ class _Assembly:
     def _unseen(self) -> tuple[list[Untestable], dict[str, tuple[float, str]]]:
         """What could not be seen and why; of the rest the smallest coefficient that would have been named."""
         found = self.found
-        unseen = [u for a in self.answers for u in a.unseen]
-        levels = {k: v for a in self.answers for k, v in a.levels.items()}
+        unseen: list[Untestable] = listed(self.answers, "unseen")
+        levels: dict[str, tuple[float, str]] = merged(self.answers, "levels")
+        for term, name, size, usual_sizes in self._smallest():
+            levels[term.id] = size, name
+            if usual_sizes > PLAUSIBLE:
+                unseen.append(Untestable(term.id, UNSEEN, term.reveals))
         asked = {t.id for a in self.answers if a.search for t in a.search.pool}
-        least = -normal_quantile(0.5 * CHANCE / max(len(found.offered), 1)) + POWER
-        known = {t.id: t for t in self.pool}
-        for s in found.screened:
-            sizes = {
-                n: (least * e, least * e / abs(usual_size(p)))
-                for p in known[s.term].amplitudes
-                for n, e in s.std.items()
-                if n == p.name and usual_size(p)
-            }
-            if not sizes:
-                continue
-            name = min(sizes, key=lambda n: sizes[n][1])
-            levels[s.term] = sizes[name][0], name
-            if sizes[name][1] > PLAUSIBLE:
-                unseen.append(Untestable(s.term, UNSEEN, known[s.term].reveals))
         words = {*found.named, *self.loops, *asked, *(u.term for u in unseen), *(s.term for s in found.screened)}
-        for t in self.pool:
-            if t.id in words or t.id in found.refused or t.id in found.final.model.terms:
-                continue
-            missing = missing_channels(t, self.segments)
-            if t.id == WIND_TERM:
-                continue  # every flight was declared still
-            if missing:
-                unseen.append(Untestable(t.id, f"not recorded: {', '.join(missing)}", t.reveals, False))
-            elif block_of(t) == "translation" and t.id not in found.offered:
-                unseen.append(Untestable(t.id, NO_COLUMN, t.reveals))
-            else:
-                unseen.append(Untestable(t.id, UNMOVED, t.reveals))
+        # Where every flight was declared still, nothing is asked of the wind.
+        words |= {*found.refused, *found.final.model.terms, WIND_TERM}
+        unseen += [self._not_tried(t) for t in self.pool if t.id not in words]
         return unseen, levels
+
+    def _smallest(self) -> Iterator[tuple[Term, str, float, float]]:
+        """(term, coefficient, its smallest size that would have been named, the same in usual sizes) of every term screened."""
+        least = -normal_quantile(0.5 * CHANCE / max(len(self.found.offered), 1)) + POWER
+        known = {t.id: t for t in self.pool}
+        for s in self.found.screened:
+            usual = {p.name: abs(usual_size(p)) for p in known[s.term].amplitudes if usual_size(p)}
+            sizes = {n: least * e for n, e in s.std.items() if n in usual}
+            if sizes:
+                name = min(sizes, key=lambda n: sizes[n] / usual[n])
+                yield known[s.term], name, sizes[name], sizes[name] / usual[name]
+
+    def _not_tried(self, term: Term) -> Untestable:
+        if missing := missing_channels(term, self.segments):
+            return Untestable(term.id, f"not recorded: {', '.join(missing)}", term.reveals, False)
+        in_equations = block_of(term) == "translation" and term.id not in self.found.offered
+        return Untestable(term.id, NO_COLUMN if in_equations else UNMOVED, term.reveals)
 
     def _candidates(self, hidden: Mapping[str, str]) -> list[CandidateRow]:
         rows: list[CandidateRow] = []

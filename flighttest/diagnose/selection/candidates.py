@@ -3,7 +3,7 @@ of the present model, its nonlinear parameters on their declared grids. The test
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -97,26 +97,8 @@ def grid(term: Term) -> list[dict[str, float]]:
 def candidates_at(
     estimator: Estimator, model: Model, at: Optimum, rows: Linearisation, terms: Sequence[Term]
 ) -> list[Candidate]:
-    """Every setting of every term outside the model. One Jacobian serves a setting of all terms with linear coefficients, since at
-    their null values they do not change each other. rows: of the model itself. What is not finite is left out."""
-    found: list[Candidate] = []
-    linear = [t for t in terms if t.amplitudes]
-    if linear:
-        everything = model.with_terms(*(t for t in linear if t.id not in model.terms))
-        known = set(estimator.problem(everything).names)
-        names = [p.name for t in linear for p in t.amplitudes if p.name in known]
-        null = {p.name: null_value(p) for t in linear for p in t.amplitudes}
-        grids: dict[str, list[dict[str, float]]] = {t.id: grid(t) if t.shapes else [{}] for t in linear}
-        for k in range(max(len(g) for g in grids.values())):
-            asked = [t for t in linear if k < len(grids[t.id])]
-            shape = {n: v for t in linear for n, v in grids[t.id][k % len(grids[t.id])].items()}
-            wanted = [n for t in asked for n in (p.name for p in t.amplitudes) if n in known]
-            raw = estimator.derivatives(everything, estimator.moved(everything, at, null | shape), wanted)
-            for t in asked:
-                own = tuple(p.name for p in t.amplitudes if p.name in names)
-                part = [one[..., [wanted.index(n) for n in own]] for one in raw]
-                if own and finite(part):
-                    found.append(Candidate(t, grids[t.id][k], own, *rows.of(part)))
+    """Every setting of every term outside the model. rows: of the model itself. What is not finite is left out."""
+    found = list(_by_derivatives(estimator, model, at, rows, [t for t in terms if t.amplitudes]))
     for t in (t for t in terms if not t.amplitudes):
         changed = model.with_terms(t)
         for setting in grid(t):
@@ -124,3 +106,25 @@ def candidates_at(
             if finite(raw):
                 found.append(Candidate(t, setting, (), *rows.of(raw)))
     return found
+
+
+def _by_derivatives(
+    estimator: Estimator, model: Model, at: Optimum, rows: Linearisation, terms: Sequence[Term]
+) -> Iterator[Candidate]:
+    """Of terms with linear coefficients: one Jacobian serves a setting of all, since at their null values they do not change each other."""
+    if not terms:
+        return
+    everything = model.with_terms(*(t for t in terms if t.id not in model.terms))
+    known = set(estimator.problem(everything).names)
+    null = {p.name: null_value(p) for t in terms for p in t.amplitudes}
+    own = {t.id: tuple(p.name for p in t.amplitudes if p.name in known) for t in terms}
+    grids: dict[str, list[dict[str, float]]] = {t.id: grid(t) if t.shapes else [{}] for t in terms}
+    for k in range(max(len(g) for g in grids.values())):
+        asked = [t for t in terms if k < len(grids[t.id])]
+        shape = {n: v for g in grids.values() for n, v in g[k % len(g)].items()}
+        wanted = [n for t in asked for n in own[t.id]]
+        raw = estimator.derivatives(everything, estimator.moved(everything, at, null | shape), wanted)
+        for t in asked:
+            part = [one[..., [wanted.index(n) for n in own[t.id]]] for one in raw]
+            if own[t.id] and finite(part):
+                yield Candidate(t, grids[t.id][k], own[t.id], *rows.of(part))

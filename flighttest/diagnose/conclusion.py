@@ -1,0 +1,108 @@
+"""The conclusion of a diagnosis in words: verdict, sentence, notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flighttest.diagnose.model import Verdict
+from flighttest.diagnose.records import HeldOutRow, ParameterRow
+from flighttest.physics.body import DELAY_PARAM
+
+EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
+DELAYS_DIFFER_S = 0.01
+COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
+# A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is reported.
+MOVED, MOVED_ERRORS = 0.05, 4.0
+UNMOVED = "these flights do not move what it acts on"
+
+
+def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Verdict:
+    """The answer as a whole. share: of the excess that stays; still: whether a mismatch is located with what is named, too."""
+    if not any_named:
+        return Verdict.UNKNOWN_PHYSICS if located else Verdict.NOTHING_MISSING
+    return Verdict.EXPLAINED if not still or share <= EXPLAINED_SHARE else Verdict.PARTLY
+
+
+def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
+    """The answer in one sentence."""
+    if not complete and verdict is Verdict.NOTHING_MISSING:
+        return "Interrupted: nothing was found missing until then, and what was not searched may hide something."
+    more = "" if complete else " Interrupted: there may be more."
+    names = ", ".join(f.title.lower() for f in findings)
+    if verdict is Verdict.EXPLAINED:
+        return f"Left out: {names}. With it {100 * max(0.0, 1 - share):.0f} % of the excess error is gone.{more}"
+    if verdict is Verdict.PARTLY:
+        return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained.{more}"
+    if verdict is Verdict.NOTHING_MISSING:
+        return "Nothing is missing above the noise floor; see the smallest effects that would have been noticed."
+    determined = f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
+    return determined + more
+
+
+def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: Mapping[str, ParameterRow]) -> str:
+    """What the refit of the base has taken up: parameters that are no longer those of the model given."""
+    changes = {}
+    for name in (n for n in previous if n in after and not n.startswith("T_d")):
+        old, std = previous[name]
+        difference = float(after[name]["value"]) - old
+        error = float(np.hypot(float(after[name]["scatter"]), std or 0.0))
+        if old and abs(difference) > max(MOVED * abs(old), MOVED_ERRORS * error):
+            changes[name] = difference / abs(old)
+    if not changes:
+        return ""
+    largest = sorted(changes, key=lambda n: -abs(changes[n]))
+    words = ", ".join(f"{n} {100 * changes[n]:+.0f} %" for n in largest[:3])
+    more = f" and {len(largest) - 3} more" if len(largest) > 3 else ""
+    return f" The model given does not hold as it is ({words}{more}): its parameters were fitted anew."
+
+
+def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:
+    """Channels (short) that the model with what is named predicts worse, of responses not used: the 95 % interval of the drop in RMSE is
+    below zero, and the error is above the noise floor."""
+    worse = {c: rows["all"] for c, rows in held.items() if rows["all"]["gain_95"][1] < 0.0}
+    said = [
+        f"{c} ({row['rmse_after'] / row['rmse_before']:.2g} times the error)"
+        for c, row in worse.items()
+        if row["rmse_after"] > row["floor"]
+    ]
+    return f" On data not used it predicts worse than the base model: {', '.join(said)}." if said else ""
+
+
+def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:
+    """Channel delays that differ: the model has one per channel, so this needs no term."""
+    known = {n: (float(table[n]["value"]), float(table[n]["scatter"])) for n in DELAY_PARAM.values() if n in table}
+    if len(known) < 2:
+        return []
+    (late, (most, most_std)), (early, (least, least_std)) = (
+        max(known.items(), key=lambda kv: kv[1][0]), min(known.items(), key=lambda kv: kv[1][0])
+    )  # fmt: skip
+    if most - least < DELAYS_DIFFER_S or most - least < 4 * float(np.hypot(most_std, least_std)):
+        return []
+    return [
+        f"channel_delay: {late} is {1000 * (most - least):.0f} ms longer than {early}; the model has a delay for each channel, "
+        "so that no further term is needed"
+    ]
+
+
+def compensated_voltage(table: Mapping[str, ParameterRow]) -> list[str]:
+    """Thrust that does not follow the voltage: somebody makes up for it, and it is no physics of the vehicle."""
+    alpha = table.get("alpha")
+    if alpha is None or float(alpha["value"]) + 2 * float(alpha["std"]) > COMPENSATED:
+        return []
+    return [
+        f"battery compensation: alpha is {float(alpha['value']):.2f} ± {1.96 * float(alpha['std']):.2f}, where motors on a battery have 1 "
+        "to 2: the autopilot makes up for the voltage (ArduPilot MOT_BAT_VOLT_MAX), or the ESCs hold the rotor speed"
+    ]
+
+
+def pushed_once(count: int) -> str:
+    """How many responses were set aside, in a sentence."""
+    many = (
+        "1 response that something pushed once is"
+        if count == 1
+        else f"{count} responses that something pushed once are"
+    )
+    return f"{many} set aside."
