@@ -40,7 +40,7 @@ LEVEL = (
 
 class Kind(StrEnum):
     """The answer about one parameter. The simulator LACKS its term, has TOO_MUCH of it (reality has none), has it with an OTHER_VALUE, the
-    SAME within the error of both, or it is UNTESTED: one of the sides does not tell it."""
+    SAME within the error of both, or it is UNTESTED: one of the sides does not determine it."""
 
     LACKS = "LACKS"
     TOO_MUCH = "TOO_MUCH"
@@ -133,7 +133,7 @@ def compare(
         models.append(found.model.with_terms(*(t.id for t in missing), *shared_limits(segments, found, other)))
         fits.append(_fitted(segments, models[-1], {**other.values, **found.values}, shapes))
     for i in (0, 1):
-        # What one side cannot tell is held at what the other found, so that the rest compares.
+        # What one side cannot determine is held at what the other found, so that the rest compares.
         known, unknown = fits[1 - i].covariance.names, fits[i]
         held = {
             n: fits[1 - i].values[n]
@@ -226,7 +226,7 @@ def _differences(real: Side, simulated: Side) -> tuple[Difference, ...]:
         row = Difference(name, term, param.unit, Kind.UNTESTED, a, stds[0], b, stds[1])
         if known[0] is None or known[1] is None:
             which = [side for side, k in zip(("the real", "the simulated"), known, strict=True) if k is None]
-            rows.append(replace(row, why=f"{' and '.join(which)} recordings do not tell it"))
+            rows.append(replace(row, why=f"{' and '.join(which)} recordings do not determine it"))
             continue
         (s_a, dof_a), (s_b, dof_b) = known[0], known[1]
         std = math.hypot(s_a, s_b)

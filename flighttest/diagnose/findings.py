@@ -71,7 +71,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         sentence = f"This is your {term.family} ({title}): {sentence}"
     if confusable:
         others = ", ".join(r.term for r in confusable)
-        sentence += f"; {others} would explain it as well, fly {confusable[0].separated_by} to tell them apart"
+        sentence += f"; {others} would explain it as well, fly {confusable[0].separated_by} to separate them"
     return Finding(
         term=term_id,
         title=term.title,

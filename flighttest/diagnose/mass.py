@@ -41,7 +41,7 @@ def mass_test(
     found["answer"] = test.answer
     if test.same_ratio_p is None:
         found["sentence"] = (
-            f"thrust per mass changed by {changed}: thrust or mass, drag is not known well enough to tell"
+            f"thrust per mass changed by {changed}: thrust or mass, drag is not known well enough to decide"
         )
         return found
     words = {

@@ -49,7 +49,7 @@ class TermVerdict(StrEnum):
     """The answer about one candidate, as it stands in diagnosis.json.
 
     SUPPORTED: the recording needs it, since held-out predictions improve and no rival does the same. NOT_NEEDED: the recording would
-    have shown it and does not. CONFUSABLE: it explains the recording, and so does another candidate; a further flight must tell them
+    have shown it and does not. CONFUSABLE: it explains the recording, and so does another candidate; a further flight must separate them
     apart. UNTESTABLE: this recording could not have shown it.
     """
 

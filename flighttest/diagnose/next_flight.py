@@ -1,4 +1,4 @@
-"""Which flight would tell: shipped maneuvers are rehearsed with the fitted model, and the one whose data would separate the rivals
+"""Which flight would decide: shipped maneuvers are rehearsed with the fitted model, and the one whose data would separate the rivals
 best, or show best what could not be seen, is written as a script.
 
 Nothing in the recordings prefers either answer now (else there were no question): odds of 1 to 1. The expected odds are those of the
@@ -41,7 +41,7 @@ RATE_HZ = 50.0
 MOST_CELLS = 12
 MOST_REPEATS = 4
 MOST_TRIED = 3  # maneuvers rehearsed per question: those that the terms name, then the general ones
-SURE = 1000.0  # odds above it are said as such: what a rehearsal does not know weighs more
+SURE = 1000.0  # odds above it are given as such: what a rehearsal leaves out weighs more
 STOP_S = 0.4
 UNRECORDED = 1e9  # standard deviation of a channel, SI, without information
 CORRELATED = 10.0  # real residuals are correlated over several samples; rehearsed ones are not
@@ -97,7 +97,7 @@ def _proposal(
     question: Question, name: str, odds: float, made: ScriptData, size: float
 ) -> tuple[NextReason, ScriptData]:
     rival = question.rival.id if question.rival else None
-    aim = f"to tell {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
+    aim = f"to separate {question.term.id} from {rival}" if rival else f"to see whether there is {question.term.id}"
     to_one = math.exp(min(odds, 23.0))
     worth = f"{brief(to_one)} to 1" if to_one < SURE else f"more than {SURE:.0f} to 1"
     how = name if size == 1.0 else f"{name} at {100 * size:.0f} % of its size, to fit the zone"
@@ -194,7 +194,7 @@ def _planned(
 
 
 def with_unrecorded(noise: Noise, problem: Problem) -> Noise:
-    """The noise, and of channels that no sensor there was recorded one so large that they say nothing."""
+    """The noise, and of channels that no sensor there was recorded one so large that they contain no information."""
     usual = start_noise(problem)
     unrecorded = {c: UNRECORDED for c in usual.channel if c not in noise.channel}
     return Noise({**unrecorded, **noise.channel}, {**usual.disturbance, **noise.disturbance})

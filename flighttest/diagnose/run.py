@@ -74,8 +74,8 @@ def diagnose(
     segments: of one vehicle, from one or several recordings, marked steps or windows of free flight. model: the base (default:
     the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. only: ids of the
     candidates (default: the whole catalogue). side_by_side(work, items, shares of the work): a way to run work(items), one result per
-    item, in more than one process. flyable: what of a maneuver the vehicle's zone has room for. FitError when there is too little to say
-    anything. An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
+    item, in more than one process. flyable: what of a maneuver the vehicle's zone has room for. FitError when there is too little for any
+    answer. An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
     """
     usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
     if len(usable) < LEAST_SEGMENTS:
@@ -211,7 +211,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
 def _not_testable(
     asked: Asked, answers: Sequence[Answer], determined: Collection[str], complete: bool
 ) -> list[Untestable]:
-    """Candidates that these flights say nothing of, with the reason. determined: ids of those that were tried or named."""
+    """Candidates on which these flights contain no information, with the reason. determined: ids of those that were tried or named."""
     found: list[Untestable] = listed(answers, "unseen")
     known = {u.term for u in found}
     for term in asked.pool:

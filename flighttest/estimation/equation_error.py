@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 MOST_LAGS = 40  # 0.8 s at 50 Hz: beyond it, gusts of multirotor flights are predicted by their last value
 FEWEST_GROUPS = 3  # of which a variance between them can be determined
-LEAST_POWER = 0.01  # of the most informative group: one with less says nothing of a parameter
+LEAST_POWER = 0.01  # of the most informative group: one with less does not determine a parameter
 BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of correlation ends within a second
 WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
 LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left out

@@ -29,7 +29,7 @@ PIECE_S = 0.5  # accelerations are means over so long: shorter ones are noise of
 
 
 def taken_as_level(segment: Segment) -> bool:
-    """Whether roll and pitch were not measured, and nothing that was recorded says that the vehicle was tilted."""
+    """Whether roll and pitch were not measured, and nothing that was recorded shows that the vehicle was tilted."""
     return not knows_attitude(segment) and tilt_rad(segment) <= LEVEL_RAD
 
 
@@ -51,7 +51,7 @@ def tilt_rad(segment: Segment) -> float:
 def level_share(problem: Problem, solution: Solution) -> float:
     """Share of the thrust by which K may be wrong for taking segments as level; 0 where attitude was measured in all.
 
-    Not below what responses call a constant vertical disturbance: where attitude is not known, nothing says that it is none of K's.
+    Not below what responses call a constant vertical disturbance: where attitude is not known, nothing shows that it is none of K's.
     """
     found = 0.0
     for part, local in zip(problem.parts, solution.local, strict=True):
@@ -63,7 +63,7 @@ def level_share(problem: Problem, solution: Solution) -> float:
 
 
 def level_notes(segments: Sequence[Segment], share: float) -> list[str]:
-    """What a fit says of segments without a measured attitude. share: `level_share` of it."""
+    """What a fit reports of segments without a measured attitude. share: `level_share` of it."""
     unknown = [s for s in segments if not knows_attitude(s)]
     if not unknown:
         return []
@@ -74,7 +74,7 @@ def level_notes(segments: Sequence[Segment], share: float) -> list[str]:
     if level:
         largest = max(tilt_rad(s) for s in level)
         notes.append(
-            f"{_of(len(level), len(segments))} taken as level, since nothing recorded there says otherwise (tilts of up to "
+            f"{_of(len(level), len(segments))} taken as level, since nothing recorded there shows otherwise (tilts of up to "
             f"{largest:.2f} rad show); a steady tilt against wind or drag would not show: K is not known "
             f"better than to {100 * share:.2g} %"
         )
@@ -90,7 +90,7 @@ def refusal(segments: Sequence[Segment]) -> str:
         return ""
     return (
         f"{_of(len(tilted), len(segments))} neither of measured roll and pitch nor level (accelerations, velocities or attitude references "
-        f"show tilts of {min(tilted):.2f} to {max(tilted):.2f} rad), so that nobody knows where the thrust points"
+        f"show tilts of {min(tilted):.2f} to {max(tilted):.2f} rad), so that the direction of the thrust is not known"
     )
 
 

@@ -46,7 +46,7 @@ ASSUMED = Noise(
 
 @dataclass(frozen=True)
 class Expected:
-    """One parameter: expected standard error, the same with twice the repeats, and the steps that tell most about it.
+    """One parameter: expected standard error, the same with twice the repeats, and the steps with most information on it.
 
     std is None where the script contains no information on it; best: (cell in words, share of the information), best first.
     """
@@ -62,7 +62,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class PlannedInformation:
-    """What the responses of one plan would tell, each with what it needs to know of the others left open.
+    """The information of the responses of one plan, each with what it needs to know of the others left open.
 
     steps: their segments, without samples (n,); able: block name to the positions of those in which its references move; information:
     block name to Fisher information (n, p, p) by `model.names`, zero for a response that feeds the block in no company.
@@ -76,7 +76,7 @@ class PlannedInformation:
 def planned_information(
     plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
 ) -> list[PlannedInformation]:
-    """What each plan would tell: every flight is flown and differentiated once (see `_planned`). Legs without a profile (waypoints,
+    """The information of each plan: every flight is flown and differentiated once (see `_planned`). Legs without a profile (waypoints,
     motors off) are left out."""
     groups, flights = _planned(plans, model, values)
     every = [segment for group in groups for segment in group]
@@ -224,14 +224,14 @@ def _best(
         label = _step_words(segment)
         cells[label] = cells.get(label, 0.0) + float(value)
     total = sum(cells.values()) or 1.0
-    # Steps to the left and to the right tell the same: what differs by rounding only stays in the order of the script.
+    # Steps to the left and to the right contain the same information: what differs by rounding only stays in the order of the script.
     ranked = sorted(((c, v / total) for c, v in cells.items()), key=lambda pair: -round(pair[1], 6))
     return tuple(pair for pair in ranked[:3] if pair[1] > 0.01)
 
 
 def _step_words(segment: Segment) -> str:
     """A step as a person would call it: 'throttle 0.05 to 0.40', 'roll +0.3 rad', 'yaw rate -2 rad/s'."""
-    if segment.kind == "free":  # chirps and doublets: the label says the axis, the cell does not
+    if segment.kind == "free":  # chirps and doublets: the label names the axis, the cell does not
         return segment.name.split("/")[1] if "/" in segment.name else "free flight"
     kind, cell = segment.kind.removesuffix("_step").replace("_", " "), segment.cell
     if "throttle_0" in cell and "throttle_1" in cell:

@@ -9,7 +9,7 @@ found = fit(segments, Model(("body", "linear_drag", "ground_effect")), ties={"d_
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -157,18 +157,14 @@ def fit(
     given = start if isinstance(start, Start) else Start(start or {})
     begin = {**start_values(segments, model, onset), **given.values, **(frozen or {})}
     spread = voltage_spread_at_equal_throttle(segments)
-    held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
-    if not throttle_varies(segments):
-        held = (*held, "sigma_t", "T_d_thrust")
-    while True:
-        fixed = (*(frozen or {}), *held)
-        problem = problem_of(segments, model, select=select, values=begin, fixed=fixed, ties=ties)
-        solution = best_of_starts(problem, robust, model.start(given.values), given.noise)
-        covariance = covariance_of(problem, solution)
-        hopeless = _hopeless(solution, covariance)
-        if not hopeless or len(hopeless) == len(covariance.names):
-            break
-        held = (*held, *hopeless)
+
+    def stated(held: Sequence[str]) -> Problem:
+        return problem_of(segments, model, select=select, values=begin, fixed=(*(frozen or {}), *held), ties=ties)
+
+    def solved(problem: Problem) -> Solution:
+        return best_of_starts(problem, robust, model.start(given.values), given.noise)
+
+    problem, solution = _of_what_is_determined(stated, solved, _not_moved(segments, model))
     solution, others = local_optima(problem, solution, robust)
     moved = closed_loop_bias(problem, solution)
     apart = {n: r.away(solution.values[n]) for n, r in others.items()}
@@ -204,6 +200,26 @@ def fit(
         voltage_spread_v=spread,
         checks=step_sizes(diagnostics),
     )
+
+
+def _not_moved(segments: Sequence[Segment], model: Model) -> tuple[str, ...]:
+    """Parameters whose input these responses do not move."""
+    held = () if voltage_varies(segments, model.nominal_voltage_v) else ("alpha",)
+    return held if throttle_varies(segments) else (*held, "sigma_t", "T_d_thrust")
+
+
+def _of_what_is_determined(
+    stated: Callable[[Sequence[str]], Problem], solved: Callable[[Problem], Solution], held: tuple[str, ...]
+) -> tuple[Problem, Solution]:
+    """A problem and its solution, with what turns out to be `_hopeless` held beside `held`."""
+    while True:
+        problem = stated(held)
+        solution = solved(problem)
+        covariance = covariance_of(problem, solution)
+        hopeless = _hopeless(solution, covariance)
+        if not hopeless or len(hopeless) == len(covariance.names):
+            return problem, solution
+        held = (*held, *hopeless)
 
 
 def _hopeless(solution: Solution, covariance: Covariance) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What responses say at parameters that are given, not estimated: scores and information, the responses' own unknowns followed along."""
+"""Responses at parameters that are given, not estimated: scores and information, the responses' own unknowns followed along."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger erro
 
 @dataclass(frozen=True)
 class FreeFlight:
-    """What free flight says about the translation.
+    """What free flight shows of the translation.
 
     values: parameters by name, those of one flight as `name@flight`; std: standard errors of the estimated ones, robust over 1 to 5 s;
     covariance (q, q) in the order of `names`; noise: per channel the spectrum of what is left; rms: per channel of the residual, m/s^2;

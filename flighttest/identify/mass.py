@@ -11,14 +11,14 @@ import numpy as np
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
 
 FORCES = ("K", "d_x", "d_y", "d_z")
-DRAG_KNOWN = 0.02  # relative standard error below which drag can tell mass from thrust
+DRAG_KNOWN = 0.02  # relative standard error below which drag separates mass from thrust
 SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
 class MassTest:
     """Which of the two changed. common_ratio, its std: of all forces, were it one; same_ratio_p: of that; drag_unchanged_p: of drag as it
-    was (both None where drag is not known well enough to tell)."""
+    was (both None where drag is not known well enough to decide)."""
 
     answer: Literal["thrust", "mass", "thrust or mass"]
     common_ratio: float

@@ -29,7 +29,7 @@ BESIDE_WIND = ("attitude_offset", "thrust_scaled_drag")
 
 
 class WindVerdict(Enum):
-    """What is said of the air in one flight; the value is what model.yaml and diagnosis.json carry."""
+    """What is reported of the air in one flight; the value is what model.yaml and diagnosis.json carry."""
 
     WIND = "wind"
     NONE_SEEN = "none seen"
@@ -97,7 +97,7 @@ def winds(segments: Sequence[Segment], model: Model, weather: Mapping[str, str] 
 
 
 def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[FlightWind]:
-    """The wind of every flight in an estimate with `w_north` and `w_west` per flight. declared: flights said to be in still air."""
+    """The wind of every flight in an estimate with `w_north` and `w_west` per flight. declared: flights declared to be in still air."""
     made = []
     for flight in found.flights:
         at = [found.names.index(f"{n}@{flight}") for n in WIND]
@@ -112,7 +112,7 @@ def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[
 
 
 def wind_rows(flights: Sequence[FlightWind], declared: frozenset[str]) -> list[FlightWindRow]:
-    """The wind of each flight as model.yaml and diagnosis.json have it. declared: flights said to be in still air."""
+    """The wind of each flight as model.yaml and diagnosis.json have it. declared: flights declared to be in still air."""
     return [
         FlightWindRow(
             flight=w.flight,

@@ -58,7 +58,7 @@ class Param:
     estimate well on the other side is another effect in disguise. alone: whether it can be all there is of its term (a wind that only
     rises cannot: what does that is thrust). limits: what it is a limit of, 'throttle' or 'tilt_rate' (what the angle loops ask for): a
     limit that was not reached cannot be known. natural_bound: the bound at which the term is still itself, in its limit (a time
-    constant too short, or too long, to be seen); at any other its estimate is not what its name says.
+    constant too short, or too long, to be seen); at any other its estimate is not what its name means.
     """
 
     name: str

@@ -28,7 +28,7 @@ class Simulable(Protocol):
 
     @property
     def g_m_s2(self) -> float:
-        """Gravity, m/s^2: the specific thrust that a run begins with where nothing is said."""
+        """Gravity, m/s^2: the specific thrust that a run begins with where nothing is given."""
 
     @property
     def system(self) -> System:

@@ -102,7 +102,7 @@ def test_what_one_side_does_not_tell_is_not_tested():
     other = side()
     del other.errors["alpha"]
     row = next(d for d in differences_of(side(alpha=3.0), other) if d.name == "alpha")
-    assert (row.kind, row.why) == (Kind.UNTESTED, "the simulated recordings do not tell it")
+    assert (row.kind, row.why) == (Kind.UNTESTED, "the simulated recordings do not determine it")
 
 
 def test_attitude_loops_that_one_side_could_not_show_are_no_difference():

@@ -1,4 +1,4 @@
-"""Rows and sentences of a diagnosis of free flight: parameters, winds, noise floor, pairs of flights that would tell more."""
+"""Rows and sentences of a diagnosis of free flight: parameters, winds, noise floor, pairs of flights that would decide more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model discrepancy: how much of a residual repeats have in common, and how far that reduces what its samples say.
+"""Model discrepancy: how much of a residual repeats have in common, and how far that reduces the information of its samples.
 
 Statistical model of one stratum k (a channel, or the constant disturbances of one axis), whitened residual of repeat r of cell c:
 

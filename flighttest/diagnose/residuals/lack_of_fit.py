@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 BIN_S = 0.1  # responses of one cell are compared in bins of this width after the step
 EQUATIONS_PER_COVARIATE = 4
 LEAST_RATIO = 1.25
-GUESSED_RATIO = 4.0  # where no repeats say what the floor is, and it is known to a factor of two
+GUESSED_RATIO = 4.0  # where no repeats measure the floor, and it is known to a factor of two
 OUTRIGHT = 3.5  # floors: above it, times of one response that differ on their own count as several looks
 SIGNIFICANCE = 0.001
 # Residuals below these cannot be distinguished from the resolution of the recording.
@@ -27,7 +27,7 @@ RESOLUTION = {"roll_rad": 3e-4, "pitch_rad": 3e-4, "r_rad_s": 1e-3} | {
     for axis in "xyz"
 }
 # What an estimate drifts by within seconds and no high-frequency residual shows: attitude of an EKF in flight about 0.1 deg, velocity of
-# GPS and barometer some cm/s, accelerometers warming up or shaken 0.05 m/s^2. Repeats, where they were flown, say better.
+# GPS and barometer some cm/s, accelerometers warming up or shaken 0.05 m/s^2. Repeats, where they were flown, measure it.
 DRIFT = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
     f"{k}_{axis}_{unit}": std
     for k, unit, std in (("f", "m_s2", 0.05), ("a", "m_s2", 0.1), ("v", "m_s", 0.03))
@@ -49,7 +49,7 @@ class NoiseFloor:
 
     lack_of_fit: channel to (lack of fit, its degrees of freedom, pure error, its degrees) of 0.1 s means, where repeats exist;
     lack_by_kind: (channel, kind of step) to (mean square of what repeats share over the pure error's at the same times since the step,
-    number of cells, repeats that say how large the pure error is, independent times of one response).
+    number of cells, repeats that measure the pure error, independent times of one response).
     """
 
     std: Mapping[str, float]
@@ -62,7 +62,7 @@ class NoiseFloor:
         return self.std[channel]
 
     def repeated(self, channel: str, kind: str) -> bool:
-        """Whether repeats say what the floor of this channel is in this kind of maneuver."""
+        """Whether repeats measure the floor of this channel in this kind of maneuver."""
         return (channel, kind) in self.lack_by_kind
 
     def at(self, channel: str, kind: str, lasts_s: float = 0.0) -> float:
@@ -264,7 +264,7 @@ def _binned(responses: Sequence[tuple[Segment, IntArray, FloatArray]]) -> tuple[
 def shared_error(
     values: Sequence[tuple[int, float]], at_time: Mapping[int, tuple[float, float]]
 ) -> tuple[float, float]:
-    """(what repeats share over their pure error at the same times, repeats that say how large that is).
+    """(what repeats share over their pure error at the same times, repeats that measure that).
 
     A velocity's error grows while a response lasts, so late times are compared with late times. The repeats are those of one time.
     """

@@ -172,7 +172,7 @@ def _lasting(segments: Sequence[Segment], which: NDArray[np.intp]) -> float:
 def locate(rows: Linearisation, segments: Sequence[Segment], floor: NoiseFloor, seed: int = 0) -> list[Located]:
     """The places where the mismatch is, worst first: above the floor beyond chance (`NoiseFloor.exceeded`), or ordered by a variable.
 
-    In free flight no repeats say how far a response's disturbance alone drives a velocity away, nor how heavy the tails of the noise are:
+    In free flight no repeats show how far a response's disturbance alone drives a velocity away, nor how heavy the tails of the noise are:
     unless a variable orders the whole, what is left beside each response's own disturbance, which is part of the noise model, is compared
     with the floor, or with the power of its own high frequencies where that is more.
     """
@@ -289,7 +289,7 @@ def located_at(
 
 
 def _where(variable: str, side: str, level: float) -> str:
-    """A part of a regime as people say it: angles in degrees, headings by the compass."""
+    """A part of a regime in words: angles in degrees, headings by the compass."""
     label, unit = VARIABLES[variable]
     if variable == "heading_rad":
         return f"on headings {'right' if side == 'below' else 'left'} of {compass_from_yaw(level):.0f} deg"

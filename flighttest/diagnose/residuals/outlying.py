@@ -19,7 +19,7 @@ FAR = 8.0  # robust standard deviations of what pushes a response: weather as us
 LEAST_SPREAD_M_S2 = 0.05  # what estimators wander by looks like a push of this size
 NEAR = 0.5  # of a push: a repeat that got less did not share it
 MOST = 1 / 3  # of all responses: what comes more often is no exception
-LEAST = 12  # responses: of fewer nobody knows what is usual
+LEAST = 12  # responses: of fewer it is not known what is usual
 
 
 def set_aside(estimator: Estimator, model: Model, start: Mapping[str, float]) -> tuple[tuple[Segment, ...], SetAside]:

@@ -73,9 +73,9 @@ def usual_size(p: Param) -> float:
 
 
 def redundant(term: Term, strata: Collection[str]) -> frozenset[str]:
-    """Velocities that say nothing of a term, since their specific force is recorded: p(f, v) = p(f) p(v | f), and given specific force and
-    attitude kinematics alone make the velocity, whatever the force; what a force explains of it beyond that is the velocity estimator's
-    own error. None for terms of instruments. strata: what is recorded."""
+    """Velocities that contain no information on a term, since their specific force is recorded: p(f, v) = p(f) p(v | f), and given specific
+    force and attitude kinematics alone make the velocity, whatever the force; what a force explains of it beyond that is the velocity
+    estimator's own error. None for terms of instruments. strata: what is recorded."""
     if term.family in _OF_INSTRUMENTS:
         return frozenset()
     sides = (_FORCES[:2], _VELOCITIES[:2]), (_FORCES[2:], _VELOCITIES[2:])

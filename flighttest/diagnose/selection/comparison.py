@@ -228,7 +228,7 @@ def may_be_absent(term: Term, fitted: Fitted, change: Change, estimator: Estimat
     """Why a term's estimates do not exclude its absence, empty where they do. change: what it changes; repeated: whether steps were.
 
     By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
-    err. Then only the scatter between cells is left to be asked of; and of a term with nonlinear parameters, where repeats vouch for it,
+    err. Then only the scatter between cells is tested; and of a term with nonlinear parameters, where repeats vouch for it,
     not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
     not used (`improved`).
     """
@@ -329,7 +329,7 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
 
 
 def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:
-    """Whether data tell an estimate from the coefficient's usual value."""
+    """Whether data separate an estimate from the coefficient's usual value."""
     return abs(fitted.at.values[p.name] - p.nominal) > NORMAL_95 * standard_errors(fitted, segments)[p.name]
 
 

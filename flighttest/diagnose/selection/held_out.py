@@ -18,7 +18,7 @@ IntArray = NDArray[np.intp]
 
 FOLDS = 5
 BOOTSTRAPS = 400
-RIDGE = 1e-9  # of unit columns: what a fold's training data say nothing of stays where it is
+RIDGE = 1e-9  # of unit columns: what a fold's training data do not determine stays where it is
 FEWEST_GROUPS = 6  # that a test at 2.5 % may be over: all of n alike have probability 2^-n by chance (sign test)
 LEAST_ROWS = 60  # samples a place (channel and kind of maneuver) needs before its RMS means something
 
@@ -134,7 +134,7 @@ def stratum_gains(
     before: CrossValidation, after: CrossValidation, groups: IntArray, seed: int = 0
 ) -> dict[str, tuple[float, float]]:
     """Stratum to the 95 % percentile bootstrap interval (groups resampled) of the relative fall of the root sum of squares; without strata
-    recorded in fewer than `FEWEST_GROUPS` groups, of which no such interval says anything.
+    recorded in fewer than `FEWEST_GROUPS` groups, over which no such interval decides anything.
 
     A response is predicted by parameters from other groups and by its own nuisance parameters, which are strata of their own. So the
     constant disturbance of a response does not hide whether the rest of it is predicted better.

@@ -147,7 +147,7 @@ class Search:
         """Withdraw what was named where the model with it predicts more channels of what was not used surely worse than better, each
         response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight."""
         if not self.evidence or np.unique(self.groups).size < FEWEST_GROUPS:
-            return  # of fewer groups no interval says anything, and each term was asked by itself
+            return  # an interval over fewer groups decides nothing, and each term was tested by itself
         assert self.base is not None
         assert self.now is not None
         assert self.floor is not None
@@ -175,7 +175,7 @@ class Search:
 
     def _proposals(self) -> list[Scored]:
         """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient, and as
-        long as nothing is named every one with nonlinear parameters: a score is a derivative at the null value, and says little where the
+        long as nothing is named every one with nonlinear parameters: a score is a derivative at the null value, and shows little where the
         effect is large and the base has moved far for it. (A slung load of 0.29 of the vehicle's mass had no score at all, and 151,000
         nats once it was refitted.) What is left beside a named effect is small, and its score holds."""
         found = [s for s in self.scored if s.log_odds > 0.0]
@@ -251,7 +251,7 @@ class Search:
         compared_with: Optimum | None = None,
         reported: bool = False,
     ) -> Fitted:
-        """A model fitted from a start, with the terms at a bound that says they are absent held there (`inactive`). compared_with:
+        """A model fitted from a start, with the terms at a bound that means absence held there (`inactive`). compared_with:
         optimum of a larger model that it is only compared with, in whose noise it is linearised; reported: as of `Estimator.fit`."""
         names = self._free(model, inactive)
         best = None if compared_with is None else compared_with.log_likelihood

@@ -8,8 +8,8 @@ N(m, P) of its linear coefficients x (half-normal where physics allows one side 
 
 at the maximum x, v_k the residual variance under S, no less than the pure error (Laplace approximation; n_k, Q_k in effective samples).
 Prior of a subset: each term is missing with odds of one to the number of candidate terms, so that one is expected, and its grid values
-are alike. The sum over k leaves out what says nothing of a member (`candidates.redundant`), so that an instrument is found first and a
-force beside it. All subsets of up to three terms are scored, larger ones step by step (`search`).
+are alike. The sum over k leaves out what contains no information on a member (`candidates.redundant`), so that an instrument is found
+first and a force beside it. All subsets of up to three terms are scored, larger ones step by step (`search`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Scored:
 class Subsets:
     """Gram matrices of candidates beside the present model. gram (K, p, p), moment (K, p), square (K,), size (K,) effective samples: per
     stratum, the last that of priors of initial states, whose variance is known; least (K,): variance of the pure error; left (c,): of each
-    candidate's column lengths what the base cannot copy; counts (K, c): whether a stratum says anything of a candidate."""
+    candidate's column lengths what the base cannot copy; counts (K, c): whether a stratum contains information on a candidate."""
 
     candidates: Sequence[Candidate]
     gram: FloatArray

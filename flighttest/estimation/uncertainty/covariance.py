@@ -22,7 +22,7 @@ from flighttest.estimation.uncertainty.distributions import quantile
 FloatArray = NDArray[np.float64]
 
 STAMP_S = 1e-3  # resolution of time stamps in MAVLink messages
-MIN_DOF = 2.5  # below this a cluster sum says nothing; the model-based covariance, inflated, stands in
+MIN_DOF = 2.5  # below this a cluster sum is not reliable; the model-based covariance, inflated, takes its place
 
 
 @dataclass(frozen=True)

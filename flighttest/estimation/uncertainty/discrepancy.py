@@ -12,7 +12,7 @@ the part of g along J). Counting g once per kind k of n_k samples (variance infl
 
     cov = H^-1 [sum_k s_g^2 n_k J_k' J_k] H^-1,      H = sum J' J,
 
-per channel. Where noise is large, that limit says little: no more than `SHARE` of what the model makes the responses do is taken for an
+per channel. Where noise is large, that limit is wide: no more than `SHARE` of what the model makes the responses do is taken for an
 error of its equations; more is a lack of fit, which other tests name. Without repeats nothing separates g from e; the limit is all of the
 residual, or that share.
 """
@@ -37,7 +37,7 @@ LEVEL = 0.95
 # are inside their 95 % intervals at 0, 87 % at 0.01, 90 % from 0.02 to 0.2. More than is needed there, for vehicles that obey the
 # equations less.
 SHARE = 0.05
-FEWEST_DIFFERENCES = 5.0  # degrees of freedom between repeats below which they say nothing
+FEWEST_DIFFERENCES = 5.0  # degrees of freedom between repeats below which they are not used
 
 
 def discrepancy_covariance(problem: Problem, solution: Solution, active: Sequence[str]) -> FloatArray:

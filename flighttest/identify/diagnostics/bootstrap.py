@@ -15,7 +15,7 @@ DRAWS = 400
 
 
 def bootstrap_std(normal: Normal, active: tuple[str, ...], draws: int = DRAWS, seed: int = 0) -> dict[str, float]:
-    """Standard errors by resampling responses, by name of the `active` parameters. Fewer than four responses tell nothing: empty."""
+    """Standard errors by resampling responses, by name of the `active` parameters. Fewer than four responses show nothing: empty."""
     pick = np.array([normal.names.index(n) for n in active], dtype=np.intp)
     hessian, score = normal.hessian[:, pick[:, None], pick], normal.score[:, pick]
     determined = np.abs(hessian).sum(axis=(1, 2)) > 0

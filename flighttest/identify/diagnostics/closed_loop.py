@@ -3,7 +3,7 @@
 Free flight is flown by somebody: a pilot or a position loop answers gusts, so that commands and disturbances are correlated.
 
 Output error takes for granted that they are not, as they are not in steps that a script sent. Where they are, the estimate has turned what
-was disturbance into parameters, and its standard error does not contain it. What is left of each response says how much: it is orthogonal
+was disturbance into parameters, and its standard error does not contain it. What is left of each response shows how much: it is orthogonal
 to the sensitivities, but not to those of a little later, if the later commands answer it. The score with responses moved by such a lead,
 in units of the parameters, is what the unmoved one has been brought to zero with.
 """
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 LEADS_S = (0.05, 0.1, 0.2, 0.4)  # from a quick height loop to a slow position loop
 # The answer comes later than what it answers, which is partly over by then: of 48 flights of a known vehicle, calm and in gusts, under a
-# soft and a tight position loop, errors were up to twice as large as what the leads said.
+# soft and a tight position loop, errors were up to twice as large as the leads had shown.
 ALLOWED = 2.0
 FEW_WINDOWS = 3
 

@@ -34,7 +34,7 @@ SETS: tuple[tuple[str, ...], ...] = (
 _SIZES = {"roll_step": ("amplitude_rad", "rad"), "pitch_step": ("amplitude_rad", "rad"), "yaw_rate_step": ("rate_rad_s", "rad/s"),
           "throttle_step": ("throttle_1", "throttle"), "tilt_throttle": ("throttle_1", "throttle")}  # fmt: skip
 FEW_WINDOWS = 8
-SMALLEST_SHARE = 0.01  # of the information on a parameter: groups with less say nothing of it
+SMALLEST_SHARE = 0.01  # of the information on a parameter: groups with less do not determine it
 CHANCE = 1e-4  # that a difference between two groups of like steps is taken for one
 
 
@@ -116,7 +116,7 @@ def _of_set(
         inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
         shift = inverse @ score[members].sum(axis=0)
         rest = score[members] - hessian[members] @ shift
-        # How many responses tell anything, by their leverage; and how they scatter, in units of what the noise model expects.
+        # How many responses carry information, by their leverage; and how they scatter, in units of what the noise model expects.
         leverage = np.einsum("sij,ji->s", hessian[members], inverse)
         count = float(leverage.sum() ** 2 / (leverage**2).sum())
         own = float(np.einsum("si,ij,sj->", rest, inverse, rest)) / len(names) * count

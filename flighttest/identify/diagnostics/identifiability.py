@@ -18,7 +18,7 @@ from flighttest.segments.model import Segment
 
 ALPHA_STD = 0.3
 ALPHA_SHARE = 0.2
-ALPHA_HOPELESS = 1.0  # a standard error beyond this says nothing: alpha is held, so that K is still found
+ALPHA_HOPELESS = 1.0  # with a standard error beyond this it is not determined: alpha is held, so that K is still found
 HOPELESS_SHARE = 0.5  # of the value: a standard error beyond this leaves no digit
 THROTTLE_STEP = 0.005  # of full throttle: less is no step
 VOLTAGE_STD = 0.004  # of ln U, below which alpha is held from the beginning (0.1 V on 22 V)
@@ -98,63 +98,67 @@ def judge(
 ) -> Known:
     """Verdict on one parameter. reveals: the maneuver that excites it, where its term names one."""
     diagnostics = diagnostics or ParameterDiagnostics()
-    value, std, partner = found.value, found.std, found.partner
     fly = maneuver_for(param, reveals)
-    if found.insensitive:
-        return Known(False, _WHY_INSENSITIVE.get(param.name, f"nothing in this data depends on {param.name}"), fly)
-    if found.at_bound:
-        return Known(False, f"the estimate sits at its bound {value:g} {param.unit}", fly)
-    if std is None:
-        return Known(False, "no error could be estimated for it", fly)
-    if diagnostics.explained < EXPLAINS_NOTHING:
-        return Known(False, "the model describes these responses no better than their mean does", fly)
-    if diagnostics.missed > MISSED_SHARE:
-        missed = f"{100 * diagnostics.missed:.0f} % of how the vehicle moved is neither explained nor noise"
-        return Known(False, f"{missed}; `flighttest diagnose` looks for what is behind it", fly)
-    if diagnostics.responses < FEWEST_RESPONSES:
-        few = (
-            "one response holds information"
-            if diagnostics.responses == 1
-            else f"{diagnostics.responses} responses hold information"
-        )
-        return Known(False, f"only {few} on it: without repeats its error is not known", fly)
-    if diagnostics.bound is not None:
-        return Known(False, f"{diagnostics.bound} sits at its bound, and the two cannot be distinguished here", fly)
-    if diagnostics.other_optimum is not None:
-        return Known(False, diagnostics.other_optimum.sentence(param.unit), fly)
-    if diagnostics.spread is not None and diagnostics.spread.width > allowance(param, value):
-        sentence = diagnostics.spread.sentence(param.unit)
-        return Known(False, f"{sentence}; `flighttest diagnose` looks for what is behind it", fly)
-    if diagnostics.partner is not None:
-        return Known(
-            False,
-            f"{diagnostics.partner} differs between sizes of steps, and the two cannot be distinguished here",
-            fly,
-        )
-    share = std / abs(value) if value else float("inf")
+    if why := _not_determined(param, found, diagnostics):
+        return Known(False, why, fly)
+    assert found.std is not None
     # More than half of the variance.
     steered = "; mostly because what flew the vehicle answered disturbances, as a pilot or a position loop does"
-    steered = steered if diagnostics.closed_loop_bias > np.sqrt(0.5) * std else ""
+    steered = steered if diagnostics.closed_loop_bias > np.sqrt(0.5) * found.std else ""
+    if wide := _too_wide(param, found.value, found.std, voltage_spread_v):
+        partner = found.partner if param.name != "alpha" else None
+        with_whom = (
+            f"; it is nearly collinear with {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
+        )
+        return Known(False, f"its standard error is {wide}{with_whom}{steered}", fly)
+    return Known(True)
+
+
+def _not_determined(param: Param, found: Estimated, diagnostics: ParameterDiagnostics) -> str:
+    """Why an estimate, whatever its standard error, is not this parameter's value; empty where it is."""
+    value = found.value
+    if found.insensitive:
+        return _WHY_INSENSITIVE.get(param.name, f"nothing in this data depends on {param.name}")
+    if found.at_bound:
+        return f"the estimate sits at its bound {value:g} {param.unit}"
+    if found.std is None:
+        return "no error could be estimated for it"
+    if diagnostics.explained < EXPLAINS_NOTHING:
+        return "the model describes these responses no better than their mean does"
+    if diagnostics.missed > MISSED_SHARE:
+        missed = f"{100 * diagnostics.missed:.0f} % of how the vehicle moved is neither explained nor noise"
+        return f"{missed}; `flighttest diagnose` looks for what is behind it"
+    if diagnostics.responses < FEWEST_RESPONSES:
+        one = diagnostics.responses == 1
+        few = "one response holds information" if one else f"{diagnostics.responses} responses hold information"
+        return f"only {few} on it: without repeats its error is not known"
+    if diagnostics.bound is not None:
+        return f"{diagnostics.bound} sits at its bound, and the two cannot be distinguished here"
+    if diagnostics.other_optimum is not None:
+        return diagnostics.other_optimum.sentence(param.unit)
+    if diagnostics.spread is not None and diagnostics.spread.width > allowance(param, value):
+        return f"{diagnostics.spread.sentence(param.unit)}; `flighttest diagnose` looks for what is behind it"
+    if diagnostics.partner is not None:
+        return f"{diagnostics.partner} differs between sizes of steps, and the two cannot be distinguished here"
+    return ""
+
+
+def _too_wide(param: Param, value: float, std: float, voltage_spread_v: float | None) -> str:
+    """A standard error that is too large for the parameter to be called known, in words; empty where it is not."""
     if param.name == "alpha":
-        range_v = (
+        # Near zero (a battery-compensated autopilot) a share of the value means nothing: a tight absolute bound takes its place.
+        share = std / abs(value) if value else float("inf")
+        if std < ALPHA_STD and (share < ALPHA_SHARE or std < 0.05):
+            return ""
+        spread = (
             "" if voltage_spread_v is None else f"; at equal throttle the voltage spread over {voltage_spread_v:.1f} V"
         )
-        # Near zero (a battery-compensated autopilot) a share of the value means nothing: a tight absolute bound stands in.
-        good = std < ALPHA_STD and (share < ALPHA_SHARE or std < 0.05)
-        return Known(
-            good,
-            "" if good else f"its standard error is {std:.2f} (needed: below {ALPHA_STD} and 20 %){range_v}{steered}",
-            "" if good else fly,
-        )
+        return f"{std:.2f} (needed: below {ALPHA_STD} and 20 %){spread}"
+    if std < allowance(param, value):
+        return ""
     if param.unit == "s" and param.name.startswith("T_d"):
-        good, limit = std < allowance(param, value), f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
-    else:
-        good = std < allowance(param, value)
-        limit = f"{std:{'.2g' if std < 100 else '.0f'}}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
-    if good:
-        return Known(True)
-    with_whom = f"; it is nearly collinear with {partner[0]} here" if partner and abs(partner[1]) > CORRELATED else ""
-    return Known(False, f"its standard error is {limit}{with_whom}{steered}", fly)
+        return f"{1e3 * std:.0f} ms (needed: below {1e3 * WEAK_DELAY_S:.0f} ms)"
+    return f"{std:{'.2g' if std < 100 else '.0f'}}{'' if param.unit == '1' else f' {param.unit}'} on a value of {value:.3g}"
 
 
 def correlated_parameters(covariance: Covariance, above: float) -> tuple[tuple[str, str, float], ...]:

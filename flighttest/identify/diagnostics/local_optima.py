@@ -55,7 +55,7 @@ class LocalOptimum:
 
 
 def local_optima(problem: Problem, solution: Solution, robust: bool) -> tuple[Solution, dict[str, LocalOptimum]]:
-    """The best of several optima, and by name the parameters of others that this data cannot tell from it."""
+    """The best of several optima, and by name the parameters of others that this data does not separate from it."""
     if not solution.status.good:
         return solution, {}
     known = covariance_of(problem, solution)

@@ -141,7 +141,7 @@ def _described(problem: Problem, solution: Solution, r2: Mapping[str, float], sh
 
 
 def _leaning_on(others: Sequence[str], solution: Solution, correlation: float = 0.5) -> dict[str, str]:
-    """Free parameters that share what this data knows of them with one of `others`, by name: which one."""
+    """Free parameters that share the information of this data on them with one of `others`, by name: which one."""
     names = solution.normal.names
     total = solution.normal.hessian.sum(axis=0)
     root = np.sqrt(np.maximum(np.diag(total), 1e-300))

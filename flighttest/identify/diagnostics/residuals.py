@@ -33,7 +33,7 @@ class ResidualTest:
     """One channel. whiteness: autocorrelation of neighbours; share: of the residual that its lagged reference explains.
 
     p_value: of that share when the sign of each response's residual is drawn at random; both None where there is no reference, or too
-    few responses to tell.
+    few responses to decide.
     """
 
     channel: str

@@ -207,7 +207,7 @@ def _write_c(stored: ModelFile, folder: Path) -> list[Path]:
 
 
 def _quieted(code: str) -> str:
-    """CasADi's C leaves parameters of its fixed interface unused; say so, for builds with -Wextra."""
+    """CasADi's C leaves parameters of its fixed interface unused; mark them, for builds with -Wextra."""
 
     def use(match: re.Match[str]) -> str:
         names = [n for n in ("arg", "res", "iw", "w", "mem") if re.search(rf"\b{n}\b[,)]", match.group(0))]

@@ -1,4 +1,4 @@
-"""What flights could not tell, from the model that they were held against: a short flight must not unlearn what a campaign knew."""
+"""What flights do not determine, from the model that they were compared with: a short flight must not discard what a campaign knew."""
 
 from __future__ import annotations
 

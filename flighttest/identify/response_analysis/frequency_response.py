@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 MOST_LAG_S = 1.0
 LEAST_PAIRS = 50  # samples that a correlation rests on
-LEAST_RESPONSES = 3  # of which a coherence says something
+LEAST_RESPONSES = 3  # needed for a coherence
 LEAST_POWER = 1e-3  # of the command's largest: between its harmonics it excites nothing
 FREQUENCIES_HZ = np.geomspace(0.3, 12.0, 48)
 # What is stepped, what answers it, in which kinds of response.

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 RESOLVED = 0.999  # diagonal of the resolution matrix, from which on the responses so far determine a parameter
 SMALLEST_EIGENVALUE = 1e-9  # of normal equations scaled to a unit diagonal: smaller ones are no information
-WIDEST = 30.0  # times the final standard error: beyond it a linear step says nothing
+WIDEST = 30.0  # times the final standard error: beyond it a linear step does not hold
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ _SHORTEST_S = 0.6
 @dataclass(frozen=True)
 class HorizonError:
     """Error of one group of channels (vector norm) after a horizon, over `count` starts, in `UNITS[group]`: root mean square, and mean as
-    papers on learned dynamics print it. stretches: how many of those do not overlap, and so say something of their own."""
+    papers on learned dynamics print it. stretches: how many of those do not overlap, and so are independent."""
 
     variation: Variation
     group: str
@@ -69,7 +69,7 @@ class HorizonError:
 
     @property
     def few(self) -> str:
-        """What to know of an error that few stretches of flight tell; empty where there are enough."""
+        """The caution on an error measured on few stretches of flight; empty where there are enough."""
         if self.stretches >= ENOUGH_STRETCHES:
             return ""
         starts = f"{self.count} start{'s' if self.count != 1 else ''}"
@@ -266,7 +266,7 @@ def _most_lively(
 
 
 def _verdicts(errors: Sequence[HorizonError]) -> list[str]:
-    """What the table says, against each simplification, at the longest horizon measured."""
+    """What the table shows, against each simplification, at the longest horizon measured."""
     sentences = []
     table = {(e.variation, e.group, e.horizon_s): e.rmse for e in errors}
     few = {(e.group, e.horizon_s): e.few for e in errors if e.variation is Variation.FULL}

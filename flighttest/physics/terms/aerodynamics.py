@@ -185,7 +185,7 @@ ground_effect = Term(
     plain="near the ground the downwash is held up and the same throttle gives more thrust",
     source="Cheeseman and Bennett, The effect of the ground on a helicopter rotor, ARC R&M 3021, 1955",
     doubt="found for one rotor in hover; several rotors and the fuselage make it stronger and reach higher. R^2 is "
-    "only as good as rotor_height_m, of the vehicle file, 0.2 m where nobody said",
+    "only as good as rotor_height_m, of the vehicle file, 0.2 m where it is not given",
     hides_in=("K", "alpha"),
     told_apart_by="same step at two heights",
     reveals="two_heights",
