@@ -19,7 +19,7 @@ from flighttest.diagnose.residuals.locate import locate, regime_curves, residual
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.baselines import baselines
 from flighttest.diagnose.selection.detectability import detectable, missing_channels, untestable
-from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, held_out, horizon_rmse
+from flighttest.diagnose.selection.held_out import HeldOut, excess, gains_held_out, horizon_rmse
 from flighttest.diagnose.selection.search import Search, silent
 from flighttest.estimation.estimator import Estimator, part_of
 from flighttest.identify.dead_time import onset_delay, start_values
@@ -112,8 +112,8 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
     assert now is not None
     assert floor is not None
     unchanged = now is base
-    before_held = held_out(base.rows, base.names, asked.groups)
-    after_held = before_held if unchanged else held_out(now.rows, now.names, asked.groups)
+    before_held = base.held_out(asked.groups)
+    after_held = before_held if unchanged else now.held_out(asked.groups)
     horizons_b = horizon_rmse(base.rows, before_held, segments)
     horizons_a = horizons_b if unchanged else horizon_rmse(now.rows, after_held, segments)
     for name, h in gains_held_out(base.rows, before_held, now.rows, after_held, asked.groups, floor, SEED).items():

@@ -10,7 +10,7 @@ from flighttest.diagnose.model import Finding, Rival, TermVerdict, brief, flown,
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.diagnose.selection.aliases import aliases_of
 from flighttest.diagnose.selection.comparison import Evidence
-from flighttest.diagnose.selection.held_out import gains_held_out, held_out
+from flighttest.diagnose.selection.held_out import gains_held_out
 from flighttest.diagnose.selection.search import Search
 from flighttest.estimation.linearisation import FloatArray, IntArray
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
@@ -43,7 +43,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
     assert search.floor is not None
     term, evidence = search.terms[term_id], search.evidence[term_id]
     without = evidence.without
-    before, after = held_out(without.rows, without.names, groups), held_out(search.now.rows, search.now.names, groups)
+    before, after = without.held_out(groups), search.now.held_out(groups)
     heldout = {
         short(name): HeldOutRow(
             rmse_before=h.rmse_before, rmse_after=h.rmse_after, floor=h.floor, gain_95=list(h.gain_95)

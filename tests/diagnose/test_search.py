@@ -278,7 +278,12 @@ def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, r
     as far."""
     noise = rng.normal(size=1000)
     base, now = (
-        Fitted(SimpleNamespace(terms=()), (), SimpleNamespace(objective=1.0), rows_of(noise * f, np.zeros((1000, 0))))
+        Fitted(
+            SimpleNamespace(terms=()),
+            (),
+            SimpleNamespace(objective=1.0, values={}),
+            rows_of(noise * f, np.zeros((1000, 0))),
+        )
         for f in (1.0, after)
     )
     pool = (SimpleNamespace(id="a"),)

@@ -18,7 +18,9 @@ from flighttest.diagnose.residuals.lack_of_fit import DISTURBANCE_DRIFT, RESOLUT
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
+    Room,
     cross_validated,
+    held_out,
     held_out_falls,
     places,
     size_in_floors,
@@ -54,6 +56,15 @@ class Fitted:
         """(n,) whitened, without what the model's own columns explain."""
         basis = orthonormal(self.rows.columns(self.names))
         return np.asarray(self.rows.residual - basis @ (basis.T @ self.rows.residual))
+
+    @property
+    def room(self) -> Room:
+        """How far what is estimated may move from the optimum."""
+        return Room.of([self.model.param[n] for n in self.names], self.at.values)
+
+    def held_out(self, groups: IntArray) -> FloatArray:
+        """As of `held_out`."""
+        return held_out(self.rows, self.names, groups, self.room)
 
     @property
     def finite(self) -> bool:
@@ -136,10 +147,10 @@ def cross_validations(
     known = at.noise == (smaller.noise or smaller.at.noise)
     rows = smaller.rows if known else estimator.linearise(smaller.model, at, smaller.names)
 
-    def of(rows: Linearisation, names: Sequence[str]) -> CrossValidation:
-        return CrossValidation(rows, cross_validated(rows, names, groups, weights(rows)))
+    def of(fitted: Fitted, rows: Linearisation) -> CrossValidation:
+        return CrossValidation(rows, cross_validated(rows, fitted.names, groups, weights(rows), fitted.room))
 
-    return of(larger.rows, larger.names), of(rows, smaller.names)
+    return of(larger, larger.rows), of(smaller, rows)
 
 
 def log_evidence(
@@ -178,7 +189,9 @@ def evidence_of(
     change = Change(profiled, change_by_stratum(after.rows, before.rows))
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
-        falls = held_out_falls((without.rows, without.names), (fitted.rows, fitted.names), groups)
+        falls = held_out_falls(
+            (without.rows, without.names, without.room), (fitted.rows, fitted.names, fitted.room), groups
+        )
         intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     found = Evidence(
         term=term.id,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor
 from flighttest.estimation.linearisation import Linearisation
 from flighttest.identify.validation.validate import HORIZONS_S
+from flighttest.physics.core import Param
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -52,10 +54,38 @@ def folds_of(groups: IntArray) -> IntArray:
     return groups % min(FOLDS, int(groups.max()) + 1) if groups.size else groups
 
 
-def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray) -> FloatArray:
+@dataclass(frozen=True)
+class Room:
+    """How far parameters may move from an optimum before they reach their bounds: least (p,) <= 0, most (p,) >= 0, in their own units."""
+
+    least: FloatArray
+    most: FloatArray
+
+    @classmethod
+    def of(cls, params: Sequence[Param], values: Mapping[str, float]) -> Room:
+        """params: those that are estimated, in the order of the columns."""
+        least = np.array([min(p.lower - values[p.name], 0.0) for p in params])
+        return cls(least, np.array([max(p.upper - values[p.name], 0.0) for p in params]))
+
+    def step(self, h: FloatArray, g: FloatArray, length: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
+        """(q,) minimiser of x'hx / 2 - g'x inside the bounds, as every estimate is; of unit columns (length (q,): what they were divided
+        by; used (p,): which they are). Without bounds a fold that leaves a parameter undetermined predicted errors of 1e7 nats, whatever
+        the term."""
+        x = np.asarray(np.linalg.lstsq(h, g, rcond=RIDGE)[0])
+        least, most = self.least[used] * length, self.most[used] * length
+        if np.all((x >= least) & (x <= most)):
+            return x
+        power, axes = np.linalg.eigh(h)
+        root = np.sqrt(np.maximum(power, RIDGE))
+        bounds = least - RIDGE, most + RIDGE
+        return np.asarray(lsq_linear(root[:, None] * axes.T, (axes.T @ g) / root, bounds, method="bvls").x)
+
+
+def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, room: Room) -> FloatArray:
     """(n,) residual in the channel's unit of every response as predicted by parameters from the other folds.
 
-    rows: at an optimum; linear in the parameters about it. A response keeps its own initial state, its disturbance is unknown.
+    rows: at an optimum; linear in the parameters about it, which have so much room. A response keeps its own initial state, its
+    disturbance is unknown.
     """
     a = rows.columns(names)
     length = np.sqrt(np.sum(a**2, axis=0))
@@ -67,31 +97,33 @@ def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray) -> Flo
     for fold in np.unique(fold_of_row):
         inside = fold_of_row == fold
         own = a[inside]
-        h = gram - own.T @ own
-        g = moment - own.T @ rows.residual[inside]
-        step = np.linalg.lstsq(h + 1e-10 * np.eye(h.shape[0]), g, rcond=1e-9)[0] if h.size else np.zeros(0)
+        h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
+        step = room.step(h, moment - own.T @ rows.residual[inside], length[used], used)
         out[inside] = rows.unprofiled_residual[inside] - b[inside] @ step
     return out
 
 
-def cross_validated(rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray) -> FloatArray:
+def cross_validated(
+    rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray, room: Room
+) -> FloatArray:
     """(n,) weighted squares of whitened rows as predicted by parameters from the other folds, nuisance parameters marginalised.
 
-    rows: at an optimum; linear in the parameters about it. weights (n,): of each row, from the model's discrepancy. A response's rows
-    sum to minus twice its log predictive density, but for a constant that models of one weighting share.
+    rows: at an optimum; linear in the parameters about it, which have so much room. weights (n,): of each row, from the model's
+    discrepancy. A response's rows sum to minus twice its log predictive density, but for a constant that models of one weighting share.
     """
     root = np.sqrt(weights)
     a, r = rows.columns(names) * root[:, None], rows.residual * root
     length = np.sqrt(np.sum(a**2, axis=0))
-    a = a[:, length > 0] / length[length > 0]
+    used = length > 0
+    a = a[:, used] / length[used]
     gram, moment = a.T @ a, a.T @ r
     fold_of_row = folds_of(groups)[rows.segment]
     out = r.copy()
     for fold in np.unique(fold_of_row):
         inside = fold_of_row == fold
         own = a[inside]
-        h = gram - own.T @ own
-        step = np.linalg.lstsq(h + RIDGE * np.eye(h.shape[0]), moment - own.T @ r[inside], rcond=RIDGE)[0]
+        h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
+        step = room.step(h, moment - own.T @ r[inside], length[used], used)
         out[inside] = r[inside] - own @ step
     return np.asarray(out**2)
 
@@ -154,11 +186,15 @@ def stratum_gains(
 
 
 def held_out_falls(
-    before: tuple[Linearisation, Sequence[str]], after: tuple[Linearisation, Sequence[str]], groups: IntArray
+    before: tuple[Linearisation, Sequence[str], Room],
+    after: tuple[Linearisation, Sequence[str], Room],
+    groups: IntArray,
 ) -> dict[str, float]:
-    """Channel to the relative fall of the root mean square with which models (rows, names) predict groups that were not used: what can be
-    asked of fewer groups than an interval takes. No disturbance of a response is known, so that it explains nothing."""
-    first, second = (mean_squares(rows, held_out(rows, names, groups), groups) for rows, names in (before, after))
+    """Channel to the relative fall of the root mean square with which models (rows, names, room) predict groups that were not used: what
+    can be asked of fewer groups than an interval takes. No disturbance of a response is known, so that it explains nothing."""
+    first, second = (
+        mean_squares(rows, held_out(rows, names, groups, room), groups) for rows, names, room in (before, after)
+    )
     return {
         c: 1.0 - float(np.sqrt(second[c][0].sum() / max(square.sum(), 1e-300)))
         for c, (square, count) in first.items()

@@ -28,7 +28,7 @@ from flighttest.diagnose.selection.comparison import (
     log_evidence,
     probability_of,
 )
-from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out, held_out
+from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out
 from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray, Optimum
@@ -151,7 +151,7 @@ class Search:
         assert self.base is not None
         assert self.now is not None
         assert self.floor is not None
-        before, after = ((f.rows, held_out(f.rows, f.names, self.groups)) for f in (self.base, self.now))
+        before, after = ((f.rows, f.held_out(self.groups)) for f in (self.base, self.now))
         gains = gains_held_out(*before, *after, self.groups, self.floor).values()
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
         if worse <= better:
