@@ -85,7 +85,13 @@ class Scripted(Search):
         self.asked.append(term)
         value = self.finds.get(("".join(found.model.terms), term), self.finds.get(term, 100.0))
         rest = fitted(*(t for t in found.model.terms if t != term))
-        return evidence(term, **({"inadmissible": value} if isinstance(value, str) else {"nats": value}), without=rest)
+        how = {"inadmissible": value} if isinstance(value, str) else {"nats": value}
+        if isinstance(value, tuple):
+            how = dict(zip(("inadmissible", "nats"), value, strict=True))
+        return evidence(term, **how, without=rest)
+
+    def _beside(self, kept, refused):
+        return fitted(*kept.model.terms, refused.term)
 
 
 @pytest.fixture
@@ -149,6 +155,16 @@ def test_a_term_that_left_beside_another_that_left_later_is_tried_again(searched
     search = searched({"abc": 10.0, "b": 5.0}, {("abc", "b"): 0.0, ("ac", "c"): 0.0})
     assert search.refits == ["abc", "ab"]
     assert search.named == {"a", "b"}
+
+
+def test_a_term_that_is_not_needed_beside_a_better_one_that_was_refused_is_not_named(searched):
+    """Half an angle boost, refused at its bound with 93 nats, and a translational lift of 12 nats: neither is there."""
+    scores, bound = {"a": 10.0, "b": 8.0}, "it is at its bound"
+    search = searched(scores, {"a": (bound, 93.0), "b": 12.0, ("ab", "b"): 0.0})
+    assert search.named == frozenset()
+    assert "beside a" in search.rejected["b"].why_not
+    assert searched(scores, {"a": (bound, 93.0), "b": 12.0}).named == {"b"}  # it is needed beside a
+    assert searched(scores, {"a": (bound, 11.0), "b": 12.0, ("ab", "b"): 0.0}).named == {"b"}  # a explains no more
 
 
 def test_an_older_term_is_asked_only_once_the_newcomers_stay(searched):
