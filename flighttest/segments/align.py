@@ -1,9 +1,11 @@
 """Channels of different rates on one time base, without moving any sample in time (but what the log stamped late:
 `compatibility`).
 
-The time base is that of the accelerometer (else attitude), thinned by centred averages to about 50 Hz. Fast channels are averaged the
-same way and read off linearly; slow ones (EKF, battery) linearly. Attitude or rates logged much slower than the time base keep their own
-sample times and are NaN elsewhere: a 10 Hz attitude read off in between would be a polygon, not a response.
+The time base is that of the accelerometer (else attitude) as stamped, thinned by centred averages to about 50 Hz. Fast channels are
+averaged the same way and read off linearly; slow ones (EKF, battery) linearly. Specific force that `compatibility` moved by a part of its
+period is read off between its samples by piecewise cubics: it has passed a low-pass filter. Rates need not have, and jump; they stay on
+samples of their own. Attitude or rates logged much slower than the time base keep their own sample times and are NaN elsewhere: a 10 Hz
+attitude read off in between would be a polygon, not a response.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from flighttest.channels import HELD_GROUPS, names
 from flighttest.frames import G_M_S2, rotation_from_euler
@@ -69,10 +72,10 @@ def prepare(recording: Recording) -> Aligned | None:
         groups[group] = _averaged(series)
         if group in _FAST and series.rate_hz < _OWN_TIMES_BELOW * min(base.rate_hz, RATE_MAX_HZ):
             own.add(group)
+    t_s = groups[base_group].t_s
     found = compatibility(groups, flights(recording), recording.provenance.filters.get("specific_force"))
     if found is not None:
         groups = corrected(groups, found)
-    t_s = groups[base_group].t_s
     if base.rate_hz > RATE_MAX_HZ:
         thin = int(np.ceil(base.rate_hz / RATE_MAX_HZ))
         t_s = _thinned(t_s, thin, groups.get("velocity"))
@@ -107,7 +110,8 @@ def sample(aligned: Aligned, start_s: float, end_s: float) -> tuple[FloatArray, 
         if group in HELD_GROUPS:
             y.update(_held(series, aligned.rates_hz[group], t))
         else:
-            y.update(_at_own(series, t) if group in aligned.own else _linear(series, aligned.rates_hz[group], t))
+            moved = group == "specific_force" and aligned.compatibility is not None
+            y.update(_at_own(series, t) if group in aligned.own else _read(series, aligned.rates_hz[group], t, moved))
     if "a_x_m_s2" not in y and {*names("specific_force"), "roll_rad", "pitch_rad", "yaw_rad"} <= set(y):
         y.update(_world_acceleration(aligned, t, y))
     return t, y
@@ -150,8 +154,9 @@ def _period(series: Series, rate_hz: float, t: FloatArray) -> float:
     return max(1.0 / rate_hz, float(np.median(gaps)) if gaps.size >= _FEW_GAPS else 0.0)
 
 
-def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArray]:
-    """Values read off linearly; NaN outside the series and inside gaps of more than three sample periods."""
+def _read(series: Series, rate_hz: float, t: FloatArray, cubic: bool = False) -> dict[str, FloatArray]:
+    """Values read off linearly, or by cubics that do not overshoot; NaN outside the series and inside gaps of more than three sample
+    periods."""
     out: dict[str, FloatArray] = {}
     if t.size == 0:
         return dict.fromkeys(series.columns, t)
@@ -169,7 +174,8 @@ def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArr
             out[name] = np.full(t.size, np.nan)
             continue
         right = np.clip(np.searchsorted(times, t), 1, times.size - 1)
-        found = np.interp(t, times, values)
+        inside = np.clip(t, times[0], times[-1])
+        found = PchipInterpolator(times, values)(inside) if cubic and times.size > 3 else np.interp(t, times, values)
         bad = (times[right] - times[right - 1] > reach) & (t != times[right]) & (t != times[right - 1])
         # A slow channel may begin or end up to half a period beside the window.
         bad |= (t < times[0] - 0.5 * period) | (t > times[-1] + 0.5 * period)
@@ -179,7 +185,7 @@ def _linear(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArr
 
 
 def _held(series: Series, rate_hz: float, t: FloatArray) -> dict[str, FloatArray]:
-    """The last value at each time; NaN before the first and where it is older than `_linear` would read across."""
+    """The last value at each time; NaN before the first and where it is older than `_read` would read across."""
     at = np.searchsorted(series.t_s, t, side="right") - 1
     fresh = (at >= 0) & (t - series.t_s[np.maximum(at, 0)] <= _GAP_PERIODS * _period(series, rate_hz, t))
     return {name: np.where(fresh, column[np.maximum(at, 0)], np.nan) for name, column in series.columns.items()}
@@ -201,7 +207,7 @@ def _at_own(series: Series, t: FloatArray) -> dict[str, FloatArray]:
 
 def _world_acceleration(aligned: Aligned, t: FloatArray, y: dict[str, FloatArray]) -> dict[str, FloatArray]:
     """a = R f - g e_z, with attitude read off linearly where it is slower than the accelerometer."""
-    attitude = _linear(aligned.groups["attitude"], aligned.rates_hz["attitude"], t) if "attitude" in aligned.own else y
+    attitude = _read(aligned.groups["attitude"], aligned.rates_hz["attitude"], t) if "attitude" in aligned.own else y
     rotation = rotation_from_euler(np.stack([attitude[n] for n in names("attitude")], axis=-1))
     f = np.stack([y[n] for n in names("specific_force")], axis=-1)
     a = np.einsum("nij,nj->ni", rotation, f) - [0.0, 0.0, G_M_S2]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from flighttest.recording import Provenance, Recording, Series
-from flighttest.segments import cut
+from flighttest.segments import align, cut
 from flighttest.segments.align import prepare, sample
+from flighttest.segments.compatibility import Compatibility
 
 
 def recording(**groups):
@@ -76,6 +77,20 @@ def test_the_time_base_falls_on_velocity_samples_where_it_can(shift):
     times, y = sample(aligned, 4.0, 6.0)
     # Between two samples the chord would cut the corner by 5 mm/s.
     np.testing.assert_allclose(y["v_z_m_s"], np.maximum(times - 5.0, 0.0), atol=1e-9)
+
+
+def test_rates_are_read_at_their_own_samples_where_the_force_was_moved(monkeypatch):
+    """A force 2.5 ms late moves no rate: a chord across the corner of a step would be off by 2.5 % of the step."""
+    monkeypatch.setattr(align, "compatibility", lambda *_: Compatibility(0.0, 0.005, 0.0025, 0.005, 0.0, 0.005, 6))
+    t = at(100.0)
+    jump = np.where(t < 5.005, 0.0, 1.0 - np.exp(-21.5 * (t - 5.005)))
+    still = Series(t, dict.fromkeys(("v_x_m_s", "v_y_m_s", "v_z_m_s"), 0 * t))
+    rates = Series(t, {"p_rad_s": 0 * t, "q_rad_s": 0 * t, "r_rad_s": jump})
+    swing = force(t, 9.81 + np.sin(12.0 * t))  # 2 Hz
+    times, y = sample(prepare(recording(specific_force=swing, rates=rates, velocity=still)), 4.0, 6.0)
+    true = np.where(times < 5.005, 0.0, 1.0 - np.exp(-21.5 * (times - 5.005)))
+    np.testing.assert_allclose(y["r_rad_s"], true, atol=1e-9)
+    np.testing.assert_allclose(y["f_z_m_s2"], 9.81 + np.sin(12.0 * (times + 0.0025)), atol=1e-3)
 
 
 def test_world_acceleration_follows_from_force_and_attitude():
