@@ -51,6 +51,12 @@ class Compatibility:
     velocity_scale_std: float
     stretches: int
 
+    @property
+    def too_far(self) -> bool:
+        """Whether one of the three is beyond `LARGEST` priors, so that nothing is corrected."""
+        off = (self.velocity_late_s / PRIOR_S, self.force_late_s / PRIOR_S, self.velocity_scale / PRIOR_SCALE)
+        return max(map(abs, off)) > LARGEST
+
 
 def compatibility(
     groups: Mapping[str, Series], flown: Sequence[tuple[float, float]], cutoff_hz: float | None = None
@@ -131,14 +137,16 @@ def _integral(x: FloatArray, t_s: FloatArray) -> FloatArray:
 
 def corrected(groups: Mapping[str, Series], found: Compatibility) -> dict[str, Series]:
     """The same with velocity, position and specific force on the attitude's clock and the horizontal velocity as large as kinematics has
-    it; what is further off than `LARGEST` priors is an effect, not a matter of stamps, and stays as it is."""
+    it; nothing is moved where one of the three is further off than `LARGEST` priors: they answer one set of equations, and what it meets
+    then is no matter of stamps (an effect, or in a hover the attitude's own error, which has a velocity look late and 10 % short)."""
     made = dict(groups)
+    if found.too_far:
+        return made
     late = {"velocity": found.velocity_late_s, "position": found.velocity_late_s, "specific_force": found.force_late_s}
     for group, late_s in late.items():
-        if group in made and abs(late_s) <= LARGEST * PRIOR_S:
+        if group in made:
             made[group] = Series(made[group].t_s - late_s, made[group].columns)
-    if abs(found.velocity_scale) <= LARGEST * PRIOR_SCALE and abs(found.velocity_late_s) <= LARGEST * PRIOR_S:
-        v = made["velocity"]
-        scaled = {n: v.columns[n] / (1.0 + found.velocity_scale) for n in names("velocity")[:2]}
-        made["velocity"] = Series(v.t_s, {**v.columns, **scaled})
+    v = made["velocity"]
+    scaled = {n: v.columns[n] / (1.0 + found.velocity_scale) for n in names("velocity")[:2]}
+    made["velocity"] = Series(v.t_s, {**v.columns, **scaled})
     return made

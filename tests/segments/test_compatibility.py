@@ -91,6 +91,15 @@ def test_stamps_are_moved_by_the_offset_of_their_message():
     np.testing.assert_array_equal(after["v_z_m_s"], before["v_z_m_s"])
 
 
+@pytest.mark.parametrize("off", [(0.023, 0.017, 0.0), (0.017, 0.023, 0.0), (0.017, 0.017, -0.11)])
+def test_one_of_the_three_too_far_off_moves_nothing(off):
+    """In a hover all three answer to the attitude's own error: moving the force alone by 17 ms is the thrust's delay off by as much."""
+    groups = flight()
+    velocity, force, scale = off
+    moved = corrected(groups, Compatibility(velocity, 0.006, force, 0.006, scale, 0.012, 6))
+    assert all(moved[name] is groups[name] for name in groups)
+
+
 @pytest.mark.parametrize("lacking", ["attitude", "specific_force", "velocity"])
 def test_nothing_is_said_without_the_channels(lacking):
     groups = {k: v for k, v in flight().items() if k != lacking}
