@@ -228,14 +228,14 @@ def test_what_cannot_be_is_not_named_however_probable():
     assert found(probability=1.0, floors=100.0, inadmissible="k is at its bound").why_not == "k is at its bound"
 
 
-def judged(term, model, values, columns=None, rng=None, segments=()):
+def judged(term, model, values, columns=None, rng=None, segments=(), repeated=False):
     names = tuple(p.name for p in catalogue()[term].params if p.name in values)
     rows = None
     if columns is not None:
         rows = rows_of(rng.normal(size=columns.shape[0]), columns, SEGMENTS, names=names)
         segments = responses(SEGMENTS, columns.shape[0] // SEGMENTS)
     at = Optimum(values, {}, NOISE, 0.0)
-    return inadmissible(catalogue()[term], Fitted(model, names, at, rows), segments, 30)
+    return inadmissible(catalogue()[term], Fitted(model, names, at, rows), segments, 30, repeated=repeated)
 
 
 def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound(rng):
@@ -299,9 +299,10 @@ def test_a_time_constant_too_short_to_be_seen_leaves_shaping_what_it_is():
     """With 19,700 nats reference shaping was refused on a part of a firmware's log for 0.02 s, and a rate limit of 276 nats named."""
     model = Model(("linear_drag", "reference_shaping"))
     values = {"shaping_accel": 70.0, "shaping_tc": 0.02, "shaping_ff": 0.13}
-    assert judged("reference_shaping", model, values) == ""
-    assert "bound" in judged("reference_shaping", model, values | {"shaping_tc": 0.6})
-    assert "bound" in judged("reference_shaping", model, values | {"shaping_accel": 400.0})
+    assert judged("reference_shaping", model, values, repeated=True) == ""
+    assert "bound" in judged("reference_shaping", model, values)
+    assert "bound" in judged("reference_shaping", model, values | {"shaping_tc": 0.6}, repeated=True)
+    assert "bound" in judged("reference_shaping", model, values | {"shaping_accel": 400.0}, repeated=True)
 
 
 def test_what_improves_no_prediction_of_unused_steps_is_not_named():

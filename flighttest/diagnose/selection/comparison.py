@@ -201,7 +201,7 @@ def evidence_of(
         place=place,
         effect=effect,
         profiled=profiled,
-        inadmissible=inadmissible(term, fitted, segments, candidates),
+        inadmissible=inadmissible(term, fitted, segments, candidates, repeated=floor.repeated(*place)),
         without=without,
         improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and change.visible_in(name)),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
@@ -312,9 +312,11 @@ def log_odds_asked(candidates: int) -> float:
     return math.log(PROBABILITY / (1.0 - PROBABILITY)) + math.log(max(candidates, 1))
 
 
-def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int) -> str:
-    """Why the estimates of a term are outside its prior: at a bound, on the side of the null value that physics does not allow, a limit
-    that nothing in the flights reached. Empty where they are inside."""
+def inadmissible(
+    term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int, *, repeated: bool = False
+) -> str:
+    """Why the estimates of a term are outside its prior: at a bound (where steps were repeated, not at its `natural_bound`), on the side of
+    the null value that physics does not allow, a limit that nothing in the flights reached. Empty where they are inside."""
     values = fitted.at.values
     own = [p for p in term.params if p.name in fitted.names]
     coefficients = [p for p in own if p.kind == "amplitude"]
@@ -328,7 +330,7 @@ def inadmissible(term: Term, fitted: Fitted, segments: Sequence[Segment], candid
         value = values[p.name]
         bound = "lower" if value <= p.lower else "upper" if value >= p.upper else ""
         # Where the usual value is the bound, as of a pure pole, to be there is usual.
-        at_bound = bound not in ("", p.natural_bound) and value != p.nominal
+        at_bound = bound not in ("", p.natural_bound if repeated else "") and value != p.nominal
         # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
             return f"{p.name} is at its bound, {value:.3g} {p.unit}"

@@ -199,15 +199,15 @@ class Search:
         return sum(log_evidence(kept, before, self.estimator, self.groups, floor).values()) > 0.0
 
     def _proposals(self) -> list[Scored]:
-        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient, and as
-        long as nothing is named every one with nonlinear parameters: a score is a derivative at the null value, and shows little where the
-        effect is large and the base has moved far for it. (A slung load of 0.29 of the vehicle's mass had no score at all, and 151,000
-        nats once it was refitted.) What is left beside a named effect is small, and its score holds."""
+        """Subsets with odds in their favour, best first; where there is a lack of fit, then every term without a linear coefficient, and
+        as long as nothing is named and repeats measure the lack every nonlinear one: a score is a derivative at the null value, and shows
+        little where the effect is large and the base moved far for it (a slung load of 0.29 of the mass had none, and 151,000 nats)."""
         found = [s for s in self.scored if s.log_odds > 0.0]
         if self.subsets is not None and self.lack_of_fit:
             singles = [s for s in self.scored if len(s.members) == 1 and s.log_odds <= 0.0]
             alone = [(s, self.candidates[s.members[0]]) for s in singles]
-            found += [s for s, c in alone if not c.names or (c.term.shapes and not self.named)]
+            measured = not self.named and bool(self.floor and self.floor.from_repeats)
+            found += [s for s, c in alone if not c.names or (c.term.shapes and measured)]
         return found
 
     def linearise(self) -> None:
