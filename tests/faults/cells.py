@@ -163,7 +163,7 @@ def _judged(
     except Endless as endless:
         return Cell(fault, when, "ENDLESS", proxy.now_s - EPOCH_S, (str(endless),))
     seconds = proxy.now_s - EPOCH_S
-    handed = any(event is Event.HAND_OVER for _, event in changes)
+    handed = (FlightState.OFFERED, Event.FOREIGN_MODE) in changes
     wrong = tuple(_wrong(proxy, result, truth(), handed=handed))
     return Cell(fault, when, f"{result.outcome.name}, {result.left.name}", seconds, wrong)
 
@@ -200,7 +200,8 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
         FlightState.LANDED: not vehicle.armed and vehicle.landed,
         FlightState.NOT_ARMED: not vehicle.armed,
         FlightState.DISARMED: not vehicle.armed,
-        FlightState.WITH_PILOT: handed or (proxy.switched_s is not None and vehicle.mode == fault.pilot_mode),
+        FlightState.WITH_PILOT: (handed and vehicle.mode != CopterMode.GUIDED)
+        or (proxy.switched_s is not None and vehicle.mode == fault.pilot_mode),
         FlightState.IN_ABORT_MODE: vehicle.armed
         and vehicle.mode in (CopterMode.BRAKE, CopterMode.LOITER, CopterMode.LAND),
     }

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from flighttest.flight import FlightState
 from flighttest.flight.execution.machine import TABLE, Event
+from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Plan
 from flighttest.sim import SimOptions
 from tests.faults.cells import FOR_GOOD_S, REFUSED, Cell, judge
@@ -22,6 +23,7 @@ S, E = FlightState, Event
 _HELD_UP_S = 0.4  # four HEARTBEATs; less than what ends a step by itself
 _SUSPENDED_S = 35.0  # a laptop that was closed
 _DROPPED = Fault("motors stopped and mode changed, held up", 1.0, kill=True, pilot_after_s=0.05, freeze_s=_HELD_UP_S)
+_STOPPED = Fault("motors stopped, held up", 1.0, kill=True, freeze_s=_HELD_UP_S)
 _REBOOT = Fault("reboot, no HEARTBEAT for 3 s", 3.0, reboot=True, no_beats=True)
 _BROKEN = Fault("transport broken", FOR_GOOD_S, broken=True)
 _UNHEARD = Fault("suspended, down for good", FOR_GOOD_S, down=True, freeze_s=_SUSPENDED_S)
@@ -48,6 +50,10 @@ def _by_pilot() -> Plan:
     return make_plan(make_leg(), by="pilot")
 
 
+def _refused_by_pilot() -> Plan:
+    return make_plan(make_leg("a", profile=_too_steep), make_leg("b"), by="pilot")
+
+
 def _resting() -> Plan:
     return make_plan(replace(make_leg("rest", duration_s=45.0), motors_off=True))
 
@@ -57,8 +63,28 @@ PLANS = {
     "refused step": _refused,
     "by attitude": _by_attitude,
     "by pilot": _by_pilot,
+    "pilot flies": _by_pilot,
+    "refused step, pilot flies": _refused_by_pilot,
     "rest": _resting,
 }
+
+
+PILOTS = {"pilot flies": CopterMode.LOITER, "refused step, pilot flies": CopterMode.GUIDED_NOGPS}
+"""What the pilot chooses as soon as the vehicle is offered for the first time, by plan."""
+
+
+@dataclass
+class Piloted(Proxy):
+    """A proxy with a pilot who takes the vehicle as soon as it is offered for the first time."""
+
+    chosen: CopterMode = CopterMode.LOITER
+
+    def reach(self, when: When | FlightState) -> None:
+        """Note that the client has come to that."""
+        first = not self.reached(when)
+        super().reach(when)
+        if when is S.OFFERED and first:
+            self._choose(self.chosen)
 
 
 @dataclass(frozen=True)
@@ -76,7 +102,8 @@ class Provoked:
     def fly(self) -> Cell:
         """Fly it; wrong also where the row does not happen, or does not end as the table says."""
         options = SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0, parameters=dict(self.parameters))
-        proxy = Proxy(options, self.fault, self.when or self.state, after_s=self.after_s)
+        what = (options, self.fault, self.when or self.state, self.after_s)
+        proxy = Piloted(*what, chosen=PILOTS[self.plan]) if self.plan in PILOTS else Proxy(*what)
         with tempfile.TemporaryDirectory() as folder:
             cell = judge(
                 proxy,
@@ -114,10 +141,7 @@ PROVOKED: tuple[Provoked, ...] = (
         for s, plan, t in _at(S.ARMING, S.CLIMBING, S.RETURNING, S.HOLDING, S.LANDING)
     ),
     Provoked(S.FLYING, E.REBOOTED, Fault("clock begins anew", FOR_GOOD_S, anew=True), after_s=0.1),
-    *(
-        Provoked(s, E.DISARMED, Fault("motors stopped, held up", 1.0, kill=True, freeze_s=_HELD_UP_S), plan, t)
-        for s, plan, t in _at(S.FLYING, S.HOLDING, after_s=0.1)
-    ),
+    *(Provoked(s, E.DISARMED, _STOPPED, plan, t) for s, plan, t in _at(S.FLYING, S.HOLDING, after_s=0.1)),
     *(
         Provoked(s, E.FOREIGN_MODE, Fault("pilot, held up", 1.0, pilot_after_s=0.05, freeze_s=_HELD_UP_S), plan, t)
         for s, plan, t in _at(S.FLYING, S.HOLDING, after_s=0.1)
@@ -136,9 +160,18 @@ PROVOKED: tuple[Provoked, ...] = (
     Provoked(S.ASKING, E.OVER, _BROKEN),
     Provoked(S.LANDING, E.OVER, _BROKEN, "one step", 1.0),
     Provoked(S.LANDING, E.NOT_DOWN, Fault("a descent of 1 cm/s", FOR_GOOD_S), parameters={"LAND_SPD_MS": 0.01}),
-    Provoked(S.RETURNING, E.HAND_OVER, Fault("Ctrl-C", 1.0, presses=1), "by pilot", 1.0),
-    Provoked(S.HANDED, E.HANDED_BACK, Fault("pilot hands back", 1.0, pilot_after_s=0.5, back_after_s=3.0), "by pilot"),
-    Provoked(S.HANDED, E.OVER, Fault("Ctrl-C", 1.0, presses=1), "by pilot", 1.0),
-    Provoked(S.HANDED, E.REBOOTED, Fault("reboot", 1.0, reboot=True), "by pilot", 1.0),
-    Provoked(S.HANDED, E.DOWNLINK_GONE, Fault("down for good", FOR_GOOD_S, down=True), "by pilot", 1.0),
+    Provoked(S.RETURNING, E.HAND_OVER, Fault("pilot", 1.0, pilot_after_s=0.5, back_after_s=3.0), "by pilot"),
+    Provoked(S.OFFERED, E.HANDED_BACK, Fault("pilot chooses GUIDED_NOGPS at once", 1.0, back_after_s=1.0), "by pilot"),
+    Provoked(S.OFFERED, E.ASK, Fault("Ctrl-C", 1.0, presses=1), "by pilot", 1.0),
+    Provoked(S.OFFERED, E.ASK, Fault("Ctrl-C twice", 1.0, presses=2), "by pilot", 1.0),
+    Provoked(S.OFFERED, E.REBOOTED, _REBOOT, "by pilot", 1.0),
+    Provoked(S.OFFERED, E.DOWNLINK_GONE, Fault("down for good", FOR_GOOD_S, down=True), "by pilot", 1.0),
+    Provoked(S.OFFERED, E.DISARMED, _STOPPED, "by pilot", 1.0),
+    Provoked(S.OFFERED, E.DROPPED, _DROPPED, "by pilot", 1.0),
+    Provoked(S.OFFERED, E.OVER, _BROKEN, "refused step, pilot flies", 8.0, when=S.HOLDING),
+    Provoked(S.HANDED, E.HANDED_BACK, Fault("pilot hands back", 1.0, back_after_s=2.0), "pilot flies"),
+    Provoked(S.HANDED, E.OVER, Fault("Ctrl-C", 1.0, presses=1), "pilot flies", 1.0),
+    Provoked(S.HANDED, E.OVER, Fault("Ctrl-C twice", 1.0, presses=2), "pilot flies", 1.0),
+    Provoked(S.HANDED, E.REBOOTED, Fault("reboot", 1.0, reboot=True), "pilot flies", 1.0),
+    Provoked(S.HANDED, E.DOWNLINK_GONE, Fault("down for good", FOR_GOOD_S, down=True), "pilot flies", 1.0),
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flighttest.errors import LinkError, PreflightError
-from flighttest.flight import FlightOutcome, FlightProgress, LegOutcome, legs_flown
+from flighttest.flight import FlightOutcome, FlightProgress, FlightState, LegOutcome, legs_flown
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.diagnosis.next_flight import flown_vehicle
@@ -220,6 +220,37 @@ def test_a_vehicle_that_the_pilot_has_is_the_pilots_to_land(run_dir: Path) -> No
     assert result.outcome is FlightOutcome.LEFT_TO_PILOT
     assert link.sim.vehicle.mode == CopterMode.LOITER
     assert link.sim.vehicle.armed
+
+
+@pytest.mark.parametrize(
+    ("presses", "outcome", "left"),
+    [
+        (1, FlightOutcome.OPERATOR_STOP, FlightState.LANDED),
+        (2, FlightOutcome.OPERATOR_ABORT, FlightState.IN_ABORT_MODE),
+    ],
+)
+def test_a_vehicle_that_no_pilot_took_is_not_called_the_pilots(
+    presses: int, outcome: FlightOutcome, left: FlightState, run_dir: Path
+) -> None:
+    """Asked to fly, the pilot has chosen no mode of theirs: the vehicle hovers in GUIDED, and is the program's to see to."""
+    waiting: list[float] = []
+
+    def watch(progress: FlightProgress) -> None:
+        if "waiting for the pilot" in progress.doing:
+            waiting.append(progress.t_s)
+
+    link = FaultyLink(options())
+    result = fly(
+        make_plan(by="pilot"),
+        "sim",
+        run_dir,
+        transport=link,
+        on_progress=watch,
+        stop_requested=lambda: presses * int(len(waiting) > 3),
+    )
+    assert (result.outcome, result.left) == (outcome, left)
+    assert not result.as_planned
+    assert link.sim.vehicle.armed is (left is FlightState.IN_ABORT_MODE)
 
 
 def test_a_defect_of_ours_in_a_step_lets_the_vehicle_go(run_dir: Path) -> None:

@@ -49,7 +49,7 @@ CLIMBING  OVER          TO_AUTOPILOT
 RETURNING RETURN        RETURNING
 RETURNING SETTLED       FLYING
 RETURNING ASK           ASKING
-RETURNING HAND_OVER     HANDED
+RETURNING HAND_OVER     OFFERED
 RETURNING FOREIGN_MODE  WITH_PILOT     TAKE_OVER
 RETURNING DISARMED      DISARMED       DISARMED
 RETURNING DROPPED       DISARMED       DISARMED
@@ -94,6 +94,17 @@ LANDING   DOWNLINK_GONE LANDING_UNSEEN LINK_LOST
 LANDING   UPLINK_GONE   LANDING
 LANDING   NOT_DOWN      LANDING_UNSEEN NOT_LANDED
 LANDING   OVER          LANDING_UNSEEN
+OFFERED   RETURN        OFFERED
+OFFERED   HAND_OVER     OFFERED
+OFFERED   HANDED_BACK   RETURNING
+OFFERED   FOREIGN_MODE  HANDED
+OFFERED   ASK           ASKING
+OFFERED   DISARMED      DISARMED       DISARMED
+OFFERED   DROPPED       DISARMED       DISARMED
+OFFERED   REBOOTED      UNKNOWN        REBOOTED
+OFFERED   DOWNLINK_GONE UNKNOWN        LINK_LOST
+OFFERED   UPLINK_GONE   OFFERED
+OFFERED   OVER          TO_AUTOPILOT
 HANDED    RETURN        HANDED
 HANDED    HAND_OVER     HANDED
 HANDED    HANDED_BACK   RETURNING
@@ -162,10 +173,18 @@ def test_a_landing_is_only_claimed_where_land_and_then_disarmed_were_seen() -> N
 
 
 def test_the_pilot_wins_in_every_state_that_is_ours() -> None:
-    for state in OURS:
+    for state in OURS - {FlightState.OFFERED}:
         nobodys = state is FlightState.ARMING  # as long as it is not armed
         assert TABLE[state, Event.FOREIGN_MODE].state is (FlightState.NOT_ARMED if nobodys else FlightState.WITH_PILOT)
         assert TABLE[state, Event.FOREIGN_MODE].outcome is not None
+    assert TABLE[FlightState.OFFERED, Event.FOREIGN_MODE].state is FlightState.HANDED, "as was asked of the pilot"
+
+
+def test_only_a_mode_of_the_pilots_makes_the_vehicle_the_pilots() -> None:
+    ways = {e for (s, e), n in TABLE.items() if n.state is FlightState.HANDED and s is not FlightState.HANDED}
+    ends = {(s, e) for (s, e), n in TABLE.items() if n.state is FlightState.WITH_PILOT and s in LIVE}
+    assert ways == {Event.FOREIGN_MODE}
+    assert all(s is FlightState.HANDED or e is Event.FOREIGN_MODE for s, e in ends)
 
 
 def test_an_end_is_an_end_and_only_some_are_safe() -> None:

@@ -104,8 +104,9 @@ class FlightControl:
 
     def on(self, event: Event, why: str = "") -> None:
         """Report an event. The mode that is shown when the vehicle becomes ours, or is handed back, is the one to start from."""
-        if not self.machine.ours:
+        if not self.machine.ours or event is Event.HANDED_BACK:
             self._mode, self._was_armed = self.vehicle.mode, self.vehicle.armed
+            self._doubt, self.session.held = None, False
         self.machine.on(event, why)
 
     @property
@@ -167,7 +168,11 @@ class FlightControl:
         doubt, self._doubt, self.session.held = self._doubt, None, False
         if self.machine.state is FlightState.ARMING and (self._was_armed or self.vehicle.armed):
             self.on(Event.ARMED)
-        if doubt.event is Event.FOREIGN_MODE:
+        if doubt.event is Event.FOREIGN_MODE and self.machine.state is FlightState.OFFERED:
+            self.recorder.event(
+                "note", f"the pilot has the vehicle ({mode_name(doubt.mode)})", t_s, {"mode": doubt.mode}
+            )
+        elif doubt.event is Event.FOREIGN_MODE:
             self.session.port.mute()
             self.recorder.event("take_over", mode_name(doubt.mode), t_s, {"mode": doubt.mode})
             self.alarm(f"the pilot has the vehicle ({mode_name(doubt.mode)}): nothing is sent any more")

@@ -24,6 +24,7 @@ class FlightState(Enum):
     ASKING = "asked for a safe mode (the abort mode or LAND) that HEARTBEAT does not show yet"
     HOLDING = "in its abort mode, as HEARTBEAT shows"
     LANDING = "landing, as HEARTBEAT shows"
+    OFFERED = "the pilot is asked to fly, and HEARTBEAT shows no mode of the pilot's yet"
     HANDED = "flown by the pilot, by agreement"
 
     NOT_ARMED = "the vehicle was not armed"
@@ -77,7 +78,7 @@ ENDS = frozenset(
         S.NOT_ARMED, S.LANDED, S.WITH_PILOT, S.IN_ABORT_MODE, S.TO_AUTOPILOT, S.LANDING_UNSEEN, S.DISARMED, S.UNKNOWN,
     }
 )  # fmt: skip
-OURS = frozenset({S.ARMING, S.CLIMBING, S.RETURNING, S.FLYING, S.ASKING, S.HOLDING, S.LANDING})
+OURS = frozenset({S.ARMING, S.CLIMBING, S.RETURNING, S.FLYING, S.ASKING, S.HOLDING, S.LANDING, S.OFFERED})
 IN_AIR = OURS - {S.ARMING}
 _STEERED = (S.CLIMBING, S.RETURNING, S.FLYING)
 
@@ -97,18 +98,18 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.ARMING, E.ARMED): Next(S.CLIMBING),
         **{(s, E.RETURN): Next(S.RETURNING) for s in (*_STEERED, S.HOLDING, S.LANDING)},
         (S.RETURNING, E.SETTLED): Next(S.FLYING),
-        **{(s, E.ASK): Next(S.ASKING) for s in (*_STEERED, S.ASKING, S.HOLDING, S.LANDING)},
+        **{(s, E.ASK): Next(S.ASKING) for s in (*_STEERED, S.ASKING, S.HOLDING, S.LANDING, S.OFFERED)},
         (S.ASKING, E.HOLDS): Next(S.HOLDING),
         (S.ASKING, E.LANDS): Next(S.LANDING),
-        (S.RETURNING, E.HAND_OVER): Next(S.HANDED),
-        (S.HANDED, E.HANDED_BACK): Next(S.RETURNING),
-        (S.HANDED, E.RETURN): Next(S.HANDED),
-        (S.HANDED, E.HAND_OVER): Next(S.HANDED),
+        (S.RETURNING, E.HAND_OVER): Next(S.OFFERED),
+        **{(s, E.HANDED_BACK): Next(S.RETURNING) for s in (S.OFFERED, S.HANDED)},
+        **{(s, e): Next(s) for s in (S.OFFERED, S.HANDED) for e in (E.RETURN, E.HAND_OVER)},
         # what the pilot, the vehicle and the link do, in each state
         (S.GROUND, E.FOREIGN_MODE): Next(S.GROUND),
         (S.HANDED, E.FOREIGN_MODE): Next(S.HANDED),
         (S.ARMING, E.FOREIGN_MODE): Next(S.NOT_ARMED, Out.TAKE_OVER),
-        **{(s, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.TAKE_OVER) for s in IN_AIR - {S.LANDING}},
+        **{(s, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.TAKE_OVER) for s in IN_AIR - {S.LANDING, S.OFFERED}},
+        (S.OFFERED, E.FOREIGN_MODE): Next(S.HANDED),
         (S.LANDING, E.FOREIGN_MODE): Next(S.WITH_PILOT, Out.LEFT_TO_PILOT),
         (S.GROUND, E.DISARMED): Next(S.GROUND),
         (S.HANDED, E.DISARMED): Next(S.HANDED),
@@ -125,7 +126,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.HANDED, E.DOWNLINK_GONE): Next(S.WITH_PILOT, Out.LINK_LOST),
         **{(s, E.DOWNLINK_GONE): Next(S.UNKNOWN, Out.LINK_LOST) for s in OURS - {S.LANDING}},
         (S.LANDING, E.DOWNLINK_GONE): Next(S.LANDING_UNSEEN, Out.LINK_LOST),
-        **{(s, E.UPLINK_GONE): Next(s) for s in (S.GROUND, S.HANDED, S.LANDING)},  # nothing has to reach the vehicle
+        **{(s, E.UPLINK_GONE): Next(s) for s in (S.GROUND, S.OFFERED, S.HANDED, S.LANDING)},  # nothing has to reach the vehicle
         **{(s, E.UPLINK_GONE): Next(S.TO_AUTOPILOT, Out.UPLINK_LOST) for s in (S.ARMING, S.RETURNING, S.ASKING)},
         (S.ASKING, E.GIVEN_UP): Next(S.TO_AUTOPILOT, Out.OPERATOR_ABORT),
         (S.LANDING, E.NOT_DOWN): Next(S.LANDING_UNSEEN, Out.NOT_LANDED),
@@ -135,7 +136,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.HANDED, E.OVER): Next(S.WITH_PILOT),
         (S.HOLDING, E.OVER): Next(S.IN_ABORT_MODE),
         (S.LANDING, E.OVER): Next(S.LANDING_UNSEEN),
-        **{(s, E.OVER): Next(S.TO_AUTOPILOT) for s in (*_STEERED, S.ASKING)},
+        **{(s, E.OVER): Next(S.TO_AUTOPILOT) for s in (*_STEERED, S.ASKING, S.OFFERED)},
     }  # fmt: skip
     table |= {(s, e): Next(s) for s, e in product(ENDS, Event)}  # nothing changes an end
     return {place: table[place] for place in product(FlightState, Event) if place in table}

@@ -195,9 +195,10 @@ def attitude(control: FlightControl, start: Start, angle_boost: bool) -> Arrived
 
 
 def by_pilot(control: FlightControl, timeout_s: float = 300.0) -> Arrived:
-    """The pilot flies to the start and switches to GUIDED_NOGPS when ready; until then nothing is sent but heartbeats.
+    """The pilot flies to the start and switches to GUIDED_NOGPS when ready; until then nothing is sent that moves the vehicle.
 
-    The pilot sees it in the live view. Never re-enters the mode by itself.
+    The pilot sees it in the live view. Never re-enters the mode by itself. As long as HEARTBEAT shows no mode of the pilot's, the vehicle
+    stays the program's to land.
     """
     control.on(Event.HAND_OVER)
     control.alarm("the pilot flies to the start")

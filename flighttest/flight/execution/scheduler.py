@@ -252,10 +252,7 @@ class Scheduler:
 
     def _asked_to_end(self) -> FlightOutcome | None:
         if self.control.stop_now:
-            if self.control.state.mode == CopterMode.GUIDED_NOGPS:
-                supervisor.abort(self.control, ("the operator asked to stop at once",))
-            elif self.control.state.mode == CopterMode.GUIDED:
-                supervisor.insist(self.control, supervisor.abort_modes(self.control.state), lambda: None)
+            supervisor.let_go(self.control, "the operator asked to stop at once")
             return FlightOutcome.OPERATOR_ABORT
         return self._stopped() if self.control.stop_asked else None
 
