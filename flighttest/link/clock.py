@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 _PACE_WINDOW_S = 2.0  # host seconds over which the pace is read
+_PAUSE_S = 0.2  # host seconds without a stamp after which stamps may come in a burst
+_LATE_S = 0.05  # host seconds by which a stamp after a pause is behind where it was held up
 _PERIOD_S = 1.0  # the least delayed stamp is looked for over one to two of these
 _REAL_TIME_TOLERANCE = 0.05  # a vehicle nearer to real time than this is a real one, and its pace exactly 1
 _LEAP_S = 5.0  # farther than this no delay of a link moves a stamp against those before
@@ -71,6 +73,8 @@ class FollowedClock:
         self._heard: deque[tuple[float, float]] = deque()
         # The least delayed stamp, as (host, vehicle), of the present and of the last short period.
         self._best: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+        # (host, vehicle) before a pause of the host, as long as the stamps that came since are behind and catch up.
+        self._paused: tuple[float, float] | None = None
         self._period_end_s = 0.0
         self._latest_s = 0.0
         self._started_s = host_s()
@@ -118,14 +122,11 @@ class FollowedClock:
         if self._real:
             drifted = -math.inf if self._ahead is None else self._ahead[1] - _DRIFT * (host - self._ahead[0])
             self._ahead = host, max(drifted, vehicle_s - host)
+        if not self._real:
+            self._follow_pace(host, vehicle_s)
         self._heard.append((host, vehicle_s))
         while host - self._heard[0][0] > _PACE_WINDOW_S:
             self._heard.popleft()
-        span, passed = host - self._heard[0][0], vehicle_s - self._heard[0][1]
-        # Stamps that stand still (a simulator that waits for us) are no pace: at none, no wait would end.
-        if span > 0.5 * _PACE_WINDOW_S and passed > 0.0 and not self._real:
-            pace = passed / span
-            self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else pace
         period = _PERIOD_S if self._pace == 1.0 else 0.1 * _PERIOD_S
         if host >= self._period_end_s:
             self._best = (None, self._best[0])
@@ -134,8 +135,34 @@ class FollowedClock:
         if present is None or vehicle_s >= present[1] + (host - present[0]) * self._pace:
             self._best = ((host, vehicle_s), self._best[1])
 
+    def _follow_pace(self, host: float, vehicle_s: float) -> None:
+        """The pace of the stamps of the last two seconds, but not of those that a pause of the host held up."""
+        if self._heard and self._paused is None and host - self._heard[-1][0] > _PAUSE_S:
+            before = self._heard[-1]
+            if self._behind_s(before, host, vehicle_s) > _LATE_S * self._pace:
+                self._paused = before
+                self._heard.clear()
+        elif self._paused and self._behind_s(self._paused, host, vehicle_s) < -_LATE_S * self._pace:
+            self._paused = None  # they were not held up, or are faster now
+            self._heard.clear()
+        since, first_s = next(((h, v) for h, v in self._heard if host - h <= _PACE_WINDOW_S), (host, vehicle_s))
+        span, passed = host - since, vehicle_s - first_s
+        # Stamps that stand still (a simulator that waits for us) are no pace: at none, no wait would end.
+        if span <= 0.5 * _PACE_WINDOW_S or passed <= 0.0:
+            return
+        pace = passed / span
+        if self._paused and pace > self._pace * (1.0 + _REAL_TIME_TOLERANCE):
+            return  # they catch up
+        self._paused = None
+        self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else pace
+
+    def _behind_s(self, before: tuple[float, float], host: float, vehicle_s: float) -> float:
+        """By how much a stamp is behind what the present pace makes of one before."""
+        return before[1] + (host - before[0]) * self._pace - vehicle_s
+
     def _begin_anew(self) -> None:
         self._heard.clear()
+        self._paused = None
         self._best, self._latest_s, self._pace = (None, None), 0.0, 1.0
         self._shift_s, self._quickest_s, self._ahead = 0.0, math.inf, None
         self._leap_s = 0.0

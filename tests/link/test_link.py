@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 from itertools import pairwise
@@ -236,6 +237,55 @@ def test_silence_is_measured_and_a_fast_simulator_keeps_its_pace() -> None:
     assert clock.pace == pytest.approx(10.0, rel=0.05)
     host.now += 1.0
     assert clock.now_s() == pytest.approx(50.0, rel=0.05)
+
+
+@pytest.mark.parametrize("pace", [1.0, 4.0])
+@pytest.mark.parametrize("paused_s", [0.6, 3.0, 65.0])
+@pytest.mark.parametrize("drained_s", [0.0, 0.4, 4.0])
+def test_stamps_that_a_pause_of_the_host_held_up_are_no_pace(pace: float, paused_s: float, drained_s: float) -> None:
+    """A simulator's go on meanwhile, and come in a burst that takes the program some time to read."""
+    host = Host()
+    clock = FollowedClock(host, host)
+    before = -math.inf
+    for k in range(8000):  # one stamp each 20 ms of the host
+        t = 0.02 * k
+        if 500 <= k < 500 + round(50 * paused_s):
+            continue
+        host.now = 1000.0 + t
+        since = 0.02 * (k - 500 - round(50 * paused_s))
+        behind_s = paused_s * max(1.0 - since / drained_s, 0.0) if since >= 0.0 and drained_s else 0.0
+        if since == 0.0 and not drained_s:
+            for stamp in range(round(50 * paused_s)):
+                clock.heard(pace * (10.0 + 0.02 * stamp))
+        clock.heard(pace * (t - behind_s))
+        shown = clock.now_s()
+        assert shown >= before
+        before = shown
+        if t > 2.5:
+            assert shown < pace * t + 0.1 * pace, f"{shown / pace - t:.1f} s ahead at {t:.2f} s"
+            assert clock.pace == pytest.approx(pace, rel=0.06)
+    assert shown == pytest.approx(pace * t, abs=0.01 * pace)
+
+
+def test_a_simulator_that_stood_still_with_the_host_goes_on_at_its_pace() -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    for k in range(1000):
+        t = 0.02 * k
+        host.now = 1000.0 + t + (65.0 if t >= 10.0 else 0.0)
+        clock.heard(4.0 * t)
+        if t > 2.5:
+            assert clock.pace == pytest.approx(4.0, rel=0.06)
+
+
+def test_a_simulator_that_is_slower_after_a_pause_is_followed() -> None:
+    host = Host()
+    clock = FollowedClock(host, host)
+    for k in range(1000):
+        t = 0.02 * k
+        host.now = 1000.0 + t + (5.0 if t >= 10.0 else 0.0)
+        clock.heard(4.0 * min(t, 10.0) + 0.5 * max(t - 10.0, 0.0))
+    assert clock.pace == pytest.approx(0.5, rel=0.06)
 
 
 def test_stamps_that_stand_still_stop_no_wait() -> None:
