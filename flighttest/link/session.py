@@ -191,37 +191,22 @@ class Session:
             messages = self.port.receive(0.0)
 
     def _dispatch(self, message: Message) -> None:
+        if not self._is_the_vehicles(message):
+            return
         kind = message.get_type()
-        system = message.get_srcSystem()
-        if message.get_srcComponent() != COMPONENT_AUTOPILOT:
-            return  # a gimbal or companion computer aboard has the vehicle's system id, but its own mode, clock and answers
-        if not self.vehicle_system and kind == "HEARTBEAT" and is_vehicle(message):
-            self.vehicle_system = system
-        if system and system == self.vehicle_system and self._is_twins(message):
-            return
-        if kind == "HEARTBEAT" and system != self.vehicle_system and is_vehicle(message):
-            self.others.add(system)
-        if system != self.vehicle_system or system == 0 or (kind == "HEARTBEAT" and self._overtaken(message)):
-            return
-        answer = booted = False
-        if kind == "TIMESYNC":
-            trip = self._timesync.answer(message.tc1, message.ts1, self.clock.ground_s())
-            if trip is not None:
-                self.clock.heard(message.tc1 * 1e-9)
-                self.clock.answered(message.tc1 * 1e-9, trip)
-                answer = self._answered(message.ts1)
+        answer = kind == "TIMESYNC" and self._is_answer(message)
         if self._grants is not None and self._grants.heard(message):
             return  # the clock's own mark says nothing of the link
         stamp = getattr(message, "time_boot_ms", None)
         if stamp:
             self.clock.heard(stamp * 1e-3)
         t_s = self.clock.now_s()
-        if t_s < self.last_heard_s:
-            self.latest.clear()  # booted anew: what it said before is not fresh, however late its clock was
+        booted = t_s < self.last_heard_s
+        if booted:
+            self.latest.clear()  # what it sent before is not fresh, however late its clock was
             self._asked_s.clear()
             self._answered_s = None
             self.boots += 1
-            booted = True
         gap_s = t_s - self.last_heard_s
         if gap_s > QUIET_S * max(self.clock.pace, 1.0) and self._answered_s is not None:
             self._answered_s += gap_s  # answers were lost with all the rest
@@ -231,6 +216,29 @@ class Session:
         self.link.on(LinkEvent.BOOTED if booted else LinkEvent.ANSWER if answer else LinkEvent.MESSAGE, t_s)
         for listener in tuple(self._listeners):
             listener(message, t_s)
+
+    def _is_the_vehicles(self, message: Message) -> bool:
+        """Whether a message is from the autopilot that is connected, and none that came later has overtaken it. Notes other vehicles."""
+        if message.get_srcComponent() != COMPONENT_AUTOPILOT:
+            return False  # a gimbal or companion computer aboard has the vehicle's system id, but its own mode, clock and answers
+        system = message.get_srcSystem()
+        beat = message.get_type() == "HEARTBEAT"
+        if beat and not self.vehicle_system and is_vehicle(message):
+            self.vehicle_system = system
+        if system and system == self.vehicle_system:
+            return not self._is_twins(message) and not (beat and self._overtaken(message))
+        if beat and system != self.vehicle_system and is_vehicle(message):
+            self.others.add(system)
+        return False
+
+    def _is_answer(self, timesync: Message) -> bool:
+        """Whether a TIMESYNC message answers a question of ours; the clock takes it in."""
+        trip = self._timesync.answer(timesync.tc1, timesync.ts1, self.clock.ground_s())
+        if trip is None:
+            return False
+        self.clock.heard(timesync.tc1 * 1e-9)
+        self.clock.answered(timesync.tc1 * 1e-9, trip)
+        return self._answered(timesync.ts1)
 
     def _is_twins(self, message: Message) -> bool:
         """Whether a message is another vehicle's that has the same system id. A simulator in lock-step is alone."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from flighttest.mavlink.telemetry import NO_BATTERY, RULES, Rule
 from flighttest.recording import Marker, Series
 
 FloatArray = NDArray[np.float64]
+_Raw: TypeAlias = dict[str, dict[str, FloatArray]]
 Source = tuple[int, int]
 """System and component id of a sender: cameras, companion computers and autopilots share a vehicle's system id."""
 
@@ -197,16 +198,8 @@ def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | 
 
 def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
     system = source[0]
-    raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == source}
-    ground = {kind: np.asarray(collected.rows[source, kind].ground_s) for kind in raw}
-    order = {kind: np.asarray(collected.rows[source, kind].order) for kind in raw}
     losses: list[str] = []
-    span = _last_boot(raw, ground, losses)
-    for kind in raw:
-        inside = (ground[kind] >= span[0]) & (ground[kind] <= span[1])
-        if not inside.all():
-            raw[kind] = {name: values[inside] for name, values in raw[kind].items()}
-            ground[kind], order[kind] = ground[kind][inside], order[kind][inside]
+    raw, ground, order, span = _of_one_boot(collected, source, losses)
     lost_s = rounded_off(raw)
     stamped = [(ground[r.message], stamps(r, raw[r.message], lost_s)) for r in stamped_rules(raw)]
     if not stamped and source not in collected.round_trips:
@@ -223,23 +216,19 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
     series, derived = _series(raw, times, losses)
     if "battery" not in series and not raw.keys().isdisjoint(("SYS_STATUS", "BATTERY_STATUS")):
         losses.append(NO_BATTERY)
-    beats, last_armed_s = raw.get("HEARTBEAT", {}), np.inf
-    armed = (
-        (beats["base_mode"].astype(int) & book.MAV_MODE_FLAG_SAFETY_ARMED) != 0 if beats else np.zeros(0, dtype=bool)
-    )
-    if armed.any():
-        last_armed_s = float(np.max(ground["HEARTBEAT"][armed]))
+    beats = raw.get("HEARTBEAT", {})
+    armed = _armed(beats)
+    last_armed_s = float(np.max(ground["HEARTBEAT"][armed])) if armed.any() else np.inf
     parameters = in_force(collected.parameters.get(source, []), last_armed_s)
     autopilot = next((int(a) for a in beats.get("autopilot", ())), book.MAV_AUTOPILOT_INVALID)
+    own = (times["ATTITUDE_TARGET"], raw["ATTITUDE_TARGET"]["thrust"]) if "ATTITUDE_TARGET" in raw else None
     if reference is not None and autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
-        own = (times["ATTITUDE_TARGET"], raw["ATTITUDE_TARGET"]["thrust"]) if "ATTITUDE_TARGET" in raw else None
         reference = taken(reference, times["HEARTBEAT"], beats["custom_mode"], losses)
         reference = throttle_of(reference, own, parameters, derived, losses) if reference is not None else None
     if reference is not None:
         series["reference"] = reference
-    elif "ATTITUDE_TARGET" in raw:
-        columns = {"throttle": raw["ATTITUDE_TARGET"]["thrust"]}
-        series["reference"] = _ordered(times["ATTITUDE_TARGET"], columns, "ATTITUDE_TARGET", losses)
+    elif own is not None:
+        series["reference"] = _ordered(own[0], {"throttle": own[1]}, "ATTITUDE_TARGET", losses)
         derived["throttle"] = "the vehicle's ATTITUDE_TARGET.thrust: no SET_ATTITUDE_TARGET was recorded"
         reference_clock = "vehicle"
     markers = markers_from_texts([t for t in collected.texts if span[0] <= t.ground_s <= span[1]], system, clock)
@@ -263,6 +252,29 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
         origin=collected.origins.get(source),
         counts={kind: int(times.size) for kind, times in ground.items()},
     )
+
+
+def _of_one_boot(
+    collected: StreamDecoder, source: Source, losses: list[str]
+) -> tuple[_Raw, dict[str, FloatArray], dict[str, NDArray[np.int64]], tuple[float, float]]:
+    """What a sender sent in its longest run: fields, ground times (s) and positions in the stream by message; and from when to when."""
+    raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == source}
+    ground = {kind: np.asarray(collected.rows[source, kind].ground_s) for kind in raw}
+    order = {kind: np.asarray(collected.rows[source, kind].order) for kind in raw}
+    span = _last_boot(raw, ground, losses)
+    for kind in raw:
+        inside = (ground[kind] >= span[0]) & (ground[kind] <= span[1])
+        if not inside.all():
+            raw[kind] = {name: values[inside] for name, values in raw[kind].items()}
+            ground[kind], order[kind] = ground[kind][inside], order[kind][inside]
+    return raw, ground, order, span
+
+
+def _armed(beats: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
+    """By HEARTBEAT's fields (n,), whether each shows armed."""
+    if not beats:
+        return np.zeros(0, dtype=bool)
+    return np.asarray(beats["base_mode"].astype(int) & int(book.MAV_MODE_FLAG_SAFETY_ARMED), dtype=bool)
 
 
 def _last_boot(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight.execution.leg_order import REFUSED_CELL_MAX
 from flighttest.flight.execution.response import Learnt, ThrottleTrace
-from flighttest.flight.execution.scheduler import REFUSED_CELL_MAX
 from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget

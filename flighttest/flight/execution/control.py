@@ -141,9 +141,10 @@ class FlightControl:
                 self.recorder.event("note", text, t_s)
         if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
             self.alarm(f"the vehicle says: {message.text.strip()}")  # a lost transmitter, a failsafe, a fence
-        if message.get_type() != "HEARTBEAT":
-            return
-        mode, armed = int(message.custom_mode), is_armed(message)
+        if message.get_type() == "HEARTBEAT":
+            self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
+
+    def _watch_mode(self, mode: int, armed: bool, t_s: float) -> None:
         foreign = not self.session.mode_requests.shows(mode, t_s) and mode != self._mode
         disarmed = self._was_armed and not armed
         if not foreign and self.machine.state is FlightState.ASKING and mode in self._safe_modes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from statistics import median
@@ -12,18 +11,18 @@ from flighttest.errors import LinkError
 from flighttest.flight.execution import legs as flying
 from flighttest.flight.execution import reset, supervisor
 from flighttest.flight.execution.control import FlightControl, sentences
+from flighttest.flight.execution.leg_order import LegOrder
 from flighttest.flight.execution.legs import Airframe
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
 from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace
-from flighttest.flight.gate import LINK, SHOWN, Refusal, readiness
+from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
 
 REFUSED_IN_A_ROW_MAX = 4
 UNSETTLED_IN_A_ROW_MAX = 2  # each of them tried twice
-REFUSED_CELL_MAX = 2
 RETRIES = 1  # of a leg that the link interrupted or that did not settle
 _RESET_GUESS_S, TAKE_OFF_WITHIN_S = 10.0, 40.0
 _CLIMBS_M, CLIMBS_WITHIN_S = 0.3, 4.0  # the built-in vehicle is lower 2 s after the first of two requests
@@ -32,8 +31,6 @@ _LAND_S = 120.0
 _CATCH_UP_S = 0.3  # of planning: some HEARTBEATs
 PLANS_MAX = 8  # a vehicle that no plan holds for long is flown as it is, with the gate as judge
 HOVER_WARNING = 0.10
-# What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
-_PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT}) | SHOWN
 
 
 @dataclass
@@ -192,63 +189,54 @@ class Scheduler:
     # -- legs ----------------------------------------------------------------------------------------------------------------
 
     def _legs(self, legs: list[Leg]) -> FlightOutcome:
-        in_a_row = unsettled = 0
-        refused_cells: Counter[object] = Counter()
-        retried: set[str] = set()
-        unfit: list[str] = []
-        todo = deque(leg.id for leg in legs)
-        by_id = {leg.id: leg for leg in self.plan.legs}
-        while todo:
-            name = todo[0]
-            leg = by_id.get(name)
-            if leg is None:
-                unfit.append(todo.popleft())
-                continue
-            cell = (leg.maneuver, leg.kind, tuple(sorted(leg.cell.items())))
-            if refused_cells[cell] >= REFUSED_CELL_MAX:
-                self.results.append(LegResult(todo.popleft(), LegOutcome.LEFT_OUT))
+        order = LegOrder(legs, self.plan.legs)
+        while (leg := order.next()) is not None:
+            if order.refused_too_often(leg):
+                self.results.append(LegResult(order.drop(), LegOutcome.LEFT_OUT))
                 continue
             plan = self.plan
-            for attempt in range(1 + RETRIES):
-                if self._battery_low():
-                    return FlightOutcome.BATTERY
-                result = self._one(leg, [by_id[i] for i in todo if i in by_id], "again: " if attempt else "")
-                if result is None:
-                    break
-                self.results.append(result)
-                if result.outcome not in (LegOutcome.LINK_LOST, LegOutcome.NOT_SETTLED):
-                    break
+            tried = self._try(leg, order.remaining)
+            if isinstance(tried, FlightOutcome):
+                return tried
             if self.plan is not plan:
-                # Planned again: what the old plan was refused for says nothing about the new one.
-                by_id = {leg.id: leg for leg in self.plan.legs}
-                todo.extendleft(reversed([i for i in unfit if i in by_id]))
-                unfit = [i for i in unfit if i not in by_id]
-                refused_cells.clear()
-                in_a_row = 0
-            if result is None:
+                order.plan_again(self.plan.legs)
+            if tried is None:
                 continue
-            todo.popleft()
-            ended = self._asked_to_end()
+            order.drop()
+            ended = self._asked_to_end() or self._ended_by(leg, tried, order)
             if ended is not None:
                 return ended
-            unsettled = unsettled + 1 if result.outcome is LegOutcome.NOT_SETTLED else 0
-            if unsettled >= UNSETTLED_IN_A_ROW_MAX:
-                return FlightOutcome.NOT_SETTLED
-            in_a_row = in_a_row + 1 if result.outcome is LegOutcome.REFUSED else 0
-            if result.outcome is LegOutcome.REFUSED:
-                refused_cells[cell] += not (result.refused and SHOWN.issuperset(result.refused))
-                if Refusal.BATTERY in result.refused:
-                    return FlightOutcome.BATTERY
-                if Refusal.EKF in result.refused or in_a_row >= REFUSED_IN_A_ROW_MAX:
-                    return FlightOutcome.ABORTED_BY_GATE
-                if self._plan_is_due():
-                    todo.appendleft(leg.id)
-                elif name not in retried and _PASSING & set(result.refused):
-                    todo.append(name)
-                retried.add(name)
-        self.results += [LegResult(i, LegOutcome.UNFIT, self._why_unfit(i)) for i in unfit]
+        self.results += [LegResult(i, LegOutcome.UNFIT, self._why_unfit(i)) for i in order.unfit]
         flown = any(r.outcome is LegOutcome.FLOWN for r in self.results)
         return FlightOutcome.COMPLETED if flown else FlightOutcome.NOTHING_FLOWN
+
+    def _try(self, leg: Leg, remaining: list[Leg]) -> LegResult | FlightOutcome | None:
+        """A leg, again where the link interrupted it or it did not settle. What ends the flight, or None where it was planned again."""
+        result: LegResult | None = None
+        for attempt in range(1 + RETRIES):
+            if self._battery_low():
+                return FlightOutcome.BATTERY
+            result = self._one(leg, remaining, "again: " if attempt else "")
+            if result is None:
+                return None
+            self.results.append(result)
+            if result.outcome not in (LegOutcome.LINK_LOST, LegOutcome.NOT_SETTLED):
+                break
+        return result
+
+    def _ended_by(self, leg: Leg, result: LegResult, order: LegOrder) -> FlightOutcome | None:
+        """With what the flight ends by how a leg ended; None where it goes on."""
+        order.count(leg, result)
+        if order.unsettled_in_a_row >= UNSETTLED_IN_A_ROW_MAX:
+            return FlightOutcome.NOT_SETTLED
+        if result.outcome is not LegOutcome.REFUSED:
+            return None
+        if Refusal.BATTERY in result.refused:
+            return FlightOutcome.BATTERY
+        if Refusal.EKF in result.refused or order.refused_in_a_row >= REFUSED_IN_A_ROW_MAX:
+            return FlightOutcome.ABORTED_BY_GATE
+        order.try_again(leg, result, at_once=self._plan_is_due())
+        return None
 
     def _asked_to_end(self) -> FlightOutcome | None:
         if self.control.stop_now:
