@@ -40,6 +40,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("reset for 1 s", 1.0, up=True, down=True, cut=True),
     Fault("stall 4 s, then all", 4.0, hold=True),
     Fault("client frozen 4 s", 4.0, freeze_s=4.0),
+    Fault("client frozen 65 s", 1.0, freeze_s=65.0),
     Fault("clock leaps a day", 1.0, leap=True),
     Fault("one false stamp", 1.0, stamp=True),
     Fault("one false mode", 1.0, false_mode=True),

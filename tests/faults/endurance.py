@@ -174,7 +174,7 @@ class Drawn:
 PASSING = tuple(
     f for f in FAULTS
     if f.lasts_s < FOR_GOOD_S and f.name != "nothing" and not (f.reboot or f.presses or f.disk or f.leap)
-    and f.pilot_after_s is None
+    and f.pilot_after_s is None and f.freeze_s < 60.0
 )  # fmt: skip
 """Faults after which a flight may go on."""
 

@@ -32,6 +32,7 @@ DANGEROUS: tuple[tuple[str, When], ...] = (
     ("stall 4 s, then all", When.FLYING),
     ("client frozen 4 s", When.FLYING),
     ("client frozen 4 s", When.RETURNING),
+    ("client frozen 65 s", When.FLYING),
     ("clock leaps a day", When.FLYING),
     ("one false mode", When.FLYING),
     ("one false disarmed", When.FLYING),
