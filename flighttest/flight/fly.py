@@ -93,7 +93,7 @@ class _Flight:
         self.vehicle = ArduPilot(session)
         self.notes: list[str] = []
         self.held = contextlib.ExitStack()
-        self._say = options.on_stage
+        self._stage = options.on_stage
         self._parameters: dict[str, float] = {}
         self._changes: ParameterChanges | None = None
         self._fence: ZoneFence | None = None
@@ -155,7 +155,7 @@ class _Flight:
             "notes": [*self.notes, *(scheduler.notes if scheduler else []), *self._external_changes.changed],
         }
         self.recorder.save_manifest()
-        self._say("writing the channels")
+        self._stage("writing the channels")
         self.recorder.finish(self.session, scheduler.plan if scheduler else self.plan)
         if self.recorder.failure:
             why = self.recorder.incomplete or f"the record could not be written for a while: {self.recorder.failure}"
@@ -177,7 +177,7 @@ class _Flight:
         session, vehicle = self.session, self.vehicle
         set_params, waived = self.options.set_params, frozenset(self.options.waive)
         session.stop_asked = lambda: self.options.stop_requested() > 0  # until something is set that must be restored
-        self._say("connecting")
+        self._stage("connecting")
         beat = session.connect()
         if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
             raise LinkError(
@@ -187,7 +187,7 @@ class _Flight:
         offered = params.offered(session, lockstep.PARAMETER)
         if offered is not None:
             self._enter_lock_step(offered)
-        self._say("reading parameters")
+        self._stage("reading parameters")
         self._parameters = params.read_all(session)
         if lockstep.PARAMETER in self._parameters and not session.lock_step:
             # A host under load may have missed the answer above; free-running at many times real time would spoil the delays.
@@ -205,7 +205,7 @@ class _Flight:
             "parameters": self._parameters,
         }
         self.recorder.save_manifest()
-        self._say("asking for telemetry")
+        self._stage("asking for telemetry")
         telemetry = Telemetry(vehicle, self.plan, self.recorder.manifest["connect"])
         telemetry.ask()
         control = FlightControl(
@@ -234,7 +234,7 @@ class _Flight:
                 f"{self.recorder.run_dir} cannot be written: {self.recorder.failure}",
                 "free some space, or choose --out",
             )
-        self._say("checking the vehicle")
+        self._stage("checking the vehicle")
         session.stop_asked = None
         self._inherit(set_params or simulator)
         found = preflight.checks(situation)
@@ -254,10 +254,10 @@ class _Flight:
         far = fence_words(replace(situation, parameters=self._parameters))
         if far:
             self._note(far)
-            self._say(far)
-        said = place_zone(control, self.plan.vehicle.zone)
-        if said:
-            self.notes.append(said)
+            self._stage(far)
+        text = place_zone(control, self.plan.vehicle.zone)
+        if text:
+            self.notes.append(text)
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         self._bring_fence(control, set_params or simulator)
@@ -302,7 +302,7 @@ class _Flight:
         words += filter(None, [self._fence.inherit(self.options.fence_behind, restoring=restoring)])
         for text in words:
             self._note(text)
-            self._say(text)
+            self._stage(text)
         self._keep_changed(left)
 
     def _keep_fence(self, record: FenceData) -> None:
@@ -315,7 +315,7 @@ class _Flight:
         assert self._changes is not None
         along = self.plan.vehicle.zone.fence == "polygon" and "fence" not in self.options.waive
         if along:
-            self._say("bringing the zone's fence onto the vehicle")
+            self._stage("bringing the zone's fence onto the vehicle")
             control.until(self.session.now_s() + 0.3)  # a position about the zone's origin
             place = control.state, control.reader.origin_m
             self._note(self._fence.put(self.plan, *place, may_set=may_set, extend=self.options.extend_fence))
@@ -343,7 +343,7 @@ class _Flight:
         """After boot the estimate needs half a minute and more; without a position only its absence is noted."""
         wanted = self.plan.reset.by == "guided"
         began = self.session.now_s()
-        self._say("waiting for the vehicle's position estimate")
+        self._stage("waiting for the vehicle's position estimate")
         while not control.stop_asked:
             state, waited_s = control.state, self.session.now_s() - began
             enough = state.position_ok or (not wanted and waited_s >= _POSITION_PATIENCE_S)
@@ -375,11 +375,11 @@ class _Flight:
         """Restore what was set, and record the last words. Never raises: the flight's own outcome must not be hidden."""
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
-        if self._fence is not None and (said := self._fence.restore(airborne=self.vehicle.armed)):
-            self._note(said)
-            self._say(said)
+        if self._fence is not None and (text := self._fence.restore(airborne=self.vehicle.armed)):
+            self._note(text)
+            self._stage(text)
         if self._changes is not None and self._changes.pending:
-            self._say("restoring parameters")
+            self._stage("restoring parameters")
             try:
                 left = self._changes.restore(airborne=self.vehicle.armed)
             except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
@@ -391,7 +391,7 @@ class _Flight:
         if left:
             text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())
             self._note(f"not restored, set by hand: {text}")
-            self._say(f"not restored, set by hand: {text}")
+            self._stage(f"not restored, set by hand: {text}")
         self.recorder.manifest["parameters_left"] = left
         if self.session.port.muted and not self.session.lock_step:
             self.session.advance(self.session.now_s() + _LISTEN_AFTER_TAKE_OVER_S)

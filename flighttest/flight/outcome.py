@@ -78,7 +78,7 @@ class FlightProgress:
     leg: number of the leg that flies now, from 1, of `legs`. doing, next: words. time_left_s: of the plan's remaining legs and
     resets. zone_margin_m: distance to the nearest wall after a stop; voltage_v: 2 s mean; link_loss: share of frames lost; silence_s: since
     the vehicle was last heard, uplink_silence_s: since it last answered;
-    rates_hz: message name to received rate; t_s: the vehicle's clock; all None or NaN where unknown. alarm: what the operator must hear at
+    rates_hz: message name to received rate; t_s: the vehicle's clock; all None or NaN where unknown. alarm: for the operator at
     once, the latest of `alarms` so far; place_m: (x, y) in the zone, zone_m: its (lowest, highest) x and y.
     """
 

@@ -31,7 +31,7 @@ class VehicleState:
     voltage_v: mean of the last 2 s. height_m: above home. throttle_stick: 0..1 of the pilot's stick, None without RC.
     silence_s: since anything was heard;
     uplink_silence_s: since anything that we sent is known to have arrived.
-    position_ok: the EKF says that horizontal position is usable. ekf_ok: attitude and vertical estimates are.
+    position_ok: horizontal position is usable, by the EKF's flags. ekf_ok: attitude and vertical estimates are.
     """
 
     t_s: float

@@ -10,7 +10,8 @@ _BIT = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 
 
 def received(message: Message) -> bool | None:
-    """What SYS_STATUS (health of the receiver, where one is present) or RC_CHANNELS (no channel at all) says; None where it does not say.
+    """Whether the transmitter is lost by SYS_STATUS (health of the receiver, where one is present) or RC_CHANNELS (no channel at all);
+    None where the message does not show it.
 
     RC_CHANNELS goes on with the last channels when a transmitter is off, so that channels alone do not show that it is received.
     """
@@ -23,7 +24,7 @@ def received(message: Message) -> bool | None:
 
 
 class Transmitter:
-    """Follows the messages of a flight. lost: as the newest message that says so."""
+    """Follows the messages of a flight. lost: by the newest message that shows it."""
 
     def __init__(self) -> None:
         self.lost = False
@@ -33,13 +34,13 @@ class Transmitter:
 
     def look(self, message: Message) -> str:
         """A sentence where this message shows a loss or a return, else ''. A vehicle that never had a receiver loses none."""
-        said = received(message)
+        live = received(message)
         if message.get_type() == "RC_CHANNELS":
-            self._channels = said is None
+            self._channels = live is None
             self._heard |= self._channels
-        elif said is not None:
-            self._healthy = said
-            self._heard |= said
+        elif live is not None:
+            self._healthy = live
+            self._heard |= live
         before, self.lost = self.lost, self._heard and not (self._channels and self._healthy)
         if self.lost == before:
             return ""

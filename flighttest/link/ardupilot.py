@@ -1,7 +1,7 @@
 """ArduCopter over MAVLink: modes, arming, take-off, positions and attitude targets, each with its answer read back.
 
 Facts about the firmware were read in the source of Copter 4.7 and flown on its SITL. Everything that can fail raises LinkError or
-says why it was refused; nothing is assumed to have worked.
+states why it was refused; nothing is assumed to have worked.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Ack:
 
     @property
     def accepted(self) -> bool:
-        """Whether the vehicle said yes."""
+        """Whether the vehicle accepted."""
         return self.result in (book.MAV_RESULT_ACCEPTED, book.MAV_RESULT_IN_PROGRESS)
 
     @property
@@ -84,12 +84,12 @@ class ArduPilot:
 
     @property
     def armed(self) -> bool:
-        """Whether the last HEARTBEAT says armed."""
+        """Whether the last HEARTBEAT shows armed."""
         beat = self.session.latest.get("HEARTBEAT")
         return beat is not None and is_armed(beat.message)
 
     def command(self, command: int, *params: float, timeout_s: float = _ACK_S, tries: int = 3) -> Ack:
-        """Send a COMMAND_LONG until it is answered; what the vehicle says meanwhile comes with the answer."""
+        """Send a COMMAND_LONG until it is answered; the vehicle's texts meanwhile come with the answer."""
         texts: list[str] = []
 
         def note(message: Message, _t_s: float) -> None:
@@ -163,7 +163,7 @@ class ArduPilot:
     # -- streams -------------------------------------------------------------------------------------------------------------
 
     def set_rates(self, rates_hz: dict[str, float]) -> dict[str, str]:
-        """Ask for message rates, Hz; the refused ones with what the vehicle said."""
+        """Ask for message rates, Hz; the refused ones with the vehicle's reason."""
         refused: dict[str, str] = {}
         for name, rate in rates_hz.items():
             interval_us = 1e6 / rate if rate > 0 else -1.0
@@ -223,7 +223,7 @@ class ArduPilot:
                 return True
             why = ack.sentence if not ack.accepted else why
             if self.session.now_s() >= deadline:
-                raise LinkError(f"the vehicle does not arm ({why})", "mend what it says, then fly again")
+                raise LinkError(f"the vehicle does not arm ({why})", "mend the reason that it gave, then fly again")
             self.session.advance(self.session.now_s() + 1.0)
         return False
 

@@ -1,7 +1,7 @@
 """The vehicle's clock, live. All waiting in flight uses it, so that a simulator may run at its own speed.
 
 A `FollowedClock` goes by the stamps that arrive and runs on between them at the pace they keep, on the host's clock; a
-`GrantedClock` belongs to a simulator in lock-step and moves only when the simulator says so.
+`GrantedClock` belongs to a simulator in lock-step and moves only by the simulator's marks.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class FollowedClock:
         return True
 
     def answered(self, vehicle_s: float, round_trip_s: float) -> None:
-        """Stamps alone run late by the shortest way here; the quickest round trip says by how much."""
+        """Stamps alone run late by the shortest way here; the quickest round trip measures by how much."""
         if self._pace != 1.0 or round_trip_s > 1.2 * self._quickest_s:
             return
         self._quickest_s = min(self._quickest_s, round_trip_s)

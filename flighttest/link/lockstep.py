@@ -1,4 +1,4 @@
-"""Lock-step with the built-in simulator: the client grants time, the simulator runs as far and says so.
+"""Lock-step with the built-in simulator: the client grants time, the simulator runs as far and sends a mark.
 
 The protocol is written down in `flighttest.sim.lockstep`; this is its other end, read from that text alone.
 """

@@ -161,7 +161,7 @@ def read(session: Session, name: str) -> float | None:
 
 
 def write(session: Session, name: str, value: float, known: dict[str, float], *, stops_time: bool = False) -> None:
-    """Set one parameter (by the name the vehicle knows) and read it back. LinkError where it does not hold the value.
+    """Set one parameter (by the name that the vehicle has for it) and read it back. LinkError where it does not hold the value.
 
     known: the vehicle's parameters; updated. stops_time: the echo of the setting is taken as its read-back, since after it the
     vehicle's time stands still.

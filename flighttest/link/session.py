@@ -1,4 +1,4 @@
-"""One vehicle on one port: what it said last, its time, and questions with answers. Does not interpret, does not swallow a timeout."""
+"""One vehicle on one port: its latest messages, its time, and questions with answers. Does not interpret, does not swallow a timeout."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.25  # also how the uplink is seen to be alive; 120 bytes a second each way
 LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): waiting for an answer ends with a LinkError
 UNANSWERED_S = 10.0
-QUIET_S = (
-    1.5  # more than from one HEARTBEAT to the next: a vehicle that is not heard for longer cannot show whether it hears
-)
+QUIET_S = 1.5  # more than from one HEARTBEAT to the next: a vehicle that is not heard for longer cannot show whether it receives
 _DRAIN_MAX = 100  # receives in a row: seconds of a real link, and an end where a simulator sends faster than it is read
 _POLL_S = 0.02  # host seconds one receive may block
 _OVERTAKING_S = 0.2  # a link does not reorder over longer; sequence numbers begin anew after some 0.3 s
@@ -29,7 +27,7 @@ _SILENCE_MAX_S = 10.0  # host seconds a simulator in lock-step may think about a
 
 
 class LinkSilent(LinkError):
-    """The vehicle was there, and is not heard any more, or does not hear us: not a refusal."""
+    """The vehicle was there, and is not heard any more, or receives nothing: not a refusal."""
 
 
 class StoppedByOperator(LinkError):
@@ -196,7 +194,7 @@ class Session:
         kind = message.get_type()
         answer = kind == "TIMESYNC" and self._is_answer(message)
         if self._grants is not None and self._grants.heard(message):
-            return  # the clock's own mark says nothing of the link
+            return  # the clock's own mark is no sign of the link
         stamp = getattr(message, "time_boot_ms", None)
         if stamp:
             self.clock.heard(stamp * 1e-3)

@@ -13,7 +13,7 @@ class LinkState(Enum):
     """What is known of the link. The value is the sentence shown to the reader."""
 
     SEARCHING = "nothing has been heard of an autopilot"
-    HEARD = "the vehicle is heard; whether it hears us is not known (it has answered no TIMESYNC question yet)"
+    HEARD = "the vehicle is heard; whether it receives anything is not known (it has answered no TIMESYNC question yet)"
     BOTH_WAYS = "the vehicle is heard, and answers"
     QUIET = "nothing has been heard for 1.5 s"
     LOST = "nothing has been heard for 6 s: what waits for an answer ends with an error"
@@ -48,7 +48,7 @@ def _table() -> dict[tuple[LinkState, LinkEvent], LinkState]:
             (s, E.SILENCE): S.LOST for s in (*_CONNECTED, *_AWAY)
         },  # without QUIET before it, where the link was not checked in between
         **{(s, E.UNANSWERED): S.ONE_WAY for s in _CONNECTED},
-        **{(s, E.UNANSWERED): s for s in _AWAY},  # what is not heard cannot show whether it hears
+        **{(s, E.UNANSWERED): s for s in _AWAY},  # what is not heard cannot show whether it receives
         **{(s, E.BOOTED): S.HEARD for s in (*_CONNECTED, *_AWAY)},
     }
     # Before the first message no other event changes the state.

@@ -51,19 +51,19 @@ class Streams:
             return ""  # booted anew, or nothing comes at all: that is the link
         seen = {name: (counts.get(name, 0) - before.get(name, 0)) / span for name in self._usual_hz}
         fallen = [name for name, usual in self._usual_hz.items() if seen[name] < _SHARE * usual]
-        said = ""
+        text = ""
         few = sum(seen.values()) < _SHARE * sum(self._usual_hz.values())
         self._few = self._few + 1 if few else 0
         if self._few > _LOOKS:
-            said = self._lower(seen)
-            fallen = list(self._asked_hz) if said else fallen
+            text = self._lower(seen)
+            fallen = list(self._asked_hz) if text else fallen
         elif not fallen and self._lowered_s is not None and session.now_s() - self._lowered_s > self._patience_s * pace:
             self._ask_for(self._wanted_hz)
             self._lowered_s, fallen = None, list(self._asked_hz)
-            said = "the link carries what is asked for: the rates before are asked for again"
+            text = "the link carries what is asked for: the rates before are asked for again"
         for name in fallen:
             self._vehicle.ask_rate(name, self._asked_hz[name])
-        return said or (
+        return text or (
             f"asked again for {', '.join(fallen)}: somebody else may have changed the rate" if fallen else ""
         )
 

@@ -1,6 +1,6 @@
 """Importers: ArduPilot dataflash, telemetry logs, PX4 ulog, plain tables.
 
-Must not fit, and must not repair silently: what was lost, chosen or derived is said in the recording's provenance.
+Must not fit, and must not repair silently: what was lost, chosen or derived is noted in the recording's provenance.
 """
 
 from flighttest.logs.importing import import_log

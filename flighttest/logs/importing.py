@@ -24,7 +24,7 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
     """Read a log of any known kind, plain or compressed (.gz, .xz).
 
     path: .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap; what it is, is recognised by its first bytes, then from its name. columns: a
-    column map (columns/1) for foreign tables. RecordingError says what cannot be used, where, and what to do.
+    column map (columns/1) for foreign tables. RecordingError: what cannot be used, where, and what to do.
     """
     # A damaged float may be a signalling NaN or overflow where it is cast: it becomes NaN, or is found impossible.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -37,7 +37,7 @@ def import_log(path: Path | str, columns: Path | str | None = None) -> Recording
 
 
 def possible(recording: Recording) -> Recording:
-    """The same without values no vehicle can have (damaged bytes that still read as numbers): they become NaN, and it is said."""
+    """The same without values no vehicle can have (damaged bytes that still read as numbers): they become NaN, which is noted."""
     series = dict(recording.series)
     losses: list[str] = []
     for group, one in recording.series.items():

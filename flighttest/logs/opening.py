@@ -88,7 +88,7 @@ class LogFile:
         return piece
 
     def pieces(self, size: int = PIECE_BYTES) -> Iterator[bytes]:
-        """The bytes in pieces of about `size`; a broken compressed stream ends early and says so in `losses`."""
+        """The bytes in pieces of about `size`; a broken compressed stream ends early, which is noted in `losses`."""
         most = max(UNPACKED_TIMES * self.path.stat().st_size, UNPACKED_BYTES) if self.compressed else None
         with self.open() as file:
             broken: Exception | None = None

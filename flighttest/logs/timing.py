@@ -1,4 +1,4 @@
-"""Time in logs: series put in order, clocks that wrapped or restarted put right, and every repair said."""
+"""Time in logs: series put in order, clocks that wrapped or restarted put right, and every repair noted."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ABOUT_STEP = 500  # messages on each side: more than a stalled link holds back
 
 
 def ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], what: str, losses: list[str]) -> Series:
-    """A Series sorted by time; of samples with one time stamp the last is kept, and where that is more than 1 % it is said."""
+    """A Series sorted by time; of samples with one time stamp the last is kept, and where that is more than 1 % it is noted."""
     finite = np.isfinite(t_s)
     if not finite.all():
         losses.append(f"{what}: {int(np.count_nonzero(~finite))} samples have no time and were dropped")

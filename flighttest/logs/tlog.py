@@ -73,7 +73,7 @@ def import_tlog(path: Path) -> Recording:
 
 
 def _with_targets(series: dict[str, Series], derived: dict[str, str]) -> tuple[dict[str, Series], dict[str, str]]:
-    """Where the ground's targets were not recorded, the autopilot's own are taken for them; `derived` says so."""
+    """Where the ground's targets were not recorded, the autopilot's own are taken for them; `derived` notes it."""
     shaped, reference = series.get("shaped"), series.get("reference")
     if shaped is None or (reference is not None and "roll_ref_rad" in reference.columns):
         return series, derived
@@ -86,7 +86,7 @@ def _with_targets(series: dict[str, Series], derived: dict[str, str]) -> tuple[d
 
 
 def _checked(frames: Frames, losses: list[str]) -> Frames:
-    """Frames whose checksum and time stamp are right, as far as the dialect knows them; what is dropped is said."""
+    """Frames whose checksum and time stamp are right, as far as the dialect defines them; what is dropped is noted."""
     good = np.ones(frames.at.size, dtype=bool)
     unknown = 0
     for kind in np.unique(frames.kind):
@@ -96,7 +96,7 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
         else:
             unknown += chosen.size
     if unknown:
-        losses.append(f"{unknown} of {good.size} messages are of types the ArduPilot dialect does not know")
+        losses.append(f"{unknown} of {good.size} messages are of types the ArduPilot dialect does not define")
     if not good.all():
         first = int(frames.at[np.flatnonzero(~good)[0]])
         losses.append(
@@ -111,7 +111,7 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
 
 
 def _on_one_clock(frames: Frames, losses: list[str]) -> Frames:
-    """Frames as if the ground's clock had not been set while it recorded, by the stamps of the vehicle that said most."""
+    """Frames as if the ground's clock had not been set while it recorded, by the stamps of the vehicle that sent most."""
     best = np.zeros(0, dtype=np.int64)
     for kind in np.unique(frames.kind):
         message = book.mavlink_map.get(int(kind))

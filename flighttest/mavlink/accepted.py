@@ -20,7 +20,7 @@ CLIMB_RATES = "the targets were climb rates (GUID_OPTIONS bit 3 not set), so the
 def taken(targets: Series, beats_s: FloatArray, modes: FloatArray, losses: list[str]) -> Series | None:
     """The targets that the vehicle took, NaN where it dropped them; None where it took none.
 
-    It drops those sent in another mode, and those without a throttle. beats_s, modes: (n,) HEARTBEATs; the mode is what the next one says.
+    It drops those sent in another mode, and those without a throttle. beats_s, modes: (n,) HEARTBEATs; the mode is that of the next one.
     """
     if not beats_s.size:
         return targets
@@ -45,9 +45,9 @@ def throttle_of(
     derived: dict[str, str],
     losses: list[str],
 ) -> Series:
-    """The targets with the throttle they led to, where GUID_OPTIONS says that their thrust was a climb rate.
+    """The targets with the throttle they led to, where their thrust was a climb rate by GUID_OPTIONS.
 
-    own: times (n,) and thrust (n,) of the vehicle's ATTITUDE_TARGET; without it the throttle is unknown then, and it is said.
+    own: times (n,) and thrust (n,) of the vehicle's ATTITUDE_TARGET; without it the throttle is unknown then, which is noted.
     """
     if int(parameters.get("GUID_OPTIONS", _THRUST_IS_THROTTLE)) & _THRUST_IS_THROTTLE:
         return targets

@@ -21,7 +21,7 @@ _DRIFT_MAX = (
 )
 _WINDOW_S = 10.0  # long enough to hold an undelayed message, short against the changes of a drift
 _PACED_WINDOW_S = 0.5
-_QUICK_S = 1e-3  # round trips this near to the quickest tell the offset as well as it does
+_QUICK_S = 1e-3  # round trips this near to the quickest give the offset as well as it does
 _ONE_WAY_ERROR_S = 0.05  # what a one-way estimate may be wrong by: the shortest delay of a usual telemetry link
 
 
@@ -96,7 +96,7 @@ def _pace(g: FloatArray, v: FloatArray) -> float:
         return 1.0
     tenth = max(g.size // 10, 1)
     span = float(np.median(g[-tenth:]) - np.median(g[:tenth]))
-    if span < 2.0:  # too short to tell a pace from jitter
+    if span < 2.0:  # too short to distinguish a pace from jitter
         return 1.0
     pace = float((np.median(v[-tenth:]) - np.median(v[:tenth])) / span)
     return pace if abs(pace - 1.0) > _DRIFT_MAX + 0.05 / span else 1.0

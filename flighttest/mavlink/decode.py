@@ -31,9 +31,7 @@ _GROUPS = tuple(dict.fromkeys(rule.group for rule in RULES))
 _REBOOT_S = 1.0  # the vehicle's time going back by more than this is a reboot, by less a reordered datagram
 _STAMP_TRUST_S = 30.0
 _STAMP_S = 1e-3  # the vehicle's ms and the sender's are rounded, each by itself
-_STAMP_WANDER_S = (
-    0.01  # TIMESYNC and a sender that knows the clock differ by less over a flight, unless the clock is a simulator's
-)
+_STAMP_WANDER_S = 0.01  # TIMESYNC and a sender that stamps by the clock differ by less over a flight, unless the clock is a simulator's
 _STAMP_AGREEMENT_S = 0.2  # a sender whose stamps stay this near to the vehicle's time stamps on the vehicle's clock
 
 
@@ -108,7 +106,7 @@ class StreamDecoder:
 
     def __init__(self) -> None:
         self.rows: dict[tuple[Source, str], _Rows] = {}
-        self.autopilots: dict[Source, tuple[int, int]] = {}  # HEARTBEATs that said armed, and all
+        self.autopilots: dict[Source, tuple[int, int]] = {}  # HEARTBEATs that showed armed, and all
         self.texts: list[Text] = []
         self.parameters: dict[Source, list[tuple[float, str, float]]] = {}
         self.firmware: dict[Source, str] = {}
@@ -323,7 +321,7 @@ def _series(
 
 
 def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, losses: list[str]) -> Series:
-    """Sorted by time; of samples with one time stamp the last is kept, and the loss is said."""
+    """Sorted by time; of samples with one time stamp the last is kept, and the loss is noted."""
     order = np.argsort(t_s, kind="stable")
     t = t_s[order]
     last = np.concatenate([np.diff(t) > 0, [True]]) if t.size else np.zeros(0, dtype=bool)
@@ -363,7 +361,7 @@ def _reference(
     else:
         late = stamp_s - clock.to_vehicle(g)
         if clock.method == "one-way" and float(np.max(np.abs(late))) < _STAMP_AGREEMENT_S:
-            # The sender stamped its targets on the vehicle's clock: it knew the offset better than one-way delays can tell. Its
+            # The sender stamped its targets on the vehicle's clock: its offset is better than one-way delays can give. Its
             # first half minute counts, since some senders look at the vehicle's clock only once.
             early = late[g < g.min() + _STAMP_TRUST_S]
             error = 0.5 * float(np.percentile(early, 90) - np.percentile(early, 10))

@@ -32,7 +32,7 @@ def is_vehicle(heartbeat: Message) -> bool:
 
 
 def is_armed(heartbeat: Message) -> bool:
-    """Whether a HEARTBEAT says that the motors are armed."""
+    """Whether a HEARTBEAT shows that the motors are armed."""
     return bool(heartbeat.base_mode & book.MAV_MODE_FLAG_SAFETY_ARMED)
 
 

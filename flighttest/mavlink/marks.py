@@ -46,7 +46,7 @@ def parse_mark(text: str) -> tuple[str, str] | None:
 
 
 def mark_markers(t_s: float, text: str) -> list[Marker]:
-    """Markers of a mark's text at vehicle time t_s: `leg` at the leg's first phase is left to whoever knows the order of phases."""
+    """Markers of a mark's text at vehicle time t_s: `leg` at the leg's first phase is left to the caller, which has the order of phases."""
     mark = parse_mark(text)
     if mark is None:
         return []

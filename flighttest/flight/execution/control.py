@@ -61,7 +61,7 @@ class Doubt:
 
 
 class FlightControl:
-    """Everything a flying procedure needs. `cycle` lets one period pass; `steer` sends one target or says why not."""
+    """Everything a flying procedure needs. `cycle` lets one period pass; `steer` sends one target or returns why not."""
 
     def __init__(
         self,
@@ -129,10 +129,10 @@ class FlightControl:
         if self.session.boots != self._boots:
             self._boots = self.session.boots
             self.on(Event.REBOOTED)
-        said = self._transmitter.look(message)
-        if said and self.machine.state is not FlightState.GROUND:
-            self.recorder.event("note", said, t_s)
-            self.alarm(said)
+        text = self._transmitter.look(message)
+        if text and self.machine.state is not FlightState.GROUND:
+            self.recorder.event("note", text, t_s)
+            self.alarm(text)
         if not self.machine.ours:
             return
         if message.get_type() == "PARAM_VALUE":
@@ -198,7 +198,9 @@ class FlightControl:
             self.recorder.event("note", text, self.state.t_s)
         if self.session.others - self._others:
             self._others |= self.session.others
-            text = "another vehicle is heard on this link; what it says is not taken for the vehicle's that flies"
+            text = (
+                "another vehicle is heard on this link; its messages are not taken for those of the vehicle that flies"
+            )
             self.recorder.event("note", text, self.state.t_s)
         if self._doubt is not None and not 0.0 <= self.state.t_s - self._doubt.t_s < DOUBT_S:
             self._decide(self.state.t_s)
@@ -298,15 +300,15 @@ class FlightControl:
             self.gate, hover_throttle=throttle, stop_throttle=stop_throttles(self.gate.limits, throttle)
         )
 
-    # -- telling -------------------------------------------------------------------------------------------------------------
+    # -- the live view -------------------------------------------------------------------------------------------------------------
 
-    def tell(self, **changes: Any) -> None:
+    def show(self, **changes: Any) -> None:
         """Change what the live view shows: fields of FlightProgress."""
         self._progress = replace(self._progress, **changes)
 
     def alarm(self, text: str) -> None:
         """Tell the operator now, with a sound where there is one."""
-        self.tell(alarm=text, alarms=self._progress.alarms + 1)
+        self.show(alarm=text, alarms=self._progress.alarms + 1)
         self._alarm_over_s = self.session.now_s() + ALARM_S * self.pace
         self._report(at_once=True)
 
@@ -315,7 +317,7 @@ class FlightControl:
         if self._on_progress is None or (now < self._next_progress_s and not at_once):
             return
         if now > self._alarm_over_s:
-            self.tell(alarm="")
+            self.show(alarm="")
         self._next_progress_s = now + PROGRESS_EVERY_S * self.pace
         since, counts = self._counts
         span = now - since

@@ -48,7 +48,7 @@ class LegOrder:
         return self._refused[_cell(leg)] >= REFUSED_CELL_MAX
 
     def plan_again(self, planned: Iterable[Leg]) -> None:
-        """Go on with another plan's legs: what the one before was refused for says nothing about them."""
+        """Go on with another plan's legs: refusals of the one before do not count for them."""
         self._planned = {leg.id: leg for leg in planned}
         self._todo.extendleft(reversed([name for name in self.unfit if name in self._planned]))
         self.unfit = [name for name in self.unfit if name not in self._planned]

@@ -25,7 +25,7 @@ UNSURE_S = 0.3  # without an answer, at the end of a step
 
 @dataclass(frozen=True)
 class Airframe:
-    """What flying needs to know of the autopilot. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX; 0 is unlimited."""
+    """The autopilot's settings that flying needs. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX; 0 is unlimited."""
 
     angle_boost: bool = False
     yaw_accel_max_rad_s2: float = 0.0
@@ -128,7 +128,7 @@ def fly_leg(control: FlightControl, leg: Leg, airframe: Airframe, trace: Throttl
         if phase != phase_now:
             phase_now = phase
             _mark(control, leg, phase, at_s)
-            control.tell(phase=phase)
+            control.show(phase=phase)
         if control.stop_asked:
             reached = supervisor.abort(control, (control.stop_reason,))
             return finish(control, leg, LegOutcome.STOPPED, (f"in {reached.name}",))

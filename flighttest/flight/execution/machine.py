@@ -1,6 +1,6 @@
-"""The states of a flight, the events that change them, and the table of transitions: the only place that says who has the vehicle.
+"""The states of a flight, the events that change them, and the table of transitions: the only place that decides who has the vehicle.
 
-A procedure reports an event to the `Machine`; the table says what state follows and, where the flight ends by it, with which outcome.
+A procedure reports an event to the `Machine`; the table gives the state that follows and, where the flight ends by it, the outcome.
 An event that the table does not foresee in a state is a defect of this program. docs/operations.md is drawn from this table.
 """
 

@@ -16,17 +16,17 @@ FAR_M = 500.0
 
 
 def place_zone(control: FlightControl, zone: Zone) -> str:
-    """Take the zone's origin from home, or from where the zone says it is; a sentence where the vehicle states no home, else ''.
+    """Take the zone's origin from home, or from the place that the zone states; a sentence where the vehicle states no home, else ''.
 
     Nothing happens without a position. LinkError, PreflightError where the place cannot be known or is absurd.
     """
     if not control.state.position_ok:
         return ""
-    home, said = control.vehicle.home_m(), ""
+    home, text = control.vehicle.home_m(), ""
     if home is None:
         assert control.state.position_m is not None
         home = np.asarray(control.state.position_m) + control.reader.origin_m
-        said = "the vehicle states no home: its present place is taken"
+        text = "the vehicle states no home: its present place is taken"
     if zone.origin is not None:
         origin = control.vehicle.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if origin is None:
@@ -38,7 +38,7 @@ def place_zone(control: FlightControl, zone: Zone) -> str:
     _use(control, home)
     control.gate = replace(control.gate, zone_placed=True)
     control.after()
-    return said
+    return text
 
 
 def place_home(control: FlightControl, zone: Zone) -> None:

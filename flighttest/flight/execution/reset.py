@@ -167,7 +167,7 @@ def guided(control: FlightControl, start: Start) -> Arrived:
             # The autopilot holds the place by itself; a pilot who takes it meanwhile would not be seen.
             deadline = max(deadline, state.t_s + _SOON_S)
         if LINK & set(readiness(state, control.gate)):
-            settling = Settling(start)  # what is too old for a step says nothing of its start
+            settling = Settling(start)  # what is too old for a step does not show its start
         elif settling.done(state, _commanded_throttle(control)):
             return Arrived(Arrival.SETTLED, settling.hover_throttle)
     return Arrived(Arrival.NOT_SETTLED)
@@ -202,7 +202,7 @@ def by_pilot(control: FlightControl, timeout_s: float = 300.0) -> Arrived:
     """
     control.on(Event.HAND_OVER)
     control.alarm("the pilot flies to the start")
-    control.tell(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
+    control.show(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
     deadline = control.session.now_s() + timeout_s
     left = control.state.mode != CopterMode.GUIDED_NOGPS
     while control.session.now_s() < deadline:

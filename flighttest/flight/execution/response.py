@@ -23,7 +23,7 @@ _AGES_S = np.arange(0.0, 0.405, 0.005)
 _LEVEL_RAD = 0.02
 _TILT_MAX_RAD = 0.45  # beyond it, what the air does to a fast vehicle is no small thing beside the thrust
 _SHORTEST_S = 0.5
-_EXCURSION = 0.2  # of the hover throttle: less than this does not tell
+_EXCURSION = 0.2  # of the hover throttle: less than this shows no age
 _MISFIT_MAX_M_S = 0.25  # rms; a gust, or a throttle that is not followed, would be taken for an age
 
 
@@ -75,7 +75,7 @@ class ThrottleTrace:
         self._seen.append((t_s, climb_m_s, height_m))
 
     def age_s(self) -> float | None:
-        """Mean age of the thrust, s; None where this leg does not tell (tilted far, too short, too even, or not explained by it)."""
+        """Mean age of the thrust, s; None where this leg does not show it (tilted far, too short, too even, or not explained by it)."""
         if self._upright < math.cos(_TILT_MAX_RAD) or len(self._sent) < 10 or len(self._seen) < 10:
             return None
         sent, seen = np.array(self._sent), np.array(self._seen)

@@ -89,7 +89,7 @@ class Scheduler:
         control, vehicle = self.control, self.control.vehicle
         height = self.plan.reset.to_m[2]
         by_position = self.plan.reset.by != "attitude"
-        control.tell(
+        control.show(
             legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
         )
         # Before arming: that may take a minute, and whoever changes the mode meanwhile does not want it to fly.
@@ -102,7 +102,7 @@ class Scheduler:
         control.on(Event.ARMED)
         control.recorder.event("note", "armed", control.session.now_s())
         self.on_armed()
-        control.tell(doing="taking off", next=self.plan.legs[0].id)
+        control.show(doing="taking off", next=self.plan.legs[0].id)
         if not by_position:
             return self._climb_by_throttle(height)
         answer = vehicle.take_off(height)
@@ -112,7 +112,9 @@ class Scheduler:
             self.notes.append("the vehicle did not answer the request to take off")
             return FlightOutcome.CLIMB_ENDED
         if not answer.accepted and not climbs:
-            raise LinkError(f"take-off was refused ({answer.sentence})", "mend what the vehicle says, then fly again")
+            raise LinkError(
+                f"take-off was refused ({answer.sentence})", "mend the reason that the vehicle gave, then fly again"
+            )
         return self._climb(height)
 
     def disarm_when_heard(self) -> None:
@@ -171,7 +173,7 @@ class Scheduler:
     def land(self) -> None:
         """LAND where it is; it disarms by itself. FlightEnded where it was not seen to."""
         control = self.control
-        control.tell(doing="landing", next="", phase="")
+        control.show(doing="landing", next="", phase="")
         deadline = 0.0
         while not control.machine.state.is_end:
             if control.machine.state is not FlightState.LANDING:  # or not any more: an earlier request came late
@@ -308,7 +310,7 @@ class Scheduler:
         assert learnt is not None
         control = self.control
         self._plans += 1
-        control.tell(doing="planning again for the thrust that was seen")
+        control.show(doing="planning again for the thrust that was seen")
         self.plan = self.replanner.plan(learnt)
         # What came in meanwhile is read before anything is asked for: the pilot may have taken the vehicle.
         control.until(control.session.now_s() + _CATCH_UP_S)
@@ -370,7 +372,7 @@ class Scheduler:
     def _show(self, leg: Leg, remaining: list[Leg], doing: str) -> None:
         following = remaining[1] if len(remaining) > 1 else None
         number = next((i for i, other in enumerate(self.plan.legs) if other.id == leg.id), 0)
-        self.control.tell(
+        self.control.show(
             leg=number + 1,
             legs=len(self.plan.legs),
             doing=f"{doing}: {describe(leg)}" if doing else describe(leg),

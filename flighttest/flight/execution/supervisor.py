@@ -142,7 +142,7 @@ def enter(
 
 
 def enter_nogps(control: FlightControl) -> bool:
-    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle says that it is there: the mode keeps the last flight's
+    """Into GUIDED_NOGPS, with a level hover target as soon as the vehicle accepts the mode: the mode keeps the last flight's
     throttle until the first target.
 
     Level targets are sent from the vehicle's acceptance on, HEARTBEAT or not.

@@ -107,7 +107,7 @@ def still_left(
             left[name] = entry
             continue
         doubted.append(
-            f"the record of an earlier flight says that {name} should be {entry.value:g}, but {why}: it is left alone"
+            f"by the record of an earlier flight {name} should be {entry.value:g}, but {why}: it is left alone"
         )
     return left, doubted
 

@@ -129,7 +129,7 @@ class ZoneFence:
         if behind is None:
             return ""
         if behind.hardware != self._vehicle.hardware:
-            return "the record of an earlier flight says that it left a fence polygon, but on another autopilot: it is left alone"
+            return "by its record an earlier flight left a fence polygon, but on another autopilot: it is left alone"
         seen = self._fence.read()
         if same_fence(seen, behind.before):
             return ""

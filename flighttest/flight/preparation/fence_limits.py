@@ -31,9 +31,7 @@ def fence_checks(s: Situation) -> list[Check]:
         and (s.value("FENCE_ALT_MAX") or 0.0) <= zone.z_m[1] + _MARGIN_M
     )
     if along and int(s.value("FENCE_OPTIONS") or 0) & _UNION:
-        what = (
-            "FENCE_OPTIONS says that the inside of any one polygon is enough: the zone's would not hold beside others"
-        )
+        what = "by FENCE_OPTIONS the inside of any one polygon is enough: the zone's would not hold beside others"
         return [Check("fence", what, f"set FENCE_OPTIONS to {int(s.value('FENCE_OPTIONS') or 0) & ~_UNION}")]
     if good:
         return []

@@ -91,7 +91,7 @@ def _firmware(s: Situation) -> list[Check]:
     found = []
     if s.others:
         named = ", ".join(map(str, sorted(s.others)))
-        what = f"there are other vehicles on this link (system {named}): which of them is to fly is not said"
+        what = f"there are other vehicles on this link (system {named}): which of them is to fly is not stated"
         found.append(Check("vehicles", what, "give this vehicle a link or a port of its own"))
     if s.vehicle_type not in _MULTICOPTERS:
         found.append(Check("frame", "the vehicle is not a multirotor", "connect to a multirotor"))

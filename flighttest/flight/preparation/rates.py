@@ -31,7 +31,7 @@ def bytes_s(rates_hz: Mapping[str, float]) -> float:
 
 
 def declared_bytes_s(url: str) -> float | None:
-    """What a link's URL says that it carries, bytes per second; None where it does not say."""
+    """What a link carries by its URL, bytes per second; None where the URL has no baud rate."""
     kind, _, rest = full_url(url).partition(":")
     baud = rest.rpartition(":")[2]
     return int(baud) / _BITS_PER_BYTE if kind == "serial" and baud.isdigit() else None
@@ -67,9 +67,9 @@ class Telemetry:
         """Ask for what fits; where the vehicle has no HIGHRES_IMU, for RAW_IMU in its place."""
         self.rates_hz = fitted(self._wanted_hz, self._capacity)
         if self.rates_hz != self._wanted_hz:
-            said = ", ".join(f"{name} {self.rates_hz[name]:g}" for name in ("ATTITUDE", "HIGHRES_IMU"))
+            asked = ", ".join(f"{name} {self.rates_hz[name]:g}" for name in ("ATTITUDE", "HIGHRES_IMU"))
             self.notes.append(
-                f"the link carries {self._capacity or 0.0:.0f} bytes/s: messages are asked for less often ({said} Hz)"
+                f"the link carries {self._capacity or 0.0:.0f} bytes/s: messages are asked for less often ({asked} Hz)"
             )
         refused = self._vehicle.set_rates({n: r for n, r in self.rates_hz.items() if n not in self._refused})
         self.notes += [f"{name} was refused: {why}" for name, why in refused.items()]

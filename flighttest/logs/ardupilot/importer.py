@@ -1,7 +1,7 @@
 """ArduPilot dataflash logs (.BIN) to a Recording: which message of which firmware gives which channel.
 
 The reference is GUIA (each SET_ATTITUDE_TARGET at its arrival). Where a log has none, the autopilot's own targets are taken for it and
-`derived` says so. NED/FRD become NWU/FLU here and nowhere later.
+`derived` notes it. NED/FRD become NWU/FLU here and nowhere later.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class _Importer:
         return max(found, key=lambda item: len(item[1]), default=None)
 
     def _instance(self, name: str, *fields: str) -> Stamped | None:
-        """The messages of the primary instance, and `choices` says which."""
+        """The messages of the primary instance, which `choices` names."""
         if name not in self.tables:
             return None
         table, t_s = self.tables[name]
@@ -331,7 +331,7 @@ def known_filters(parameters: dict[str, float]) -> dict[str, float]:
 
 
 def _sound(table: Table) -> Table:
-    """The fields that are what their name says, text or one number: a damaged FMT can make them anything."""
+    """The fields that are as their name states, text or one number: a damaged FMT can make them anything."""
     raw = {n: v for n, v in table.raw.items() if v.ndim == 1 and (v.dtype.kind == "S") == (n in _TEXTS)}
     return Table(table.format, table.at, raw)
 

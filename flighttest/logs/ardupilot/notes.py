@@ -1,4 +1,4 @@
-"""What a dataflash log says beside its channels: parameters, firmware, modes, arming, marks and errors."""
+"""What a dataflash log holds beside its channels: parameters, firmware, modes, arming, marks and errors."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def board(tables: Mapping[str, Stamped]) -> str:
 
 
 def state(tables: Mapping[str, Stamped]) -> Series | None:
-    """Mode and arming, as they changed. A log that never says "armed" but says "disarmed" was armed when it began."""
+    """Mode and arming, as they changed. A log with "disarmed" and no "armed" was armed when it began."""
     modes = _modes(tables)
     arming: list[tuple[float, float]] = []
     if "EV" in tables and "Id" in tables["EV"][0]:

@@ -1,5 +1,5 @@
 """Whether columns of a table agree: a rate is the rate of its angle, a velocity that of its position, and an acceleration what attitude
-and specific force make it. What does not agree has another unit or another frame than its name says."""
+and specific force make it. What does not agree has another unit or another frame than its name states."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def disagreements(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[st
     if all(n in columns for n in (*_ATTITUDE, *_FORCE)):
         roll, pitch, yaw = (columns[n] for n in _ATTITUDE)
         slope = {n: difference(t_s, columns[n]) for n in _VELOCITY if n in columns}
-        # As the heading sees it: forward goes with pitch and left with roll, whatever the compass says.
+        # As the heading sees it: forward goes with pitch and left with roll, whatever the compass shows.
         level = rotation_from_euler(np.stack([roll, pitch, np.zeros(yaw.size)], axis=1))
         forward, left, up = np.einsum("nij,nj->in", level, np.stack([columns[n] for n in _FORCE], axis=1))
         if slope.keys() >= {"v_x_m_s", "v_y_m_s"}:
@@ -54,11 +54,11 @@ def disagreements(t_s: FloatArray, columns: Mapping[str, FloatArray]) -> list[st
             found.append((name.format("leftward"), _SAID, np.cos(yaw) * y - np.sin(yaw) * x, left))
         if "v_z_m_s" in slope:
             found.append(("the rate of v_z_m_s", _SAID, slope["v_z_m_s"], up - G_M_S2))
-    ratios = [(name, said, _ratio(t_s, values, reference)) for name, said, values, reference in found]
+    ratios = [(name, stated, _ratio(t_s, values, reference)) for name, stated, values, reference in found]
     return [
-        f"{name} is {ratio:.3g} times {said}: one of them has another unit or frame than its name says; state it in a column map "
+        f"{name} is {ratio:.3g} times {stated}: one of them has another unit or frame than its name states; state it in a column map "
         "(--columns)"
-        for name, said, ratio in ratios
+        for name, stated, ratio in ratios
         if ratio is not None and not 1.0 / _FACTOR < ratio < _FACTOR
     ]
 
@@ -87,7 +87,7 @@ def _ratio(t_s: FloatArray, values: FloatArray, reference: FloatArray) -> float 
 
 _ONE_G = (0.7, 1.4)  # median length of a specific force in g; in m/s^2 nothing that flies or stands has it
 _ENOUGH = 10  # samples
-_UP = 0.5  # of the length, for the vertical part to tell the frame
+_UP = 0.5  # of the length, for the vertical part to decide the frame
 
 
 def gravity_warnings(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"], mapped: bool) -> list[str]:

@@ -29,7 +29,7 @@ TIMES = (
     "Time",
     "tout",
     "timestamp",
-)  # names of a time vector; in seconds, unless a column map says otherwise
+)  # names of a time vector; in seconds, unless a column map states another unit
 _SAVE = "save it in MATLAB by save(name, '-v7')"
 Table = tuple[str, FloatArray | None, dict[str, FloatArray]]
 

@@ -43,7 +43,7 @@ def _parquet(file: LogFile, data: bytes) -> Sheet:
         parquet = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
         if parquet.metadata.num_rows * parquet.metadata.num_columns > MOST_VALUES:
             raise RecordingError(
-                f"{file.path}: says that it holds {parquet.metadata.num_rows} rows",
+                f"{file.path}: its header states {parquet.metadata.num_rows} rows",
                 "keep the columns and times of a flight",
             )
         frame = parquet.read().to_pandas(ignore_metadata=True)

@@ -1,6 +1,6 @@
 """ROS 2 bags in MCAP (and MCAP of JSON messages): every topic's numbers as columns, each on its own times.
 
-Needs the packages of the extra `mcap`. Frames are those of REP 103 (ENU, FLU) where no column map says otherwise.
+Needs the packages of the extra `mcap`. Frames are those of REP 103 (ENU, FLU) where no column map states others.
 """
 
 from __future__ import annotations

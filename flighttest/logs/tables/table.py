@@ -1,6 +1,6 @@
 """Plain tables (CSV, Parquet, Crazyflie logs) to a Recording, with a column map for foreign ones.
 
-What can be derived is derived and said: attitude from a quaternion, velocity from position, acceleration from velocity where there is no
+What can be derived is derived and noted: attitude from a quaternion, velocity from position, acceleration from velocity where there is no
 accelerometer. Frames of the table become NWU/FLU here.
 """
 
@@ -153,7 +153,7 @@ def _tame(t_s: FloatArray, losses: list[str]) -> FloatArray:
     t_s = np.where(np.isfinite(t_s), t_s, np.nan)  # an infinite time is none
     apart_s = np.abs(np.diff(t_s))
     apart_s = apart_s[np.isfinite(apart_s)]
-    if not apart_s.size or float(np.median(apart_s)) > 0.2:  # too slow a table to tell, or no two times in a row
+    if not apart_s.size or float(np.median(apart_s)) > 0.2:  # too slow a table to decide, or no two times in a row
         return t_s
     wild = outliers(t_s)
     if not wild.any() or np.count_nonzero(wild) > _WILD_MAX * wild.size:
