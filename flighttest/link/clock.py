@@ -151,8 +151,8 @@ class FollowedClock:
         if span <= 0.5 * _PACE_WINDOW_S or passed <= 0.0:
             return
         pace = passed / span
-        if self._paused and pace > self._pace * (1.0 + _REAL_TIME_TOLERANCE):
-            return  # they catch up
+        if self._paused and pace > max(self._pace, 1.0) * (1.0 + _REAL_TIME_TOLERANCE):
+            return  # they catch up; real time is no catching up of a pace that a growing queue made slow
         self._paused = None
         self._pace = 1.0 if abs(pace - 1.0) < _REAL_TIME_TOLERANCE else pace
 

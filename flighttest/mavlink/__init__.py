@@ -1,10 +1,10 @@
 """MAVLink messages to channels and targets, and back: one place with degE7, centimetres and signs. Knows no maneuvers."""
 
+from flighttest.mavlink.accepted import in_force
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
 from flighttest.mavlink.decode import WANTED, Decoded, StreamDecoder, decode_stream
 from flighttest.mavlink.marks import mark_message, mark_text, parse_mark
 from flighttest.mavlink.modes import CopterMode, mode_name
-from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.targets import target_message
 from flighttest.mavlink.telemetry import RULES, columns_of, offset_m
 

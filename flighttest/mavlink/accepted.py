@@ -1,8 +1,9 @@
-"""What ArduCopter made of the targets it was sent: which it dropped without a word, and what their thrust meant to it."""
+"""What ArduCopter made of what it was sent: which targets it dropped, what their thrust meant, which parameters were in force."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,3 +64,16 @@ def throttle_of(
         since = np.searchsorted(own[0] if name == "throttle" else targets.t_s, t_s, side="right") - 1
         held[name] = np.where(since >= 0, values[np.maximum(since, 0)], np.nan)
     return Series(t_s, held)
+
+
+def in_force(changes: Iterable[tuple[float, str, float]], until_s: float = math.inf) -> dict[str, float]:
+    """Parameter name to its last value at or before `until_s`, the last moment the vehicle was armed.
+
+    changes: (time s, name, value) in the order reported. A value that is first heard of later counts as well: a parameter is usually
+    read at leisure. What is set or restored after landing does not describe the flight, though.
+    """
+    found: dict[str, float] = {}
+    for t_s, name, value in changes:
+        if name and math.isfinite(value) and (t_s <= until_s or name not in found):
+            found[name] = float(value)
+    return found

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import RecordingError
-from flighttest.mavlink.accepted import taken, throttle_of
+from flighttest.mavlink.accepted import in_force, taken, throttle_of
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, board_id, book, firmware_version, is_armed, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.mavlink.modes import mode_name
-from flighttest.mavlink.parameters import in_force
 from flighttest.mavlink.stamps import HALF_MS, in_lock_step, rounded_off, stamped_rules, stamps, times_of
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
 from flighttest.mavlink.telemetry import NO_BATTERY, RULES, Rule
