@@ -162,6 +162,7 @@ PROVOKED: tuple[Provoked, ...] = (
     Provoked(S.LANDING, E.NOT_DOWN, Fault("a descent of 1 cm/s", FOR_GOOD_S), parameters={"LAND_SPD_MS": 0.01}),
     Provoked(S.RETURNING, E.HAND_OVER, Fault("pilot", 1.0, pilot_after_s=0.5, back_after_s=3.0), "by pilot"),
     Provoked(S.OFFERED, E.HANDED_BACK, Fault("pilot chooses GUIDED_NOGPS at once", 1.0, back_after_s=1.0), "by pilot"),
+    Provoked(S.OFFERED, E.FOREIGN_MODE, Fault("pilot", 1.0, pilot_after_s=0.5, back_after_s=3.0), "by pilot"),
     Provoked(S.OFFERED, E.ASK, Fault("Ctrl-C", 1.0, presses=1), "by pilot", 1.0),
     Provoked(S.OFFERED, E.ASK, Fault("Ctrl-C twice", 1.0, presses=2), "by pilot", 1.0),
     Provoked(S.OFFERED, E.REBOOTED, _REBOOT, "by pilot", 1.0),
