@@ -202,7 +202,21 @@ def noise_of(document: Document, node: Node | None) -> NoiseBlock:
     return cast(NoiseBlock, found)
 
 
-def check_valid(document: Document, node: Node | None) -> None:
+def check_plain(document: Document, root: Mapping[str, Node]) -> None:
+    """Kinds of the blocks that are kept as they are written: mappings, lists, true or false."""
+    _check_valid(document, root.get("valid"))
+    _check_fingerprint(document, root.get("fingerprint"))
+    for key in ("fit_quality", "vehicle", "diagnosed"):
+        children_of(document, root.get(key))
+    for key in ("runs", "notes"):
+        if key in root and root[key].value is not None and not isinstance(root[key].value, list):
+            document.wrong(root[key], f"expected a list, found {kind_of(root[key].value)}")
+    for key in ("attitude_loops", "channel_delays"):
+        if key in root and not isinstance(root[key].value, bool):
+            document.wrong(root[key], "expected true or false")
+
+
+def _check_valid(document: Document, node: Node | None) -> None:
     """Each range of validity is a number or [low, high]."""
     for name, child in children_of(document, node).items():
         if isinstance(child.value, list):
@@ -211,7 +225,7 @@ def check_valid(document: Document, node: Node | None) -> None:
             document.number(child, -1e9, 1e9)
 
 
-def check_fingerprint(document: Document, node: Node | None) -> None:
+def _check_fingerprint(document: Document, node: Node | None) -> None:
     """Components are blocks of what was declared of each, parameters and sizes are numbers; what else is there is text."""
     parts = children_of(document, node)
     for child in children_of(document, parts.get("components")).values():
@@ -237,6 +251,11 @@ def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
 def plain_block(document: Document, node: Node | None) -> dict[str, PlainData]:
     """A block of any keys and values as plain data."""
     return {name: child.plain() for name, child in children_of(document, node).items()}
+
+
+def listed(plain: PlainData) -> Sequence[Any]:
+    """The elements of a list; none of anything else."""
+    return cast(Sequence[Any], plain) if isinstance(plain, list) else ()
 
 
 def terms_of(document: Document, node: Node | None) -> list[str]:

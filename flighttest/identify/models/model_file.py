@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Node, PlainData, kind_of
+from flighttest.documents import Document, Form, Node, PlainData, kind_of, read_form, require
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
@@ -29,10 +29,10 @@ from flighttest.identify.models.model_blocks import (
     ParameterBlock,
     QualityBlock,
     ValidBlock,
-    check_fingerprint,
-    check_valid,
+    check_plain,
     children_of,
     constants_of,
+    listed,
     noise_of,
     plain_block,
     terms_of,
@@ -208,70 +208,70 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
     """
     path = held_by(path)
     text = read_text(path, ModelError, "model file")
-    document = Document(str(path), text)
-    document.check_format("model")
-    root = document.mapping(document.root, _TOP) if document.root is not None else {}
-    terms = terms_of(document, root.get("terms"))
-    parameters = _parameters(document, root.get("parameters"))
-    constants = constants_of(document, root.get("constants"))
-    noise = noise_of(document, root.get("noise"))
-    check_valid(document, root.get("valid"))
-    check_fingerprint(document, root.get("fingerprint"))
-    for key in ("fit_quality", "vehicle", "diagnosed"):
-        plain_block(document, root.get(key))
-    for key in ("runs", "notes"):
-        if key in root and root[key].value is not None and not isinstance(root[key].value, list):
-            document.wrong(root[key], f"expected a list, found {kind_of(root[key].value)}")
-    covariance = plain_block(document, root.get("covariance"))
-    for key in ("parameters", "terms"):
-        if document.root is not None and key not in root:
-            document.problem(1, key, "is missing", "a model file names its terms and parameters")
-    order, matrix = _covariance(document, root.get("covariance"), covariance, parameters)
-    document.raise_problems(ModelError)
-
-    plain = {k: n.plain() for k, n in root.items()}
-    for key in ("attitude_loops", "channel_delays"):
-        if not isinstance(plain.get(key, True), bool):
-            document.wrong(root[key], "expected true or false")
-    document.raise_problems(ModelError)
-    loops = plain.get("attitude_loops", any(n in parameters for n in ("omega_phi", "omega_theta", "sigma_r")))
-    channel_delays = plain.get("channel_delays", any(n in parameters for n in DELAY_PARAM.values()))
-    model = Model(
-        tuple(terms),
-        constants.get("nominal_voltage_v", NOMINAL_VOLTAGE_V),
-        constants.get("g", G_M_S2),
-        channel_delays=bool(channel_delays),
-        attitude_loops=bool(loops),
-        rotor_height_m=constants.get("rotor_height_m", ROTOR_HEIGHT_M),
-    )
-    for name, node in children_of(document, root["parameters"]).items():
-        _check_parameter(document, node, name, parameters[name], model)
-    document.raise_problems(ModelError)
-    values = model.start({n: p.value for n, p in parameters.items()})
-    delays = (*DELAY_PARAM.values(), DELAY.name)
+    found = read_form(text, str(path), Form("model", _TOP, ModelError), lambda d, keys: _model_file(d, keys, str(path)))
+    model, delays = found.model, (*DELAY_PARAM.values(), DELAY.name)
     missing = [
-        n for n in model.names if n not in parameters and n not in delays and (whole or model.term_of(n) != "body")
+        n
+        for n in model.names
+        if n not in found.parameters and n not in delays and (whole or model.term_of(n) != "body")
     ]
     if missing:
         raise ModelError(
             f"{path}: parameters {', '.join(missing)} of its terms are missing",
             "write the file again with `flighttest fit`",
         )
+    return found
+
+
+def _model_file(document: Document, root: Mapping[str, Node], path: str) -> ModelFile:
+    """The model of a document; block by block first, then each parameter by the model that the blocks state, where those are right."""
+    terms = terms_of(document, root.get("terms"))
+    parameters = _parameters(document, root.get("parameters"))
+    constants = constants_of(document, root.get("constants"))
+    noise = noise_of(document, root.get("noise"))
+    order, matrix = _covariance(document, root.get("covariance"), parameters)
+    check_plain(document, root)
+    require(document, root, ("terms", "parameters"), document.line)
+    plain = {k: n.plain() for k, n in root.items()}
+    model = Model()
+    if not document.problems:
+        model = _model(terms, constants, plain, parameters)
+        for name, node in children_of(document, root["parameters"]).items():
+            _check_parameter(document, node, name, parameters[name], model)
     return ModelFile(
         model=model,
         parameters=parameters,
-        values=values,
+        values={} if document.problems else model.start({n: p.value for n, p in parameters.items()}),
         order=order,
         covariance=matrix,
         valid=cast(ValidBlock, plain.get("valid") or {}),
         fingerprint=cast(FingerprintData, plain.get("fingerprint") or {}),
-        runs=tuple(plain.get("runs") or ()),
+        runs=tuple(listed(plain.get("runs"))),
         noise=noise,
         fit_quality=cast(QualityBlock, plain.get("fit_quality") or {}),
-        notes=tuple(plain.get("notes") or ()),
-        path=str(path),
+        notes=tuple(listed(plain.get("notes"))),
+        path=path,
         vehicle=cast(IdentityData, plain.get("vehicle") or {}),
         diagnosed=cast(DiagnosedBlock, plain.get("diagnosed") or {}),
+    )
+
+
+def _model(
+    terms: Sequence[str],
+    constants: Mapping[str, float],
+    plain: Mapping[str, PlainData],
+    parameters: Mapping[str, StoredParameter],
+) -> Model:
+    """The physics. Attitude loops and a delay for each channel: as stated, otherwise as the parameters have them."""
+    loops = plain.get("attitude_loops", any(n in parameters for n in ("omega_phi", "omega_theta", "sigma_r")))
+    delays = plain.get("channel_delays", any(n in parameters for n in DELAY_PARAM.values()))
+    return Model(
+        tuple(terms),
+        constants.get("nominal_voltage_v", NOMINAL_VOLTAGE_V),
+        constants.get("g", G_M_S2),
+        channel_delays=bool(delays),
+        attitude_loops=bool(loops),
+        rotor_height_m=constants.get("rotor_height_m", ROTOR_HEIGHT_M),
     )
 
 
@@ -370,9 +370,10 @@ def _plain_unit(unit: str) -> str:
 
 
 def _covariance(
-    document: Document, node: Node | None, plain: Mapping[str, PlainData], parameters: Mapping[str, StoredParameter]
+    document: Document, node: Node | None, parameters: Mapping[str, StoredParameter]
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Order and matrix; from the standard errors alone where the file has no covariance."""
+    plain = plain_block(document, node)
     if node is None or not plain:
         names = tuple(n for n, p in parameters.items() if p.std is not None)
         return names, np.diag([float(parameters[n].std or 0.0) ** 2 for n in names])
