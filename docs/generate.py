@@ -223,9 +223,9 @@ def finding_things() -> str:
     for n, (question, word, where) in enumerate(words.QUESTIONS, 1):
         steps = where.split("/")
         said = [root.joinpath(*steps[:k], "__init__.py") for k in range(1, len(steps))] + [root / where]
-        listed = [f"   - `{'/'.join(steps[: k + 1])}`: {_first_sentence(path)}" for k, path in enumerate(said)]
-        parts += [f"{n}. **{question}** `flighttest/{where}`", "", "   `ls flighttest`, then:", *listed, ""]
-        parts += [f'   `grep -rci "{word}" flighttest --include=*.py | sort -t: -k2 -rn | head -4`', ""]
+        listed = [f"    - `{'/'.join(steps[: k + 1])}`: {_first_sentence(path)}" for k, path in enumerate(said)]
+        parts += [f"{n}. **{question}** `flighttest/{where}`", "", "    `ls flighttest`, then:", "", *listed, ""]
+        parts += [f'    `grep -rci "{word}" flighttest --include=*.py | sort -t: -k2 -rn | head -4`', ""]
     return "\n".join(parts)
 
 

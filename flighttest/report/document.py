@@ -72,6 +72,7 @@ class Table:
     fold: bool = False  # long: folded away in HTML, shortened on a terminal unless everything is asked for
     detail: tuple[int, ...] = ()  # columns (by position) that a terminal shows only where everything is asked for
     brief: str = ""  # the sentence that stands for it on a terminal unless everything is asked for
+    brief_rows: int = 0  # the first rows, all that a terminal shows unless everything is asked for; 0: every row
 
 
 @dataclass(frozen=True)

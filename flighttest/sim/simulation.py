@@ -93,8 +93,8 @@ def start_simulator(
     """Start a simulated vehicle.
 
     port: 0 takes any free one. tcp: connect to `tcp:HOST:PORT`; udp: send to `udpout:HOST:PORT`, or listen at `peer` (host, port), which
-    is then sent to from the start, as ground stations expect on port 14550. in_thread: no process of its own (for tests; half the
-    speed). LinkError when the port is taken, InputError for options that cannot be.
+    is then sent to from the start, as ground stations expect on port 14550. in_thread: no process of its own (for tests, and always on
+    Windows; half the speed). LinkError when the port is taken, InputError for options that cannot be.
     """
     options = options or SimOptions()
     build_check(options)
@@ -103,7 +103,7 @@ def start_simulator(
     url = f"tcp:{host}:{number}" if protocol == "tcp" else f"udpout:{host}:{number}"
     if protocol == "udp" and peer is not None:
         url = f"udpin:{peer[0]}:{peer[1]}"
-    if in_thread:
+    if in_thread or os.name == "nt":  # Windows hands no socket on to a child
         return Simulation(options, url, None, _server(protocol, sock, options, peer))
     words = [sys.executable, "-m", "flighttest.sim", protocol, str(sock.fileno()), options.to_json()]
     words += [f"{peer[0]}:{peer[1]}"] if peer is not None else []

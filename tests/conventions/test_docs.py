@@ -111,3 +111,34 @@ def test_every_page_is_in_the_site_and_says_the_version_that_is(repository):
     install = (repository / "docs" / "install.md").read_text()
     for dependency in project["dependencies"]:
         assert re.split(r"[<>=]", dependency)[0] in install, "docs/install.md says what each dependency is for"
+
+
+def test_modules_that_the_docs_name_exist(repository):
+    package = repository / "flighttest"
+    packages = {folder.name for folder in package.iterdir() if folder.is_dir()}
+    pages = [*sorted((repository / "docs").glob("*.md")), *sorted(repository.glob("*.md"))]
+    gone = [
+        f"{page.name}: {named}"
+        for page in pages
+        for named in re.findall(r"`(?:flighttest/)?([a-z_]+(?:/[a-z_]+)+)(?:\.py)?`", page.read_text(encoding="utf-8"))
+        if named.split("/")[0] in packages and not ((package / named).exists() or (package / f"{named}.py").exists())
+    ]
+    assert gone == []
+
+
+def test_lists_within_lists_are_indented_as_the_site_needs_it(repository):
+    """Python-Markdown takes fewer than four spaces for the outer list."""
+    pages = sorted((repository / "docs").glob("*.md"))
+    shallow = [
+        f"{page.name}:{number}"
+        for page in pages
+        for number, line in enumerate(
+            re.sub(r"```.*?```", _blank, page.read_text(encoding="utf-8"), flags=re.S).split("\n"), 1
+        )
+        if re.match(r" {1,3}([-*]|\d+\.) ", line)
+    ]
+    assert shallow == []
+
+
+def _blank(match: re.Match[str]) -> str:
+    return "\n" * match.group().count("\n")

@@ -20,6 +20,7 @@ from plotly.offline import get_plotlyjs
 from rich.console import Console
 
 from flighttest.report.document import (
+    OMITTED,
     Bullets,
     Cell,
     Choice,
@@ -449,3 +450,19 @@ def test_a_box_in_space_keeps_its_proportions_and_stays_in_sight():
         "scene"
     ]
     assert scene["aspectratio"] == {"x": 1.0, "y": 0.5, "z": figures.LEAST_EDGE}
+
+
+def test_a_terminal_shows_the_first_rows_and_all_of_them_where_asked():
+    table = Table(("n",), tuple((f"row {i}",) for i in range(9)), caption="why", brief_rows=4)
+    first, omitted = (
+        Section("s", "First", (table,)),
+        Section("o", "Omitted", (Table(("n",), (("x",),), brief=OMITTED),)),
+    )
+    page = Document("t", "v", "good", (first, omitted))
+    consoles = [Console(width=80, file=io.StringIO()) for _ in range(2)]
+    for console, whole in zip(consoles, (False, True), strict=True):
+        console.print(terminal.render(page, whole))
+    shown, everything = (console.file.getvalue().strip() for console in consoles)
+    assert [word in shown for word in ("row 3", "row 4", "5 more rows")] == [True, False, True]
+    assert "omitted" in shown.splitlines()[-1]
+    assert [word in everything for word in ("row 8", "more row")] == [True, False]

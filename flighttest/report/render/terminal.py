@@ -181,7 +181,8 @@ class _Sized:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         table = self._table
         chosen = [i for i in range(len(table.columns)) if self._everything or i not in table.detail]
-        rows = table.rows[:FOLDED_ROWS] if table.fold and not self._everything else table.rows
+        most = table.brief_rows or (FOLDED_ROWS if table.fold else len(table.rows))
+        rows = table.rows if self._everything else table.rows[:most]
         for index, block in enumerate(_blocks(table, chosen, options.max_width)):
             if index:
                 yield Text("")

@@ -8,7 +8,20 @@ from typing import TypedDict, cast
 import numpy as np
 
 from flighttest.channels import WORDS
-from flighttest.report.document import Align, Block, Bullets, Cell, Figure, Panel, Role, Section, Table, Tone, Trace
+from flighttest.report.document import (
+    OMITTED,
+    Align,
+    Block,
+    Bullets,
+    Cell,
+    Figure,
+    Panel,
+    Role,
+    Section,
+    Table,
+    Tone,
+    Trace,
+)
 from flighttest.report.numbers import join, number, percent, to_error, unit
 
 _KINDS: dict[str, tuple[str, Tone]] = {
@@ -19,6 +32,7 @@ _KINDS: dict[str, tuple[str, Tone]] = {
     "UNTESTED": ("not tested", "quiet"),
 }
 _STEPS_SHOWN = 40
+_LARGEST = 6  # differences that a terminal shows where no more are beyond chance
 _BARS: tuple[Role, ...] = ("before", "after")
 Z_95 = 1.96
 
@@ -189,7 +203,7 @@ def _parameters(data: AgainstData) -> Section:
 
 
 def parameter_table(parameters: Sequence[DifferenceRow], first: str, second: str) -> Table:
-    """Every parameter on both sides, under these heads."""
+    """Every parameter on both sides, under these heads; the largest differences come first."""
     rows: list[tuple[Cell | str, ...]] = []
     for r in parameters:
         word, tone = _KINDS[r["kind"]]
@@ -217,6 +231,7 @@ def parameter_table(parameters: Sequence[DifferenceRow], first: str, second: str
         align,
         caption,
         detail=(5,),
+        brief_rows=max(_LARGEST, sum(r["differs"] for r in parameters)),
     )
 
 
@@ -273,7 +288,7 @@ def steps_section(steps: Sequence[StepRow]) -> Section | None:
         "it; nor is what the repeats differ by, such as the battery's voltage."
     )
     columns = ("step", "repeats", "difference", "unit", "over scatter")
-    table = Table(columns, tuple(rows), ("left", "right", "right", "left", "right"), caption, fold=True)
+    table = Table(columns, tuple(rows), ("left", "right", "right", "left", "right"), caption, True, (), OMITTED)
     return Section("steps", f"Step by step ({len(steps)} steps flown on both sides)", (table,))
 
 
