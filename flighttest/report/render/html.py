@@ -29,6 +29,7 @@ SPECS = "packed-figures"
 LEADING = 2  # sentences of the verdict that are set large
 PROSE = 18  # characters of a table's cell from which on its column is read as prose
 VIEWER_SAMPLES, LEAST_CHANNEL = 300_000, 2000  # samples of all channels together, and of one at the least
+VIEWER_CHARACTERS = 230_000  # of them packed: the page stays below 2 MB, of which the plot library is 1.65
 THEME_BUTTON = '<button id="theme" type="button">light / dark</button>'
 
 
@@ -184,16 +185,22 @@ def _choice(choice: Choice) -> str:
 def _viewer(viewer: Viewer) -> str:
     """Channels with their level of detail, as many samples of each as let the page stay small."""
     count = sum(len(columns) for _, columns in viewer.groups.values())
-    series, data = pack_series(viewer.groups, max(VIEWER_SAMPLES // max(count, 1), LEAST_CHANNEL))
+    most = max(VIEWER_SAMPLES // max(count, 1), LEAST_CHANNEL)
+    key = escape(viewer.id)
+    series, data = pack_series(viewer.groups, most)
+    element = packed(data, f"{key}-data")
+    while len(element) > VIEWER_CHARACTERS and most > LEAST_CHANNEL:
+        most = max(int(0.9 * most * VIEWER_CHARACTERS / len(element)), LEAST_CHANNEL)
+        series, data = pack_series(viewer.groups, most)
+        element = packed(data, f"{key}-data")
     described = {
         "series": series,
         "words": {name: list(words) for name, words in viewer.words.items()},
         "marks": [[m.start_s, m.end_s, m.label, m.kind] for m in viewer.marks],
         "shown": list(viewer.shown),
     }
-    key = escape(viewer.id)
     return (
         f'<div class="viewer" data-viewer="{key}"><div class="channels"></div><div class="strips"></div>'
         f'<p class="caption">{escape(viewer.caption)}</p></div>'
-        f"{packed_json(described, f'{key}-about')}{packed(data, f'{key}-data')}"
+        f"{packed_json(described, f'{key}-about')}{element}"
     )
