@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
@@ -92,57 +92,96 @@ def _panel(panel: Panel) -> str:
     values = {
         axis: [_scaled([places.get(v, v) for v in getattr(t, axis)], log[axis]) for t in panel.traces] for axis in "xy"
     }
-    bars_end = [ys + sign * np.asarray(t.spread) for t, ys in zip(panel.traces, values["y"], strict=True)
-                if t.spread is not None for sign in (1.0, -1.0)]  # fmt: skip
-    x, y = _span(values["x"]), _span([*values["y"], *bars_end])
-    barred = any(t.mode == "bars" for t in panel.traces)
-    if barred:
-        x, y = (x[0] - 0.5, x[1] + 0.5), (min(y[0], 0.0), max(y[1], 0.0))
-    y = (y[0] - _MARGIN * (y[1] - y[0]), y[1] + _MARGIN * (y[1] - y[0]))
-
-    def at(a: float, b: float) -> str:
-        across = box.left + box.across * (a - x[0]) / (x[1] - x[0])
-        return f"{across:.1f},{_ABOVE + box.up * (y[1] - b) / (y[1] - y[0]):.1f}"
-
-    parts = [f'<text x="{box.left}" y="14" font-size="12">{escape(panel.title)}</text>']
-    for value in () if places else _ticks(*x):
-        (px, py), (_, top) = at(value, y[0]).split(","), at(value, y[1]).split(",")
-        parts.append(f'<path d="M{px} {top}V{py}" stroke="{LIGHT["grid"]}"/>')
-        parts.append(f'<text x="{px}" y="{float(py) + 15:.1f}" text-anchor="middle">{_tick(value, log["x"])}</text>')
-    parts += [_leaning(name, *map(float, at(place, y[0]).split(","))) for name, place in places.items()]
-    for value in _ticks(*y):
-        (px, py), (end, _) = at(x[0], value).split(","), at(x[1], value).split(",")
-        parts.append(f'<path d="M{px} {py}H{end}" stroke="{LIGHT["grid"]}"/>')
-        parts.append(
-            f'<text x="{float(px) - 6:.1f}" y="{float(py) + 4:.1f}" text-anchor="end">{_tick(value, log["y"])}</text>'
-        )
+    axes = _axes(panel, box, values)
+    parts = [f'<text x="{box.left}" y="14" font-size="12">{escape(panel.title)}</text>', *_grid(axes, places, log)]
     wide = any(t.role == "simulated" for t in panel.traces)
     bars = [t for t in panel.traces if t.mode == "bars"]
     for trace, xs, ys in zip(panel.traces, values["x"], values["y"], strict=True):
         pairs = [(float(a), float(b)) for a, b in zip(xs, ys, strict=True) if math.isfinite(a) and math.isfinite(b)]
         if trace.mode == "bars":
-            width = _BAR / len(bars)
-            shift = width * (bars.index(trace) - (len(bars) - 1) / 2)
-            for a, b in pairs:
-                (px, foot), (_, end) = at(a + shift, 0.0).split(","), at(a, b).split(",")
-                thick = width * box.across / (x[1] - x[0])
-                above, high = min(float(foot), float(end)), abs(float(foot) - float(end))
-                parts.append(
-                    f'<rect x="{float(px) - thick / 2:.1f}" y="{above:.1f}" width="{thick:.1f}" height="{high:.1f}" '
-                    f'fill="{LIGHT[trace.role]}"/>'
-                )
-            continue
-        if trace.mode == "steps":
-            pairs = [p for (a, b), (c, _) in pairwise([*pairs, *pairs[-1:]]) for p in ((a, b), (c, b))]
-        if trace.mode in ("markers", "markers3d", "errorbars"):
-            dots = [at(a, b).split(",") for a, b in pairs]
-            parts += [f'<circle cx="{cx}" cy="{cy}" r="2.2" fill="{LIGHT[trace.role]}"/>' for cx, cy in dots]
-            for a, b, half in _spread(trace, xs, ys):
-                (px, top), (_, foot) = at(a, b + half).split(","), at(a, b - half).split(",")
-                parts.append(f'<path d="M{px} {top}V{foot}" stroke="{LIGHT[trace.role]}"/>')
-            continue
-        parts.append(f'<polyline points="{" ".join(at(a, b) for a, b in pairs)}" {_pen(trace, wide)}/>')
+            parts += _bars(axes, trace, pairs, bars.index(trace), len(bars))
+        elif trace.mode in ("markers", "markers3d", "errorbars"):
+            parts += _dots(axes, trace, pairs, _spread(trace, xs, ys))
+        else:
+            parts.append(_line(axes, trace, pairs, _pen(trace, wide)))
     return "".join([*parts, _labels(panel, box)])
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """Spans of both axes (of the logarithm where an axis is logarithmic) and the box that they fill."""
+
+    box: _Box
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    def at(self, a: float, b: float) -> str:
+        """Where (a, b) is drawn, as `across,down`."""
+        (low, high), (bottom, top) = self.x, self.y
+        across = self.box.left + self.box.across * (a - low) / (high - low)
+        return f"{across:.1f},{_ABOVE + self.box.up * (top - b) / (top - bottom):.1f}"
+
+
+def _axes(panel: Panel, box: _Box, values: Mapping[str, Sequence[np.ndarray]]) -> _Axes:
+    """Axes that hold every value, error bars and the feet of bars included. values: of each axis, by trace."""
+    ends = [ys + sign * np.asarray(t.spread) for t, ys in zip(panel.traces, values["y"], strict=True)
+            if t.spread is not None for sign in (1.0, -1.0)]  # fmt: skip
+    x, y = _span(values["x"]), _span([*values["y"], *ends])
+    if any(t.mode == "bars" for t in panel.traces):
+        x, y = (x[0] - 0.5, x[1] + 0.5), (min(y[0], 0.0), max(y[1], 0.0))
+    return _Axes(box, x, (y[0] - _MARGIN * (y[1] - y[0]), y[1] + _MARGIN * (y[1] - y[0])))
+
+
+def _grid(axes: _Axes, places: Mapping[str, float], log: Mapping[str, bool]) -> list[str]:
+    """Lines and numbers of both axes; names in place of numbers across where there are any."""
+    x, y, parts = axes.x, axes.y, []
+    for value in () if places else _ticks(*x):
+        (px, py), (_, top) = axes.at(value, y[0]).split(","), axes.at(value, y[1]).split(",")
+        parts.append(f'<path d="M{px} {top}V{py}" stroke="{LIGHT["grid"]}"/>')
+        parts.append(f'<text x="{px}" y="{float(py) + 15:.1f}" text-anchor="middle">{_tick(value, log["x"])}</text>')
+    parts += [_leaning(name, *map(float, axes.at(place, y[0]).split(","))) for name, place in places.items()]
+    for value in _ticks(*y):
+        (px, py), (end, _) = axes.at(x[0], value).split(","), axes.at(x[1], value).split(",")
+        parts.append(f'<path d="M{px} {py}H{end}" stroke="{LIGHT["grid"]}"/>')
+        parts.append(
+            f'<text x="{float(px) - 6:.1f}" y="{float(py) + 4:.1f}" text-anchor="end">{_tick(value, log["y"])}</text>'
+        )
+    return parts
+
+
+def _bars(axes: _Axes, trace: Trace, pairs: Sequence[tuple[float, float]], index: int, count: int) -> list[str]:
+    """Bars from zero, beside those of the panel's other traces."""
+    width = _BAR / count
+    shift = width * (index - (count - 1) / 2)
+    thick = width * axes.box.across / (axes.x[1] - axes.x[0])
+    parts = []
+    for a, b in pairs:
+        (px, foot), (_, end) = axes.at(a + shift, 0.0).split(","), axes.at(a, b).split(",")
+        above, high = min(float(foot), float(end)), abs(float(foot) - float(end))
+        parts.append(
+            f'<rect x="{float(px) - thick / 2:.1f}" y="{above:.1f}" width="{thick:.1f}" height="{high:.1f}" '
+            f'fill="{LIGHT[trace.role]}"/>'
+        )
+    return parts
+
+
+def _line(axes: _Axes, trace: Trace, pairs: Sequence[tuple[float, float]], pen: str) -> str:
+    """A line through the points, or one that holds each value until the next."""
+    if trace.mode == "steps":
+        pairs = [p for (a, b), (c, _) in pairwise([*pairs, *pairs[-1:]]) for p in ((a, b), (c, b))]
+    return f'<polyline points="{" ".join(axes.at(a, b) for a, b in pairs)}" {pen}/>'
+
+
+def _dots(
+    axes: _Axes, trace: Trace, pairs: Sequence[tuple[float, float]], spread: Sequence[tuple[float, float, float]]
+) -> list[str]:
+    """Points, and their error bars."""
+    dots = [axes.at(a, b).split(",") for a, b in pairs]
+    parts = [f'<circle cx="{cx}" cy="{cy}" r="2.2" fill="{LIGHT[trace.role]}"/>' for cx, cy in dots]
+    for a, b, half in spread:
+        (px, top), (_, foot) = axes.at(a, b + half).split(","), axes.at(a, b - half).split(",")
+        parts.append(f'<path d="M{px} {top}V{foot}" stroke="{LIGHT[trace.role]}"/>')
+    return parts
 
 
 def _spread(trace: Trace, xs: np.ndarray, ys: np.ndarray) -> list[tuple[float, float, float]]:
