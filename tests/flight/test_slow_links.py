@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from flighttest.flight import FlightOutcome, LegOutcome, fly
+from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.preparation.preflight import BLIND_RATES_HZ, RATES_HZ
 from flighttest.flight.preparation.rates import bytes_s, declared_bytes_s, fitted
 from flighttest.mavlink.dialect import parser
 from flighttest.recording.store import open_run, read_events, read_manifest
 from flighttest.sim import SimOptions
 from tests.faults.proxy import Fault, Proxy, When
-from tests.flight.faulty import FaultyLink, make_leg, make_plan, options
+from tests.flight.faulty import GATE, GOOD, FaultyLink, make_leg, make_plan, options
 
 WAITING_BYTES = 1024  # of a vehicle's serial port; what does not fit in is dropped
 
@@ -107,3 +109,13 @@ def test_a_link_that_slows_down_in_flight_is_asked_for_less_and_later_for_all_ag
     less = next(k for k, text in enumerate(labels) if text.startswith("the link carries less"))
     assert any(text.startswith("the link carries what is asked for") for text in labels[less:])
     assert sum(text.startswith("asked again") for text in labels) <= 12
+
+
+@pytest.mark.parametrize(("unanswered_s", "fed_back"), [(0.0, True), (0.6, False)])
+def test_a_climb_is_not_fed_back_over_a_link_that_takes_too_long(unanswered_s: float, fed_back: bool) -> None:
+    """With a second of delay that swung the vehicle between 1 and 6 m, and on the ground."""
+    control = FlightControl.__new__(FlightControl)
+    control.session = mock.Mock(**{"clock.pace": 1.0})
+    control.gate, control.hover_throttle = GATE, GATE.hover_throttle
+    control.state = replace(GOOD, climb_m_s=0.4, silence_s=0.0, uplink_silence_s=unanswered_s)
+    assert (control.release_target().throttle < GATE.hover_throttle) is fed_back
