@@ -5,9 +5,9 @@ Blocks share nothing but the recordings, so that they can be searched in paralle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ PLAIN = {"roll_pitch": "roll or pitch", "yaw": "the yaw rate", "translation": "t
 
 
 SEED = 0  # of sign flips and resampling: the same recordings give the same diagnosis
+
+
+V = TypeVar("V")
 
 
 @dataclass(frozen=True)
@@ -194,6 +197,6 @@ def listed(answers: Sequence[Answer], what: str) -> list[Any]:
     return [each for a in answers for each in getattr(a, what)]
 
 
-def merged(answers: Sequence[Answer], what: str) -> dict[str, Any]:
-    """One of the blocks' tables (a field of `Answer`) in one."""
-    return {key: value for a in answers for key, value in getattr(a, what).items()}
+def merged(tables: Iterable[Mapping[str, V]]) -> dict[str, V]:
+    """Tables in one; of a key that occurs twice the last."""
+    return {key: value for table in tables for key, value in table.items()}

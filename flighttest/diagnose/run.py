@@ -156,7 +156,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         for search in searches
         if term in search.evidence
     ]
-    located, levels = listed(answers, "located"), merged(answers, "levels")
+    located, levels = listed(answers, "located"), merged(a.levels for a in answers)
     tried = {t.id for a in answers if a.complete and a.search for t in a.search.pool}
     unseen = _not_testable(asked, answers, tried | set(accepted), complete)
     hidden = {u.term: u.why for u in unseen}
@@ -174,7 +174,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
     return Diagnosis(
         verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
         sentence=sentence_of(so_far, findings, share, located, complete)
-        + predicted_worse(merged(answers, "heldout"))
+        + predicted_worse(merged(a.heldout for a in answers))
         + moved_parameters(asked.previous, after),
         located=tuple(located),
         findings=tuple(findings),
@@ -189,9 +189,9 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
         accepted=accepted,
         before=before,
         after=after,
-        heldout=merged(answers, "heldout"),
-        noise_floor=merged(answers, "floors"),
-        baselines=merged(answers, "baselines"),
+        heldout=merged(a.heldout for a in answers),
+        noise_floor=merged(a.floors for a in answers),
+        baselines=merged(a.baselines for a in answers),
         residual_map=tuple(listed(answers, "cells")),
         regimes=tuple(listed(answers, "curves")),
         overlays=tuple(listed(answers, "overlaid")),

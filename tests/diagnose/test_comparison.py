@@ -24,7 +24,13 @@ from flighttest.diagnose.selection.comparison import (
     probability_of,
     standard_errors,
 )
-from flighttest.diagnose.selection.held_out import CrossValidation, Room, cross_validated, held_out_falls, stratum_gains
+from flighttest.diagnose.selection.held_out import (
+    CrossValidation,
+    Margins,
+    cross_validated,
+    held_out_falls,
+    stratum_gains,
+)
 from flighttest.estimation.linearisation import Optimum
 from flighttest.estimation.problem import Noise
 from flighttest.estimation.uncertainty.covariance import Covariance
@@ -171,7 +177,7 @@ def test_predictive_squares_are_those_of_weighted_fits_without_the_fold(rng):
     y += columns @ [1.0, -2.0]
     rows = rows_of(y, columns, segments=20)
     weights, groups = rng.uniform(0.5, 2.0, 600), np.arange(20) // 4
-    found = cross_validated(rows, ("p0", "p1"), groups, weights, Room(np.full(2, -np.inf), np.full(2, np.inf)))
+    found = cross_validated(rows, ("p0", "p1"), groups, weights, Margins(np.full(2, -np.inf), np.full(2, np.inf)))
     root = np.sqrt(weights)
     for fold in range(5):
         inside = (groups % 5)[rows.segment] == fold
@@ -409,7 +415,7 @@ def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(r
     x = rng.normal(size=1000)
     with_it, without = (fitted(2.0 * x + rng.normal(size=1000), c, ("p0",)) for c in (x[:, None], np.ones((1000, 1))))
     groups = np.arange(SEGMENTS) % 5
-    anywhere = Room(np.full(1, -np.inf), np.full(1, np.inf))
+    anywhere = Margins(np.full(1, -np.inf), np.full(1, np.inf))
     falls = held_out_falls((without.rows, without.names, anywhere), (with_it.rows, with_it.names, anywhere), groups)
     assert falls == {"f_z_m_s2": pytest.approx(1.0 - 1.0 / np.sqrt(5.0), abs=0.05)}
 

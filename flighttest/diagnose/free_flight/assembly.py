@@ -184,7 +184,7 @@ class _Assembly:
         located = [*places, *listed(self.answers, "located")]
         staying = [*left, *listed(self.answers, "staying")]
         held = held_out_table(found) if found.named else {}
-        whole = {**held, **merged(self.answers, "heldout")}
+        whole = {**held, **merged(a.heldout for a in self.answers)}
         before, after = table_of(found.base, self.model), parameter_table(fitted)
         findings = self._findings(held, after)
         unseen, levels = self._unseen()
@@ -214,7 +214,7 @@ class _Assembly:
             heldout=whole,
             noise_floor={
                 **{short(c): FloorRow({"value": v, "from": FROM_EQUATIONS}) for c, v in floor.std.items()},
-                **merged(self.answers, "floors"),
+                **merged(a.floors for a in self.answers),
             },
             baselines={},
             residual_map=(
@@ -314,7 +314,7 @@ class _Assembly:
         """What could not be seen and why; of the rest the smallest coefficient that would have been named."""
         found = self.found
         unseen: list[Untestable] = listed(self.answers, "unseen")
-        levels: dict[str, tuple[float, str]] = merged(self.answers, "levels")
+        levels: dict[str, tuple[float, str]] = merged(a.levels for a in self.answers)
         for term, name, size, usual_sizes in self._smallest():
             levels[term.id] = size, name
             if usual_sizes > PLAUSIBLE:

@@ -18,7 +18,7 @@ from flighttest.diagnose.residuals.lack_of_fit import DISTURBANCE_DRIFT, RESOLUT
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
-    Room,
+    Margins,
     cross_validated,
     held_out,
     held_out_falls,
@@ -58,13 +58,13 @@ class Fitted:
         return np.asarray(self.rows.residual - basis @ (basis.T @ self.rows.residual))
 
     @property
-    def room(self) -> Room:
+    def margins(self) -> Margins:
         """How far what is estimated may move from the optimum."""
-        return Room.of([self.model.param[n] for n in self.names], self.at.values)
+        return Margins.of([self.model.param[n] for n in self.names], self.at.values)
 
     def held_out(self, groups: IntArray) -> FloatArray:
         """As of `held_out`."""
-        return held_out(self.rows, self.names, groups, self.room)
+        return held_out(self.rows, self.names, groups, self.margins)
 
     @property
     def finite(self) -> bool:
@@ -148,7 +148,7 @@ def cross_validations(
     rows = smaller.rows if known else estimator.linearise(smaller.model, at, smaller.names)
 
     def of(fitted: Fitted, rows: Linearisation) -> CrossValidation:
-        return CrossValidation(rows, cross_validated(rows, fitted.names, groups, weights(rows), fitted.room))
+        return CrossValidation(rows, cross_validated(rows, fitted.names, groups, weights(rows), fitted.margins))
 
     return of(larger, larger.rows), of(smaller, rows)
 
@@ -190,7 +190,7 @@ def evidence_of(
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
         falls = held_out_falls(
-            (without.rows, without.names, without.room), (fitted.rows, fitted.names, fitted.room), groups
+            (without.rows, without.names, without.margins), (fitted.rows, fitted.names, fitted.margins), groups
         )
         intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     found = Evidence(

@@ -55,14 +55,14 @@ def folds_of(groups: IntArray) -> IntArray:
 
 
 @dataclass(frozen=True)
-class Room:
+class Margins:
     """How far parameters may move from an optimum before they reach their bounds: least (p,) <= 0, most (p,) >= 0, in their own units."""
 
     least: FloatArray
     most: FloatArray
 
     @classmethod
-    def of(cls, params: Sequence[Param], values: Mapping[str, float]) -> Room:
+    def of(cls, params: Sequence[Param], values: Mapping[str, float]) -> Margins:
         """params: those that are estimated, in the order of the columns."""
         least = np.array([min(p.lower - values[p.name], 0.0) for p in params])
         return cls(least, np.array([max(p.upper - values[p.name], 0.0) for p in params]))
@@ -81,10 +81,10 @@ class Room:
         return np.asarray(lsq_linear(root[:, None] * axes.T, (axes.T @ g) / root, bounds, method="bvls").x)
 
 
-def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, room: Room) -> FloatArray:
+def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, margins: Margins) -> FloatArray:
     """(n,) residual in the channel's unit of every response as predicted by parameters from the other folds.
 
-    rows: at an optimum; linear in the parameters about it, which have so much room. A response keeps its own initial state, its
+    rows: at an optimum; linear in the parameters about it, which have such margins. A response keeps its own initial state, its
     disturbance is unknown.
     """
     a = rows.columns(names)
@@ -98,17 +98,17 @@ def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, room: 
         inside = fold_of_row == fold
         own = a[inside]
         h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
-        step = room.step(h, moment - own.T @ rows.residual[inside], length[used], used)
+        step = margins.step(h, moment - own.T @ rows.residual[inside], length[used], used)
         out[inside] = rows.unprofiled_residual[inside] - b[inside] @ step
     return out
 
 
 def cross_validated(
-    rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray, room: Room
+    rows: Linearisation, names: Sequence[str], groups: IntArray, weights: FloatArray, margins: Margins
 ) -> FloatArray:
     """(n,) weighted squares of whitened rows as predicted by parameters from the other folds, nuisance parameters marginalised.
 
-    rows: at an optimum; linear in the parameters about it, which have so much room. weights (n,): of each row, from the model's
+    rows: at an optimum; linear in the parameters about it, which have such margins. weights (n,): of each row, from the model's
     discrepancy. A response's rows sum to minus twice its log predictive density, but for a constant that models of one weighting share.
     """
     root = np.sqrt(weights)
@@ -123,7 +123,7 @@ def cross_validated(
         inside = fold_of_row == fold
         own = a[inside]
         h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
-        step = room.step(h, moment - own.T @ r[inside], length[used], used)
+        step = margins.step(h, moment - own.T @ r[inside], length[used], used)
         out[inside] = r[inside] - own @ step
     return np.asarray(out**2)
 
@@ -186,14 +186,14 @@ def stratum_gains(
 
 
 def held_out_falls(
-    before: tuple[Linearisation, Sequence[str], Room],
-    after: tuple[Linearisation, Sequence[str], Room],
+    before: tuple[Linearisation, Sequence[str], Margins],
+    after: tuple[Linearisation, Sequence[str], Margins],
     groups: IntArray,
 ) -> dict[str, float]:
-    """Channel to the relative fall of the root mean square with which models (rows, names, room) predict groups that were not used: what
+    """Channel to the relative fall of the root mean square with which models (rows, names, margins) predict groups that were not used: what
     can be asked of fewer groups than an interval takes. No disturbance of a response is known, so that it explains nothing."""
     first, second = (
-        mean_squares(rows, held_out(rows, names, groups, room), groups) for rows, names, room in (before, after)
+        mean_squares(rows, held_out(rows, names, groups, margins), groups) for rows, names, margins in (before, after)
     )
     return {
         c: 1.0 - float(np.sqrt(second[c][0].sum() / max(square.sum(), 1e-300)))
