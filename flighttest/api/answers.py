@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from flighttest.api.fitted_model import FittedModel
     from flighttest.diagnose.model import Diagnosis, Located, Verdict
-    from flighttest.flight.given_and_returned import FlightResult
+    from flighttest.flight.result import FlightResult
     from flighttest.identify.fit import Estimate, Fit
     from flighttest.identify.validation.validate import Validation
     from flighttest.pipeline.store.lineage import Lineage

@@ -2,8 +2,9 @@
 
 from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.fly import fly
-from flighttest.flight.given_and_returned import FlightOptions, FlightResult, legs_flown
+from flighttest.flight.options import FlightOptions
 from flighttest.flight.outcome import FlightOutcome, FlightProgress, LegOutcome, LegResult
+from flighttest.flight.result import FlightResult, legs_flown
 
 __all__ = [
     "FlightOptions",

@@ -16,7 +16,7 @@ from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.placing import place_home, place_zone
 from flighttest.flight.execution.scheduler import Scheduler
 from flighttest.flight.gate import GateLimits
-from flighttest.flight.given_and_returned import FlightOptions, FlightResult
+from flighttest.flight.options import FlightOptions
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.preparation import preflight, priority
 from flighttest.flight.preparation.changes import (
@@ -32,6 +32,7 @@ from flighttest.flight.preparation.fence_limits import fence_words
 from flighttest.flight.preparation.rates import Telemetry, fitted_to_seen
 from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.flight.recorder import Recorder, first_manifest
+from flighttest.flight.result import FlightResult
 from flighttest.link import lockstep
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot

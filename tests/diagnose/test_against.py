@@ -98,7 +98,7 @@ def test_a_limit_that_one_diagnosis_missed_is_in_the_model_of_a_side_that_it_ser
     assert shared_limits(segments, other, other) == ()
 
 
-def test_what_one_side_does_not_tell_is_not_tested():
+def test_what_one_side_does_not_determine_is_not_tested():
     other = side()
     del other.errors["alpha"]
     row = next(d for d in differences_of(side(alpha=3.0), other) if d.name == "alpha")

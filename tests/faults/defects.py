@@ -131,7 +131,7 @@ DEFECTS: tuple[Defect, ...] = (
     ),
     _one(
         "D16", "exit 0 for a flight ended by a low battery or by the operator",
-        "flight/given_and_returned.py", "self.outcome.complete and self.left.is_safe", "self.left.is_safe",
+        "flight/result.py", "self.outcome.complete and self.left.is_safe", "self.left.is_safe",
         "tests/pipeline/test_flight.py::test_a_flight_that_a_low_battery_ended_exits_1",
     ),
     Defect("D17", "--resume as printed fails; --speed 1 does nothing on the built-in vehicle", (

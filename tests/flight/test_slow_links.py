@@ -111,7 +111,7 @@ def test_a_link_that_slows_down_in_flight_is_asked_for_less_and_later_for_all_ag
     assert sum(text.startswith("asked again") for text in labels) <= 12
 
 
-@pytest.mark.parametrize(("unanswered_s", "fed_back"), [(0.0, True), (0.6, False)])
+@pytest.mark.parametrize(("unanswered_s", "fed_back"), [(0.0, True), (0.28, True), (0.32, False)])
 def test_a_climb_is_not_fed_back_over_a_link_that_takes_too_long(unanswered_s: float, fed_back: bool) -> None:
     """With a second of delay that swung the vehicle between 1 and 6 m, and on the ground."""
     control = FlightControl.__new__(FlightControl)

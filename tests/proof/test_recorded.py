@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -217,3 +218,13 @@ def test_a_load_does_not_fall_in_a_step():
         {"slung_payload": {"payload_ratio": 0.15, "cable_m": 0.8, "swing_damping": 0.05}}, steps=((4.0, 14.0),)
     )["v_z_m_s"]
     assert np.max(np.abs(v[t < 18.9])) < 0.5
+
+
+@pytest.mark.parametrize(("departure_m_s", "taken"), [(4.9, True), (5.1, False)])
+def test_an_effect_that_would_have_made_it_another_flight_is_not_added(departure_m_s, taken):
+    """Six times the usual translational lift threw a vehicle 24 m upwards, at 14 m/s."""
+    flown = SimpleNamespace(
+        recordings=(hovering(),), size=lambda _effects: 4.0, departure_m_s=lambda _effects: departure_m_s
+    )
+    case = SimpleNamespace(order=("thrust_fade",), sizes=(4.0,), signs=(1.0, 1.0, 1.0))
+    assert bool(trial.sized(case, flown)) is taken

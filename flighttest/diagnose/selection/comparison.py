@@ -189,9 +189,7 @@ def evidence_of(
     change = Change(profiled, change_by_stratum(after.rows, before.rows))
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
-        falls = held_out_falls(
-            (without.rows, without.names, without.margins), (fitted.rows, fitted.names, fitted.margins), groups
-        )
+        falls = held_out_falls(without.rows, without.held_out(groups), fitted.rows, fitted.held_out(groups), groups)
         intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     found = Evidence(
         term=term.id,

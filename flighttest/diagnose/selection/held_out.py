@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,18 +67,36 @@ class Margins:
         least = np.array([min(p.lower - values[p.name], 0.0) for p in params])
         return cls(least, np.array([max(p.upper - values[p.name], 0.0) for p in params]))
 
-    def step(self, h: FloatArray, g: FloatArray, length: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
-        """(q,) minimiser of x'hx / 2 - g'x inside the bounds, as every estimate is; of unit columns (length (q,): what they were divided
-        by; used (p,): which they are). Without bounds a fold that leaves a parameter undetermined predicted errors of 1e7 nats, whatever
-        the term."""
-        x = np.asarray(np.linalg.lstsq(h, g, rcond=RIDGE)[0])
+    def without_each_fold(
+        self, columns: FloatArray, residual: FloatArray, fold_of_row: IntArray
+    ) -> Iterator[tuple[NDArray[np.bool_], FloatArray]]:
+        """(rows of a fold (n,), step (p,) that the parameters take from the optimum by the rows of all others), fold by fold.
+
+        columns (n, p), residual (n,): whitened. Least squares inside the bounds, as every estimate is: without them a fold that leaves a
+        parameter undetermined predicted errors of 1e7 nats, whatever the term.
+        """
+        length = np.sqrt(np.sum(columns**2, axis=0))
+        used = length > 0
+        a, length = columns[:, used] / length[used], length[used]
         least, most = self.least[used] * length, self.most[used] * length
-        if np.all((x >= least) & (x <= most)):
-            return x
-        power, axes = np.linalg.eigh(h)
-        root = np.sqrt(np.maximum(power, RIDGE))
-        bounds = least - RIDGE, most + RIDGE
-        return np.asarray(lsq_linear(root[:, None] * axes.T, (axes.T @ g) / root, bounds, method="bvls").x)
+        gram, moment = a.T @ a, a.T @ residual
+        for fold in np.unique(fold_of_row):
+            inside = fold_of_row == fold
+            own = a[inside]
+            h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
+            step = np.zeros(columns.shape[1])
+            step[used] = _bounded(h, moment - own.T @ residual[inside], least, most) / length
+            yield inside, step
+
+
+def _bounded(h: FloatArray, g: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
+    """(p,) minimiser of x'hx / 2 - g'x with least <= x <= most."""
+    x = np.asarray(np.linalg.lstsq(h, g, rcond=RIDGE)[0])
+    if np.all((x >= least) & (x <= most)):
+        return x
+    power, axes = np.linalg.eigh(h)
+    root = np.sqrt(np.maximum(power, RIDGE))
+    return np.asarray(lsq_linear(root[:, None] * axes.T, (axes.T @ g) / root, (least, most), method="bvls").x)
 
 
 def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, margins: Margins) -> FloatArray:
@@ -87,19 +105,10 @@ def held_out(rows: Linearisation, names: Sequence[str], groups: IntArray, margin
     rows: at an optimum; linear in the parameters about it, which have such margins. A response keeps its own initial state, its
     disturbance is unknown.
     """
-    a = rows.columns(names)
-    length = np.sqrt(np.sum(a**2, axis=0))
-    used = length > 0
-    a, b = a[:, used] / length[used], rows.unprofiled_columns(names)[:, used] / length[used]
+    fold_of_row, unprofiled = folds_of(groups)[rows.segment], rows.unprofiled_columns(names)
     out = rows.unprofiled_residual.copy()
-    fold_of_row = folds_of(groups)[rows.segment]
-    gram, moment = a.T @ a, a.T @ rows.residual
-    for fold in np.unique(fold_of_row):
-        inside = fold_of_row == fold
-        own = a[inside]
-        h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
-        step = margins.step(h, moment - own.T @ rows.residual[inside], length[used], used)
-        out[inside] = rows.unprofiled_residual[inside] - b[inside] @ step
+    for inside, step in margins.without_each_fold(rows.columns(names), rows.residual, fold_of_row):
+        out[inside] -= unprofiled[inside] @ step
     return out
 
 
@@ -113,18 +122,9 @@ def cross_validated(
     """
     root = np.sqrt(weights)
     a, r = rows.columns(names) * root[:, None], rows.residual * root
-    length = np.sqrt(np.sum(a**2, axis=0))
-    used = length > 0
-    a = a[:, used] / length[used]
-    gram, moment = a.T @ a, a.T @ r
-    fold_of_row = folds_of(groups)[rows.segment]
     out = r.copy()
-    for fold in np.unique(fold_of_row):
-        inside = fold_of_row == fold
-        own = a[inside]
-        h = gram - own.T @ own + RIDGE * np.eye(gram.shape[0])
-        step = margins.step(h, moment - own.T @ r[inside], length[used], used)
-        out[inside] = r[inside] - own @ step
+    for inside, step in margins.without_each_fold(a, r, folds_of(groups)[rows.segment]):
+        out[inside] -= a[inside] @ step
     return np.asarray(out**2)
 
 
@@ -186,15 +186,15 @@ def stratum_gains(
 
 
 def held_out_falls(
-    before: tuple[Linearisation, Sequence[str], Margins],
-    after: tuple[Linearisation, Sequence[str], Margins],
+    before: Linearisation,
+    before_residual: FloatArray,
+    after: Linearisation,
+    after_residual: FloatArray,
     groups: IntArray,
 ) -> dict[str, float]:
-    """Channel to the relative fall of the root mean square with which models (rows, names, margins) predict groups that were not used: what
-    can be asked of fewer groups than an interval takes. No disturbance of a response is known, so that it explains nothing."""
-    first, second = (
-        mean_squares(rows, held_out(rows, names, groups, margins), groups) for rows, names, margins in (before, after)
-    )
+    """Channel to the relative fall of the root mean square of residuals of groups that were not used (`held_out`): what can be asked of
+    fewer groups than an interval takes."""
+    first, second = mean_squares(before, before_residual, groups), mean_squares(after, after_residual, groups)
     return {
         c: 1.0 - float(np.sqrt(second[c][0].sum() / max(square.sum(), 1e-300)))
         for c, (square, count) in first.items()

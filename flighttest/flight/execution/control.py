@@ -27,7 +27,9 @@ from flighttest.plan import AttitudeTarget
 
 PROGRESS_EVERY_S = 0.25
 ALARM_S = 15.0  # for which the live view shows one
-FEEDBACK_WITHIN_S = 0.3  # without an answer: what is seen is no older, and what is sent arrives
+UNSURE_S = (
+    0.3  # without an answer: a question in 0.25 s (session.TIMESYNC_EVERY_S), and 50 ms for the way there and back
+)
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
 DOUBT_S = 2.5  # for which a HEARTBEAT that contradicts those before is waited for to be repeated: it comes once a second at least
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
@@ -280,7 +282,7 @@ class FlightControl:
         """Level, with the throttle that stops the present climb or descent, hover where that is known too late. Always passes the gate."""
         state = self.state
         # Fed back over a link that takes longer, a climb becomes a swing to the ground (seen: 1 to 6 m with a second of delay).
-        prompt = state.silence_s < 0.5 and state.uplink_silence_s < FEEDBACK_WITHIN_S * self.pace
+        prompt = state.silence_s < 0.5 and state.uplink_silence_s < UNSURE_S * self.pace
         climb = state.climb_m_s if prompt else None
         throttle = self.hover_throttle
         if climb is not None and math.isfinite(climb):

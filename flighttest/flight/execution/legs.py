@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from flighttest.flight.execution import supervisor
-from flighttest.flight.execution.control import FlightControl, sentences
+from flighttest.flight.execution.control import UNSURE_S, FlightControl, sentences
 from flighttest.flight.execution.machine import Event
 from flighttest.flight.execution.reset import HoldLoop, Start
 from flighttest.flight.execution.response import ThrottleTrace
@@ -20,7 +20,6 @@ from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
 _PHASES = 4  # of the target period: 5 ms at 50 Hz, the tick of the built-in vehicle
-UNSURE_S = 0.3  # without an answer, at the end of a step
 
 
 @dataclass(frozen=True)

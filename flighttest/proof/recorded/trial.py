@@ -31,9 +31,7 @@ from flighttest.validity.model import Verdict
 CHANGED = "change"  # what the flag of `status` is called among the names
 STEP_MARGIN_S = 0.5  # before a scripted step its commands hold already
 LEAST_SHARE = 0.5  # of the size asked for that an effect must reach to be the one
-MOST_DEPARTURE_M_S = (
-    5.0  # from the recorded velocity; beyond it the flight, with whatever ended its steps, would have been another one
-)
+MOST_DEPARTURE_M_S = 5.0  # of a velocity; beyond it the flight would have been another one
 
 
 def run_recorded(case: RecordedCase) -> Outcome:
@@ -53,7 +51,7 @@ def _diagnosed(case: RecordedCase) -> Outcome:
     recordings = tuple(part(r, case.begin) for r in _read(case, case.files))
     voltage = base_model(recordings, None).nominal_voltage_v
     flown = Flown.of(recordings, voltage, case.answer_1_s)
-    hide = _sized(case, flown)
+    hide = sized(case, flown)
     added = flown.with_effects(hide)
     wall, used = time.perf_counter(), _processor_s()
     # Blind: the recordings, and nothing of what was added.
@@ -151,7 +149,7 @@ def _segments(recordings: Sequence[Recording]) -> list[Segment]:
     ]
 
 
-def _sized(case: RecordedCase, flown: Flown) -> dict[str, dict[str, float]]:
+def sized(case: RecordedCase, flown: Flown) -> dict[str, dict[str, float]]:
     """The effects that are added: the first of the order that these flights show, each scaled to the size asked for as far as may be."""
     found: dict[str, dict[str, float]] = {}
     for effect in case.order:

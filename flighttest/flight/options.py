@@ -1,4 +1,4 @@
-"""What a flight is given beside its plan and its vehicle (`FlightOptions`), and what it hands back at its end (`FlightResult`)."""
+"""What a flight is asked for beside its plan and its vehicle."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.execution.response import Replanner
-from flighttest.flight.outcome import FlightOutcome, LegOutcome, LegResult, OnProgress
+from flighttest.flight.outcome import OnProgress
 from flighttest.flight.preparation.changes import Left
 from flighttest.flight.preparation.fence import FenceSet
 from flighttest.link.port import OWN_SYSTEM
-from flighttest.recording.store import read_events
 
 OnStage = Callable[[str], None]
 OnVehicle = Callable[[str, Mapping[str, float]], None]  # firmware, parameters
@@ -50,35 +48,3 @@ class FlightOptions:
     weather: str = ""
     signing_key: bytes | None = None
     system: int = OWN_SYSTEM
-
-
-@dataclass(frozen=True)
-class FlightResult:
-    """The end of a flight. left: the state in which the vehicle was left, mode: its last one heard; parameters_left: parameters that
-    could not be restored (name to the value they should have); incomplete: what its record lacks because it could not be written, ''
-    where it is whole."""
-
-    outcome: FlightOutcome
-    run_dir: Path
-    legs: tuple[LegResult, ...] = ()
-    notes: tuple[str, ...] = ()
-    parameters_left: Mapping[str, float] = field(default_factory=dict)
-    left: FlightState = FlightState.NOT_ARMED
-    mode: str = ""
-    incomplete: str = ""
-
-    @property
-    def sentence(self) -> str:
-        """Why the flight ended and how it left the vehicle."""
-        return f"{self.outcome.value}; {self.left.value.format(mode=self.mode or 'no mode')}"
-
-    @property
-    def as_planned(self) -> bool:
-        """Whether the flight was flown to its end and left the vehicle on the ground, or with the pilot."""
-        return self.outcome.complete and self.left.is_safe and any(r.outcome is LegOutcome.FLOWN for r in self.legs)
-
-
-def legs_flown(run_dir: Path) -> frozenset[str]:
-    """Ids of the legs that were flown to their end in a run folder."""
-    markers, _ = read_events(run_dir)
-    return frozenset(str(m.data["leg"]) for m in markers if m.data.get("outcome") == "FLOWN" and "leg" in m.data)
