@@ -81,7 +81,7 @@ def test_the_time_base_falls_on_velocity_samples_where_it_can(shift):
 
 def test_rates_are_read_at_their_own_samples_where_the_force_was_moved(monkeypatch):
     """A force 2.5 ms late moves no rate: a chord across the corner of a step would be off by 2.5 % of the step."""
-    monkeypatch.setattr(align, "compatibility", lambda *_: Compatibility(0.0, 0.005, 0.0025, 0.005, 0.0, 0.005, 6))
+    monkeypatch.setattr(align, "compatibility", lambda *_: Compatibility(0.0, 0.001, 0.0025, 0.001, 0.0, 0.005, 6))
     t = at(100.0)
     jump = np.where(t < 5.005, 0.0, 1.0 - np.exp(-21.5 * (t - 5.005)))
     still = Series(t, dict.fromkeys(("v_x_m_s", "v_y_m_s", "v_z_m_s"), 0 * t))
