@@ -16,17 +16,14 @@ from enum import StrEnum
 import numpy as np
 
 from flighttest.diagnose.mass import mass_test
-from flighttest.diagnose.model import Diagnosis, short
+from flighttest.diagnose.model import Diagnosis
+from flighttest.diagnose.prediction import floors_of, prediction_quality
 from flighttest.diagnose.selection.held_out import held_out_groups
 from flighttest.errors import FitError
-from flighttest.estimation.problem import Noise
-from flighttest.estimation.solver import Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.covariance import cluster_covariance, interval_factor
 from flighttest.estimation.uncertainty.distributions import beyond, quantile
 from flighttest.identify.diagnostics.local_optima import misfit
-from flighttest.identify.diagnostics.quality import ChannelQuality, channel_quality
 from flighttest.identify.fit import Fit, fit
-from flighttest.identify.selection import problem_of
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.segments.commands import alike_until_s
@@ -261,21 +258,6 @@ def _kind(row: Difference, model: Model, errors: Sequence[Mapping[str, tuple[flo
         std, dof = known[row.name]
         there.append(std <= 0.0 or beyond((value - (param.off or 0.0)) / std, dof) <= LEVEL / tests)
     return {(True, False): Kind.LACKS, (False, True): Kind.TOO_MUCH}.get((there[0], there[1]), Kind.OTHER_VALUE)
-
-
-def prediction_quality(
-    segments: Sequence[Segment], model: Model, values: Mapping[str, float], noise: Noise
-) -> dict[str, ChannelQuality]:
-    """Residuals of responses whose parameters are all held: only initial states and each response's disturbance are estimated."""
-    problem = problem_of(segments, model, select="all", values=values)
-    solution = solve(problem, Start(noise=noise), free=(), robust=False, estimate_noise=False)
-    return channel_quality(problem, finite_or_error(solution))
-
-
-def floors_of(found: Fit, diagnosis: Diagnosis) -> dict[str, float]:
-    """Noise floor of each channel: what the repeats differ by, as the diagnosis has it, else the fast part of the residual."""
-    known = {c: floor["value"] for c in found.quality if (floor := diagnosis.noise_floor.get(short(c))) is not None}
-    return {c: float(known.get(c) or q.floor) for c, q in found.quality.items()}
 
 
 def _prediction(

@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.diagnose.model import Located, TermVerdict, Untestable, brief, flown, short
-from flighttest.diagnose.records import CandidateRow, FloorRow, HeldOutRow, MapCell, Overlay, RegimeCurve
+from flighttest.diagnose.records import (
+    FROM_REPEATS,
+    FROM_RESIDUAL,
+    CandidateRow,
+    FloorRow,
+    HeldOutRow,
+    MapCell,
+    Overlay,
+    RegimeCurve,
+)
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, floor_of
 from flighttest.diagnose.residuals.locate import locate, regime_curves, residual_map
 from flighttest.diagnose.residuals.overlays import overlays
@@ -127,9 +136,7 @@ def _tell(made: Answer, search: Search, asked: Asked) -> None:
         }
         made.floors[short(name)] = {
             "value": floor.of(name),
-            "from": "repeats"
-            if name in floor.from_repeats
-            else "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)",
+            "from": FROM_REPEATS if name in floor.from_repeats else FROM_RESIDUAL,
         }
     first, last = excess(base.rows, floor), excess(now.rows, floor)
     places = locate(base.rows, segments, floor_of(base.rows, segments, RESOLUTION), SEED)

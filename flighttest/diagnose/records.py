@@ -58,6 +58,8 @@ class EvidenceRow(TypedDict):
 
 FloorRow = TypedDict("FloorRow", {"value": float, "from": str})
 FloorRow.__doc__ = "The noise floor of a channel, and what it was estimated from."
+FROM_REPEATS = "repeats"
+FROM_RESIDUAL = "high-frequency residual and usual drift of estimates (weaker: no repeats were flown)"
 
 
 class MapCell(TypedDict):

@@ -17,12 +17,11 @@ from flighttest.diagnose.against import (
     Side,
     differences_of,
     errors_of,
-    floors_of,
     notes_of,
-    prediction_quality,
     side_of,
     step_by_step,
 )
+from flighttest.diagnose.prediction import floors_of, prediction_quality
 from flighttest.errors import FlighttestError, InputError
 from flighttest.flight import FlightOptions, fly
 from flighttest.identify.fit import fit

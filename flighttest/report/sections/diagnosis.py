@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
-from flighttest.diagnose.records import DiagnosisData, HeldOutRow, ParameterRow, RivalRow
+from flighttest.diagnose.records import FROM_REPEATS, DiagnosisData, HeldOutRow, ParameterRow, RivalRow
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.report.document import OMITTED, Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
@@ -84,7 +84,7 @@ def _located(data: DiagnosisData) -> Section:
     if aside.get("sentence"):
         blocks.append(Paragraph(_sentence(str(aside["sentence"])), "warn"))
     weaker = sorted(
-        {str(f.get("from")) for f in (data.get("noise_floor") or {}).values() if f.get("from") != "repeats"}
+        {str(f.get("from")) for f in (data.get("noise_floor") or {}).values() if f.get("from") != FROM_REPEATS}
     )
     if weaker:
         blocks.append(Paragraph(f"Noise floor from: {', '.join(weaker)}.", "quiet"))

@@ -149,7 +149,8 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
     )
     caption = (
         "RMS error of the model on the recorded commands, each response from its own measured start with a constant disturbance of its "
-        "own; in noise floors, beside what fitting these very recordings would leave."
+        "own; in noise floors, beside what fitting these very recordings would leave. Noise floor: what the repeats of one step differ by; "
+        "where no step was repeated and nothing is seen to be missing, what the fit leaves."
     )
     table = Table(
         ("channel", "noise floor", "twin", "in floors", "refitted"),
