@@ -11,6 +11,7 @@ import pytest
 import flighttest as ft
 from flighttest.cli.main import call
 from flighttest.diagnose import Verdict
+from flighttest.diagnose.records import FROM_REPEATS
 from flighttest.identify.models import model_file
 from flighttest.pipeline import twin
 from flighttest.pipeline.diagnosis import against
@@ -51,7 +52,7 @@ def _nothing_found(monkeypatch, fitted):
 
     def no_search(_segments, _recordings, stored, _vehicle, _progress):
         model = fitted.fit.model
-        floor = {c.rsplit("_", 1)[0]: {"value": q.rmse} for c, q in fitted.fit.quality.items()}
+        floor = {c.rsplit("_", 1)[0]: {"value": q.rmse, "from": FROM_REPEATS} for c, q in fitted.fit.quality.items()}
         return SimpleNamespace(
             model=model, values=model.start(), accepted=(), untestable=(), noise_floor=floor, sentence="-",
             verdict=Verdict.NOTHING_MISSING, fit=fitted.fit,
