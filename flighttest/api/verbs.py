@@ -108,12 +108,13 @@ def validate(
     horizons_s: Sequence[float] = (),
     output: AnyPath | None = None,
     columns: AnyPath | None = None,
-    runs: AnyPath = "runs",
+    runs: AnyPath | None = None,
     progress: ProgressLike | None = None,
 ) -> Validated:
     """Compare a model and its simplifications, run open loop on recorded commands, with flights it was not fitted to (paper, section 4).
 
-    model: with None the first of several sources where that holds one, else the model in use in `runs` of the recorded vehicle. previous:
+    model: with None the first of several sources where that holds one, else the model in use of the recorded vehicle in
+    `runs`, which by itself is the folder that holds the first run. previous:
     an earlier model to compare as well; horizons_s: times after each start at which errors are taken, s; output: HTML page to write.
     FitError where no recording can be run open loop.
     """
@@ -124,7 +125,7 @@ def validate(
     beside = Beside(None if previous is None else as_model(previous), tuple(horizons_s))
     result = compare(
         None if model is None else as_model(model), as_sources(sources), beside, as_path(output), as_path(columns),
-        as_progress(progress), out=Path(runs),
+        as_progress(progress), out=as_path(runs),
     )  # fmt: skip
     return Validated(document=result.document, data=result.data, status=result.status, validation=result.value)
 

@@ -31,7 +31,9 @@ class _StatusOptions(TypedDict):
     metavar="S,S,...",
     help="Seconds after each start at which errors are taken (0.01,0.1,0.5,1); --json has them all.",
 )
-@click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where the vehicle's model is.")
+@click.option(
+    "--out", type=FOLDER, help="Where the vehicle's model is.  [default: the folder of the first RUN, else runs]"
+)
 def validate(
     context: Context,
     paths: tuple[Path, ...],
@@ -39,7 +41,7 @@ def validate(
     output: Path | None,
     columns: Path | None,
     horizons: str | None,
-    out: Path,
+    out: Path | None,
 ) -> int:
     """Compare the model and its simplifications with a free flight (paper, section 4).
 

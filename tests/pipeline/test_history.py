@@ -10,7 +10,14 @@ from flighttest.errors import InputError
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline.store import history, lineage
-from flighttest.pipeline.store.history import Campaign, campaigns, reference_model, watched
+from flighttest.pipeline.store.history import (
+    DEFAULT_RUNS,
+    Campaign,
+    campaigns,
+    folder_of_runs,
+    reference_model,
+    watched,
+)
 
 NAMES = ("omega_phi", "sigma_r", "K", "alpha")
 VALUES = {"omega_phi": 25.0, "sigma_r": 21.0, "K": 54.0, "alpha": 1.7}
@@ -105,3 +112,13 @@ def test_a_fit_with_other_terms_is_no_later_estimate_of_the_same_parameters():
     assert campaign("2", runs=("2",)).follows(stored)
     other = replace(stored, model=Model(("body", "linear_drag", "quadratic_drag")))
     assert not campaign("2", runs=("2",)).follows(other)
+
+
+def test_runs_are_looked_for_beside_the_first_recording_that_is_one(tmp_path, monkeypatch):
+    run = tmp_path / "elsewhere" / "a-run"
+    run.mkdir(parents=True)
+    (run / "manifest.yaml").touch()
+    monkeypatch.chdir(run)
+    assert folder_of_runs([tmp_path / "log.BIN", run]) == run.parent == folder_of_runs([Path()])
+    assert folder_of_runs([Path("..", "a-run")]) == Path("..")
+    assert folder_of_runs([tmp_path, "not a path"]) == DEFAULT_RUNS

@@ -35,10 +35,9 @@ from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import words_of
-from flighttest.pipeline.store.history import DEFAULT_RUNS
+from flighttest.pipeline.store.history import DEFAULT_RUNS, folder_of_runs
 from flighttest.pipeline.store.models import NEXT_NAME, accepted
 from flighttest.recording import Recording
-from flighttest.recording.store import MANIFEST_NAME
 from flighttest.report.document import Document
 from flighttest.report.numbers import join
 from flighttest.report.render import html
@@ -120,7 +119,7 @@ def diagnose(
         facts["written to"] = str(output)
         data, _ = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
         facts["model"] = str(output / MODEL_NAME)
-        place = _runs_of(runs)
+        place = folder_of_runs(runs)
         words = f"flighttest accept {shlex.quote(str(output))}"
         words += f" --out {shlex.quote(str(place))}" if place != DEFAULT_RUNS else ""
         facts["accept it"] = accepted(output, place, vehicle) if keep else words
@@ -134,12 +133,6 @@ def diagnose(
     document = Document("diagnosis", found.sentence, verdict_tone(data), diagnosis_sections(data, script), facts)
     unexplained = found.verdict in UNFINISHED or not found.complete
     return Result(document, data, Status.UNEXPLAINED if unexplained else Status.DONE, found)
-
-
-def _runs_of(runs: Sequence[Source]) -> Path:
-    """The folder of runs that recordings are in, where they are runs; else the usual one."""
-    last = runs[-1]
-    return last.parent if isinstance(last, Path) and (last / MANIFEST_NAME).is_file() else DEFAULT_RUNS
 
 
 def _base_terms(found: Diagnosis) -> list[str]:

@@ -17,7 +17,7 @@ from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.store.history import DEFAULT_RUNS, check_runs
+from flighttest.pipeline.store.history import check_runs, folder_of_runs
 from flighttest.pipeline.store.identities import whose
 from flighttest.pipeline.store.lineage import in_use
 from flighttest.recording import Recording
@@ -44,20 +44,21 @@ def validate(
     columns: Path | None = None,
     progress: Progress = SILENT,
     *,
-    out: Path = DEFAULT_RUNS,
+    out: Path | None = None,
 ) -> Result:
-    """Paper section 4; `output`: also write the page.
+    """Paper section 4; `output`: also write the page; `out`: where the vehicle's model is, by itself the folder that holds the first run.
 
     Free flight and steps, where both are given, are compared apart: they ask different things of a model, and an error over both together
     would say little of either.
     """
     check_writable(None if output is None else output.parent)
-    check_runs(out)
+    if out is not None:
+        check_runs(out)
     if model is None:
         model, runs = _parted(runs)
     recordings = open_recordings(runs, Reading(columns), progress) if model is None else ()
     if model is None:
-        model = _in_use(recordings, runs, out)
+        model = _in_use(recordings, runs, out or folder_of_runs(runs))
     stored = model_file.read(model, whole=True) if isinstance(model, Path) else model
     beside = beside or Beside()
     earlier = model_file.read(beside.previous) if isinstance(beside.previous, Path) else beside.previous
@@ -97,7 +98,12 @@ def _in_use(recordings: Sequence[Recording], runs: Sequence[Source], out: Path) 
             f"{join([named(r) for r in runs])}: of an unknown vehicle, and no model was given",
             "name the model: flighttest validate MODEL RUN",
         )
-    return Path(in_use(out, name).path)
+    try:
+        return Path(in_use(out, name).path)
+    except InputError as none:
+        raise InputError(
+            none.message, "name the model: flighttest validate MODEL RUN, or with --out where it is"
+        ) from none
 
 
 def _reservations(stored: ModelFile, recordings: Sequence[Recording]) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from flighttest.estimation.uncertainty.distributions import quantile
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.pipeline.store.identities import known_in, of_manifest, recognised, run_folders
-from flighttest.recording.store import read_manifest
+from flighttest.recording.store import MANIFEST_NAME, read_manifest
 from flighttest.validity.compare import KNOWN_STD, MANY, Estimates
 from flighttest.validity.declared import declared_changes
 from flighttest.validity.model import SUBSETS
@@ -30,6 +30,14 @@ LAGS: dict[str, tuple[str, ...]] = {
     "T_d_thrust": ("sigma_t",),
 }
 TESTED = tuple(n for names in SUBSETS.values() for n in names)
+
+
+def folder_of_runs(sources: Iterable[object]) -> Path:
+    """The folder that holds the first run among some sources; where none is a run, the usual one."""
+    run = next((s for s in sources if isinstance(s, Path) and (s / MANIFEST_NAME).is_file()), None)
+    if run is None:
+        return DEFAULT_RUNS
+    return (run if run.name not in ("", "..") else run.resolve()).parent
 
 
 @dataclass(frozen=True)
