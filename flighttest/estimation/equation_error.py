@@ -9,11 +9,13 @@ that the commands answer. Ordinary least squares, A = 1, is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from flighttest.estimation.linearisation import orthonormal
 
 FloatArray = NDArray[np.float64]
 
@@ -22,18 +24,21 @@ FEWEST_GROUPS = 3  # of which a variance between them can be determined
 LEAST_POWER = 0.01  # of the most informative group: one with less does not determine a parameter
 BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of correlation ends within a second
 WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
+SHARED = 1e-3  # of a function of the state that is left beside the parameters, below which it is one of them
 LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left out
 
 
 @dataclass(frozen=True)
 class Stream:
     """One equation over one stretch without gaps. residual: (n,) measured minus modelled; columns: (n, q) derivatives of the modelled
-    by the parameters; group: what is left out together and judged as one sample (its flight); channel: what shares one noise."""
+    by the parameters; group: what is left out together and judged as one sample (its flight); channel: what shares one noise; state (n, k):
+    what the equations may be wrong as a function of (`lack_of_fit`)."""
 
     channel: str
     group: int
     residual: FloatArray
     columns: FloatArray
+    state: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -93,12 +98,13 @@ def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Au
 
 @dataclass(frozen=True)
 class Whitened:
-    """Streams whitened and stacked: residual (N,), columns (N, q), group (N,) and block (N,), about 5 s each, of every row."""
+    """Streams whitened and stacked: residual (N,), columns (N, q); of every row (N,) its group, its block, about 5 s each, its channel."""
 
     residual: FloatArray
     columns: FloatArray
     group: NDArray[np.intp]
     block: NDArray[np.intp]
+    channel: NDArray[np.str_]
 
     def information(self) -> tuple[FloatArray, FloatArray]:
         """Normal equations: (q, q) and (q,)."""
@@ -118,7 +124,7 @@ def noises(streams: Sequence[Stream]) -> dict[str, Autoregression]:
 
 def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per_block: int) -> Whitened:
     """Every stream by its channel's noise. Blocks are stretches of rows of one group, for errors that must not trust the whiteness."""
-    residual, columns, group, block = [], [], [], []
+    residual, columns, group, block, channel = [], [], [], [], []
     first = 0
     known: dict[tuple[int, int], int] = {}
     starts: dict[tuple[str, int], int] = {}
@@ -130,6 +136,7 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
         residual.append(r)
         columns.append(ar.whitened(s.columns))
         group.append(np.full(r.size, s.group))
+        channel.append(np.full(r.size, s.channel))
         # The channels of one moment are of one block: a gust moves them all.
         begin = starts.get((s.channel, s.group), 0)
         starts[s.channel, s.group] = begin + s.residual.size
@@ -138,8 +145,17 @@ def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per
         first += r.size
     if not residual:
         q = streams[0].columns.shape[1] if streams else 0
-        return Whitened(np.zeros(0), np.zeros((0, q)), np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
-    return Whitened(*(np.concatenate(x) for x in (residual, columns, group, block)))
+        none = np.zeros(0, dtype=np.intp)
+        return Whitened(np.zeros(0), np.zeros((0, q)), none, none, none.astype(np.str_))
+    return Whitened(*(np.concatenate(x) for x in (residual, columns, group, block, channel)))
+
+
+def log_scale(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> float:
+    """Minus the log likelihood of the innovations less half their whitened sum of squares, but for a constant: n log std of every stream of
+    n samples. The samples that only start a filter count as innovations of their expected square, 1: noise models of different orders
+    would else be compared on different samples."""
+    known = [(s.residual.size, noise[s.channel]) for s in streams]
+    return float(sum(size * np.log(ar.std) + 0.5 * ar.order for size, ar in known))
 
 
 @dataclass(frozen=True)
@@ -187,6 +203,38 @@ def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray) -> Step:
         covariance[at[strong], at[strong]] = np.inf
         robust[at[strong], at[strong]] = np.inf
     return Step(delta, covariance, robust, float(rows.residual @ rows.residual))
+
+
+def second_order(state: FloatArray) -> FloatArray:
+    """(n, k (k + 3) / 2): the states (n, k), their squares and products, each about its mean and in its standard deviation."""
+    first = _standardised(state)
+    i, j = np.triu_indices(state.shape[1])
+    return np.column_stack([first, _standardised(first[:, i] * first[:, j])])
+
+
+def _standardised(values: FloatArray) -> FloatArray:
+    off = values - values.mean(axis=0)
+    return np.asarray(off / np.maximum(np.std(off, axis=0), 1e-12))
+
+
+def lack_of_fit(streams: Sequence[Stream], noise: Mapping[str, Autoregression]) -> dict[str, float]:
+    """Channel to the lack-of-fit ratio F of its equation, at least 1: mean square of the innovations that second-order functions of the
+    state explain in each stretch beside the parameters, over that of the innovations, 1 (Draper and Smith 1998, section 2.1; functions of
+    the state take the place of repeats, as in Ramsey's test, 1969).
+
+    What the equations get wrong recurs with the state and a gust does not. Where F is above 1, the parameters' own columns, functions of
+    the state as well, err by as much: their variance is F times that of the innovations (Birge 1932).
+    """
+    square, count = dict.fromkeys(noise, 0.0), dict.fromkeys(noise, 0)
+    for s in streams:
+        ar = noise[s.channel]
+        more = ar.whitened(second_order(s.state))
+        beside = orthonormal(ar.whitened(s.columns))
+        left = more - beside @ (beside.T @ more)
+        own = orthonormal(left[:, np.sum(left**2, axis=0) > SHARED * np.sum(more**2, axis=0)])
+        square[s.channel] += float(np.sum((own.T @ ar.whitened(s.residual)) ** 2))
+        count[s.channel] += own.shape[1]
+    return {c: max(square[c] / max(count[c], 1), 1.0) for c in noise}
 
 
 def heterogeneity(rows: Whitened, own: NDArray[np.bool_], prior_std: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,13 +14,24 @@ commands, which act after a delay, and by the velocity predicted from the sample
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.errors import FitError
-from flighttest.estimation.equation_error import Autoregression, Stream, block_rows, heterogeneity, noises, step, whiten
+from flighttest.estimation.equation_error import (
+    Autoregression,
+    Stream,
+    block_rows,
+    heterogeneity,
+    lack_of_fit,
+    log_scale,
+    noises,
+    step,
+    whiten,
+)
+from flighttest.estimation.gauss_newton import MAX_ITERATIONS, Minimum, Space, minimise
 from flighttest.identify.dead_time import thrust_gain
 from flighttest.identify.motion_equations import Equations, chunk, stretches
 from flighttest.physics.core import Param
@@ -31,16 +42,17 @@ __all__ = ["FreeFlight", "estimate", "stretches"]
 
 FloatArray = NDArray[np.float64]
 
-ITERATIONS = 25
-CONVERGED = 0.02  # of a standard error
+SETTLED = (
+    0.01  # relative change of the innovations' standard deviation, by which log likelihoods move a nat in 100 samples
+)
 PRIOR_SIZES = 3.0  # as of the candidates of a diagnosis: prior standard deviation in usual sizes
 ALPHA_STD = 0.5  # motors on a battery have 1 to 2
 STARTS: tuple[dict[str, float], ...] = tuple(
     {"sigma_t": sigma, "T_d_thrust": delay, "T_d": delay} for sigma in (15.0, 6.0) for delay in (0.02, 0.08, 0.2)
 )
+DRAG = ("d_x", "d_y", "d_z")
 START_S, PIECES = 60.0, 4  # of flight that local optima are looked for in
 FIRST_ITERATIONS = 6
-LEAST_SHARE = 1e-3  # of a step, below which it is given up
 LEANS = 0.7  # of its prior's standard deviation: a parameter with a larger error was not determined by the flight
 
 
@@ -91,7 +103,7 @@ def prior_of(p: Param) -> tuple[float, float]:
     """Mean and standard deviation of a parameter's prior where none is given: usual sizes of linear coefficients, else none."""
     if p.name == "alpha":
         return p.nominal, ALPHA_STD
-    if p.kind == "amplitude" and p.off is not None and p.name not in ("d_x", "d_y", "d_z"):
+    if p.kind == "amplitude" and p.off is not None and p.name not in DRAG:
         return p.off, PRIOR_SIZES * max(abs(p.nominal - p.off), 1e-12)
     return p.nominal, np.inf
 
@@ -107,27 +119,50 @@ def estimate(
 ) -> FreeFlight:
     """Gauss-Newton on the whitened equations, noise and parameters in turn.
 
-    flown: of `stretches`; free: names that are estimated (default: all that act); per_flight: names with a value per flight; priors: name,
-    or `name@flight`, to (mean, standard deviation). FitError where there is nothing to estimate from.
+    flown: of `stretches`; start: parameters by name (default: from the flight itself); free: names that are estimated (default: all that
+    act); per_flight: names with a value per flight; priors: name, or `name@flight`, to (mean, standard deviation). FitError where there is
+    nothing to estimate from.
+
+    Where flights have winds of their own, much drag in little wind is a local optimum beside little drag in much wind: both are sought,
+    and the covariance is that of the mixture of what was found (`mixture`).
     """
     if not flown:
         raise FitError(
             "no free flight with attitude, velocity and throttle of 4 s or more",
             "see `flighttest segment` for what was recorded",
         )
-    values = {**start_of(flown, model), **dict(start or {})}
     asked = _Asked(model, free, tuple(per_flight), dict(priors or {}))
-    if not set(start or {}) & {"sigma_t", "T_d_thrust", "T_d"}:
-        # Lag and delay have local optima: each start is followed for a while on a part of the flight.
-        few = _some(flown)
-        tried = [_Descent(Equations(model, few), asked, values | _known(one, values)) for one in STARTS]
-        for one in tried:
-            one.run(FIRST_ITERATIONS)
-        best = max(tried, key=lambda d: d.log_likelihood)
-        values |= {n: best.values[n] for n in ("sigma_t", "T_d_thrust", "T_d", "K") if n in best.values}
-    descent = _Descent(Equations(model, flown), asked, values)
-    descent.run(ITERATIONS)
-    return descent.found()
+    known = {**start_of(flown, model), **dict(start or {})}
+    starts = [known if set(start or {}) & {"sigma_t", "T_d_thrust", "T_d"} else _with_lag(flown, asked, known)]
+    if per_flight:
+        usual = {p.name: p.nominal for p in model.params if p.name in DRAG}
+        starts += [starts[0] | usual, _with_lag(flown, asked, known | usual)]
+    equations = Equations(model, flown)
+    return mixture([_minimised(equations, asked, one, MAX_ITERATIONS) for one in starts])
+
+
+def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, float]) -> dict[str, float]:
+    """Start values with the best of several local optima of lag and delay, each followed for a while on a part of the flight."""
+    equations = Equations(asked.model, _some(flown))
+    tried = [_minimised(equations, asked, {**values, **_known(one, values)}, FIRST_ITERATIONS) for one in STARTS]
+    best = max(tried, key=lambda found: found.log_likelihood)
+    return {**values, **{n: best.values[n] for n in ("sigma_t", "T_d_thrust", "T_d", "K") if n in best.values}}
+
+
+def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
+    """The best of several local optima of one model, with the covariance of their mixture about it: weights by the quasi-likelihood, log
+    likelihood over the inflation of its variance (McLachlan and Peel 2000, section 2.2)."""
+    best = max(found, key=lambda one: one.log_likelihood)
+    weights = np.exp([(one.log_likelihood - best.log_likelihood) / best.inflation for one in found])
+    at = np.array([[one.values[n] for n in best.names] for one in found])
+    apart = at - at[found.index(best)]
+    between = (apart * (weights / weights.sum())[:, None]).T @ apart
+    return replace(best, covariance=best.covariance + between)
+
+
+def _minimised(equations: Equations, asked: _Asked, values: Mapping[str, float], iterations: int) -> FreeFlight:
+    objective = _PredictionErrors(equations, asked, values)
+    return objective.found(minimise(objective, objective.start(), objective.space, max_iterations=iterations))
 
 
 def _known(some: Mapping[str, float], values: Mapping[str, float]) -> dict[str, float]:
@@ -158,95 +193,120 @@ class _Asked:
         return self.priors.get(column) or self.priors.get(name) or prior_of(self.model.param[name])
 
 
-class _Descent:
-    """Where an estimate stands: values, streams at them, noise of these."""
+@dataclass(frozen=True)
+class _Point:
+    """Parameters theta (q,) and the equations there; finite: whether every stretch has finite residuals and Jacobian at its full length."""
+
+    theta: FloatArray
+    streams: Sequence[Stream]
+    finite: bool
+
+
+class _PredictionErrors:
+    """The objective of an estimate (`estimation.gauss_newton`): squares of the innovations and of the priors' departures. The noise of each
+    channel is estimated anew at every step; there are no nuisance parameters."""
 
     def __init__(self, equations: Equations, asked: _Asked, values: Mapping[str, float]) -> None:
         self.equations, self.asked = equations, asked
         self.names = [n for n in equations.params if asked.free is None or n in asked.free]
-        self.values = dict(values)
+        self.base = dict(values)
         own = [n for n in asked.per_flight if n in self.names]
-        self.values |= {f"{n}@{f}": values.get(f"{n}@{f}", values[n]) for f in equations.flights for n in own}
-        self.streams, self.columns = self._at(self.values)
-        if not self.streams:
+        self.base |= {f"{n}@{f}": values.get(f"{n}@{f}", values[n]) for f in equations.flights for n in own}
+        self.first, self.columns = self._at(self.base)
+        if not self.first:
             raise FitError("no stretch of free flight without gaps is long enough", "see `flighttest segment`")
-        param = asked.model.param
-        self.params = [param[c.split("@")[0]] for c in self.columns]
+        params = [asked.model.param[c.split("@")[0]] for c in self.columns]
+        self.space = Space(*(np.array([getattr(p, k) for p in params]) for k in ("lower", "upper", "scale")))
         self.mean, self.std = (np.array([asked.prior(c)[k] for c in self.columns]) for k in (0, 1))
         period = float(np.median(np.concatenate([np.diff(s.t_s) for s in equations.flown])))
         self.rows = block_rows(sum(float(np.ptp(s.t_s)) for s in equations.flown), period)
-        self.noise = noises(self.streams)
-        self.iterations, self.converged = 0, False
+        self.noise = noises(self.first)
+
+    def start(self) -> _Point:
+        """At the start values, inside the bounds."""
+        return self.point(self.space.inside(np.array([self.base[c] for c in self.columns])))
+
+    def point(self, theta: FloatArray) -> _Point:
+        """The equations at parameters (q,), with their Jacobian."""
+        streams, _ = self._at(self.values(theta))
+        # A residual that is not finite is no stretch: it must not pay to lose one.
+        lengths = ([s.residual.size for s in some] for some in (streams, self.first))
+        return _Point(theta, streams, len({*map(tuple, lengths)}) == 1)
+
+    def values(self, theta: FloatArray) -> dict[str, float]:
+        """Every value by name."""
+        return self.base | dict(zip(self.columns, theta.tolist(), strict=True))
 
     def _at(self, values: Mapping[str, float]) -> tuple[list[Stream], tuple[str, ...]]:
         with np.errstate(all="ignore"):
             return self.equations.streams(values, self.names, self.asked.per_flight)
 
-    @property
-    def point(self) -> FloatArray:
-        return np.array([self.values[c] for c in self.columns])
+    def learn(self, at: _Point, _iteration: int) -> bool:
+        """The noise of the residuals."""
+        before, self.noise = self.noise, noises(at.streams)
+        return all(abs(self.noise[c].std / before[c].std - 1.0) < SETTLED for c in self.noise)
 
-    def cost(self, streams: Sequence[Stream], at: FloatArray) -> float:
-        """Whitened sum of squares with the prior's; not a number where the model is not."""
-        total = sum(float(np.sum(self.noise[s.channel].whitened(s.residual) ** 2)) for s in streams)
-        if len(streams) < len(self.streams):
-            return np.inf  # a residual that is not finite is no stretch: it must not pay to lose one
-        return total + float(np.sum(((at - self.mean) / self.std) ** 2))
+    def cost(self, at: _Point) -> float:
+        """Whitened sum of squares with the priors'; infinite where the model is not finite."""
+        if not at.finite:
+            return np.inf
+        total = sum(float(np.sum(self.noise[s.channel].whitened(s.residual) ** 2)) for s in at.streams)
+        return total + float(np.sum(((at.theta - self.mean) / self.std) ** 2))
 
-    @property
-    def log_likelihood(self) -> float:
-        """Of the innovations, with the noise of this point."""
-        scale = sum(
-            (s.residual.size - self.noise[s.channel].order) * np.log(self.noise[s.channel].std) for s in self.streams
-        )
-        return float(-scale - 0.5 * self.cost(self.streams, self.point))
+    def log_likelihood(self, cost: float) -> float:
+        """Of a cost, with the noise as learned last."""
+        return -log_scale(self.first, self.noise) - 0.5 * cost
 
-    def run(self, iterations: int) -> None:
-        """Steps until none moves a parameter by a fiftieth of its standard error, or none leads downhill."""
-        for _ in range(iterations):
-            self.iterations += 1
-            at = self.point
-            made = step(whiten(self.streams, self.noise, self.rows), self.mean - at, self.std)
-            before, share = self.cost(self.streams, at), 1.0
-            limit = np.array([3.0 * max(p.scale, 1e-9) for p in self.params])
-            delta = np.where(np.isfinite(made.delta), made.delta, 0.0)
-            delta = delta * min(1.0, float(np.min(limit / np.maximum(np.abs(delta), 1e-300), initial=np.inf)))
-            while share > LEAST_SHARE:
-                moved = np.clip(at + share * delta, [p.lower for p in self.params], [p.upper for p in self.params])
-                values = self.values | dict(zip(self.columns, moved.tolist(), strict=True))
-                streams, _ = self._at(values)
-                if self.cost(streams, moved) <= before * (1 + 1e-9):
-                    break
-                share *= 0.5
-            else:
-                self.converged = True
-                return
-            error = np.sqrt(np.maximum(np.diag(made.covariance), 1e-300))
-            self.values, self.streams, self.noise = values, streams, noises(streams)
-            if np.all(np.abs(moved - at) < CONVERGED * error):
-                self.converged = True
-                return
+    def normal_equations(self, at: _Point) -> tuple[FloatArray, FloatArray, None]:
+        """Of innovations and priors."""
+        hessian, score = whiten(at.streams, self.noise, self.rows).information()
+        return hessian + np.diag(self.std**-2.0), score + (self.mean - at.theta) / self.std**2, None
 
-    def found(self) -> FreeFlight:
-        """The answer at this point, with errors that hold what flights differ by."""
-        rows = whiten(self.streams, self.noise, self.rows)
-        made = step(rows, self.mean - self.point, self.std)
+    def stepped(
+        self, _at: _Point, target: FloatArray, _nuisance: None, _share: float, *, differentiated: bool
+    ) -> _Point:
+        """At other parameters; the equations come with their Jacobian in any case."""
+        del differentiated
+        return self.point(target)
+
+    def refreshed(self, at: _Point) -> _Point:
+        """The point itself, which has its Jacobian."""
+        return at
+
+    def nuisance_settled(self, _before: _Point, _after: _Point) -> bool:
+        """There are none."""
+        return True
+
+    def found(self, minimum: Minimum[_Point]) -> FreeFlight:
+        """The answer at a minimum, with errors that hold what flights differ by."""
+        at = minimum.point
+        self.learn(at, minimum.iterations)
+        rows = whiten(at.streams, self.noise, self.rows)
+        made = step(rows, self.mean - at.theta, self.std)
         own = np.array(["@" in c for c in self.columns])
         spread, extra = heterogeneity(rows, own, self.std)
-        covariance = made.robust + extra
+        ratio = lack_of_fit(at.streams, self.noise)
+        wrong = sum((ratio[c] - 1.0) * _gram(rows.columns[rows.channel == c]) for c in ratio)
+        robust = made.robust + made.covariance @ wrong @ made.covariance
+        covariance = robust + extra
         error = np.sqrt(np.diag(covariance))
         leaning = frozenset(
             c for c, e, s in zip(self.columns, error, self.std, strict=True) if np.isfinite(s) and e > LEANS * s
         )
-        channels = dict.fromkeys(s.channel for s in self.streams)
-        every = {c: np.concatenate([s.residual for s in self.streams if s.channel == c]) for c in channels}
+        channels = dict.fromkeys(s.channel for s in at.streams)
+        every = {c: np.concatenate([s.residual for s in at.streams if s.channel == c]) for c in channels}
         return FreeFlight(
-            self.asked.model, self.columns, self.values, covariance, self.noise,
+            self.asked.model, self.columns, self.values(at.theta), covariance, self.noise,
             {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items()},
-            float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, self.iterations, self.converged,
-            self.log_likelihood, leaning, {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
-            _inflation(made.covariance, made.robust), int(rows.block.max(initial=-1)) + 1,
+            float(sum(s.t_s[-1] - s.t_s[0] for s in self.equations.flown)), self.equations.flights, minimum.iterations,
+            minimum.status.good, self.log_likelihood(self.cost(at)), leaning,
+            {c: float(v) for c, v in zip(self.columns, spread, strict=True) if v > 0.0},
+            _inflation(made.covariance, robust), int(rows.block.max(initial=-1)) + 1,
         )  # fmt: skip
+
+
+def _gram(columns: FloatArray) -> FloatArray:
+    return np.asarray(columns.T @ columns)
 
 
 def _inflation(model: FloatArray, robust: FloatArray) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.integration.kernel import Kernel
-from flighttest.estimation.responses import Stacked, knows_attitude, max_step_s, prepare
+from flighttest.estimation.responses import Stacked, knows_attitude, max_step_s, prepare, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY, Block
 from flighttest.physics.model import Model
@@ -116,6 +116,13 @@ def _velocity(s: Segment) -> dict[str, FloatArray]:
     return {n: predicted(s.t_s, s.y[n], slopes.get(n)) for n in VELOCITY}
 
 
+def _state(s: Segment, velocity: Mapping[str, FloatArray]) -> FloatArray:
+    """(n, 4): velocity along the body's axes, m/s, and throttle, of a stretch with such velocities, world."""
+    angles = np.stack([s.y[n] for n in ("roll_rad", "pitch_rad", "yaw_rad")], axis=1)
+    along = np.einsum("nji,nj->ni", rotation_from_euler(angles), np.stack([velocity[n] for n in VELOCITY], axis=1))
+    return np.column_stack([along, zero_order_hold(s.u["throttle"], s.t_s)])
+
+
 @dataclass
 class Equations:
     """The equations of stretches of flight under one model, ready to be evaluated at parameter values."""
@@ -151,12 +158,12 @@ class Equations:
         found: list[Stream] = []
         for g, flight in enumerate(self.flights):
             mine = {n: values.get(f"{n}@{flight}", values[n]) for n in self.params}
-            for channel, residual, jacobian in self._of(flight).evaluated(self, mine, [*shared, *own]):
+            for channel, residual, jacobian, state in self._of(flight).evaluated(self, mine, [*shared, *own]):
                 placed = np.zeros((residual.size, len(columns)))
                 placed[:, : len(shared)] = jacobian[:, : len(shared)]
                 at = len(shared) + g * len(own)
                 placed[:, at : at + len(own)] = jacobian[:, len(shared) :]
-                found.append(Stream(channel, g, residual, placed))
+                found.append(Stream(channel, g, residual, placed, state))
         return found, columns
 
     def _of(self, flight: str) -> _Prepared:
@@ -167,13 +174,15 @@ class Equations:
 
 @dataclass
 class _Prepared:
-    """Chunks of the stretches of one flight. kept: per chunk the slice of its samples behind the lead; stretch: which it is of."""
+    """Chunks of the stretches of one flight. kept: per chunk the slice of its samples behind the lead; stretch: which it is of; states: per
+    chunk (n, 4), velocity along the body's axes, m/s, and throttle."""
 
     chunks: list[Segment]
     kept: list[slice]
     stretch: list[int]
     outputs: tuple[str, ...]
     measured: list[FloatArray]
+    states: list[FloatArray]
     times: list[FloatArray]
     kernels: dict[tuple[str, ...], Kernel] = field(default_factory=dict)
 
@@ -181,12 +190,13 @@ class _Prepared:
     def of(cls, flown: Sequence[Segment], block: Block, model: Model) -> _Prepared:
         force = tuple(n for n in FORCE if all(np.isfinite(s.y.get(n, np.nan)).any() for s in flown))
         chunks, kept, stretch = [], [], []
-        measured, times = [], []
+        measured, states, times = [], [], []
         swings = any(n != "a_t_m_s2" for n in block.free_states)
         lead_s, length_s = (MEMORY_S, MEMORY_CHUNK_S) if swings else (LEAD_S, CHUNK_S)
         for k, s in enumerate(flown):
             period = float(np.median(np.diff(s.t_s)))
             smooth = _velocity(s)
+            state = _state(s, smooth)
             starts = np.arange(s.t_s[0] + LEAD_S, s.t_s[-1], length_s)
             for start, end in pairwise([*starts, s.t_s[-1] + period]):
                 a = int(np.searchsorted(s.t_s, start - lead_s - 1e-9))
@@ -197,13 +207,14 @@ class _Prepared:
                 kept.append(slice(first - a, b - a))
                 stretch.append(k)
                 measured.append(np.stack([s.y[n][first:b] for n in (force or VELOCITY)], axis=1))
+                states.append(state[first:b])
                 times.append(s.t_s[first:b])
-        return cls(chunks, kept, stretch, force or ACCELERATION, measured, times)
+        return cls(chunks, kept, stretch, force or ACCELERATION, measured, states, times)
 
     def evaluated(
         self, equations: Equations, values: Mapping[str, float], names: Sequence[str]
-    ) -> list[tuple[str, FloatArray, FloatArray]]:
-        """(channel, residual (n,), Jacobian (n, len(names))) of every stretch without gaps."""
+    ) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
+        """(channel, residual (n,), Jacobian (n, len(names)), state (n, 4)) of every stretch without gaps."""
         block, model = equations.block, equations.model
         free = tuple(n for n in block.params if n in names)
         p = np.array([values[n] for n in block.params])
@@ -222,11 +233,11 @@ class _Prepared:
         kernel = self.kernels.setdefault(free, Kernel(block, self.outputs, free, filters))
         local = np.stack([r.start for r in made])
         y, dy = kernel.at_samples(p, local, nodes, mask, True)
-        found: list[tuple[str, FloatArray, FloatArray]] = []
+        found: list[tuple[str, FloatArray, FloatArray, FloatArray]] = []
         for k in dict.fromkeys(self.stretch):
             here = [j for j, of in enumerate(self.stretch) if of == k]
             t = np.concatenate([self.times[j] for j in here])
-            seen = np.concatenate([self.measured[j] for j in here])
+            seen, state = (np.concatenate([some[j] for j in here]) for some in (self.measured, self.states))
             predicted = np.concatenate([y[j, self.kept[j]] for j in here])
             slopes = np.zeros((*predicted.shape, len(names)))
             slopes[..., [list(names).index(n) for n in free]] = np.concatenate(
@@ -239,12 +250,13 @@ class _Prepared:
             if self.outputs == ACCELERATION:
                 h = np.diff(t)[:, None]
                 seen = np.diff(seen, axis=0) / h
-                predicted, slopes, t = 0.5 * (predicted[1:] + predicted[:-1]), 0.5 * (slopes[1:] + slopes[:-1]), t[1:]
+                predicted, slopes, state = (0.5 * (one[1:] + one[:-1]) for one in (predicted, slopes, state))
+                t = t[1:]
             residual = seen - predicted
             for c, channel in enumerate(self.outputs):
                 good = np.isfinite(residual[:, c]) & np.isfinite(slopes[:, c]).all(axis=1)
                 for a, b in _runs(t, good):
-                    found.append((channel, residual[a:b, c], slopes[a:b, c]))
+                    found.append((channel, residual[a:b, c], slopes[a:b, c], state[a:b]))
         return found
 
     def _filter(self, channel: str) -> float:

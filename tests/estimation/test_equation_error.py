@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from flighttest.estimation.equation_error import Stream, autoregression, heterogeneity, noises, step, whiten
+from flighttest.estimation.equation_error import (
+    Autoregression,
+    Stream,
+    autoregression,
+    heterogeneity,
+    lack_of_fit,
+    log_scale,
+    noises,
+    second_order,
+    step,
+    whiten,
+)
 
 
 def coloured(rng: np.random.Generator, n: int, a: tuple[float, ...] = (-1.6, 0.7)) -> np.ndarray:
@@ -78,3 +89,57 @@ def test_a_direction_without_information_has_no_variance():
     made = step(whiten([stream], noises([stream]), 50), np.zeros(2), np.full(2, np.inf))
     assert np.isfinite(made.covariance[0, 0])
     assert np.isinf(made.covariance[1, 1])
+
+
+def flown(missing: float, seed: int = 6, n: int = 4000) -> Stream:
+    """Residual of y = x + missing * x^2 + coloured noise beside a line in x, x slow."""
+    rng = np.random.default_rng(seed)
+    x = coloured(rng, n, (-0.98, 0.0))
+    columns = np.column_stack([np.ones(n), x])
+    y = missing * x**2 + coloured(rng, n)
+    return Stream("y", 0, y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0], columns, x[:, None])
+
+
+def test_second_order_functions_are_states_squares_and_products():
+    state = np.random.default_rng(7).normal([1.0, -2.0], [1.0, 3.0], (50, 2))
+    found = second_order(state)
+    assert found.shape == (50, 5)
+    assert found.std(axis=0) == pytest.approx(np.ones(5))
+    assert abs(np.corrcoef(found[:, 3], ((state - state.mean(axis=0)) / state.std(axis=0)).prod(axis=1))[0, 1]) > 0.999
+
+
+def test_equations_that_are_right_have_no_lack_of_fit():
+    ratios = [lack_of_fit([s], noises([s]))["y"] for s in (flown(0.0, seed) for seed in range(40))]
+    assert np.mean(ratios) == pytest.approx(
+        1.0 + np.sqrt(2.0 / np.pi) / 2.0, abs=0.5
+    )  # one function: chi-square, at least 1
+    assert min(ratios) == 1.0
+
+
+def test_what_equations_get_wrong_as_a_function_of_the_state_is_lack_of_fit():
+    """A missing square that explains 10 % of the residual; noise of the same size does not recur with the state."""
+    wrong = flown(0.05)
+    ratio = lack_of_fit([wrong], noises([wrong]))["y"]
+    more = second_order(wrong.state)[:, 1]
+    noise = noises([wrong])["y"]
+    explained = np.corrcoef(noise.whitened(more), noise.whitened(wrong.residual))[0, 1] ** 2 * noise.whitened(more).size
+    assert ratio == pytest.approx(explained, rel=0.1)
+    assert ratio > 5.0
+
+
+def test_functions_that_are_parameters_already_are_no_lack_of_fit():
+    s = flown(0.0)
+    square = (s.state**2)[:, :1]
+    held = Stream("y", 0, s.residual, np.column_stack([s.columns, square]), s.state)
+    assert lack_of_fit([held], noises([held])) == {"y": 1.0}
+
+
+@pytest.mark.parametrize("std", [0.1, 10.0])
+def test_orders_of_the_noise_are_compared_on_the_same_samples(std):
+    """White noise has one likelihood, whatever order describes it; 40 samples that only start a filter were 92 nats at a std of 0.1."""
+    s = Stream("y", 0, std * np.random.default_rng(8).standard_normal(2000), np.zeros((2000, 0)))
+    found = []
+    for order in (0, 40):
+        noise = {"y": Autoregression(np.eye(1, order + 1)[0], std)}
+        found.append(-log_scale([s], noise) - 0.5 * np.sum(noise["y"].whitened(s.residual) ** 2))
+    assert found[1] == pytest.approx(found[0], abs=3.0 * np.sqrt(40 / 2))

@@ -1,5 +1,6 @@
 """Free flight by equation error: vehicles made without our equations, flown by a position loop in gusts."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from flighttest.errors import FitError
 from flighttest.frames import rotation_from_euler
-from flighttest.identify.free_flight import estimate, stretches
+from flighttest.identify.free_flight import estimate, mixture, stretches
 from flighttest.identify.motion_equations import predicted
 from flighttest.identify.winds import WindVerdict, winds
 from flighttest.physics.model import Model
@@ -91,6 +92,34 @@ def test_a_position_loop_in_gusts_does_not_bias_the_estimates(accelerometer):
         assert abs(found.values[name] - truth) < 3.0 * found.std[name], name
     assert found.std["K"] < 0.02 * GAIN
     assert found.std["d_x"] < 0.15
+
+
+def test_an_estimate_does_not_depend_on_where_it_began():
+    """Steps cut to what one lag may move left winds between 4 and 8 m/s for one flight, by their start."""
+    some, none = stretches(flown()), {"sigma_t": 60.0, "T_d_thrust": 0.02, "K": 40.0, "d_x": 1.0}
+    first, second = (estimate(some, Model(attitude_loops=False), free=NAMES, start=start) for start in ({}, none))
+    assert second.converged
+    for name in NAMES:
+        assert abs(first.values[name] - second.values[name]) < 0.2 * first.std[name], name
+
+
+def test_equations_of_the_wrong_form_widen_intervals():
+    """A force by the square of the speed, fitted by a line: the square recurs with the state."""
+    some = stretches(flown())
+    right = estimate(some, Model(attitude_loops=False), free=NAMES)
+    bent = [replace(s, y=s.y | {"f_x_m_s2": s.y["f_x_m_s2"] - 0.3 * s.y["v_x_m_s"] ** 2}) for s in some]
+    wrong = estimate(bent, Model(attitude_loops=False), free=NAMES)
+    assert wrong.std["d_x"] > 1.5 * right.std["d_x"]
+
+
+def test_local_optima_that_serve_as_well_are_in_the_covariance():
+    found = estimate(stretches(flown()), Model(attitude_loops=False), free=NAMES)
+    at = found.names.index("d_x")
+    other = replace(found, values=dict(found.values) | {"d_x": found.values["d_x"] + 1.0})
+    same = mixture([found, other]).covariance[at, at] - found.covariance[at, at]
+    worse = replace(other, log_likelihood=found.log_likelihood - 10.0 * found.inflation)
+    assert same == pytest.approx(0.5)  # half the weight, 1 away
+    assert mixture([worse, found]).covariance[at, at] - found.covariance[at, at] < 1e-4
 
 
 def test_the_noise_of_the_recording_is_reported():

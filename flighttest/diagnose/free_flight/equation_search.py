@@ -4,14 +4,14 @@ Each step screens every term (`equation_screen`), estimates the most significant
 one with the largest quasi-likelihood: log likelihood of the innovations divided by the variance inflation that the robust covariance
 shows (QAIC: Burnham and Anderson 2002, section 2.5), less half the logarithm of the number of blocks per parameter (Schwarz 1978). A
 term is named when its coefficients are significant by the robust covariance as well, at a level divided by the number of terms
-(Bonferroni), and its effect is larger than what estimates drift by. Wind is estimated first, together with what looks like it at one
-heading (`identify.winds`).
+(Bonferroni), and its effect is larger than what estimates drift by. Wind is looked for first, against what looks like it at one heading
+(`identify.winds`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -80,6 +80,12 @@ class EquationSearch:
     turned: bool = True
     complete: bool = True
 
+    def seen(self) -> tuple[FlightWind, ...]:
+        """The wind of every flight in the final model. That a single flight has one was decided by comparing models; its interval, which
+        also holds what looks like a wind, may hold none."""
+        winds = tuple(winds_of(self.final, self.declared))
+        return winds if len(winds) > 1 else tuple(replace(w, verdict=WindVerdict.WIND) for w in winds)
+
     @property
     def beside_wind(self) -> tuple[str, ...]:
         """Terms that are in the model only because a wind is."""
@@ -118,7 +124,7 @@ def find_terms(
     except KeyboardInterrupt:
         found.complete = False
     if WIND_TERM in found.final.model.terms:
-        found.winds = tuple(winds_of(found.final, declared))
+        found.winds = found.seen()
     return found
 
 
@@ -189,34 +195,46 @@ def significance(richer: FreeFlight, poorer: FreeFlight, term: Term, flown: Sequ
     return min(1.0, len(settings(term, flown)) * chi2_beyond(ratio, len(term.params)))
 
 
+def _score(found: FreeFlight, richest: FreeFlight) -> float:
+    """Quasi-log-likelihood less the penalty of the parameters, with the variance inflation of the richest model compared."""
+    penalty = 0.5 * len(found.names) * float(np.log(max(richest.blocks, 2)))
+    return found.log_likelihood / richest.inflation - penalty
+
+
 def _nats(richer: FreeFlight, poorer: FreeFlight) -> float:
-    """Quasi-log-likelihood that `richer` gains, less the penalty of its further parameters."""
-    more = len(richer.names) - len(poorer.names)
-    gained = (richer.log_likelihood - poorer.log_likelihood) / richer.inflation
-    return gained - 0.5 * more * float(np.log(max(richer.blocks, 2)))
+    """What `richer` gains in it."""
+    return _score(richer, richer) - _score(poorer, richer)
 
 
 def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term], level: float) -> None:
-    """Wind of every flight and what looks like it together; the wind stays where it is significant, and one flight shows it."""
+    """Wind of every flight against what looks like it at one heading: models with a wind compared with models that have none.
+
+    Beside each other neither is significant, since either takes the other's place; their models are told apart by what a wind does
+    beyond a tilt, with more drag the faster the vehicle flies against it. The winds themselves are those of the model with all of them.
+    """
     base = found.base
     if WIND_TERM not in known:
         return
     beside = [t for t in BESIDE_WIND if t in known]
     tried = asked.estimate(base.model.with_terms(WIND_TERM, *beside), base.values)
-    drag = [n for n in ("d_x", "d_y", "k_x", "k_y", "c_h") if n in tried.std and tried.values[n] > 2.0 * tried.std[n]]
-    windy = [w for w in winds_of(tried, found.declared) if w.verdict is WindVerdict.WIND]
-    p_value = wald(tried, known[WIND_TERM])
-    if not drag or not windy or p_value >= level:
+    alone = asked.estimate(base.model.with_terms(WIND_TERM), base.values)
+    windy = max(tried, alone, key=lambda one: _score(one, tried))
+    drag = [n for n in ("d_x", "d_y", "k_x", "k_y", "c_h") if n in windy.std and windy.values[n] > 2.0 * windy.std[n]]
+    if not drag:
         return
+    without = [base, *(asked.estimate(base.model.with_terms(*some), base.values) for some in _each_and_all(beside))]
+    calm = max(without, key=lambda one: _score(one, tried))
+    nats = _score(windy, tried) - _score(calm, tried)
+    confusable = OFFSET_TERM in beside and not found.turned and 0.0 < nats < CHANCE_NATS
+    if probability_of(nats, len(known)) < PROBABILITY and not confusable:
+        return
+    gained = max(windy.log_likelihood - calm.log_likelihood, 0.0) / tried.inflation
+    p_value = chi2_beyond(2.0 * gained, len(coefficients_of(tried, known[WIND_TERM])))
     streams = asked.streams(tried)
-    without = asked.estimate(base.model.with_terms(*beside), base.values) if beside else base
-    nats = _nats(tried, without)
-    if probability_of(nats, len(known)) < PROBABILITY:
-        return
-    size = effect_sizes(asked.streams(without), streams)
-    rivals = (OFFSET_TERM,) if OFFSET_TERM in beside and not found.turned and nats < CHANCE_NATS else ()
     found.final = tried
-    found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, size, rivals)
+    found.named[WIND_TERM] = NamedByEquations(
+        WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams), (OFFSET_TERM,) if confusable else ()
+    )
     for one in beside:
         p = wald(tried, known[one])
         if p >= level:
@@ -227,6 +245,11 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
         if not _against(nats, p, level, size, tried, known[one], len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
+
+
+def _each_and_all(terms: Sequence[str]) -> list[tuple[str, ...]]:
+    """Each term by itself, then all together where they are several."""
+    return [*((t,) for t in terms), *([tuple(terms)] if len(terms) > 1 else [])]
 
 
 def _step(
@@ -297,8 +320,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
     known = {t.id: t for t in found.final.model.built_terms}
     for name in list(found.named)[:-1]:
         if name == WIND_TERM:
-            seen = any(w.verdict is WindVerdict.WIND for w in winds_of(found.final, found.declared))
-            gone = [] if seen else [name, *found.beside_wind]
+            gone = [] if any(w.verdict is WindVerdict.WIND for w in found.seen()) else [name, *found.beside_wind]
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
