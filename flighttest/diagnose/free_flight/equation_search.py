@@ -261,15 +261,16 @@ def _step(
     progress("screening the catalogue by equation error")
     found.screened = screen(asked.flown, now, pool)
     picks = [s for s in found.screened if s.p_value < level][:TRIED]
-    tried: list[tuple[float, Screened, FreeFlight]] = []
+    estimated: list[tuple[Screened, FreeFlight]] = []
     for s in picks:
         progress(f"estimating with {s.term} by equation error")
         try:
-            one = asked.estimate(now.model.with_terms(s.term), {**now.values, **s.shape})
+            estimated.append((s, asked.estimate(now.model.with_terms(s.term), {**now.values, **s.shape})))
         except FitError as problem:
             found.refused[s.term] = (-np.inf, str(problem))
-            continue
-        tried.append((_nats(one, now), s, one))
+    # One inflation for all that are compared, that of the likeliest: by its own, a worse model of more noise would gain less.
+    likeliest = max((one for _, one in estimated), key=lambda one: one.log_likelihood, default=now)
+    tried = [(_score(one, likeliest) - _score(now, likeliest), s, one) for s, one in estimated]
     tried.sort(key=lambda x: -x[0])
     before = asked.streams(now) if tried else []
     for k, (nats, s, one) in enumerate(tried):
