@@ -119,12 +119,12 @@ def estimate(
 ) -> FreeFlight:
     """Gauss-Newton on the whitened equations, noise and parameters in turn.
 
-    flown: of `stretches`; start: parameters by name (default: from the flight itself); free: names that are estimated (default: all that
-    act); per_flight: names with a value per flight; priors: name, or `name@flight`, to (mean, standard deviation). FitError where there is
-    nothing to estimate from.
+    flown: of `stretches`; start: parameters by name, those of one flight as `name@flight` (default: from the flight itself); free: names
+    that are estimated (default: all that act); per_flight: names with a value per flight; priors: name, or `name@flight`, to (mean,
+    standard deviation). FitError where there is nothing to estimate from.
 
-    Where flights have winds of their own, much drag in little wind is a local optimum beside little drag in much wind: both are sought,
-    and the covariance is that of the mixture of what was found (`mixture`).
+    Where flights have winds of their own, and `start` has none, much drag in little wind is a local optimum beside little drag in much
+    wind: both are sought, and the covariance is that of the mixture of what was found (`mixture`).
     """
     if not flown:
         raise FitError(
@@ -134,7 +134,7 @@ def estimate(
     asked = _Asked(model, free, tuple(per_flight), dict(priors or {}))
     known = {**start_of(flown, model), **dict(start or {})}
     starts = [known if set(start or {}) & {"sigma_t", "T_d_thrust", "T_d"} else _with_lag(flown, asked, known)]
-    if per_flight:
+    if per_flight and not any("@" in n for n in start or {}):
         usual = {p.name: p.nominal for p in model.params if p.name in DRAG}
         starts += [starts[0] | usual, _with_lag(flown, asked, known | usual)]
     equations = Equations(model, flown)

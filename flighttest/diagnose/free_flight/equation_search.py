@@ -124,6 +124,8 @@ def find_terms(
     except KeyboardInterrupt:
         found.complete = False
     if WIND_TERM in found.final.model.terms:
+        if list(found.named) != [WIND_TERM]:  # other optima of the wind, with the terms that joined since
+            found.final = asked.estimate(found.final.model, _shared(found.final.values))
         found.winds = found.seen()
     return found
 
@@ -239,12 +241,15 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
         p = wald(tried, known[one])
         if p >= level:
             continue
-        smaller = asked.estimate(
-            tried.model.without_terms(one), {n: v for n, v in tried.values.items() if "@" not in n}
-        )
+        smaller = asked.estimate(tried.model.without_terms(one), _shared(tried.values))
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
         if not _against(nats, p, level, size, tried, known[one], len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
+
+
+def _shared(values: Mapping[str, float]) -> dict[str, float]:
+    """Without those of one flight."""
+    return {n: v for n, v in values.items() if "@" not in n}
 
 
 def _each_and_all(terms: Sequence[str]) -> list[tuple[str, ...]]:
@@ -329,6 +334,6 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
         if not gone:
             continue
         smaller = found.final.model.without_terms(*gone)
-        found.final = asked.estimate(smaller, {n: v for n, v in found.final.values.items() if "@" not in n})
+        found.final = asked.estimate(smaller, _shared(found.final.values))
         del found.named[name]
         found.refused[name] = (0.0, "not needed beside the terms that joined later")
