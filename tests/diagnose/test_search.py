@@ -294,10 +294,12 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     assert alias.confusable is tried
 
 
-@pytest.mark.parametrize(("after", "groups", "named"), [(0.5, 20, {"a"}), (2.0, 20, set()), (2.0, 5, {"a"})])
-def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, rng, after, groups, named):
+@pytest.mark.parametrize(
+    ("after", "groups", "named"), [(0.5, 20, {"a"}), (1.0, 20, set()), (2.0, 20, set()), (2.0, 5, {"a"})]
+)
+def test_names_that_predict_what_was_not_used_no_better_are_withdrawn(monkeypatch, rng, after, groups, named):
     """A crashed flight had a wind and unequal spin-up named, each needed beside the other, with which lateral speed was off eleven times
-    as far."""
+    as far; on hops with a cut propeller a vortex ring, with which no channel was surely better."""
     noise = rng.normal(size=1000)
     base, now = (
         Fitted(
@@ -317,7 +319,7 @@ def test_names_that_predict_what_was_not_used_worse_are_withdrawn(monkeypatch, r
     assert set(search.evidence) == named
     assert search.now is (now if named else base)
     assert ("a" in search.rejected) is not bool(named)
-    assert all("predicted worse" in e.why_not for e in search.rejected.values())
+    assert all("predicted better" in e.why_not for e in search.rejected.values())
 
 
 class Half:

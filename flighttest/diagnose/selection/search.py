@@ -145,7 +145,7 @@ class Search:
                 return
 
     def judge_as_a_whole(self) -> None:
-        """Withdraw what was named where the model with it predicts more channels of what was not used surely worse than better, each
+        """Withdraw what was named unless the model with it predicts more channels of what was not used surely better than worse, each
         response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight."""
         if not self.evidence or np.unique(self.groups).size < FEWEST_GROUPS:
             return  # an interval over fewer groups decides nothing, and each term was tested by itself
@@ -155,9 +155,9 @@ class Search:
         before, after = ((f.rows, f.held_out(self.groups)) for f in (self.base, self.now))
         gains = gains_held_out(*before, *after, self.groups, self.floor).values()
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
-        if worse <= better:
+        if better > worse:
             return
-        why = f"with all that was named more channels of what was not used are predicted worse than better ({worse} and {better})"
+        why = f"of what was not used, no more channels are predicted better with all that was named than worse ({better} and {worse})"
         self.rejected |= {t: replace(e, withdrawn=why) for t, e in self.evidence.items()}
         self.now, self.evidence = self.base, {}
         self.progress(f"{' and '.join(sorted(self.rejected))}: {why}")
