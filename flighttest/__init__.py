@@ -190,7 +190,7 @@ if not TYPE_CHECKING:  # a type checker sees every name above, and reports which
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
 class _Package(ModuleType):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from flighttest.recording.model import Recording
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Campaign(Answer):
     """`run`: scripts flown, fitted, compared with the model in use and diagnosed.
 
@@ -29,7 +29,7 @@ class Campaign(Answer):
     """
 
     runs: tuple[Path, ...]
-    analysis: Analysis | None = field(repr=False)
+    analysis: Analysis | None
     model: FittedModel | None
 
     @property
@@ -44,12 +44,12 @@ class Campaign(Answer):
         return self.model.to_frame() if self.model is not None else pd.DataFrame()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Imported(Answer):
     """`import_log`: a log as a run folder. run: the folder; recording: what is in it."""
 
     run: Path
-    recording: Recording = field(repr=False)
+    recording: Recording
 
     def to_frame(self) -> pd.DataFrame:
         """One row per group of channels: columns, rate_hz, samples, and the largest share missing in a column."""
@@ -67,7 +67,7 @@ class Imported(Answer):
         return self.recording.plot(*ids)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Runs(Answer):
     """`runs`: the runs of a folder, oldest first, with what was fitted to each."""
 
@@ -94,7 +94,7 @@ class Runs(Answer):
         return {"parameters": Figure("parameters", tuple(panels), "", 3, 230)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Checks(Answer):
     """`doctor`: what the tool needs, what was found, and what to do about the rest."""
 
@@ -110,7 +110,7 @@ class Checks(Answer):
         return pd.DataFrame(self.data["checks"]).set_index("what")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Demonstrated(Answer):
     """`demo`: a concealed effect found, modelled, and a flight predicted that was not used. page: the report. Where the flights were of no
     use nothing was named or predicted, and `status` says so."""
@@ -130,11 +130,11 @@ class Demonstrated(Answer):
         return pd.DataFrame(rows, columns=["channel", "before", "after", "floor"]).set_index("channel")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Proved(Answer):
     """`prove`: sealed trials diagnosed blind, and their scoreboard. outcomes: one per trial."""
 
-    outcomes: tuple[Outcome, ...] = field(repr=False)
+    outcomes: tuple[Outcome, ...]
 
     def to_frame(self) -> pd.DataFrame:
         """One row per trial: index, kind, hidden, named, verdict, error."""

@@ -41,6 +41,9 @@ class Terms(Mapping[str, Term]):
             raise AttributeError(f"no term is called {term_id!r}{f'; did you mean {near[0]!r}?' if near else ''}")
         return known[term_id]
 
+    def __repr__(self) -> str:
+        return f"<Terms: {', '.join(self)}>"
+
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *catalogue()]
 

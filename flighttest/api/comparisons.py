@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,11 +38,11 @@ def _markers(title: str, unit: str, traces: Mapping[str, Mapping[str, float | No
     return Panel(title, "", unit, tuple(drawn))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Opposed(Answer):
     """`against`: a simulator's recordings opposed to real ones. found: fits of both sides, differences and predictions, typed."""
 
-    found: Against = field(repr=False)
+    found: Against
     model: FittedModel
 
     @property
@@ -78,12 +78,12 @@ class Opposed(Answer):
         }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Twin(Answer):
     """`twin`: what still differs between a model, flown as a vehicle, and the recordings. diagnosis: of the recordings, from that model;
     flown: the twin's run folders, where they were kept."""
 
-    diagnosis: Diagnosis = field(repr=False)
+    diagnosis: Diagnosis
     flown: tuple[Path, ...]
 
     @property
@@ -102,11 +102,11 @@ class Twin(Answer):
         return {"channels": Figure("channels", (_markers("Error of the twin", "noise floors", errors),), "", 1, 300)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Replayed(Answer):
     """`replay`: recorded commands on a changed vehicle. found: effects by channel and the stretches where the change shows most."""
 
-    found: Replay = field(repr=False)
+    found: Replay
 
     @property
     def effects(self) -> Mapping[str, Effect]:
@@ -119,7 +119,7 @@ class Replayed(Answer):
         return _frame(rows, "channel", ("channel", "error", "shift", "size", "uncertainty"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Compared(Answer):
     """`compare`: two models side by side. differences: every parameter of either, those that differ first."""
 

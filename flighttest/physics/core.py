@@ -183,6 +183,9 @@ class Term:
     needs: tuple[str, ...]
     states: tuple[State, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Term {self.id}: {self.equation}>"
+
     @property
     def amplitudes(self) -> tuple[Param, ...]:
         """Parameters with an off value."""

@@ -86,6 +86,9 @@ class Model:
                 f"terms {', '.join(ids)} share the names {', '.join(sorted(twice))}", "rename them in one term"
             )
 
+    def __repr__(self) -> str:
+        return f"<Model {' + '.join(self.terms)}: {len(self.params)} parameters>"
+
     @cached_property
     def built_terms(self) -> tuple[Term, ...]:
         """The terms besides the body; without attitude loops, those of the attitude block are left out."""

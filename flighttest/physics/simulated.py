@@ -28,6 +28,9 @@ class Simulated:
     t_s: FloatArray
     channels: Mapping[str, FloatArray]
 
+    def __repr__(self) -> str:
+        return f"<Simulated: {self.t_s.size} samples, {self.t_s[0]:g} to {self.t_s[-1]:g} s, of {', '.join(self.channels)}>"
+
     def to_frame(self) -> pd.DataFrame:
         """One column per channel, indexed by t_s."""
         import pandas as pd

@@ -51,6 +51,9 @@ class Series:
     def __len__(self) -> int:
         return int(self.t_s.size)
 
+    def __repr__(self) -> str:
+        return f"<Series: {len(self)} samples at {self.rate_hz:.0f} Hz of {', '.join(self.columns)}>"
+
     @property
     def rate_hz(self) -> float:
         """Median sample rate, Hz; 0 for fewer than two samples."""
@@ -108,6 +111,11 @@ class Recording:
     series: Mapping[str, Series]
     markers: tuple[Marker, ...]
     provenance: Provenance
+
+    def __repr__(self) -> str:
+        groups = ", ".join(f"{name} {series.rate_hz:.0f} Hz" for name, series in self.series.items())
+        start_s, end_s = self.t_span_s if any(map(len, self.series.values())) else (0.0, 0.0)
+        return f"<Recording {self.name}: {end_s - start_s:.1f} s; {groups}; {len(self.markers)} markers>"
 
     def has(self, *channel_names: str) -> bool:
         """Whether every named channel is here with at least one finite sample."""

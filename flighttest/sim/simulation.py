@@ -38,6 +38,10 @@ class Simulation:
             self._thread = threading.Thread(target=server.run, name="simulated vehicle", daemon=True)
             self._thread.start()
 
+    def __repr__(self) -> str:
+        flies = "a model of its own" if self.options.model is not None else self.options.airframe
+        return f"<Simulation of {flies} at {self.url}: {'running' if self.alive else 'ended'}>"
+
     @property
     def port(self) -> int:
         """The port it listens on."""
