@@ -157,17 +157,19 @@ def interface() -> str:
 
 
 def _signature(function: Callable[..., object]) -> str:
-    """The parameters, one per line where they do not fit on one."""
+    """The parameters with their annotations as written, one per line where they do not fit on one."""
     shown = inspect.signature(function)
-    text = str(shown).replace("'", "")
+    stars = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
+    words: list[str] = []
+    for p in shown.parameters.values():
+        if p.kind is p.KEYWORD_ONLY and not any(word.startswith("*") for word in words):
+            words.append("*")
+        default = "" if p.default is p.empty else f" = {p.default!r}"
+        words.append(f"{stars.get(p.kind, '')}{p.name}: {p.annotation}{default}")
+    text = f"({', '.join(words)}) -> {shown.return_annotation}"
     if len(text) <= 90:
         return text
-    lines: list[str] = []
-    for p in shown.parameters.values():
-        if p.kind is p.KEYWORD_ONLY and not any(line.strip().startswith("*") for line in lines):
-            lines.append("    *,")
-        lines.append(f"    {p},".replace("'", ""))
-    return "(\n" + "\n".join(lines) + f"\n) -> {shown.return_annotation}"
+    return "(\n" + "".join(f"    {word},\n" for word in words) + f") -> {shown.return_annotation}"
 
 
 BLOCKS: dict[str, Callable[[], str]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -34,14 +34,14 @@ STEPPED = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": 
 PLAN_RATE_HZ = 50.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Answer:
     """What every verb gives back. document: what the command line shows, as pure data; data: what it prints with --json; status: how it
     ended, which the command line gives as its exit code."""
 
-    document: Document = field(repr=False)
-    data: Mapping[str, Any] = field(repr=False)
-    status: Status = field(default=Status.DONE, repr=False)
+    document: Document
+    data: Mapping[str, Any]
+    status: Status = Status.DONE
 
     @property
     def sentence(self) -> str:
@@ -50,6 +50,9 @@ class Answer:
 
     def __str__(self) -> str:
         return self.sentence
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.sentence}>"
 
     def _figures(self) -> dict[str, Figure]:
         from flighttest.report.render.plotly_figure import figures_of
@@ -73,7 +76,7 @@ class Answer:
         return html.write(self.document, Path(path))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Written(Answer):
     """What verbs answer that write files: `report`, `show`, `fetch_log`, `export`. files: all of them; usable as the path of the first."""
 
@@ -83,7 +86,7 @@ class Written(Answer):
         return str(self.files[0])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Responses(Answer):
     """`segment`: step responses and windows of free flight, accepted or rejected with their reasons."""
 
@@ -116,11 +119,11 @@ class Responses(Answer):
         return {"responses": Figure("responses", tuple(panels), "", 2, 300)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Fitted(Answer):
     """`fit`: parameters with their intervals. fit: everything identification found; model: what later steps take."""
 
-    fit: Fit = field(repr=False)
+    fit: Fit
     model: FittedModel
 
     @property
@@ -138,11 +141,11 @@ class Fitted(Answer):
         return self.model.to_frame()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Validated(Answer):
     """`validate`: open-loop errors of the model and its simplifications over horizons of 0.1 to 3 s."""
 
-    validation: Validation = field(repr=False)
+    validation: Validation
 
     def to_frame(self) -> pd.DataFrame:
         """One row per model, group of channels and horizon: horizon_s, rmse in `unit`, starts counted, separate stretches of flight."""
@@ -161,14 +164,14 @@ class Validated(Answer):
         )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Diagnosed(Answer):
     """`diagnose`: where model and recordings differ, what physics is missing, and what to fly next.
 
     diagnosis: everything found, typed; model: the base model with the accepted terms, refitted; None where there was no fit.
     """
 
-    diagnosis: Diagnosis = field(repr=False)
+    diagnosis: Diagnosis
     model: FittedModel | None
 
     @property
@@ -201,11 +204,11 @@ class Diagnosed(Answer):
         return pd.DataFrame(rows, columns=columns)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Validity(Answer):
     """`check_validity`: does the stored model still hold for this vehicle. assessment: all the evidence, typed."""
 
-    assessment: Assessment = field(repr=False)
+    assessment: Assessment
 
     @property
     def verdict(self) -> ValidityVerdict:
@@ -230,11 +233,11 @@ class Validity(Answer):
         return {"shifts": Figure("shifts", (Panel("Change of each parameter", "", "z-score", (z,)),), "", 1, 300)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Planned(Answer):
     """`plan`: scripts compiled for a vehicle. plans: what would be flown."""
 
-    plans: tuple[Plan, ...] = field(repr=False)
+    plans: tuple[Plan, ...]
 
     @cached_property
     def checks(self) -> tuple[CheckResult, ...]:
@@ -285,12 +288,12 @@ class Planned(Answer):
         return figures
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Flown(Answer):
     """`fly`: how each flight ended. runs: the run folders; flights: the outcomes, typed, one per script."""
 
     runs: tuple[Path, ...]
-    flights: tuple[FlightResult, ...] = field(repr=False)
+    flights: tuple[FlightResult, ...]
 
     @property
     def as_planned(self) -> bool:
@@ -329,7 +332,7 @@ class Flown(Answer):
         return {"flights": Figure("flights", tuple(panels), "", 2, 260)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Models(Answer):
     """`models`: those accepted for each vehicle. lineages: by vehicle, oldest model first."""
 
@@ -341,9 +344,12 @@ class Models(Answer):
 
         found = [one for one in self.lineages if one.current is not None and vehicle in ("", one.vehicle)]
         if len(found) != 1 or found[0].current is None:
-            known = ", ".join(one.vehicle for one in self.lineages) or "none: accept one"
+            known = ", ".join(one.vehicle for one in self.lineages)
             raise InputError(
-                f"{len(found)} models are in use{f' of {vehicle}' if vehicle else ''}", f"there are {known}"
+                "several vehicles have a model" if found else f"no model of {vehicle or 'any vehicle'} is in use",
+                f"name one of {known}"
+                if known
+                else "make the model of a run its vehicle's with `flighttest accept RUN`",
             )
         return fitted_model(found[0].current)
 

@@ -18,7 +18,7 @@ from flighttest.api.inputs import (
     as_path,
     as_progress,
     as_sources,
-    paths_in,
+    reading_options,
 )
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def against(
 
     result = oppose(
         as_sources(real), as_sources(simulated), None if model is None else as_model(model), as_path(output), as_path(vehicle),
-        Reading(as_path(columns), **paths_in(options)), as_progress(progress),
+        Reading(as_path(columns), **reading_options(options)), as_progress(progress),
     )  # fmt: skip
     mine = result.value.real
     fitted = model_of(mine, model_file.as_data(mine))
@@ -112,10 +112,12 @@ def replay(
     return Replayed(document=result.document, data=result.data, status=result.status, found=result.value)
 
 
-def compare(first: AnyPath, second: AnyPath, *, progress: ProgressLike | None = None) -> Compared:
+def compare(
+    first: FittedModel | AnyPath, second: FittedModel | AnyPath, *, progress: ProgressLike | None = None
+) -> Compared:
     """Compare two models, or the fits of two runs or logs: z-scores per parameter, and which differ."""
     from flighttest.api.comparisons import Compared
     from flighttest.pipeline.identification.comparison import compare as compare_models
 
-    result = compare_models(Path(first), Path(second), as_progress(progress))
+    result = compare_models(as_model(first), as_model(second), as_progress(progress))
     return Compared(document=result.document, data=result.data, status=result.status, differences=result.value)

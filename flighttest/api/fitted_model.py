@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,7 +34,13 @@ class FittedModel:
     fingerprint, noise); data: the same as plain data, as it is written."""
 
     stored: ModelFile
-    data: ModelData = field(repr=False)
+    data: ModelData
+
+    def __repr__(self) -> str:
+        known = sum(bool(p.identifiable) for p in self.parameters.values())
+        return (
+            f"<FittedModel {' + '.join(self.physics.terms)}: {known} of {len(self.parameters)} parameters identifiable>"
+        )
 
     @property
     def physics(self) -> Model:
@@ -71,7 +77,10 @@ class FittedModel:
         return Path(path)
 
     def export(self, kind: str, folder: str | PathLike[str]) -> tuple[Path, ...]:
-        """Write it for other programs: 'casadi', 'c', 'json', 'fmu' or 'rotorpy'; gives the files written. InputError for another kind."""
+        """Write it for other programs: 'casadi', 'c', 'json', 'fmu', 'rotorpy' or 'ardupilot'; gives the files written.
+
+        InputError for another kind.
+        """
         from flighttest.pipeline.identification.exporting import KINDS, export
 
         if kind not in KINDS:

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
-from flighttest.api.inputs import AnyPath, CampaignOptions, FlightOptions, ProgressLike, as_path, as_progress, paths_in
+from flighttest.api.inputs import (
+    AnyPath,
+    CampaignOptions,
+    FlightOptions,
+    Hidden,
+    ProgressLike,
+    as_hidden,
+    as_model,
+    as_path,
+    as_progress,
+    paths_in,
+)
 from flighttest.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,23 +83,25 @@ def flight(
     *scripts: AnyPath,
     connect: str | None = None,
     vehicle: AnyPath | None = None,
-    out: AnyPath = "runs",
-    hide: Iterable[str] = (),
+    runs: AnyPath = "runs",
+    hide: Hidden = (),
     seed: int = 1,
     **options: Unpack[CampaignOptions],
 ) -> Flight:
     """A flight as it would be flown; arguments as of `run`. connect: else what the vehicle file names, else the built-in vehicle."""
     from flighttest.pipeline.flights import run as flights
 
-    further = paths_in(options, "resume", "model", "signing_key")
+    further = paths_in(options, "resume", "signing_key")
+    if further.get("model") is not None:
+        further["model"] = as_model(further["model"])
     only = further.pop("only", None)
     request = flights.as_before(
         flights.FlightRequest(
             tuple(str(script) for script in scripts),
             vehicle=as_path(vehicle),
             connect=connect,
-            out=Path(out),
-            hide=tuple(hide),
+            out=Path(runs),
+            hide=as_hidden(hide),
             seed=seed,
             fly_only=only == "fly",
             fit_only=only == "fit",
@@ -102,21 +115,21 @@ def fly(
     *scripts: AnyPath,
     connect: str = "sim",
     vehicle: AnyPath | None = None,
-    out: AnyPath = "runs",
+    runs: AnyPath = "runs",
     arm: Consent = False,
-    hide: Iterable[str] = (),
+    hide: Hidden = (),
     progress: ProgressLike | None = None,
     seed: int = 1,
     **options: Unpack[FlightOptions],
 ) -> Flown:
     """Fly maneuver scripts and record them; nothing is fitted.
 
-    connect: URL of the vehicle; 'sim' is the built-in one. A real vehicle flies only with arm=True: set it when
-    the area is clear and a pilot is ready; or a function that is asked then. hide: effects concealed in the built-in vehicle, as
-    'ground_effect:R2_m2=0.1'. options: `flighttest.api.inputs.FlightOptions`. LinkError, PreflightError; how a flight ended is an outcome,
-    not an error.
+    connect: URL of the vehicle; 'sim' is the built-in one. A real vehicle flies only with arm=True: set it when the area is clear and a
+    pilot is ready; or a function that is called then. runs: folder for the run folders. hide: effects concealed in the built-in vehicle,
+    {"ground_effect": {"R2_m2": 0.1}} or ["ground_effect:R2_m2=0.1"]. options: `flighttest.api.inputs.FlightOptions`. LinkError,
+    PreflightError; how a flight ended is an outcome, not an error.
     """
-    asked = flight(*scripts, connect=connect, vehicle=vehicle, out=out, hide=hide, seed=seed, **options)
+    asked = flight(*scripts, connect=connect, vehicle=vehicle, runs=runs, hide=hide, seed=seed, **options)
     return asked.record(arm, progress)
 
 
@@ -124,9 +137,9 @@ def run(
     *scripts: AnyPath,
     connect: str = "sim",
     vehicle: AnyPath | None = None,
-    out: AnyPath = "runs",
+    runs: AnyPath = "runs",
     arm: Consent = False,
-    hide: Iterable[str] = (),
+    hide: Hidden = (),
     progress: ProgressLike | None = None,
     seed: int = 1,
     **options: Unpack[CampaignOptions],
@@ -135,5 +148,5 @@ def run(
 
     As `fly`, which stops after recording. options: `flighttest.api.inputs.CampaignOptions`, as accept=True.
     """
-    asked = flight(*scripts, connect=connect, vehicle=vehicle, out=out, hide=hide, seed=seed, **options)
+    asked = flight(*scripts, connect=connect, vehicle=vehicle, runs=runs, hide=hide, seed=seed, **options)
     return asked.fly(arm, progress)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 AnyPath = str | PathLike[str]
 Source = str | PathLike[str] | Recording
 ProgressLike = Callable[[str], object] | Progress
+Hidden = Mapping[str, Mapping[str, float]] | Iterable[str]
+Weather = Literal["still", "unknown"] | Mapping[str, Literal["still", "unknown"]]
 
 
 class Stages:
@@ -53,6 +55,12 @@ def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
     given = [sources] if isinstance(sources, str | PathLike | Recording) else list(sources)
     if not given:
         raise InputError("no recording was given", "name a run folder, a log, or what `read` returned")
+    for source in given:
+        if not isinstance(source, str | PathLike | Recording):
+            raise InputError(
+                f"a {type(source).__name__} is no recording",
+                "give each run folder, log or `Recording` as an argument of its own, a list of them as *runs",
+            )
     return [source if isinstance(source, Recording) else Path(source) for source in given]
 
 
@@ -61,11 +69,18 @@ def as_model(model: FittedModel | AnyPath) -> Path | ModelFile:
     return Path(model) if isinstance(model, str | PathLike) else model.stored
 
 
-class ReadingOptions(TypedDict, total=False):
-    """How recordings are read. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT: a prior for their winds. workers:
-    processes of this machine."""
+def as_hidden(hide: Hidden) -> tuple[str, ...]:
+    """Effects to conceal, each as id:key=value,key=value. hide: id to its values, SI, or such words."""
+    if isinstance(hide, Mapping):
+        return tuple(f"{i}:{','.join(f'{key}={float(v)!r}' for key, v in given.items())}" for i, given in hide.items())
+    return (hide,) if isinstance(hide, str) else tuple(hide)
 
-    weather: Sequence[str]
+
+class ReadingOptions(TypedDict, total=False):
+    """How recordings are read. weather: "still" of all flights, or {"FLIGHT": "still"} of those whose name holds FLIGHT: a prior for their
+    winds. workers: processes of this machine."""
+
+    weather: Weather
     workers: int
 
 
@@ -105,7 +120,7 @@ class CampaignOptions(FlightOptions, total=False):
     """Further options of `run`. model: to compare with, else the vehicle's in use; accept: make the improved model the vehicle's in use;
     only: 'fly' stops after recording, 'fit' after the fit."""
 
-    model: AnyPath | None
+    model: FittedModel | AnyPath | None
     accept: bool
     only: Literal["fly", "fit"] | None
 
@@ -129,7 +144,7 @@ class ServeOptions(TypedDict, total=False):
 
     airframe: Literal["paper", "rotor"]
     backend: Literal["builtin", "sitl"]
-    hide: Sequence[str]
+    hide: Hidden
     seed: int
     port: int
     speed: float
@@ -141,4 +156,11 @@ class ServeOptions(TypedDict, total=False):
 def paths_in(options: Mapping[str, object], *names: str) -> Any:
     """Options with those of these names, where they are given, as paths, and sequences as tuples."""
     found: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
+    found |= {k: (found[k],) for k in ("terms", "waive") if isinstance(found.get(k), str)}
     return found | {name: as_path(found[name]) for name in names if name in found}
+
+
+def reading_options(options: ReadingOptions, *names: str) -> Any:
+    """`paths_in` of options that hold `ReadingOptions`, with the weather by part of a flight's name."""
+    found = paths_in(options, *names)
+    return found | {"weather": {"": found["weather"]}} if isinstance(found.get("weather"), str) else found

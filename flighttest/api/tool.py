@@ -6,15 +6,17 @@ Each calls the step of `pipeline` that the command of the same name calls, as th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
 from flighttest.api.inputs import (
     AnyPath,
+    Hidden,
     ProgressLike,
     ProofOptions,
     ServeOptions,
+    as_hidden,
     as_model,
     as_path,
     as_progress,
@@ -150,7 +152,9 @@ def serve(**options: Unpack[ServeOptions]) -> Iterator[str | Serving]:
     """
     from flighttest.pipeline.vehicles import simulator
 
-    return simulator.serve(simulator.Served(**paths_in(options, "model", "frame")))
+    return simulator.serve(
+        simulator.Served(**paths_in(options, "model", "frame") | {"hide": as_hidden(options.get("hide", ()))})
+    )
 
 
 def sign(connect: str, key: AnyPath, *, remove: bool = False, progress: ProgressLike | None = None) -> Answer:
@@ -178,21 +182,21 @@ def doctor(connect: str | None = None, *, signing_key: AnyPath | None = None) ->
 
 
 def demo(
-    out: AnyPath = "demo",
+    output: AnyPath = "demo",
     *,
-    hide: Iterable[str] = (),
+    hide: Hidden = (),
     seed: int = 1,
     airframe: Literal["paper", "rotor"] = "rotor",
     progress: ProgressLike | None = None,
 ) -> Demonstrated:
     """A simulated vehicle conceals an effect (a slung load where none is given): find it, model it, and predict a flight that was not used.
 
-    out: new folder for the page and the runs.
+    output: new folder for the page and the runs.
     """
     from flighttest.api.campaigns import Demonstrated
     from flighttest.pipeline import demo as workflow
 
-    request = workflow.DemoRequest(Path(out), seed, tuple(hide) or workflow.HIDE, airframe)
+    request = workflow.DemoRequest(Path(output), seed, as_hidden(hide) or workflow.HIDE, airframe)
     result = workflow.demo(request, as_progress(progress))
     page = Path(result.data["report"])
     return Demonstrated(document=result.document, data=result.data, status=result.status, page=page)

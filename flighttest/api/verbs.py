@@ -15,13 +15,15 @@ from flighttest.api.inputs import (
     AnyPath,
     DiagnoseOptions,
     FitOptions,
+    Hidden,
     ProgressLike,
     Source,
+    as_hidden,
     as_model,
     as_path,
     as_progress,
     as_sources,
-    paths_in,
+    reading_options,
 )  # fmt: skip
 from flighttest.recording.model import Recording
 
@@ -72,7 +74,7 @@ def fit(
     """
     from flighttest.pipeline.identification import fitting as analysis
 
-    further = paths_in(options, "output")
+    further = reading_options(options, "output")
     output = further.pop("output", None)
     asked = analysis.FitOptions(model=model, freeze=freeze or {}, tie=tie or {}, **further)
     result = analysis.fit(
@@ -142,7 +144,7 @@ def diagnose(
     """Say where simulation and recordings differ, what physics the model leaves out, and what to fly next.
 
     model: what to start from, one fitted to the recordings where none is given. output: folder for diagnosis.json, model.yaml,
-    report.html and, where one is due, next.yaml. options: `flighttest.api.inputs.DiagnoseOptions`, as weather=["still"].
+    report.html and, where one is due, next.yaml. options: `flighttest.api.inputs.DiagnoseOptions`, as weather="still".
     """
     from flighttest.api.answers import Diagnosed
     from flighttest.api.fitted_model import model_of
@@ -151,7 +153,7 @@ def diagnose(
     from flighttest.pipeline.recordings.sources import Reading
 
     base = None if model is None else as_model(model)
-    further = paths_in(options)
+    further = reading_options(options)
     accepting = further.pop("accept", False)
     reading = Reading(as_path(columns), **further)
     result = search(
@@ -228,13 +230,13 @@ def accept(model: AnyPath, *, vehicle: AnyPath | None = None, runs: AnyPath = "r
 def plan(
     *scripts: AnyPath,
     vehicle: AnyPath | None = None,
-    model: AnyPath | None = None,
+    model: FittedModel | AnyPath | None = None,
     runs: AnyPath = "runs",
     phases: bool = False,
 ) -> Planned:
     """Compile maneuver scripts without a vehicle: steps, duration, battery, predicted envelope against the zone.
 
-    scripts: paths, or names of shipped maneuvers; vehicle: vehicle.yaml, the built-in vehicle where none is given; model: model.yaml flown
+    scripts: paths, or names of shipped maneuvers; vehicle: vehicle.yaml, the built-in vehicle where none is given; model: flown
     through the scripts, else the vehicle's in use in `runs`, else the paper's. phases: those of every leg, too. ScriptError lists
     everything wrong with a script.
     """
@@ -242,7 +244,7 @@ def plan(
     from flighttest.pipeline.planning.checking import check
 
     words = [str(script) for script in scripts]
-    result = check(words, as_path(vehicle), as_path(model), out=Path(runs), verbose=phases)
+    result = check(words, as_path(vehicle), None if model is None else as_model(model), out=Path(runs), verbose=phases)
     return Planned(document=result.document, data=result.data, status=result.status, plans=tuple(result.value))
 
 
@@ -250,7 +252,7 @@ def simulate(
     airframe: Literal["paper", "rotor"] = "paper",
     *,
     model: FittedModel | AnyPath | None = None,
-    hide: Mapping[str, Mapping[str, float]] | None = None,
+    hide: Hidden = (),
     seed: int = 1,
     speed: float = 20.0,
     port: int = 0,
@@ -260,17 +262,18 @@ def simulate(
     """A MAVLink copter on this machine, for tests of whatever talks to one: `with ft.simulate() as vehicle: connect(vehicle.url)`.
 
     airframe: 'paper' (the paper's model) or 'rotor' (rotor-level first principles). model: an identified model flies instead. hide:
-    concealed physics, catalogue id to its values.
-    speed: times real time; port: 0 takes any free one; lockstep: deterministic for a seed, time stands still until the client grants some.
-    options: further fields of `sim.SimOptions`. It ends with the block, or with this process. InputError for options that cannot be.
+    concealed physics, {"ground_effect": {"R2_m2": 0.1}} or ["ground_effect:R2_m2=0.1"]. speed: times real time; port: 0 takes any free
+    one; lockstep: deterministic for a seed, time stands still until the client grants some. options: further fields of `sim.SimOptions`.
+    It ends with the block, or with this process. InputError for options that cannot be.
     """
-    from flighttest.sim import SimOptions, start_simulator
+    from flighttest.sim import SimOptions, parse_hide, start_simulator
 
+    hidden = parse_hide(as_hidden(hide))
     if model is not None:
         from flighttest.api.fitted_model import fitted_model
         from flighttest.twin.vehicle import options_of
 
-        twin = options_of(fitted_model(model).stored, hide, seed=seed, speed=speed, lockstep=lockstep, **options)
+        twin = options_of(fitted_model(model).stored, hidden, seed=seed, speed=speed, lockstep=lockstep, **options)
         return start_simulator(twin, port=port)
-    made = SimOptions(airframe=airframe, hide=hide or {}, seed=seed, speed=speed, lockstep=lockstep, **options)
+    made = SimOptions(airframe=airframe, hide=hidden, seed=seed, speed=speed, lockstep=lockstep, **options)
     return start_simulator(made, port=port)

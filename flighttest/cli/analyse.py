@@ -10,7 +10,7 @@ import click
 import flighttest as ft
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
-from flighttest.cli.words import held, ties
+from flighttest.cli.words import held, ties, weather_by_part
 
 if TYPE_CHECKING:
     from flighttest.api.inputs import DiagnoseOptions, FitOptions
@@ -56,6 +56,7 @@ WEATHER = click.option(
     "--weather",
     multiple=True,
     metavar="[FLIGHT=]still",
+    callback=lambda context, option, words: weather_by_part(words),
     help="Flights in still air: a prior for the wind of each flight.",
 )
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     class _RunOptions(CampaignOptions):
         connect: str | None
         vehicle: Path | None
-        out: Path
         hide: tuple[str, ...]
         seed: int
 
@@ -76,7 +75,9 @@ def check(
     help="The live picture; large is read from two metres and in the sun.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask before arming.")
-def run(context: Context, scripts: tuple[str, ...], view: str, yes: bool, **options: Unpack[_RunOptions]) -> int:
+def run(
+    context: Context, scripts: tuple[str, ...], out: Path, view: str, yes: bool, **options: Unpack[_RunOptions]
+) -> int:
     """Fly maneuver scripts, record, cut, fit, diagnose and report.
 
     SCRIPT is a path or the name of a shipped maneuver. Without --vehicle or --connect it flies the built-in simulated
@@ -84,7 +85,7 @@ def run(context: Context, scripts: tuple[str, ...], view: str, yes: bool, **opti
     """
     if not scripts and options["resume"] is None:
         raise click.UsageError("nothing to fly: name a SCRIPT, or a run with --resume")
-    asked = flight(*scripts, **options)
+    asked = flight(*scripts, runs=out, **options)
     context.show.say(asked.sentence)
     if not yes and asked.real and not sys.stdin.isatty():
         raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")

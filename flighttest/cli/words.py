@@ -1,4 +1,4 @@
-"""Words of the command line to typed values: NAME=VALUE, A=B and lists of seconds."""
+"""Words of the command line to typed values: NAME=VALUE, A=B, FLIGHT=still and lists of seconds."""
 
 from __future__ import annotations
 
@@ -39,6 +39,11 @@ def ties(words: Sequence[str]) -> dict[str, str]:
             "tie each to one that is free",
         )
     return found
+
+
+def weather_by_part(words: Sequence[str]) -> dict[str, str]:
+    """--weather still (of all flights) or FLIGHT=still, repeated: part of a flight's name to its weather, '' being in every name."""
+    return {part: value for part, _, value in (word.rpartition("=") for word in words)}
 
 
 def seconds(word: str | None) -> tuple[float, ...]:

@@ -47,10 +47,12 @@ def test_recorded_commands_run_on_a_changed_vehicle(fitted, log):
 
 
 @pytest.fixture
-def _nothing_found(monkeypatch, fitted):
-    """The search for terms is tested elsewhere: here it finds none."""
+def nothing_found(monkeypatch, fitted):
+    """The search for terms is tested elsewhere: here it finds none. Gives the weather that each search was given."""
+    weathers = []
 
-    def no_search(_segments, _recordings, stored, _vehicle, _progress):
+    def no_search(_segments, _recordings, stored, _vehicle, _progress, weather=None):
+        weathers.append(weather)
         model = fitted.fit.model
         floor = {c.rsplit("_", 1)[0]: {"value": q.rmse, "from": FROM_REPEATS} for c, q in fitted.fit.quality.items()}
         return SimpleNamespace(
@@ -60,16 +62,17 @@ def _nothing_found(monkeypatch, fitted):
 
     monkeypatch.setattr(against, "run_diagnosis", no_search)
     monkeypatch.setattr(twin, "run_diagnosis", no_search)
+    return weathers
 
 
-@pytest.mark.usefixtures("_nothing_found")
-def test_a_simulator_is_opposed_to_reality(log):
+def test_a_simulator_is_opposed_to_reality(log, nothing_found):
     series = {
         g: type(s)(s.t_s, {n: v * (1.5 if n == "roll_rad" else 1.0) for n, v in s.columns.items()})
         for g, s in log.series.items()
     }
     simulated = ft.Recording("simulated", series, log.markers, type(log.provenance)("made", "table"))
-    found = ft.against(log, simulated)
+    found = ft.against(log, simulated, weather={"simulated": "still"})
+    assert nothing_found == [{log.name: "unknown"}, {"simulated": "still"}]
     assert found.lacks == ()
     assert {d.name for d in found.differences if d.differs} == set(found.data["other_value"])
     assert found.to_frame().loc["omega_phi", "real"] == pytest.approx(found.model.values["omega_phi"])
@@ -78,7 +81,7 @@ def test_a_simulator_is_opposed_to_reality(log):
         ft.against(log, [log])
 
 
-@pytest.mark.usefixtures("_nothing_found")
+@pytest.mark.usefixtures("nothing_found")
 def test_a_twin_of_a_log_is_compared_on_its_recorded_commands(fitted, log):
     seen = []
     found = ft.twin(fitted.model, log, progress=seen.append)
@@ -112,4 +115,4 @@ def test_what_is_installed_is_a_table():
 
 def test_a_real_vehicle_arms_only_where_that_is_said(tmp_path):
     with pytest.raises(ft.InputError, match=r"may be a real vehicle.*give arm=True"):
-        ft.run("thrust", connect="udpin:127.0.0.1:1", out=tmp_path)
+        ft.run("thrust", connect="udpin:127.0.0.1:1", runs=tmp_path)

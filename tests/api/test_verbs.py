@@ -107,7 +107,7 @@ def test_terms_are_found_by_name_and_by_attribute():
 def test_a_model_is_accepted_and_in_use(fitted, tmp_path):
     (tmp_path / "runs").mkdir()
     assert ft.models(tmp_path / "runs").to_frame().empty
-    with pytest.raises(ft.InputError, match="0 models are in use"):
+    with pytest.raises(ft.InputError, match="no model of any vehicle is in use"):
         ft.models(tmp_path / "runs").in_use()
     kept = fitted.model.write(tmp_path / "model.yaml")
     found = ft.accept(kept, runs=tmp_path / "runs")
@@ -118,7 +118,7 @@ def test_a_model_is_accepted_and_in_use(fitted, tmp_path):
 
 def test_a_real_vehicle_flies_only_where_that_is_said(tmp_path):
     with pytest.raises(ft.InputError, match=r"may be a real vehicle.*give arm=True"):
-        ft.fly("thrust", connect="udpin:127.0.0.1:1", out=tmp_path)
+        ft.fly("thrust", connect="udpin:127.0.0.1:1", runs=tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -152,3 +152,40 @@ def test_the_light_palette_is_the_pages(repository):
         if isinstance(colour, str):
             assert f'{name}: "{colour}"' in light
     assert json.dumps(LIGHT["heat"]) in light
+
+
+def test_what_an_interactive_session_shows_is_one_line(log, fitted, tmp_path):
+    with ft.simulate("rotor") as vehicle:
+        shown = [repr(vehicle)]
+    run = ft.Model().simulate({"t_s": [0.0, 0.1], "throttle": [0.2, 0.2]})
+    shown += map(repr, (log, log.series["attitude"], ft.segment(log), fitted, fitted.model, ft.Model(), ft.terms, run))
+    shown += [repr(ft.terms.ground_effect), repr(ft.plan("yaw_rate"))]
+    assert [text for text in shown if "\n" in text or not text.startswith("<") or len(text) > 700] == []
+    assert repr(ft.Model() + "ground_effect") == "<Model body + linear_drag + ground_effect: 15 parameters>"
+    assert f"{len(log.markers)} markers" in repr(log)
+
+
+def test_concealed_effects_are_given_as_values_or_as_words():
+    for hide in ({"ground_effect": {"R2_m2": 0.1}}, ["ground_effect:R2_m2=0.1"], "ground_effect:R2_m2=0.1"):
+        with ft.simulate("rotor", hide=hide) as vehicle:
+            assert vehicle.options.hide == {"ground_effect": {"R2_m2": 0.1}}
+
+
+def test_the_weather_is_of_all_flights_or_of_those_that_are_named(log):
+    for weather in ("still", {"": "still"}, {log.name[:3]: "still"}):
+        assert ft.fit(log, weather=weather).good
+    with pytest.raises(ft.InputError, match="no flight has this in its name; the flights are"):
+        ft.fit(log, weather={"another": "still"})
+    with pytest.raises(ft.InputError, match="weather 'calm' is not known"):
+        ft.fit(log, weather="calm")
+
+
+def test_a_list_of_recordings_is_refused_with_what_to_write(log):
+    with pytest.raises(ft.InputError, match=r"a list is no recording; give each .* as \*runs"):
+        ft.fit([log])
+
+
+def test_models_are_compared_and_planned_with_as_values(fitted, tmp_path):
+    path = fitted.model.write(tmp_path / "model.yaml")
+    assert ft.compare(fitted.model, path).differing == ()
+    assert ft.plan("yaw_rate", model=fitted.model).to_frame().equals(ft.plan("yaw_rate", model=path).to_frame())

@@ -19,7 +19,7 @@ assert_type(fitted.model, ft.FittedModel)
 print(fitted.model.equations(), fitted.model.citations(), fitted.model.write("model.yaml"))
 print((ft.Model() + ft.terms.ground_effect).names)
 
-found = ft.diagnose(flight, model=fitted.model, weather=["still"])
+found = ft.diagnose(flight, model=fitted.model, weather="still")
 assert_type(found.accepted, tuple[str, ...])
 print(found.verdict.value, [where.sentence for where in found.located])
 assert_type(found.write_page("page.html"), Path)

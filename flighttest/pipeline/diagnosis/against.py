@@ -16,6 +16,7 @@ from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.diagnosis.diagnose import run_diagnosis
 from flighttest.pipeline.identification.fitting import cut_all, model_data
+from flighttest.pipeline.identification.per_flight import weather_of
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.consistency import deduplicate
 from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
@@ -55,11 +56,14 @@ def against(
             )
     for recordings in sides:
         of_one_vehicle(recordings)
+    weather = weather_of({} if reading is None else reading.weather, [*sides[0], *sides[1]], declared)
     segments = [cut_all(recordings, progress) for recordings in sides]
     diagnoses = []
     for what, some, recordings in zip(("real", "simulated"), segments, sides, strict=True):
         progress.stage(f"the {what} recordings")
-        diagnoses.append(run_diagnosis(some, recordings, stored, declared, progress))
+        diagnoses.append(
+            run_diagnosis(some, recordings, stored, declared, progress, {r.name: weather[r.name] for r in recordings})
+        )
     progress.stage("comparing")
     found = compare(segments[0], segments[1], *diagnoses)
     data = as_data(found, *diagnoses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from flighttest.identify.winds import WIND_TERM
 from flighttest.physics.catalogue import catalogue
 from flighttest.pipeline.diagnosis.next_flight import flyable_in, held_against_zone
 from flighttest.pipeline.identification.fitting import base_model, cut_all, model_data
-from flighttest.pipeline.identification.per_flight import declared_weather
+from flighttest.pipeline.identification.per_flight import weather_of
 from flighttest.pipeline.identification.reporting import DIAGNOSIS_NAME, REPORT_NAME, run_document
 from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
@@ -57,18 +57,18 @@ def run_diagnosis(
     stored: ModelFile | None,
     vehicle: Vehicle | None,
     progress: Progress = SILENT,
-    weather: Sequence[str] = (),
+    weather: Mapping[str, str] | None = None,
 ) -> Diagnosis:
     """The diagnosis of segments, from the stored model's physics or the paper's; its proposal held against the vehicle's zone.
 
-    Free flight alone by equation error (`diagnose.free_flight`), all else by output error. weather: as in `Reading`; where it is not said,
-    the vehicle's holds.
+    Free flight alone by equation error (`diagnose.free_flight`), all else by output error. weather: flight to 'still' or 'unknown',
+    the vehicle's where it is not given.
     """
     previous = None
     if stored is not None:
         previous = {name: (p.value, p.scatter) for name, p in stored.parameters.items()}
     progress.stage("looking for what the model leaves out")
-    air = declared_weather(weather, recordings, "unknown" if vehicle is None else vehicle.weather)
+    air = weather_of({}, recordings, vehicle) if weather is None else weather
     base = stored.model if stored is not None else base_model(recordings, vehicle)
     if is_free_flight(segments):
         return diagnose_free_flight(segments, base, previous=previous, weather=air, progress=progress.stage)
@@ -105,7 +105,7 @@ def diagnose(
     doubtful = inconsistencies(recordings)
     recordings = deduplicate(recordings)
     segments = cut_all(recordings, progress)
-    weather = () if reading is None else reading.weather
+    weather = weather_of({} if reading is None else reading.weather, recordings, declared)
     found = run_diagnosis(segments, recordings, stored, declared, progress, weather)
     found = replace(found, notes=(*found.notes, *doubtful))
     data = found.to_json()

@@ -59,7 +59,7 @@ class FlightRequest:
     seed: int = 1
     airframe: str = "paper"
     hide: tuple[str, ...] = ()
-    model: Path | None = None
+    model: Path | ModelFile | None = None
     fly_only: bool = False
     fit_only: bool = False
     resume: Path | None = None
@@ -195,7 +195,11 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
     vehicle = declared_vehicle(request)
     _known_waivers(request.waive)
     names = request.scripts or (str(script_of(request.resume)),)
-    previous = model_of(request.out, vehicle.name) if request.model is None else model_file.read(request.model)
+    previous = request.model
+    if previous is None:
+        previous = model_of(request.out, vehicle.name)
+    elif isinstance(previous, Path):
+        previous = model_file.read(previous)
     prior, _ = prior_of(request.model, request.out, vehicle)
     compiled = plans(names, vehicle, prior)
     for plan in compiled:

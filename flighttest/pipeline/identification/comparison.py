@@ -16,8 +16,11 @@ from flighttest.report.document import Align, Cell, Document, Section, Table
 from flighttest.report.numbers import join, percent, to_error, unit
 
 
-def open_model(path: Path, progress: Progress = SILENT) -> ModelFile:
-    """A model file, or the fit of a run or log."""
+def open_model(source: Path | ModelFile, progress: Progress = SILENT) -> ModelFile:
+    """A model as it is, of its file, or the fit of a run or log."""
+    if isinstance(source, ModelFile):
+        return source
+    path = source
     if not path.exists():
         raise InputError(f"{path}: there is no such model or run", "give a model.yaml, a run folder or a log")
     if path.suffix in (".yaml", ".yml") or any((path / name).is_file() for name in model_file.NAMES):
@@ -27,7 +30,7 @@ def open_model(path: Path, progress: Progress = SILENT) -> ModelFile:
     return model_file.from_fit(found)
 
 
-def compare(first: Path, second: Path, progress: Progress = SILENT) -> Result:
+def compare(first: Path | ModelFile, second: Path | ModelFile, progress: Progress = SILENT) -> Result:
     """z-scores per parameter between two models or two runs, and which differ, in one table."""
     a, b = open_model(first, progress), open_model(second, progress)
     found = compare_models(a, b)

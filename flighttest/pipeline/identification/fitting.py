@@ -20,7 +20,7 @@ from flighttest.identify.validation.block_coordinate_descent import cross_checke
 from flighttest.physics.body import DELAY, DELAY_PARAM
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import NOMINAL_VOLTAGE_V, PAPER_TERMS, Model, pack_voltage
-from flighttest.pipeline.identification.per_flight import declared_weather, motor_section, wind_section
+from flighttest.pipeline.identification.per_flight import motor_section, weather_of, wind_section
 from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_views, why_nothing
 from flighttest.pipeline.recordings.batteries import battery_data
 from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies
@@ -49,7 +49,7 @@ class FitOptions:
     """Options of a fit: terms beside the model's, parameters to hold at a value, parameters to tie to another, how many processes.
 
     model: where it is not the paper's; its nominal voltage and the height of its rotors count where neither vehicle nor recordings state
-    them. weather: 'still', or 'FLIGHT=still' for flights whose name holds FLIGHT.
+    them. weather: part of a flight's name ('' for all) to 'still' or 'unknown'.
     """
 
     terms: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ class FitOptions:
     workers: int = 1
     scheduler: str | None = None
     model: Model | None = None
-    weather: tuple[str, ...] = ()
+    weather: Mapping[str, str] = field(default_factory=dict)
 
 
 def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tuple[Segment, ...]:
@@ -262,7 +262,7 @@ def fit(
     doubtful = inconsistencies(recordings)
     recordings = deduplicate(recordings)
     segments = cut_all(recordings, progress)
-    weather = declared_weather(options.weather, recordings, "unknown" if declared is None else declared.weather)
+    weather = weather_of(options.weather, recordings, declared)
     found = fit_segments(segments, recordings, declared, options, progress)
     found = replace(found, notes=(*found.notes, *doubtful))
     result = finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])

@@ -18,6 +18,8 @@ from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
 from flighttest.report.sections.diagnosis import winds_table
 from flighttest.segments import Segment
+from flighttest.vehicle.load import WEATHERS
+from flighttest.vehicle.model import Vehicle
 
 
 class DragRow(TypedDict):
@@ -35,23 +37,19 @@ class WindsData(TypedDict, total=False):
     winds_drag: dict[str, DragRow]
 
 
-WEATHERS = ("still", "unknown")
-
-
-def declared_weather(said: Sequence[str], recordings: Sequence[Recording], vehicle: str = "unknown") -> dict[str, str]:
-    """Flight to 'still' or 'unknown'. said: `still`, of all flights, or `PART=still`, of those whose name holds PART; the last that fits a
-    flight counts, else vehicle.yaml's."""
-    found = dict.fromkeys((r.name for r in recordings), vehicle)
-    for one in said:
-        part, _, weather = one.rpartition("=")
+def weather_of(
+    declared: Mapping[str, str], recordings: Sequence[Recording], vehicle: Vehicle | None = None
+) -> dict[str, str]:
+    """Flight to 'still' or 'unknown'. declared: part of a flight's name ('' is in every name) to its weather; of several that fit a flight
+    the last counts, else vehicle.yaml's. InputError for another weather, and for a part that is in no flight's name."""
+    found = dict.fromkeys((r.name for r in recordings), "unknown" if vehicle is None else vehicle.weather)
+    for part, weather in declared.items():
         if weather not in WEATHERS:
-            raise InputError(
-                f"--weather {one}: {weather!r} is no weather", f"write {' or '.join(WEATHERS)}, or FLIGHT=still"
-            )
+            raise InputError(f"weather {weather!r} is not known", f"the known ones are {' and '.join(WEATHERS)}")
         named = [name for name in found if part in name]
         if not named:
             raise InputError(
-                f"--weather {one}: no flight's name holds {part!r}", f"the flights are {join(list(found))}"
+                f"weather of {part!r}: no flight has this in its name", f"the flights are {join(list(found))}"
             )
         found |= dict.fromkeys(named, weather)
     return found

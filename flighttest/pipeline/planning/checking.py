@@ -16,6 +16,8 @@ from flighttest.identify.expected_information import (
     expected_of_information,
     planned_information,
 )
+from flighttest.identify.models import model_file
+from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.planning.predictor import ModelPredictor
 from flighttest.pipeline.results import Result, Status
@@ -37,22 +39,22 @@ from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 HOVERS = (0.03, 0.97)  # of full throttle: a model that hovers outside is not of this vehicle
 
 
-def predictor_for(model: Path | None, vehicle: Vehicle) -> ModelPredictor:
+def predictor_for(model: Path | ModelFile | None, vehicle: Vehicle) -> ModelPredictor:
     """The fitted model where one is given, else the paper's, its thrust gain set by the vehicle's hover throttle."""
     if model is not None:
-        from flighttest.identify.models import model_file
-
-        stored = model_file.read(model)
-        # A model of free flights alone has no attitude loops, and a script is flown through them: the paper's stand in.
+        stored = model_file.read(model) if isinstance(model, Path) else model
+        # A model of free flights alone has no attitude loops, and a script is flown through them: the paper's are used.
         return ModelPredictor(replace(stored.model, attitude_loops=True), stored.values)
     base = ModelPredictor().model
     gain = base.g_m_s2 / vehicle.hover_throttle
     return ModelPredictor(replace(base, nominal_voltage_v=vehicle.nominal_voltage_v), {"K": gain})
 
 
-def prior_of(model: Path | None, out: Path, vehicle: Vehicle) -> tuple[ModelPredictor, Path | None]:
+def prior_of(
+    model: Path | ModelFile | None, out: Path, vehicle: Vehicle
+) -> tuple[ModelPredictor, Path | ModelFile | None]:
     """The model given, else the accepted one of this vehicle as far as it has its thrust, else the paper's as `predictor_for` has it; and
-    the file it is from."""
+    where it is from, None for the paper's."""
     accepted = lineage_of(out, vehicle.name).current if model is None and vehicle.name else None
     if accepted is not None and hovers(found := predictor_for(accepted, vehicle), vehicle):
         return found, accepted
@@ -75,7 +77,7 @@ def plans(
 def check(
     scripts: Sequence[str],
     vehicle: Path | None,
-    model: Path | None,
+    model: Path | ModelFile | None,
     *,
     out: Path = DEFAULT_RUNS,
     verbose: bool = False,
@@ -86,7 +88,7 @@ def check(
     prior, source = prior_of(model, out, declared)
     hover = float(prior.hover_throttle(np.array([declared.nominal_voltage_v]))[0])
     if not hovers(prior, declared):
-        whose = model or "the vehicle as declared"
+        whose = "the vehicle as declared" if model is None else _source(model)
         raise InputError(
             f"{whose}: at this vehicle's {declared.nominal_voltage_v:g} V the model hovers at {100 * hover:.1f} % throttle: it is of "
             "another vehicle, or its thrust is not identified",
@@ -112,7 +114,7 @@ def check(
     facts = {
         "vehicle": declared.name + ("" if vehicle is not None else " (the built-in one: no --vehicle was given)"),
         "zone": f"{spans} m, margin {zone.margin_m:g} m",
-        "prior": str(source) if source is not None else "the paper's model, scaled to the hover throttle",
+        "prior": _source(source) if source is not None else "the paper's model, scaled to the hover throttle",
     }
     refused = any(not r.ok for r in results)
     data: dict[str, Any] = {"scripts": [plain(r) for r in results], "ok": not refused}
@@ -122,6 +124,11 @@ def check(
     if together is not None:
         document = replace(document, sections=(*document.sections, together))
     return Result(document, data, Status.BAD_INPUT if refused else Status.DONE, compiled)
+
+
+def _source(model: Path | ModelFile) -> str:
+    """Where a model is from, as facts and errors name it."""
+    return str(model) if isinstance(model, Path) else model.path or "the model given"
 
 
 def _steps_asked(script: Script) -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -76,12 +76,13 @@ def _rebuilt(folder: Path, manifest: Manifest, raw: Path) -> Recording:
 @dataclass(frozen=True)
 class Reading:
     """How recordings are read. columns: column map of foreign tables; workers: processes on this machine; scheduler: address of a Dask
-    cluster instead, whose workers see the same paths; weather: what is said of it, 'still' of all flights or 'FLIGHT=still'."""
+    cluster instead, whose workers see the same paths; weather: part of a flight's name
+    ('' for all) to 'still' or 'unknown'."""
 
     columns: Path | None = None
     workers: int = 1
     scheduler: str | None = None
-    weather: tuple[str, ...] = ()
+    weather: Mapping[str, str] = field(default_factory=dict)
 
 
 def open_recordings(
