@@ -34,7 +34,7 @@ from flighttest.proof.cases import Case, draw
 from flighttest.proof.flying import fly_campaign, options_of
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.scoreboard import rates, right, score, wrong
-from flighttest.proof.trial import Measured, opened
+from flighttest.proof.trial import OracleAnswer, opened
 from flighttest.segments import Segment, cut
 from flighttest.sim import SimOptions
 
@@ -133,7 +133,7 @@ def _too_long(_signal: int, _frame: Any) -> None:
 
 def outcome_of(case: Case, reported: Mapping[str, Any], known: Outcome) -> Outcome:
     """An answer beside what the reference knows of the truth. A diagnosis that failed named nothing."""
-    measured = Measured(sizes=known.sizes, classes=known.classes)
+    measured = OracleAnswer(sizes=known.sizes, classes=known.classes)
     if "diagnosis" not in reported:
         blank = {
             "findings": (),

@@ -26,7 +26,7 @@ from flighttest.flight.preparation.preflight import RATES_HZ
 from flighttest.flight.recorder import Recorder
 from flighttest.flight.state import StateReader
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.mavlink.dialect import book, parser
@@ -95,7 +95,7 @@ def main() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    session = Session(Port(open_transport(f"udpin:127.0.0.1:{port}")))
+    session = Session(MavlinkPort(open_transport(f"udpin:127.0.0.1:{port}")))
     came: mp.Queue = mp.Queue()
     beside = [mp.Process(target=double, args=(port, asked.seconds + 3.0, came), daemon=True)]
     beside += [mp.Process(target=compute, daemon=True) for _ in range(asked.busy)]

@@ -17,7 +17,7 @@ import yaml
 
 from flighttest.datafiles import MAX_DEPTH
 from flighttest.datafiles import SCRIPT_BYTES as MAX_BYTES
-from flighttest.errors import InputError, Problem
+from flighttest.errors import FileProblem, InputError
 
 MAX_NODES = 100_000
 
@@ -98,12 +98,12 @@ class _Watched(yaml.SafeLoader):
         return event
 
 
-class Document:
+class YamlDocument:
     """One file being read. Every problem found is kept; `root` is None when the text is no YAML mapping at all."""
 
     def __init__(self, file: str, text: str) -> None:
         self.file = file
-        self.problems: list[Problem] = []
+        self.problems: list[FileProblem] = []
         self.root: Node | None = None
         if len(text.encode("utf-8", "replace")) > MAX_BYTES:
             self.problem(1, "", f"the file is larger than {MAX_BYTES} bytes", "it is no file of this kind")
@@ -133,7 +133,7 @@ class Document:
 
     def problem(self, line: int, path: str, what: str, hint: str = "") -> None:
         """Note one thing that is wrong."""
-        self.problems.append(Problem(self.file, line, path, what, hint))
+        self.problems.append(FileProblem(self.file, line, path, what, hint))
 
     def wrong(self, node: Node, what: str, hint: str = "") -> None:
         """Note one thing that is wrong with this value."""
@@ -320,7 +320,9 @@ class Document:
         return value if isinstance(value, (str, int, float, bool)) or value is None else str(node.value)
 
 
-def require(document: Document, fields: Mapping[str, Node], names: Iterable[str], line: int, path: str = "") -> None:
+def require(
+    document: YamlDocument, fields: Mapping[str, Node], names: Iterable[str], line: int, path: str = ""
+) -> None:
     """Note every name that is missing from `fields`."""
     for name in names:
         if name not in fields:
@@ -336,12 +338,12 @@ class Form:
     error: type[InputError]
 
 
-def read_form(text: str, file: str, form: Form, build: Callable[[Document, dict[str, Node]], T]) -> T:
+def read_form(text: str, file: str, form: Form, build: Callable[[YamlDocument, dict[str, Node]], T]) -> T:
     """What `build` makes of the keys at the top of a document; all problems found until then are raised at once, with `file` as their file.
 
     build: notes what is wrong in the document and goes on; what it returns counts only where it noted nothing.
     """
-    document = Document(file, text)
+    document = YamlDocument(file, text)
     document.check_format(form.name)
     built = build(document, document.mapping(document.root, form.keys)) if document.root is not None else None
     document.raise_problems(form.error)  # a document without a root has problems
@@ -363,5 +365,5 @@ _Plain.add_representer(str, _Plain.represent_str)
 
 
 def write_text(data: Mapping[str, object]) -> str:
-    """YAML that `Document` reads back, keys in the order given."""
+    """YAML that `YamlDocument` reads back, keys in the order given."""
     return str(yaml.dump(dict(data), Dumper=_Plain, sort_keys=False, width=120, allow_unicode=True))

@@ -38,7 +38,7 @@ class FlighttestError(Exception):
 
 
 @dataclass(frozen=True)
-class Problem:
+class FileProblem:
     """One thing wrong in a text file: where (file, line, path inside the document), what, and the remedy."""
 
     file: str
@@ -56,12 +56,12 @@ class Problem:
 class InputError(FlighttestError):
     """A file or an argument a person wrote cannot be used; `problems` lists everything wrong with it."""
 
-    def __init__(self, message: str, hint: str = "", problems: Sequence[Problem] = ()) -> None:
+    def __init__(self, message: str, hint: str = "", problems: Sequence[FileProblem] = ()) -> None:
         super().__init__(message, hint)
         self.problems = tuple(problems)
 
     @classmethod
-    def of(cls, problems: Sequence[Problem]) -> InputError:
+    def of(cls, problems: Sequence[FileProblem]) -> InputError:
         """Build the error from all problems found in one pass over a file."""
         return cls("\n".join(str(p) for p in problems), problems=problems)
 

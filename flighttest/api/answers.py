@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from flighttest.plan.model import Plan
     from flighttest.recording.model import Recording
     from flighttest.segments.model import Segment
-    from flighttest.validity.model import Assessment
-    from flighttest.validity.model import Verdict as ValidityVerdict
+    from flighttest.validity.model import Assessment, ValidityVerdict
 
 STEPPED = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}
 PLAN_RATE_HZ = 50.0

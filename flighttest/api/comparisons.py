@@ -11,9 +11,9 @@ from flighttest.api.answers import Answer
 from flighttest.api.fitted_model import FittedModel
 from flighttest.diagnose.against import Against, Difference
 from flighttest.diagnose.model import Diagnosis
-from flighttest.identify.models.compare import Difference as ModelDifference
+from flighttest.identify.models.compare import ParameterDifference
 from flighttest.report.document import Figure, Panel, Role, Trace
-from flighttest.twin.replay import Effect, Replay
+from flighttest.twin.replay import ChangeEffect, Replay
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -109,7 +109,7 @@ class Replayed(Answer):
     found: Replay
 
     @property
-    def effects(self) -> Mapping[str, Effect]:
+    def effects(self) -> Mapping[str, ChangeEffect]:
         """By channel: error of the twin, and mean shift, size and uncertainty of the change, SI."""
         return self.found.effects
 
@@ -123,7 +123,7 @@ class Replayed(Answer):
 class Compared(Answer):
     """`compare`: two models side by side. differences: every parameter of either, those that differ first."""
 
-    differences: tuple[ModelDifference, ...]
+    differences: tuple[ParameterDifference, ...]
 
     @property
     def differing(self) -> tuple[str, ...]:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document
+from flighttest.documents import YamlDocument
 from flighttest.errors import InputError, ModelError
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_blocks import ModelData
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
-from flighttest.physics.equations import Equations
+from flighttest.physics.equations import ModelEquations
 from flighttest.physics.model import Model
 from flighttest.physics.simulated import Simulated
 from flighttest.report.document import Figure, Panel, Trace
@@ -57,7 +57,7 @@ class FittedModel:
         """Every parameter that a simulation needs, by name, SI."""
         return dict(self.stored.values)
 
-    def equations(self) -> Equations:
+    def equations(self) -> ModelEquations:
         """The model written out with its numbers; `print` it."""
         return self.physics.equations(self.values)
 
@@ -121,7 +121,7 @@ def fitted_model(source: FittedModel | str | PathLike[str]) -> FittedModel:
         return source
     path = model_file.held_by(Path(source))
     stored = model_file.read(path)
-    root = Document(str(path), read_text(path, ModelError, "model file")).root
+    root = YamlDocument(str(path), read_text(path, ModelError, "model file")).root
     return FittedModel(stored, root.plain() if root is not None else {})
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 AnyPath = str | PathLike[str]
 Source = str | PathLike[str] | Recording
 ProgressLike = Callable[[str], object] | Progress
-Hidden = Mapping[str, Mapping[str, float]] | Iterable[str]
+HiddenEffects = Mapping[str, Mapping[str, float]] | Iterable[str]
 Weather = Literal["still", "unknown"] | Mapping[str, Literal["still", "unknown"]]
 
 
@@ -69,7 +69,7 @@ def as_model(model: FittedModel | AnyPath) -> Path | ModelFile:
     return Path(model) if isinstance(model, str | PathLike) else model.stored
 
 
-def as_hidden(hide: Hidden) -> tuple[str, ...]:
+def as_hidden(hide: HiddenEffects) -> tuple[str, ...]:
     """Effects to conceal, each as id:key=value,key=value. hide: id to its values, SI, or such words."""
     if isinstance(hide, Mapping):
         return tuple(f"{i}:{','.join(f'{key}={float(v)!r}' for key, v in given.items())}" for i, given in hide.items())
@@ -144,7 +144,7 @@ class ServeOptions(TypedDict, total=False):
 
     airframe: Literal["paper", "rotor"]
     backend: Literal["builtin", "sitl"]
-    hide: Hidden
+    hide: HiddenEffects
     seed: int
     port: int
     speed: float

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, Unpack
 
 from flighttest.api.inputs import (
     AnyPath,
-    Hidden,
+    HiddenEffects,
     ProgressLike,
     ProofOptions,
     ServeOptions,
@@ -184,7 +184,7 @@ def doctor(connect: str | None = None, *, signing_key: AnyPath | None = None) ->
 def demo(
     output: AnyPath = "demo",
     *,
-    hide: Hidden = (),
+    hide: HiddenEffects = (),
     seed: int = 1,
     airframe: Literal["paper", "rotor"] = "rotor",
     progress: ProgressLike | None = None,

@@ -15,7 +15,7 @@ from flighttest.api.inputs import (
     AnyPath,
     DiagnoseOptions,
     FitOptions,
-    Hidden,
+    HiddenEffects,
     ProgressLike,
     Source,
     as_hidden,
@@ -76,7 +76,7 @@ def fit(
 
     further = reading_options(options, "output")
     output = further.pop("output", None)
-    asked = analysis.FitOptions(model=model, freeze=freeze or {}, tie=tie or {}, **further)
+    asked = analysis.FitRequest(model=model, freeze=freeze or {}, tie=tie or {}, **further)
     result = analysis.fit(
         as_sources(sources),
         output,
@@ -252,7 +252,7 @@ def simulate(
     airframe: Literal["paper", "rotor"] = "paper",
     *,
     model: FittedModel | AnyPath | None = None,
-    hide: Hidden = (),
+    hide: HiddenEffects = (),
     seed: int = 1,
     speed: float = 20.0,
     port: int = 0,

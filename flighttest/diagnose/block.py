@@ -64,7 +64,7 @@ class Asked:
 
 
 @dataclass
-class Answer:
+class BlockAnswer:
     """What was found in one block, for `run` to put together. search: as it ended, None where nothing moves the block.
 
     shares: of each channel's excess what stays; staying: channels (short) whose mismatch stays. The rest as in `Diagnosis`.
@@ -87,12 +87,12 @@ class Answer:
     staying: set[str] = field(default_factory=set)
 
 
-def answer(block: str, asked: Asked) -> Answer:
+def answer(block: str, asked: Asked) -> BlockAnswer:
     """Search one block.
 
     An interrupt (KeyboardInterrupt) ends the search; what is known is reported.
     """
-    made = Answer()
+    made = BlockAnswer()
     estimator = Estimator(asked.segments, block, able)
     model = asked.model
     own = model.with_terms(COUPLING) if block == "roll_pitch" else model
@@ -116,7 +116,7 @@ def answer(block: str, asked: Asked) -> Answer:
     return made
 
 
-def _tell(made: Answer, search: Search, asked: Asked) -> None:
+def _tell(made: BlockAnswer, search: Search, asked: Asked) -> None:
     """Put into an answer what a search came to: the model before and after, what was named and what was not."""
     segments = asked.segments
     base, now, floor = search.base, search.now, search.floor
@@ -199,8 +199,8 @@ def _candidates(search: Search) -> list[CandidateRow]:
     return found
 
 
-def listed(answers: Sequence[Answer], what: str) -> list[Any]:
-    """One of the blocks' lists (a field of `Answer`), one after the other."""
+def listed(answers: Sequence[BlockAnswer], what: str) -> list[Any]:
+    """One of the blocks' lists (a field of `BlockAnswer`), one after the other."""
     return [each for a in answers for each in getattr(a, what)]
 
 

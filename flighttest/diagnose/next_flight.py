@@ -33,7 +33,7 @@ from flighttest.physics.model import Model
 from flighttest.physics.simulate import Edges, Run, simulate_many
 from flighttest.script.load import parse_script
 from flighttest.script.model import Script, ScriptData
-from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
+from flighttest.script.profiles import PROFILES, Piece, StepCell, Timeline
 from flighttest.script.shipped import resolve, shipped_names
 from flighttest.segments.model import Segment
 
@@ -113,7 +113,7 @@ def _proposal(
     return reason, script
 
 
-def cells_of(script: Script, throttle_unit: float) -> list[Cell]:
+def cells_of(script: Script, throttle_unit: float) -> list[StepCell]:
     """Distinct steps of a script, at most a dozen, spread over it."""
     found = [
         c
@@ -153,7 +153,7 @@ class _Step:
     """One planned step: the k-th cell of a script, in one of its repeats, at a heading (rad) and a battery voltage (V)."""
 
     script: Script
-    cell: Cell
+    cell: StepCell
     k: int
     repeat: int
     heading_rad: float

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.block import SEED, Answer, Asked, answer, listed, merged
+from flighttest.diagnose.block import SEED, Asked, BlockAnswer, answer, listed, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
     compensated_voltage,
@@ -49,12 +49,12 @@ SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 SHAPE_ALONE = "times its usual self"
 UNTRIED = "not looked for to the end: the search was interrupted"
 
-SideBySide = Callable[[Callable[[Sequence[str]], list[Answer]], Sequence[str], Sequence[float]], list[Answer]]
+SideBySide = Callable[[Callable[[Sequence[str]], list[BlockAnswer]], Sequence[str], Sequence[float]], list[BlockAnswer]]
 
 
 def one_after_the_other(
-    work: Callable[[Sequence[str]], list[Answer]], items: Sequence[str], _shares: Sequence[float]
-) -> list[Answer]:
+    work: Callable[[Sequence[str]], list[BlockAnswer]], items: Sequence[str], _shares: Sequence[float]
+) -> list[BlockAnswer]:
     """All the work in this process."""
     return work(items)
 
@@ -98,16 +98,16 @@ def diagnose(
     asked = Asked(kept, model, pool, base, groups, previous or {}, say)
     blocks = [b for b in BLOCKS if b == "translation" or model.attitude_loops]
 
-    def search(some: Sequence[str]) -> list[Answer]:
-        answers: list[Answer] = []
+    def search(some: Sequence[str]) -> list[BlockAnswer]:
+        answers: list[BlockAnswer] = []
         for block in some:
             try:
                 answers.append(answer(block, asked))
             except KeyboardInterrupt:
-                answers.append(Answer(complete=False))
+                answers.append(BlockAnswer(complete=False))
             if not answers[-1].complete:
                 break
-        return answers + [Answer(complete=False) for _ in some[len(answers) :]]
+        return answers + [BlockAnswer(complete=False) for _ in some[len(answers) :]]
 
     answers = side_by_side(search, blocks, [SHARES[b] for b in blocks])
     if not any(a.search for a in answers):
@@ -140,7 +140,7 @@ def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float
     return min(found, other, key=lambda f: misfit(f.problem, f.solution))
 
 
-def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable: Flyable) -> Diagnosis:
+def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, flyable: Flyable) -> Diagnosis:
     """One diagnosis of the blocks' answers."""
     segments, model, pool = asked.segments, asked.model, asked.pool
     searches = [a.search for a in answers if a.search is not None]
@@ -209,7 +209,7 @@ def _assembled(asked: Asked, answers: Sequence[Answer], group_name: str, flyable
 
 
 def _not_testable(
-    asked: Asked, answers: Sequence[Answer], determined: Collection[str], complete: bool
+    asked: Asked, answers: Sequence[BlockAnswer], determined: Collection[str], complete: bool
 ) -> list[Untestable]:
     """Candidates on which these flights contain no information, with the reason. determined: ids of those that were tried or named."""
     found: list[Untestable] = listed(answers, "unseen")
@@ -230,7 +230,7 @@ def _described(asked: Asked, searches: Sequence[Search], staying: set[str]) -> l
     return [one for search in searches for one in describe(search, asked.segments, asked.groups, channels)]
 
 
-def _candidate_rows(answers: Sequence[Answer], hidden: Mapping[str, str]) -> tuple[CandidateRow, ...]:
+def _candidate_rows(answers: Sequence[BlockAnswer], hidden: Mapping[str, str]) -> tuple[CandidateRow, ...]:
     """Rows of every candidate; what these flights could not have shown (hidden: id to reason) was not ruled out by them."""
     return tuple(
         CandidateRow({**c, "verdict": TermVerdict.UNTESTABLE, "why": hidden[c["term"]]}) if c["term"] in hidden else c

@@ -2,15 +2,15 @@
 
 from flighttest.flight.execution.machine import FlightState
 from flighttest.flight.fly import fly
-from flighttest.flight.options import FlightOptions
+from flighttest.flight.options import FlightSettings
 from flighttest.flight.outcome import FlightOutcome, FlightProgress, LegOutcome, LegResult
 from flighttest.flight.result import FlightResult, legs_flown
 
 __all__ = [
-    "FlightOptions",
     "FlightOutcome",
     "FlightProgress",
     "FlightResult",
+    "FlightSettings",
     "FlightState",
     "LegOutcome",
     "LegResult",

@@ -11,17 +11,17 @@ from flighttest.errors import FlighttestError, LinkError, PreflightError, Record
 from flighttest.flight.checklist import asked, checklist
 from flighttest.flight.execution import supervisor
 from flighttest.flight.execution.control import FlightControl, Stops
-from flighttest.flight.execution.legs import Airframe
+from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.placing import place_home, place_zone
 from flighttest.flight.execution.scheduler import Scheduler
 from flighttest.flight.gate import GateLimits
-from flighttest.flight.options import FlightOptions
+from flighttest.flight.options import FlightSettings
 from flighttest.flight.outcome import FlightEnded, FlightOutcome
 from flighttest.flight.preparation import preflight, priority
 from flighttest.flight.preparation.changes import (
     ExternalChanges,
-    Left,
+    LeftParameter,
     ParameterChanges,
     record_of,
     still_left,
@@ -37,9 +37,9 @@ from flighttest.link import lockstep
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.clock import Clock
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import LinkSilent, Session, StoppedByOperator
-from flighttest.link.streams import Streams
+from flighttest.link.streams import StreamRates
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
 from flighttest.mavlink.dialect import book
@@ -55,7 +55,7 @@ def fly(
     plan: Plan,
     link_url: str,
     run_dir: Path,
-    options: FlightOptions | None = None,
+    options: FlightSettings | None = None,
     *,
     transport: Transport | None = None,
     clock: Clock | None = None,
@@ -65,9 +65,9 @@ def fly(
     link_url: see `link.transport.URL_FORMS`; transport: in its place, for a vehicle in this process; clock: where its time comes from.
     LinkError when the vehicle cannot be reached, PreflightError when it must not fly; everything later is an outcome.
     """
-    options = options or FlightOptions()
+    options = options or FlightSettings()
     opened = transport if transport is not None else open_transport(link_url)
-    session = Session(Port(opened, system=options.system, key=options.signing_key), clock)
+    session = Session(MavlinkPort(opened, system=options.system, key=options.signing_key), clock)
     manifest = first_manifest(plan, link_url, options.weather, options.resume)
     recorder = Recorder(run_dir, session.clock.ground_s, manifest, plan)
     session.port.tap(recorder.tap)
@@ -83,7 +83,7 @@ class _Flight:
     """One flight from the first HEARTBEAT to the restored parameters."""
 
     def __init__(
-        self, plan: Plan, session: Session, recorder: Recorder, options: FlightOptions, *, real_clock: bool
+        self, plan: Plan, session: Session, recorder: Recorder, options: FlightSettings, *, real_clock: bool
     ) -> None:
         self.plan = plan
         self.session = session
@@ -112,9 +112,8 @@ class _Flight:
             control = self._prepare()
             if confirm is not None and not asked(control, confirm, self._checklist):
                 raise PreflightError([("the operator did not confirm", "answer yes, or use --yes")])
-            scheduler = Scheduler(
-                control, self.plan, Airframe.of(self._parameters), frozenset(self.options.skip), self.options.replanner
-            )
+            settings = AutopilotSettings.of(self._parameters)
+            scheduler = Scheduler(control, self.plan, settings, frozenset(self.options.skip), self.options.replanner)
             scheduler.on_armed = lambda: place_home(control, self.plan.vehicle.zone)
             try:
                 outcome = scheduler.fly()
@@ -264,7 +263,7 @@ class _Flight:
         self._external_changes.known.update(self._parameters)
         self._checklist = checklist(self.plan, replace(situation, parameters=self._parameters), tuple(sorted(waived)))
         session.clock.hold()
-        control.streams = Streams(vehicle, telemetry.granted_hz, rates, fitted_to_seen)
+        control.streams = StreamRates(vehicle, telemetry.granted_hz, rates, fitted_to_seen)
         return control
 
     def _enter_lock_step(self, offered: float) -> None:
@@ -283,7 +282,7 @@ class _Flight:
         self.recorder.save_manifest()
         return [check for check in found if check not in mended]
 
-    def _keep_changed(self, pending: Mapping[str, Left]) -> None:
+    def _keep_changed(self, pending: Mapping[str, LeftParameter]) -> None:
         self.recorder.manifest["parameters_changed"] = values_of(pending)
         self.recorder.manifest["parameters_set"] = record_of(self.recorder.run_dir.name, pending)
         self.recorder.save_manifest()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from flighttest.flight.execution.response import Replanner
 from flighttest.flight.outcome import OnProgress
-from flighttest.flight.preparation.changes import Left
+from flighttest.flight.preparation.changes import LeftParameter
 from flighttest.flight.preparation.fence import FenceSet
 from flighttest.link.port import OWN_SYSTEM
 
@@ -21,7 +21,7 @@ def _do_nothing(*_words: object) -> None:
 
 
 @dataclass(frozen=True)
-class FlightOptions:
+class FlightSettings:
     """set_params: set what preflight asks for and restore it afterwards (always done on a simulator). waive: names of preflight checks.
     left_behind: parameters that an earlier flight set and could not restore (see `still_left`); fence_behind: its fence that is still on
     the vehicle. extend_fence: add the zone's polygon to a fence that the vehicle keeps. resume: a run that this one goes on with, for
@@ -34,7 +34,7 @@ class FlightOptions:
 
     set_params: bool = False
     waive: Collection[str] = ()
-    left_behind: Mapping[str, Left] = field(default_factory=dict)
+    left_behind: Mapping[str, LeftParameter] = field(default_factory=dict)
     fence_behind: FenceSet | None = None
     extend_fence: bool = False
     resume: Path | None = None

@@ -23,7 +23,7 @@ class Tap(Protocol):
         """ago_s: how long ago it passed, where a thread of its own has sent it."""
 
 
-class Port:
+class MavlinkPort:
     """Sends and receives messages. `mute()` is final: after it, nothing leaves. system: our own system id.
 
     key: with which every frame is signed; what is not signed with it is refused.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from flighttest.errors import LinkError
 from flighttest.link.clock import Clock, ClockOffset, FollowedClock, GrantedClock, TimeSync
 from flighttest.link.lockstep import Grants
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.requests import ModeRequests
 from flighttest.link.states import LinkEvent, LinkMachine, LinkState
 from flighttest.link.transport import ENOUGH, Sequence
@@ -50,7 +50,7 @@ class Session:
     began anew. stop_asked: set as long as waiting may be broken off (`advance` raises StoppedByOperator once it is true).
     """
 
-    def __init__(self, port: Port, clock: Clock | None = None) -> None:
+    def __init__(self, port: MavlinkPort, clock: Clock | None = None) -> None:
         self.port = port
         self.clock: Clock = clock or FollowedClock()
         self.vehicle_system = 0

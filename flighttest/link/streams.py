@@ -14,7 +14,7 @@ _PATIENCE_MAX_S = 80.0
 Rates = Mapping[str, float]
 
 
-class Streams:
+class StreamRates:
     """Asks again for each rate that has fallen, and for lower ones where the link carries less than before.
 
     rates_hz: as wanted; seen_hz: as measured before the flight, where it was; fit: rates wanted and rates that arrive to rates that fit.

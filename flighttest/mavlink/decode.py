@@ -23,7 +23,7 @@ from flighttest.recording import Marker, Series
 
 FloatArray = NDArray[np.float64]
 _Raw: TypeAlias = dict[str, dict[str, FloatArray]]
-Source = tuple[int, int]
+SenderId = tuple[int, int]
 """System and component id of a sender: cameras, companion computers and autopilots share a vehicle's system id."""
 
 _GROUPS = tuple(dict.fromkeys(rule.group for rule in RULES))
@@ -104,15 +104,15 @@ class StreamDecoder:
     """One pass over a stream: `add` every message in the order received or sent, then `result`."""
 
     def __init__(self) -> None:
-        self.rows: dict[tuple[Source, str], _Rows] = {}
-        self.autopilots: dict[Source, tuple[int, int]] = {}  # HEARTBEATs that showed armed, and all
+        self.rows: dict[tuple[SenderId, str], _Rows] = {}
+        self.autopilots: dict[SenderId, tuple[int, int]] = {}  # HEARTBEATs that showed armed, and all
         self.texts: list[Text] = []
-        self.parameters: dict[Source, list[tuple[float, str, float]]] = {}
-        self.firmware: dict[Source, str] = {}
-        self.boards: dict[Source, str] = {}
-        self.origins: dict[Source, tuple[float, float]] = {}
+        self.parameters: dict[SenderId, list[tuple[float, str, float]]] = {}
+        self.firmware: dict[SenderId, str] = {}
+        self.boards: dict[SenderId, str] = {}
+        self.origins: dict[SenderId, tuple[float, float]] = {}
         self.asked: dict[int, float] = {}
-        self.round_trips: dict[Source, list[tuple[float, float, float]]] = {}
+        self.round_trips: dict[SenderId, list[tuple[float, float, float]]] = {}
         self._count = 0
 
     def add(self, t_s: float, message: Any, order: int | None = None) -> None:
@@ -149,7 +149,7 @@ class StreamDecoder:
 
     def add_columns(
         self,
-        source: Source,
+        source: SenderId,
         kind: str,
         ground_s: FloatArray,
         order: NDArray[np.int64],
@@ -162,7 +162,7 @@ class StreamDecoder:
         rows.order = order
         rows.columns = {name: np.asarray(columns[name], dtype=float) for name in rows.fields}
 
-    def _timesync(self, t_s: float, source: Source, message: Any) -> None:
+    def _timesync(self, t_s: float, source: SenderId, message: Any) -> None:
         if message.tc1 == 0:
             self.asked[message.ts1] = t_s
         elif message.ts1 in self.asked:
@@ -193,7 +193,7 @@ def decode_stream(stream: Iterable[tuple[float, Any]], *, vehicle_system: int | 
     return collected.result(vehicle_system)
 
 
-def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
+def _assemble(collected: StreamDecoder, source: SenderId) -> Decoded:
     system = source[0]
     losses: list[str] = []
     raw, ground, order, span = _of_one_boot(collected, source, losses)
@@ -252,7 +252,7 @@ def _assemble(collected: StreamDecoder, source: Source) -> Decoded:
 
 
 def _of_one_boot(
-    collected: StreamDecoder, source: Source, losses: list[str]
+    collected: StreamDecoder, source: SenderId, losses: list[str]
 ) -> tuple[_Raw, dict[str, FloatArray], dict[str, NDArray[np.int64]], tuple[float, float]]:
     """What a sender sent in its longest run: fields, ground times (s) and positions in the stream by message; and from when to when."""
     raw = {kind: rows.raw() for (s, kind), rows in collected.rows.items() if s == source}
@@ -334,7 +334,7 @@ def _ordered(t_s: FloatArray, columns: Mapping[str, FloatArray], message: str, l
 
 def _reference(
     collected: StreamDecoder,
-    vehicle: Source,
+    vehicle: SenderId,
     span: tuple[float, float],
     clock: ClockEstimate,
     came: tuple[FloatArray, FloatArray],

@@ -19,7 +19,7 @@ from flighttest.mavlink.targets import attitude_columns
 
 FloatArray = NDArray[np.float64]
 Raw = Mapping[str, FloatArray]
-Columns = dict[str, FloatArray]
+ChannelColumns = dict[str, FloatArray]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2 in one g, as ArduPilot's milli-g are made
 EARTH_RADIUS_M = 6378137.0  # WGS84 equatorial, as in ArduPilot (LOCATION_SCALING_FACTOR)
@@ -42,7 +42,7 @@ class Rule:
     message: str
     stamp: Literal["time_boot_ms", "time_usec"] | None
     fields: tuple[str, ...]
-    convert: Callable[[Raw], Columns]
+    convert: Callable[[Raw], ChannelColumns]
     keep: Callable[[Raw], NDArray[np.bool_]] | None = None
     note: str = ""
 
@@ -51,11 +51,11 @@ def _vector(raw: Raw, names: tuple[str, str, str], scale: float = 1.0) -> FloatA
     return frames.flip_vector(np.stack([raw[n] for n in names], axis=-1)) * scale
 
 
-def _named(values: FloatArray, *names: str) -> Columns:
+def _named(values: FloatArray, *names: str) -> ChannelColumns:
     return {name: values[..., i] for i, name in enumerate(names)}
 
 
-def _attitude(raw: Raw) -> Columns:
+def _attitude(raw: Raw) -> ChannelColumns:
     return _named(
         frames.flip_euler(np.stack([raw["roll"], raw["pitch"], raw["yaw"]], axis=-1)),
         "roll_rad",
@@ -64,34 +64,34 @@ def _attitude(raw: Raw) -> Columns:
     )
 
 
-def _attitude_quaternion(raw: Raw) -> Columns:
+def _attitude_quaternion(raw: Raw) -> ChannelColumns:
     roll, pitch, yaw = attitude_columns(np.stack([raw[f"q{i}"] for i in (1, 2, 3, 4)], axis=-1))
     return {"roll_rad": roll, "pitch_rad": pitch, "yaw_rad": yaw}
 
 
-def _rates(raw: Raw) -> Columns:
+def _rates(raw: Raw) -> ChannelColumns:
     return _named(_vector(raw, ("rollspeed", "pitchspeed", "yawspeed")), "p_rad_s", "q_rad_s", "r_rad_s")
 
 
-def _specific_force(scale: float) -> Callable[[Raw], Columns]:
-    def convert(raw: Raw) -> Columns:
+def _specific_force(scale: float) -> Callable[[Raw], ChannelColumns]:
+    def convert(raw: Raw) -> ChannelColumns:
         return _named(_vector(raw, ("xacc", "yacc", "zacc"), scale), "f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
 
     return convert
 
 
-def _velocity(scale: float) -> Callable[[Raw], Columns]:
-    def convert(raw: Raw) -> Columns:
+def _velocity(scale: float) -> Callable[[Raw], ChannelColumns]:
+    def convert(raw: Raw) -> ChannelColumns:
         return _named(_vector(raw, ("vx", "vy", "vz"), scale), "v_x_m_s", "v_y_m_s", "v_z_m_s")
 
     return convert
 
 
-def _local_position(raw: Raw) -> Columns:
+def _local_position(raw: Raw) -> ChannelColumns:
     return _named(_vector(raw, ("x", "y", "z")), "p_x_m", "p_y_m", "p_z_m")
 
 
-def _global_position(raw: Raw) -> Columns:
+def _global_position(raw: Raw) -> ChannelColumns:
     """Relative to the first fix: good for a flight of some hundred metres."""
     north, west = offset_m(raw["lat"][0] * 1e-7, raw["lon"][0] * 1e-7, raw["lat"] * 1e-7, raw["lon"] * 1e-7)
     return {"p_x_m": north, "p_y_m": west, "p_z_m": raw["relative_alt"] * 1e-3}
@@ -112,13 +112,13 @@ def place_deg(lat0_deg: float, lon0_deg: float, north_m: float, west_m: float) -
     return lat0_deg + north_m / metres_per_deg, lon0_deg + east
 
 
-def _shaped(raw: Raw) -> Columns:
+def _shaped(raw: Raw) -> ChannelColumns:
     roll, pitch, _ = attitude_columns(raw["q"])
     rates = frames.flip_vector(np.stack([raw["body_yaw_rate"]] * 3, axis=-1))
     return {"roll_shaped_rad": roll, "pitch_shaped_rad": pitch, "yaw_rate_shaped_rad_s": rates[..., 2]}
 
 
-def _battery(raw: Raw) -> Columns:
+def _battery(raw: Raw) -> ChannelColumns:
     """A pack of more than ten cells goes on in voltages_ext, where what is not there is zero."""
     cells = np.concatenate([raw["voltages"], raw["voltages_ext"]], axis=-1).astype(float)
     current = raw["current_battery"]
@@ -128,7 +128,7 @@ def _battery(raw: Raw) -> Columns:
     }
 
 
-def _system_status(raw: Raw) -> Columns:
+def _system_status(raw: Raw) -> ChannelColumns:
     voltage, current = raw["voltage_battery"], raw["current_battery"]
     return {"voltage_v": voltage * 1e-3, "current_a": np.where(current < 0, np.nan, current * 1e-2)}
 

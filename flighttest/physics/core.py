@@ -15,6 +15,7 @@ from typing import Any, Literal
 from flighttest.frames import G_M_S2
 
 Expr = Any  # casadi.SX or float; casadi carries no types
+Values = Mapping[str, Expr]  # of parameters or states, by name
 
 Family = Literal["body", "aerodynamics", "propulsion", "payload", "autopilot", "sensor", "link"]
 ParamKind = Literal["base", "amplitude", "shape"]

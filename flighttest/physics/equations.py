@@ -50,7 +50,7 @@ class Symbol:
 
 
 @dataclass(frozen=True)
-class Equations:
+class ModelEquations:
     """A model written out. `print` it, or take the symbols as a table with `to_frame`."""
 
     equations: tuple[Equation, ...]
@@ -76,7 +76,7 @@ class Equations:
 
 def equations_of(
     terms: Sequence[Term], params: Sequence[Param], attitude_loops: bool, values: Mapping[str, float] | None = None
-) -> Equations:
+) -> ModelEquations:
     """The equations of a model in evaluation order.
 
     terms: those beside the body; params: all of the model's; attitude_loops: whether the body has them; values: parameters by name, where
@@ -97,7 +97,7 @@ def equations_of(
     symbols = tuple(
         Symbol(p.name, p.symbol, p.unit, p.doc, p.source, owner.get(p.name, "body"), known.get(p.name)) for p in params
     )
-    return Equations(tuple(lines), symbols)
+    return ModelEquations(tuple(lines), symbols)
 
 
 def citations_of(terms: Sequence[Term]) -> tuple[str, ...]:

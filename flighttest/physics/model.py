@@ -28,7 +28,7 @@ from flighttest.physics.blocks import Block, BlockStore, attitude_blocks, measur
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
-from flighttest.physics.equations import Equations, citations_of, equations_of
+from flighttest.physics.equations import ModelEquations, citations_of, equations_of
 from flighttest.physics.simulated import Simulated, run
 from flighttest.physics.system import System, build_system
 
@@ -166,7 +166,7 @@ class Model:
             raise ModelError(f"the model has no term {name!r} to leave out", f"its terms are {', '.join(self.terms)}")
         return self.without_terms(name)
 
-    def equations(self, values: Mapping[str, float] | None = None) -> Equations:
+    def equations(self, values: Mapping[str, float] | None = None) -> ModelEquations:
         """The model written out: equations, symbols, units, references; `print` it. values: parameters by name, to show beside them."""
         return equations_of(self.built_terms, self.params, self.attitude_loops, values)
 

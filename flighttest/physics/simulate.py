@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.physics.system import System
-from flighttest.physics.vectorised import Columns, Vectorised
+from flighttest.physics.vectorised import MappedColumns, Vectorised
 
 FloatArray = NDArray[np.float64]
 Edges = tuple[FloatArray, FloatArray]
@@ -59,12 +59,12 @@ def rk4_stages(rate: Any, x: Any, dt: Any, e: tuple[Any, Any, Any]) -> tuple[Any
     return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), k1, k4
 
 
-class Step:
+class RungeKuttaStep:
     """One RK4 step of x_dot = rate(x, u), inputs held, for many columns at once: x (k, n), u (m, n), dt a number or (n,), s."""
 
     def __init__(self, rate: ca.Function) -> None:
         self._rate = rate
-        self._few: dict[int, Columns] = {}
+        self._few: dict[int, MappedColumns] = {}
 
     def __call__(self, x: FloatArray, u: FloatArray, dt: float | FloatArray) -> FloatArray:
         """The states after the step (k, n)."""
@@ -72,7 +72,7 @@ class Step:
         if n > FEW:
             return np.asarray(rk4(lambda at: self.rate(at, u), x, dt))
         if n not in self._few:
-            self._few[n] = Columns(self._step, n)
+            self._few[n] = MappedColumns(self._step, n)
         return self._few[n](x, u, np.asarray(dt))
 
     @cached_property
@@ -228,7 +228,7 @@ def _one_by_one(system: System, p: FloatArray, begun: FloatArray, made: Sequence
 def _together(system: System, p: FloatArray, begun: FloatArray, made: Sequence[Grid]) -> list[FloatArray]:
     """The same, a piece of every run at a time: for many runs."""
     x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
-    step = Step(ca.Function("rate", [x, u], [ca.densify(ca.cse(ca.simplify(system.function(x, u, p)[0])))]))
+    step = RungeKuttaStep(ca.Function("rate", [x, u], [ca.densify(ca.cse(ca.simplify(system.function(x, u, p)[0])))]))
     order = sorted(range(len(made)), key=lambda i: -made[i].dt_s.size)
     sizes = np.array([made[i].dt_s.size for i in order])
     k = int(sizes[0])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.frames import G_M_S2
-from flighttest.physics.simulate import Step
+from flighttest.physics.simulate import RungeKuttaStep
 from flighttest.physics.system import System
 
 FloatArray = NDArray[np.float64]
@@ -37,17 +37,17 @@ class Forms:
         self.system, self.p = system, p
 
     @cached_property
-    def full(self) -> Step:
+    def full(self) -> RungeKuttaStep:
         """Of states (k, n) and inputs (m, n)."""
-        return Step(self._function(straight=False))
+        return RungeKuttaStep(self._function(straight=False))
 
     @cached_property
-    def level(self) -> Step | None:
+    def level(self) -> RungeKuttaStep | None:
         """The same while nothing moves sideways, a quarter of the work; None where that does not last (wind, an askew rotor)."""
         function = self._function(straight=True)
         rates = function(*(ca.SX.sym("z", *function.size_in(i)) for i in range(2)))
         still = all(rates[i].is_zero() for i, n in enumerate(self.system.states) if n in SIDEWAYS)
-        return Step(function) if still else None
+        return RungeKuttaStep(function) if still else None
 
     @cached_property
     def matrix(self) -> FloatArray | None:

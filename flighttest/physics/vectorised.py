@@ -130,7 +130,7 @@ class Vectorised:
         return result
 
 
-class Columns:
+class MappedColumns:
     """The same for n columns by CasADi's own `map`, through memory that both share: to hand arrays over costs more than many columns.
 
     Arguments and result of the function are dense.

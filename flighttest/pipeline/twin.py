@@ -23,7 +23,7 @@ from flighttest.diagnose.against import (
 )
 from flighttest.diagnose.prediction import floors_of, prediction_quality
 from flighttest.errors import FlighttestError, InputError
-from flighttest.flight import FlightOptions, fly
+from flighttest.flight import FlightSettings, fly
 from flighttest.identify.fit import fit
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
@@ -37,7 +37,7 @@ from flighttest.pipeline.planning.checking import plans
 from flighttest.pipeline.planning.predictor import ModelPredictor, ScriptReplanner
 from flighttest.pipeline.recordings.consistency import deduplicate
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, RecordingSource, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import VEHICLE_NAME, flown_with
 from flighttest.report.document import Document
@@ -94,7 +94,7 @@ class Flying:
 
 def verify(
     model: Path | ModelFile,
-    runs: Sequence[Source],
+    runs: Sequence[RecordingSource],
     output: Path | None = None,
     *,
     flying: Flying = Flying(),
@@ -154,7 +154,7 @@ def verify(
 
 def replay(
     model: Path | ModelFile,
-    runs: Sequence[Source],
+    runs: Sequence[RecordingSource],
     changes: Sequence[str] = (),
     output: Path | None = None,
     columns: Path | None = None,
@@ -222,7 +222,7 @@ def _fly(stored: ModelFile, run: Path, folder: Path, launched: _Launched, progre
     (plan,) = plans([str(run / "script.yaml")], vehicle_of(run), prior)
     refused = {leg for leg, _, _ in plan.refusals}
     progress.stage(f"flying {plan.script.name} on the twin: {len(plan.legs) - len(refused)} steps")
-    asked = FlightOptions(
+    asked = FlightSettings(
         set_params=True, skip=refused, replanner=ScriptReplanner(plan, prior), on_progress=progress.flight
     )
     with launched as simulation:

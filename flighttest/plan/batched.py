@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.plan.model import BranchingPredictor, FloatArray, Motion, Predictor, Snapshot, Trail
+from flighttest.plan.model import BranchingPredictor, FloatArray, PredictedMotion, Predictor, Snapshot, Trail
 from flighttest.plan.rehearse import (
     GUID_TIMEOUT_S,
     Rehearsal,
@@ -73,7 +73,7 @@ class _Filling:
 
     def rehearsal(self, dt_s: float) -> Rehearsal:
         # Nobody who plans asks for the attitude.
-        motion = Motion(np.arange(self.steps + 1, dtype=float) * dt_s, self.p, self.v, np.zeros((0, 0, 3)))
+        motion = PredictedMotion(np.arange(self.steps + 1, dtype=float) * dt_s, self.p, self.v, np.zeros((0, 0, 3)))
         return Rehearsal(motion, self.low, self.high, self.counter_s, self.vertical_s, self.throttle)
 
 

@@ -54,7 +54,7 @@ class EnvelopeRow:
 
 
 @dataclass(frozen=True)
-class Battery:
+class BatteryNeed:
     """What the flight needs. energy_wh None where the mass is not declared; capacity_wh None where no capacity is."""
 
     air_s: float
@@ -83,7 +83,7 @@ class CheckResult:
     notes: tuple[str, ...]
     flying_s: float
     duration_s: float
-    battery: Battery
+    battery: BatteryNeed
     expected_std: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -156,7 +156,7 @@ def _envelope(cell: CellPlan) -> EnvelopeRow:
     )
 
 
-def battery(vehicle: Vehicle, air_s: float) -> Battery:
+def battery(vehicle: Vehicle, air_s: float) -> BatteryNeed:
     """Energy for this time in the air, and how many of the declared packs that is."""
     energy = None if vehicle.mass_kg is None else HOVER_POWER_W_KG * vehicle.mass_kg * air_s / 3600.0
     capacity = _capacity_ah(vehicle.components.get("battery", {}))
@@ -169,7 +169,7 @@ def battery(vehicle: Vehicle, air_s: float) -> Battery:
         sentence = f"{minutes}, about {energy:.0f} Wh; declare the battery's capacity (model: 6S 10 Ah) for the number of packs"
     else:
         sentence = f"{minutes}, about {energy:.0f} Wh: {packs} pack{'s' if packs > 1 else ''} of {capacity_wh:.0f} Wh"
-    return Battery(air_s, energy, HOVER_POWER_DOUBT, capacity_wh, packs, sentence)
+    return BatteryNeed(air_s, energy, HOVER_POWER_DOUBT, capacity_wh, packs, sentence)
 
 
 def _capacity_ah(fields: Mapping[str, Any]) -> float | None:

@@ -11,13 +11,13 @@ import numpy as np
 
 from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import Clearance, Placement, box, place, worst
-from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, row_of, useful_s
+from flighttest.plan.fit_zone import FittedCell, Setting, fit_cells, row_of, useful_s
 from flighttest.plan.free_flight import fly_waypoints
 from flighttest.plan.model import CellPlan, Leg, Phase, Plan, Predictor
 from flighttest.plan.rehearse import Rehearsal, reaction_s
 from flighttest.plan.remedy import remedy
 from flighttest.script.model import Script
-from flighttest.script.profiles import PROFILES, Cell, Piece, Timeline
+from flighttest.script.profiles import PROFILES, Piece, StepCell, Timeline
 from flighttest.vehicle.model import Vehicle
 
 # The paper flew from 24.5 V down to 21.5 V on a battery of 22.2 V nominal: what a script that states no voltages may meet.
@@ -95,7 +95,7 @@ def compile_plan(script: Script, vehicle: Vehicle, predictor: Predictor, *, angl
     )
 
 
-def _distinct(cells: list[Cell]) -> list[Cell]:
+def _distinct(cells: list[StepCell]) -> list[StepCell]:
     """Cells with labels of their own: the same step asked for twice is flown twice, under two names."""
     seen: dict[str, int] = {}
     found = []
@@ -122,7 +122,7 @@ def _order(count: int, script: Script, span: tuple[float, float]) -> list[_Slot]
     return [_Slot(cell, repeat, span[0] + (span[1] - span[0]) * k / last) for k, (cell, repeat) in enumerate(pairs)]
 
 
-def _places(f: Fitted, index: int, script: Script, setting: Setting) -> list[Placement]:
+def _places(f: FittedCell, index: int, script: Script, setting: Setting) -> list[Placement]:
     """A placement for each repeat. Headings rotate over repeats; cells start the rotation at different ones, so that heading and
     voltage are not collinear either. A heading under which the step does not fit gives way to the next that does."""
     headings = script.reset.heading_rad
@@ -155,7 +155,7 @@ def _places(f: Fitted, index: int, script: Script, setting: Setting) -> list[Pla
 
 
 def _refusals(
-    script: Script, fitted: Sequence[Fitted], places: Sequence[Sequence[Placement]], setting: Setting
+    script: Script, fitted: Sequence[FittedCell], places: Sequence[Sequence[Placement]], setting: Setting
 ) -> tuple[tuple[str, str, str], ...]:
     found: list[tuple[str, str, str]] = []
     for f, placed in zip(fitted, places, strict=True):
@@ -173,7 +173,7 @@ def _refusals(
 
 def _legs(
     script: Script,
-    fitted: Sequence[Fitted],
+    fitted: Sequence[FittedCell],
     places: Sequence[Sequence[Placement]],
     slots: Sequence[_Slot],
     setting: Setting,
@@ -218,7 +218,7 @@ def _legs(
     return tuple(sorted(legs, key=lambda leg: not leg.motors_off)), stops
 
 
-def _stop_pieces(cell: Cell, flown: Rehearsal, j: int) -> tuple[Piece, ...]:
+def _stop_pieces(cell: StepCell, flown: Rehearsal, j: int) -> tuple[Piece, ...]:
     pieces = []
     if cell.counter is not None and flown.counter_s[j] > 0.0:
         pieces.append(replace(cell.counter, duration_s=round(float(flown.counter_s[j]), 3)))
@@ -252,7 +252,7 @@ def _step_s(pieces: Sequence[Piece]) -> float:
     return 0.0
 
 
-def _leg_id(script: Script, cell: Cell, repeat: int) -> str:
+def _leg_id(script: Script, cell: StepCell, repeat: int) -> str:
     return f"{script.name}/{cell.label}/r{repeat}"
 
 
@@ -261,7 +261,7 @@ def _wrap(angle_rad: float) -> float:
 
 
 def _cell_plan(
-    f: Fitted, placement: Placement, setting: Setting, stops: tuple[tuple[str, float, float], ...], legs: int
+    f: FittedCell, placement: Placement, setting: Setting, stops: tuple[tuple[str, float, float], ...], legs: int
 ) -> CellPlan:
     def corner(values: object) -> tuple[float, float, float]:
         x, y, z = np.asarray(values, dtype=float)
@@ -287,7 +287,7 @@ def _cell_plan(
     )
 
 
-def _notes(fitted: Sequence[Fitted], fenced: int, script: Script, setting: Setting) -> tuple[str, ...]:
+def _notes(fitted: Sequence[FittedCell], fenced: int, script: Script, setting: Setting) -> tuple[str, ...]:
     notes = []
     shortened = [f.cell.label for f in fitted if f.shortened]
     if shortened:

@@ -16,7 +16,7 @@ from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import GATE_SLACK_M, Clearance, Track, box
 from flighttest.plan.model import FloatArray, Predictor
 from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, sample
-from flighttest.script.profiles import Cell, Piece
+from flighttest.script.profiles import Piece, StepCell
 
 # Six time constants of the paper's thrust lag: less than this after the delay shows nothing.
 USEFUL_S = 0.3
@@ -47,17 +47,17 @@ class Setting:
     throttle: tuple[float, float]
     speed_max_m_s: float
 
-    def stop_throttle(self, cell: Cell) -> tuple[float, float]:
+    def stop_throttle(self, cell: StepCell) -> tuple[float, float]:
         """Throttle against climbing and against falling: never zero, which leaves no authority over the attitude."""
         low, high = VERTICAL_STOP if cell.height_m is None else GENTLE_STOP
         return max(self.throttle[0], low * self.hover_throttle), min(self.throttle[1], high * self.hover_throttle)
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedCell:
     """A cell with its durations found: lead pieces, tracks as planned and with the link lost, fastest speed, what is wrong."""
 
-    cell: Cell
+    cell: StepCell
     lead: tuple[Piece, ...]
     nominal: list[Track]
     lost: list[Track]
@@ -67,13 +67,13 @@ class Fitted:
     remedy: str = ""
 
 
-def row_of(cell: Cell, lead: tuple[Piece, ...], setting: Setting, voltage_v: float) -> Row:
+def row_of(cell: StepCell, lead: tuple[Piece, ...], setting: Setting, voltage_v: float) -> Row:
     """The row of a cell at one voltage, from the origin, heading along x."""
     tail = sum(piece.duration_s for piece in cell.tail)
     return Row(lead, cell.stops, cell.counter, tail, voltage_v, setting.stop_throttle(cell))
 
 
-def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
+def fit_cells(cells: Sequence[StepCell], setting: Setting) -> list[FittedCell]:
     """Durations, tracks and complaints of all cells, in order; the predictor is flown few times with many vehicles."""
     leads = [cell.lead for cell in cells]
     adjustable = [i for i, cell in enumerate(cells) if cell.shortest_s]
@@ -100,7 +100,7 @@ def fit_cells(cells: Sequence[Cell], setting: Setting) -> list[Fitted]:
     return found
 
 
-def _has_hold(cell: Cell) -> bool:
+def _has_hold(cell: StepCell) -> bool:
     return any(name != "step" for name in cell.shortest_s)
 
 
@@ -108,11 +108,11 @@ def _step_of(lead: tuple[Piece, ...]) -> float:
     return next((round(piece.duration_s, 3) for piece in lead if piece.name == "step"), 0.0)
 
 
-def _can_shrink(f: Fitted, setting: Setting) -> bool:
+def _can_shrink(f: FittedCell, setting: Setting) -> bool:
     return "step" in f.cell.shortest_s and _step_of(f.lead) - 2 * GRID_S >= least_s(f.cell, "step", setting) - 1e-9
 
 
-def _has_start(f: Fitted, setting: Setting) -> bool:
+def _has_start(f: FittedCell, setting: Setting) -> bool:
     """Whether some height to start from (or the one asked for) keeps every track inside."""
     low, high = (corner[2] for corner in box(f.nominal))
     lost_low, lost_high = (corner[2] for corner in box(f.lost))
@@ -127,7 +127,7 @@ def _has_start(f: Fitted, setting: Setting) -> bool:
     return bool(lowest - 1e-9 <= start <= highest + 1e-9)
 
 
-def least_s(cell: Cell, name: str, setting: Setting) -> float:
+def least_s(cell: StepCell, name: str, setting: Setting) -> float:
     """The shortest useful length of a piece, s."""
     least = cell.shortest_s[name]
     return setting.predictor.delay_s + USEFUL_S if least is None else least
@@ -149,7 +149,7 @@ class _Option:
 
 
 def _search(
-    cells: list[Cell], setting: Setting, indices: list[int], hold_shares: tuple[float, ...] = HOLD_SHARES
+    cells: list[StepCell], setting: Setting, indices: list[int], hold_shares: tuple[float, ...] = HOLD_SHARES
 ) -> list[tuple[int, tuple[Piece, ...]]]:
     """Longest record that fits, for each length of what comes before it; then the longest record wins, then the longest hold."""
     options: list[_Option] = []
@@ -193,7 +193,7 @@ def _search(
 
 
 def _slack(
-    cells: list[Cell],
+    cells: list[StepCell],
     options: list[_Option],
     record_s: FloatArray,
     setting: Setting,
@@ -230,7 +230,7 @@ def _slack(
     return np.asarray(np.minimum(np.minimum(tall, flat), setting.speed_max_m_s - speed))
 
 
-def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Setting) -> list[Fitted]:
+def _tracks(cells: Sequence[StepCell], leads: list[tuple[Piece, ...]], setting: Setting) -> list[FittedCell]:
     """Tracks of every cell at every voltage, as planned and with the link lost every so often."""
     rows: list[tuple[int, Row]] = []
     for i, cell in enumerate(cells):
@@ -262,7 +262,7 @@ def _tracks(cells: Sequence[Cell], leads: list[tuple[Piece, ...]], setting: Sett
             speed[i] = max(speed[i], float(np.linalg.norm(track.v_m_s, axis=1).max()))
     return [
         _judge(
-            Fitted(
+            FittedCell(
                 cell, leads[i], nominal[i], lost[i], speed[i], shortened=_length(leads[i]) < _length(cell.lead) - 1e-6
             ),
             setting,
@@ -309,7 +309,7 @@ def _length(lead: tuple[Piece, ...]) -> float:
     return sum(piece.duration_s for piece in lead)
 
 
-def useful_s(fitted: Fitted, setting: Setting) -> float:
+def useful_s(fitted: FittedCell, setting: Setting) -> float:
     """How much of the record is left after the delay, s; the whole record of a flight without a step."""
     delay = setting.predictor.delay_s if fitted.cell.kind != "free" else 0.0
     return recorded_s(fitted.lead) - delay
@@ -320,7 +320,7 @@ def recorded_s(lead: Sequence[Piece]) -> float:
     return sum(piece.duration_s for piece in lead if piece.record)
 
 
-def _judge(fitted: Fitted, setting: Setting) -> Fitted:
+def _judge(fitted: FittedCell, setting: Setting) -> FittedCell:
     """Speed, throttle and usefulness: what no start can mend."""
     if fitted.cell.motors_off or fitted.cell.waypoints:
         return fitted

@@ -9,13 +9,13 @@ import numpy as np
 
 from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import Track
-from flighttest.plan.fit_zone import DRIFT_S, SEARCH_STEP_S, Fitted, Setting, track_of
+from flighttest.plan.fit_zone import DRIFT_S, SEARCH_STEP_S, FittedCell, Setting, track_of
 from flighttest.plan.rehearse import GUID_TIMEOUT_S, Row
 
 LOSS_EVERY_S = 1.0
 
 
-def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> list[Fitted]:
+def fly_waypoints(free: Sequence[FittedCell], setting: Setting) -> list[FittedCell]:
     """The cells with their tracks in the zone's own coordinates (a path is not placed: it has its place)."""
     rows = [_rows(f, setting) for f in free]
     every = [row for some in rows for row in some]
@@ -27,7 +27,7 @@ def fly_waypoints(free: Sequence[Fitted], setting: Setting) -> list[Fitted]:
     return [_fitted(f, tracks[end - len(some) : end], setting) for f, some, end in zip(free, rows, ends, strict=True)]
 
 
-def _rows(f: Fitted, setting: Setting) -> list[Row]:
+def _rows(f: FittedCell, setting: Setting) -> list[Row]:
     """The path as planned, and with the link lost now and then."""
     path, voltage = f.cell.waypoints, float(np.mean(setting.voltages_v))
     stop, start = setting.stop_throttle(f.cell), (path[0][1], path[0][2], path[0][3])
@@ -36,7 +36,7 @@ def _rows(f: Fitted, setting: Setting) -> list[Row]:
     return [row, *(row.losing_link_at(float(t)) for t in moments)]
 
 
-def _fitted(f: Fitted, flown: Sequence[Track], setting: Setting) -> Fitted:
+def _fitted(f: FittedCell, flown: Sequence[Track], setting: Setting) -> FittedCell:
     origin = np.array(f.cell.waypoints[0][1:])
     tracks = [
         Track(t.t_s, t.p_m + origin, t.v_m_s, (t.reach_m[0] + origin[2], t.reach_m[1] + origin[2])) for t in flown

@@ -15,7 +15,7 @@ from flighttest.vehicle.model import Vehicle
 
 FloatArray = NDArray[np.float64]
 
-__all__ = ["AttitudeTarget", "CellPlan", "Leg", "Motion", "Phase", "Plan", "Policy", "Predictor", "Snapshot"]
+__all__ = ["AttitudeTarget", "CellPlan", "Leg", "Phase", "Plan", "Policy", "PredictedMotion", "Predictor", "Snapshot"]
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ Policy = Callable[[Snapshot], FloatArray]
 
 
 @dataclass(frozen=True)
-class Motion:
+class PredictedMotion:
     """Predicted flight of n vehicles: t_s (m,), p_m, v_m_s, rpy_rad (n, m, 3), world NWU."""
 
     t_s: FloatArray
@@ -167,7 +167,7 @@ class Predictor(Protocol):
         policy: Policy,
         duration_s: float,
         dt_s: float,
-    ) -> Motion:
+    ) -> PredictedMotion:
         """Fly n vehicles from rest at start_m (n, 3), yaw_rad (n,), voltage_v (n,), hovering until now, for duration_s."""
         ...
 
@@ -177,7 +177,7 @@ class Trail:
     """A flight that can be taken up again at any of its moments. motion: as flown, what ended earlier filled up with its last state;
     states (m, n_states, n) and asked (m - 1, 4, n): the predictor's own, and the targets it was sent; clock_s: (n,) when it began."""
 
-    motion: Motion
+    motion: PredictedMotion
     states: FloatArray
     asked: FloatArray
     voltage_v: FloatArray

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.frames import G_M_S2
-from flighttest.plan.model import FloatArray, Motion, Predictor, Snapshot
+from flighttest.plan.model import FloatArray, PredictedMotion, Predictor, Snapshot
 from flighttest.plan.outer_loop import Moving, OuterLoop, all_along
 from flighttest.script.profiles import Piece, Timeline
 from flighttest.script.profiles.timeline import at
@@ -82,7 +82,7 @@ class Rehearsal:
     reach_low_m, reach_high_m: (n, m) heights between which the vehicle stays if the supervisor stops it at that moment.
     """
 
-    motion: Motion
+    motion: PredictedMotion
     reach_low_m: FloatArray
     reach_high_m: FloatArray
     counter_s: FloatArray
@@ -299,7 +299,9 @@ def reaction_s(predictor: Predictor) -> float:
     return round(predictor.delay_s + predictor.thrust_lag_s + REACTION_MARGIN_S, 2)
 
 
-def reach(motion: Motion, throttle: FloatArray, hover: FloatArray, reaction: float) -> tuple[FloatArray, FloatArray]:
+def reach(
+    motion: PredictedMotion, throttle: FloatArray, hover: FloatArray, reaction: float
+) -> tuple[FloatArray, FloatArray]:
     """What the gate (`flight.gate`) foresees: this throttle for the reaction time, then the supervisor's stop. (n, m) each."""
     z, v = motion.p_m[:, :, 2], motion.v_m_s[:, :, 2]
     asked = np.column_stack([throttle, throttle[:, -1:]])[:, : z.shape[1]]

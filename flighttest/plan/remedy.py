@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flighttest.plan.clearance import Placement, box, place
-from flighttest.plan.fit_zone import Fitted, Setting, fit_cells, recorded_s
+from flighttest.plan.fit_zone import FittedCell, Setting, fit_cells, recorded_s
 
 SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)
 
 
 def remedy(
-    f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float], placement: Placement
+    f: FittedCell, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float], placement: Placement
 ) -> str:
     """One sentence for the operator on what to change."""
     assert placement.excess is not None
@@ -45,7 +45,7 @@ def remedy(
     return f"{words} {max(need[0], need[1]):.1f} m where {max(have[0], have[1]):.1f} m are free: make the step smaller"
 
 
-def _durations(f: Fitted, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> str:
+def _durations(f: FittedCell, setting: Setting, wish_m: tuple[float, float, float], headings_rad: list[float]) -> str:
     """The longest shorter duration that fits, as a sentence; empty when none does."""
     wanted = recorded_s(f.cell.lead)
     shorter = []

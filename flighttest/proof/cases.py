@@ -24,7 +24,7 @@ class _Kinds(Protocol):
 
 C = TypeVar("C", bound=_Kinds)
 Generator = Literal["rotor", "sitl", "recorded"]
-Kind = Literal["clean", "single", "pair", "outside", "natural"]
+CaseKind = Literal["clean", "single", "pair", "outside", "natural"]
 # Shares of trials: clean, one effect, two effects, physics outside the catalogue.
 SHARES = (("clean", 0.34), ("single", 0.42), ("pair", 0.14), ("outside", 0.10))
 FACTOR = (0.7, 2.5)  # an effect is its usual size times this, drawn evenly in the logarithm
@@ -60,13 +60,13 @@ class Case:
 
 
 def cases_of(
-    seed: int, trials: int, generator: Generator = "rotor", kind: Kind | None = None, clean: int = 0
+    seed: int, trials: int, generator: Generator = "rotor", kind: CaseKind | None = None, clean: int = 0
 ) -> list[Case]:
     """The first trials of a seed, of every kind or of one, and its next ones with nothing hidden until there are `clean` of these."""
     return first_of((draw(seed, k, generator) for k in count()), trials, kind, clean)
 
 
-def first_of(drawn: Iterator[C], trials: int, kind: Kind | None, clean: int) -> list[C]:
+def first_of(drawn: Iterator[C], trials: int, kind: CaseKind | None, clean: int) -> list[C]:
     """The first trials that are drawn, of every kind or of one, and the next ones with nothing hidden until there are `clean` of these."""
     first = list(islice((case for case in drawn if kind in (None, case.kind)), trials))
     lacking = max(clean - sum(case.kind == "clean" for case in first), 0)

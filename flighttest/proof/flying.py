@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from flighttest.flight import FlightOptions, fly
+from flighttest.flight import FlightSettings, fly
 from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.pipeline.planning.predictor import ModelPredictor
@@ -114,6 +114,6 @@ def _fly_built_in(plan: Plan, options: SimOptions, folder: Path) -> tuple[Record
 
 def _fly_firmware(plan: Plan, options: SimOptions, folder: Path) -> tuple[Recording, ...]:
     with launch_on_physics(replace(options, speed=FIRMWARE_SPEED), folder=folder / "firmware") as firmware:
-        fly(plan, firmware.url, folder / "run", FlightOptions(set_params=True))
+        fly(plan, firmware.url, folder / "run", FlightSettings(set_params=True))
         logs = firmware.vehicle.onboard_logs
     return open_recordings(logs)

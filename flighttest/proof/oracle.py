@@ -36,13 +36,13 @@ FIRST_DISTURBANCE = {"roll_pitch": 0.003, "yaw": 0.01, "translation": 0.05}
 
 
 @dataclass(frozen=True)
-class Noise:
+class OracleNoise:
     """std: of a sample, by channel; disturbance: of the constant one of a response, by block (rad, rad/s, m/s^2)."""
 
     std: dict[str, float]
     disturbance: dict[str, float]
 
-    def of_residual(self, left: Left) -> Noise:
+    def of_residual(self, left: Left) -> OracleNoise:
         """The same with samples as far as the base model leaves them: what is noise beside a difference of two flights."""
         return replace(self, std=self.std | {c: float(np.std(x)) for c, x in _pooled(left.residual).items()})
 
@@ -77,7 +77,7 @@ class Left:
         return found
 
 
-def size_in_floors(effect: Left, noise: Noise) -> float:
+def size_in_floors(effect: Left, noise: OracleNoise) -> float:
     """Largest RMS over a place, in noise floors."""
     sizes = (float(np.sqrt(np.mean(x**2))) / noise.std[channel] for (channel, _), x in effect.places().items())
     return max(sizes, default=0.0)
@@ -97,7 +97,7 @@ def _pooled(values: Mapping[tuple[str, str], FloatArray]) -> dict[str, FloatArra
     return {k: np.concatenate(v) for k, v in found.items()}
 
 
-def cosine(one: Left, other: Left, noise: Noise) -> float:
+def cosine(one: Left, other: Left, noise: OracleNoise) -> float:
     """Between what two effects leave, in noise floors."""
     keys = sorted(one.residual.keys() & other.residual.keys())
     pairs = []
@@ -108,19 +108,19 @@ def cosine(one: Left, other: Left, noise: Noise) -> float:
     return float(abs(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12))
 
 
-def noise_of(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_voltage_v: float) -> Noise:
+def noise_of(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_voltage_v: float) -> OracleNoise:
     """From a recorded flight and the same without noise and gusts."""
-    noise = Noise(FIRST, FIRST_DISTURBANCE)
+    noise = OracleNoise(FIRST, FIRST_DISTURBANCE)
     for _ in range(2):
         apart = left(recorded, noise, nominal_voltage_v).less(left(quiet, noise, nominal_voltage_v))
-        noise = Noise(
+        noise = OracleNoise(
             noise.std | {c: float(np.std(x)) for c, x in _pooled(apart.residual).items()},
             noise.disturbance | {b: float(np.sqrt(np.mean(x**2))) for b, x in _pooled(apart.disturbance).items()},
         )
     return noise
 
 
-def left(segments: Sequence[Segment], noise: Noise, nominal_voltage_v: float, free: bool = False) -> Left:
+def left(segments: Sequence[Segment], noise: OracleNoise, nominal_voltage_v: float, free: bool = False) -> Left:
     """What the base model leaves after a fit of its own to these responses; free: windows of free flight count, too."""
     usable = [s for s in segments if s.usable and (free or s.kind != "free")]
     residual: dict[tuple[str, str], FloatArray] = {}

@@ -15,7 +15,7 @@ import numpy as np
 from flighttest.datafiles import read_json
 from flighttest.errors import InputError
 from flighttest.proof import trial
-from flighttest.proof.cases import Case, Generator, Kind, cases_of, first_of
+from flighttest.proof.cases import Case, CaseKind, Generator, cases_of, first_of
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.recorded.cases import RecordedCase, drawn
 from flighttest.proof.recorded.sets import read_sets
@@ -34,7 +34,7 @@ class ProofRequest:
     trials: int
     seed: int | None = None
     generator: Generator = "rotor"
-    kind: Kind | None = None
+    kind: CaseKind | None = None
     clean: int = 0
     workers: int = 1
     scheduler: str | None = None

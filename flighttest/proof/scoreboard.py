@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from flighttest.proof.cases import Generator, Kind
+from flighttest.proof.cases import CaseKind, Generator
 from flighttest.proof.outcome import BASE, Outcome
 from flighttest.proof.records import Calibration, ConfusionRow, Counted, Magnitudes, Miss, NameRates, PowerRow, Scores
 
@@ -250,7 +250,9 @@ RECORDED = (
 )
 
 
-def markdown(outcomes: Sequence[Outcome], seed: int, generator: Generator = "rotor", kind: Kind | None = None) -> str:
+def markdown(
+    outcomes: Sequence[Outcome], seed: int, generator: Generator = "rotor", kind: CaseKind | None = None
+) -> str:
     """docs/proof.md; kind: the only one of the trials."""
     s = score(outcomes)
     alone = f" of kind `{kind}`" if kind else ""

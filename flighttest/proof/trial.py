@@ -25,7 +25,7 @@ from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 
 @dataclass(frozen=True)
-class Measured:
+class OracleAnswer:
     """The oracle's answer on a case. sizes: hidden effect to noise floors; forces: to the RMS specific force that the base model leaves
     because of it, m/s^2; classes: to the ids that cannot be distinguished from it in this campaign."""
 
@@ -51,7 +51,7 @@ def run(case: Case) -> Outcome:
     return replace(outcome, coverage=_coverage(segments, found), cpu_s=cpu, wall_s=wall)
 
 
-def opened(case: Case, found: DiagnosisData, measured: Measured) -> Outcome:
+def opened(case: Case, found: DiagnosisData, measured: OracleAnswer) -> Outcome:
     """A diagnosis (diagnosis.json) beside the truth and the oracle's answer."""
     claimed = {f["term"]: f["evidence"].get("rms_force_left_m_s2") or 0.0 for f in found["findings"]}
     forces = {
@@ -66,16 +66,16 @@ def opened(case: Case, found: DiagnosisData, measured: Measured) -> Outcome:
     )
 
 
-def measure(case: Case, recorded: Sequence[Segment]) -> Measured:
+def measure(case: Case, recorded: Sequence[Segment]) -> OracleAnswer:
     """Every hidden effect of a case, by quiet twin flights with and without it."""
     if not case.hide:
-        return Measured()
+        return OracleAnswer()
     voltage = random_rotor(case.vehicle_seed).nominal_voltage_v
     quiet = _flown(case, quiet=True)
     noise = oracle.noise_of(recorded, quiet, voltage)
     with_all = oracle.left(quiet, noise, voltage)
     effects = {e: with_all.less(oracle.left(_flown(case, without=e, quiet=True), noise, voltage)) for e in case.hide}
-    return Measured(
+    return OracleAnswer(
         {e: oracle.size_in_floors(left, noise) for e, left in effects.items()},
         {e: oracle.force_left(left) for e, left in effects.items()},
         {e: ALIASED.get(e, (e,)) for e in effects},

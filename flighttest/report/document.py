@@ -155,7 +155,7 @@ class Choice:
     figures: tuple[tuple[str, Figure], ...]
 
 
-Block = Paragraph | Bullets | Facts | Table | Code | Figure | Viewer | Choice
+PageBlock = Paragraph | Bullets | Facts | Table | Code | Figure | Viewer | Choice
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Section:
 
     id: str
     title: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[PageBlock, ...]
     lead: str = ""
     detail: bool = False  # a terminal shows it only where everything is asked for
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from flighttest.identify.response_analysis.comparison import FittedResponse, Overlay, ThrustPoint
+from flighttest.identify.response_analysis.comparison import FittedResponse, ResponseOverlay, ThrustPoint
 from flighttest.identify.response_analysis.frequency_response import FrequencyResponse, ResidualCorrelation
 from flighttest.identify.validation.accumulation import Accumulation
 
@@ -62,7 +62,7 @@ class FitView:
     verdict: str
     good: bool
     parameters: tuple[ParameterView, ...]
-    overlays: tuple[Overlay, ...] = ()
+    overlays: tuple[ResponseOverlay, ...] = ()
     thrust_points: tuple[ThrustPoint, ...] = ()
     segments: tuple[SegmentView, ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()

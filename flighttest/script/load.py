@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Form, Node, kind_of, nearest, read_form, require
+from flighttest.documents import Form, Node, YamlDocument, kind_of, nearest, read_form, require
 from flighttest.errors import ScriptError
 from flighttest.frames import yaw_from_compass
 from flighttest.script.model import Limits, Maneuver, Repeat, Reset, ResetBy, Script, ThrottleUnit
@@ -61,7 +61,7 @@ def load_script(path: str | Path) -> Script:
 def parse_script(text: str, file: str = "script.yaml") -> Script:
     """`load_script` for text; `file` names it in messages."""
 
-    def build(document: Document, fields: Mapping[str, Node]) -> Script:
+    def build(document: YamlDocument, fields: Mapping[str, Node]) -> Script:
         require(document, fields, ("steps",), document.line)
         return _Reader(document, fields).script(text, file)
 
@@ -71,7 +71,7 @@ def parse_script(text: str, file: str = "script.yaml") -> Script:
 class _Reader:
     """Walks the checked keys; notes problems in the document and goes on with defaults."""
 
-    def __init__(self, document: Document, fields: Mapping[str, Node]) -> None:
+    def __init__(self, document: YamlDocument, fields: Mapping[str, Node]) -> None:
         self.document = document
         self.fields = fields
 

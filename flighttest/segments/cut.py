@@ -19,7 +19,7 @@ from flighttest.recording import Recording
 from flighttest.segments import edges as ed
 from flighttest.segments.airborne import flights
 from flighttest.segments.align import Aligned, prepare, sample
-from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, References, Response, Tolerance
+from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, FoundStep, References, Tolerance
 from flighttest.segments.marks import Marked, marked
 from flighttest.segments.model import Flaw, Segment, SegmentContext
 from flighttest.segments.quality import flaws_of
@@ -76,10 +76,10 @@ def _steps_of(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]]) -> int:
 
 def _by_marks(
     references: References | None, marks: Sequence[Marked], aligned: Aligned
-) -> list[tuple[Response, Marked | None]]:
+) -> list[tuple[FoundStep, Marked | None]]:
     rows = _responses(references)
     every = [(r, row, edges) for row, edges in rows for r in ed.responses(row, edges)]
-    found: list[tuple[Response, Marked | None]] = []
+    found: list[tuple[FoundStep, Marked | None]] = []
     for mark in marks:
         if mark.t_step_s is not None:
             response = _at_step(rows, mark)
@@ -102,10 +102,10 @@ def _by_marks(
     return found
 
 
-def _at_step(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]], mark: Marked) -> Response | None:
+def _at_step(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]], mark: Marked) -> FoundStep | None:
     """The response whose step is nearest to where a mark puts it, up to the end of its chain or of the mark."""
     assert mark.t_step_s is not None
-    best: tuple[float, Response] | None = None
+    best: tuple[float, FoundStep] | None = None
     for row, edges in rows:
         for k, edge in enumerate(edges):
             distance = abs(edge.t_s - mark.t_step_s)
@@ -126,7 +126,7 @@ def _at_step(rows: Sequence[tuple[list[ed.Plateau], list[ed.Edge]]], mark: Marke
     return best[1] if best is not None else None
 
 
-def _in_piece(references: References | None, mark: Marked) -> list[Response]:
+def _in_piece(references: References | None, mark: Marked) -> list[FoundStep]:
     """Responses inside a numbered piece of a table, which may begin only just before its step."""
     if references is None:
         return []
@@ -136,11 +136,11 @@ def _in_piece(references: References | None, mark: Marked) -> list[Response]:
     return [replace(r, end_s=min(r.end_s, mark.end_s)) for r in found]
 
 
-def _missed(mark: Marked, t_s: float) -> Response:
+def _missed(mark: Marked, t_s: float) -> FoundStep:
     """A marked step of which the references show nothing clean: kept, so that its absence is seen."""
     end = min(mark.end_s, t_s + 1.5)
     kind = mark.kinds[0] if mark.kinds else "free"
-    return Response(kind, {}, t_s, t_s - 0.3, max(end, t_s))
+    return FoundStep(kind, {}, t_s, t_s - 0.3, max(end, t_s))
 
 
 def _by_references(
@@ -148,8 +148,8 @@ def _by_references(
     references: References | None,
     aligned: Aligned,
     marks: Sequence[Marked],
-    marked: Sequence[Response],
-) -> list[tuple[Response, Marked | None]]:
+    marked: Sequence[FoundStep],
+) -> list[tuple[FoundStep, Marked | None]]:
     """Steps beside the marks, and windows of what neither of them holds. marked: the responses of the marks."""
     spans = _flown_with_targets(recording, references)
     every = [r for row, edges in _responses(references) for r in ed.responses(row, edges)]
@@ -183,7 +183,7 @@ def _flown_with_targets(recording: Recording, references: References | None) -> 
     return tuple((max(a, first), min(b, last)) for a, b in spans if a < last and first < b) or spans
 
 
-def _without(span: tuple[float, float], taken: Iterable[Response]) -> list[tuple[float, float]]:
+def _without(span: tuple[float, float], taken: Iterable[FoundStep]) -> list[tuple[float, float]]:
     """What responses leave of a stretch."""
     found, begin = [], span[0]
     for r in sorted(taken, key=lambda r: r.start_s):
@@ -222,15 +222,15 @@ def _known_from(references: References | None, start_s: float) -> float:
     return max(start_s, begun + _DELAY_MAX_S)
 
 
-def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[Response]:
+def windows(start_s: float, end_s: float, length_s: float = WINDOW_S) -> list[FoundStep]:
     """Consecutive windows of free flight; a short rest at the end joins the last one or is left."""
     count = int((end_s - start_s) / length_s)
     if count == 0:
-        return [Response("free", {}, start_s, start_s, end_s)] if end_s - start_s >= _SHORTEST_WINDOW_S else []
+        return [FoundStep("free", {}, start_s, start_s, end_s)] if end_s - start_s >= _SHORTEST_WINDOW_S else []
     bounds = start_s + length_s * np.arange(count + 1)
     if end_s - bounds[-1] >= _SHORTEST_WINDOW_S:
         bounds = np.append(bounds, end_s)
-    return [Response("free", {}, float(a), float(a), float(b)) for a, b in pairwise(bounds)]
+    return [FoundStep("free", {}, float(a), float(a), float(b)) for a, b in pairwise(bounds)]
 
 
 class _Cutter:
@@ -244,7 +244,7 @@ class _Cutter:
         up = [m.t_s for m in recording.markers if m.label == "take-off"]
         self.takeoffs_s = up[:1] or [start for start, _ in flights(recording)]
 
-    def segment(self, response: Response, mark: Marked | None) -> Segment:
+    def segment(self, response: FoundStep, mark: Marked | None) -> Segment:
         t_s, y = sample(self.aligned, response.start_s, response.end_s)
         flaws = flaws_of(self.recording, self.references, response, t_s, y, self.streamed)
         notes: tuple[str, ...] = ()
@@ -279,7 +279,7 @@ class _Cutter:
             context=self._context(response),
         )
 
-    def _context(self, response: Response) -> SegmentContext:
+    def _context(self, response: FoundStep) -> SegmentContext:
         provenance = self.recording.provenance
         error_s = provenance.clock.get("error_s")
         return SegmentContext(
@@ -306,7 +306,7 @@ class _Cutter:
         rates = [s.rate_hz for s in self.recording.series.values() if len(s) > 2]
         return float(0.5 / max(rates, default=np.inf))
 
-    def _voltage_samples(self, response: Response) -> tuple[FloatArray, FloatArray] | None:
+    def _voltage_samples(self, response: FoundStep) -> tuple[FloatArray, FloatArray] | None:
         """The battery's own samples about a response: at 10 Hz they are few, and the time base's values are chords between them."""
         battery = self.recording.series.get("battery")
         if battery is None or "voltage_v" not in battery.columns:
@@ -314,7 +314,7 @@ class _Cutter:
         reach = slice(*np.searchsorted(battery.t_s, [response.start_s - _REACH_BACK_S, response.end_s + _REACH_BACK_S]))
         return battery.t_s[reach], battery.columns["voltage_v"][reach]
 
-    def _inputs(self, response: Response) -> dict[str, tuple[FloatArray, FloatArray]]:
+    def _inputs(self, response: FoundStep) -> dict[str, tuple[FloatArray, FloatArray]]:
         """References as they changed, from the last change before the window's reach."""
         references = self.references
         if references is None:

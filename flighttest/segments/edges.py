@@ -79,7 +79,7 @@ class Edge:
 
 
 @dataclass(frozen=True)
-class Response:
+class FoundStep:
     """One step and how long its record may be: kind and cell as in `Segment`; from start_s to end_s, the step at t_step_s;
     later_edges_s: further edges of the same input inside (counter-step, return); by_hand: as of the edge; between: a
     window between steps, in which the vehicle is brought back."""
@@ -105,7 +105,7 @@ def references_of(recording: Recording) -> References | None:
     return References(series.t_s, values, period, period < 0.2)
 
 
-def moves(references: References | None, response: Response) -> bool:
+def moves(references: References | None, response: FoundStep) -> bool:
     """Whether any reference changes by as much as a step in a stretch."""
     if references is None:
         return False
@@ -209,9 +209,9 @@ def _link(a: Plateau, b: Plateau, tolerance: Tolerance, period_s: float) -> int 
     return channel if bool(np.all(change <= allowed)) else None
 
 
-def responses(row: Sequence[Plateau], edges: Sequence[Edge]) -> list[Response]:
+def responses(row: Sequence[Plateau], edges: Sequence[Edge]) -> list[FoundStep]:
     """Cut a chain into responses: tilt and yaw rate steps until they are back and coasted out, throttle steps in pairs."""
-    found: list[Response] = []
+    found: list[FoundStep] = []
     k = 0
     while k < len(edges):
         if edges[k].channel == THROTTLE:
@@ -238,7 +238,7 @@ def _back(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> int:
     return len(edges) - 1
 
 
-def step_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int, last: int, coast_s: float = 2.0) -> Response:
+def step_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int, last: int, coast_s: float = 2.0) -> FoundStep:
     """The response to the tilt or yaw rate step of edge k, up to coast_s after edge `last`."""
     edge = edges[k]
     channel = edge.channel
@@ -248,10 +248,10 @@ def step_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int, last: i
     }[channel]  # fmt: skip
     end = _held_until(row, edges, last, edges[last].t_s + coast_s)
     later = tuple(e.t_s for e in edges[k + 1 : last + 1])
-    return Response(kind, {name: change}, edge.t_s, max(row[0].start_s, edge.t_s - 0.3), end, later, edge.by_hand)
+    return FoundStep(kind, {name: change}, edge.t_s, max(row[0].start_s, edge.t_s - 0.3), end, later, edge.by_hand)
 
 
-def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> Response:
+def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> FoundStep:
     """The response to the throttle step of edge k: from the onset of T_0, where that was a step too, to the end of T_1."""
     edge = edges[k]
     before, after = row[edge.before].values, row[edge.after].values
@@ -268,7 +268,7 @@ def throttle_response(row: Sequence[Plateau], edges: Sequence[Edge], k: int) -> 
         start = onset if edge.t_s - onset <= _PAIR_HOLD_S else edge.t_s - _PAIR_HOLD_S
     end = row[edge.after].end_s
     start, end = max(start, row[0].start_s), min(end, edge.t_s + 3.0)
-    return Response(kind, cell, edge.t_s, start, end, by_hand=edge.by_hand)
+    return FoundStep(kind, cell, edge.t_s, start, end, by_hand=edge.by_hand)
 
 
 def _held_until(row: Sequence[Plateau], edges: Sequence[Edge], last: int, latest_s: float) -> float:

@@ -68,7 +68,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class Battery:
+class BatteryCourse:
     """Voltage at the start and end of flight, the lowest; the largest current and the charge drawn, where a current was recorded."""
 
     first_v: float
@@ -165,7 +165,7 @@ def spectra(recording: Recording, names: Sequence[str] = SENSORS) -> tuple[Spect
     return tuple(found)
 
 
-def battery(recording: Recording) -> Battery | None:
+def battery(recording: Recording) -> BatteryCourse | None:
     """None where no voltage was recorded."""
     if not recording.has("voltage_v"):
         return None
@@ -178,7 +178,7 @@ def battery(recording: Recording) -> Battery | None:
     if recording.has("current_a"):
         amps = np.nan_to_num(recording.channel("current_a")[1][keep])
         most, drawn = float(amps.max()), float(np.trapezoid(amps, t) / 3600.0)
-    return Battery(float(volts[0]), float(volts[-1]), float(volts.min()), most, drawn)
+    return BatteryCourse(float(volts[0]), float(volts[-1]), float(volts.min()), most, drawn)
 
 
 def modes(recording: Recording) -> tuple[tuple[float, float, str], ...]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import INPUTS
 from flighttest.recording import Recording
-from flighttest.segments.edges import References, Response
+from flighttest.segments.edges import FoundStep, References
 from flighttest.segments.model import Flaw
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ _MARKED = {"take_over": Flaw.TAKE_OVER, "abort": Flaw.ABORTED, "link_lost": Flaw
 def flaws_of(
     recording: Recording,
     references: References | None,
-    response: Response,
+    response: FoundStep,
     t_s: FloatArray,
     y: Mapping[str, FloatArray],
     streamed: bool,
@@ -64,7 +64,7 @@ def flaws_of(
     return tuple(flaw for flaw in Flaw if flaw in found)
 
 
-def _holes(response: Response, t_s: FloatArray, y: Mapping[str, FloatArray]) -> set[Flaw]:
+def _holes(response: FoundStep, t_s: FloatArray, y: Mapping[str, FloatArray]) -> set[Flaw]:
     found: set[Flaw] = set()
     names = [n for n in _PRIMARY.get(response.kind, ()) if n in y]
     if not names:
@@ -81,7 +81,7 @@ def _holes(response: Response, t_s: FloatArray, y: Mapping[str, FloatArray]) -> 
     return found
 
 
-def _events(recording: Recording, response: Response) -> set[Flaw]:
+def _events(recording: Recording, response: FoundStep) -> set[Flaw]:
     found: set[Flaw] = set()
     for marker in recording.markers:
         if not response.start_s - 0.3 < marker.t_s < response.end_s:
@@ -94,7 +94,7 @@ def _events(recording: Recording, response: Response) -> set[Flaw]:
     return found
 
 
-def _unrest(references: References | None, response: Response, t_s: FloatArray, y: Mapping[str, FloatArray]) -> bool:
+def _unrest(references: References | None, response: FoundStep, t_s: FloatArray, y: Mapping[str, FloatArray]) -> bool:
     before = (t_s >= response.t_step_s - _BEFORE_S) & (t_s <= response.t_step_s + 0.02)
     if not before.any():
         return False
@@ -117,7 +117,7 @@ def _unrest(references: References | None, response: Response, t_s: FloatArray, 
     return False
 
 
-def _longest_gap_s(references: References, response: Response) -> float:
+def _longest_gap_s(references: References, response: FoundStep) -> float:
     """The longest time for which no target came between the start and the end of a response."""
     a = max(int(np.searchsorted(references.t_s, response.start_s, side="right")) - 1, 0)
     b = int(np.searchsorted(references.t_s, response.end_s, side="right"))

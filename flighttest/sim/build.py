@@ -6,7 +6,7 @@ import time
 
 from flighttest.sim.autopilot.copter import Autopilot
 from flighttest.sim.autopilot.safety import MODE_SWITCH_S, Boot
-from flighttest.sim.noise import Noise
+from flighttest.sim.noise import NoiseStream
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
 from flighttest.sim.plants.plant import IdentifiedVehicle, Plant
@@ -21,7 +21,7 @@ from flighttest.sim.wire import UNIX_2015_S
 def build_plant(options: SimOptions) -> Plant:
     """The moving vehicle of these options."""
     gusts = Gusts(options.gust_rms_m_s)
-    air = Air(gusts, Noise(options.seed, "gusts")) if options.gust_rms_m_s > 0.0 else None
+    air = Air(gusts, NoiseStream(options.seed, "gusts")) if options.gust_rms_m_s > 0.0 else None
     if options.airframe == "rotor":
         drawn = RotorVehicle() if options.vehicle_seed is None else random_rotor(options.vehicle_seed)
         rotor = drawn.changed(options.vehicle)

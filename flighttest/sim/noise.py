@@ -9,7 +9,7 @@ import numpy as np
 _BLOCK = 4096
 
 
-class Noise:
+class NoiseStream:
     """A stream of standard normal numbers; streams of one seed with different names are independent."""
 
     def __init__(self, seed: int, name: str) -> None:

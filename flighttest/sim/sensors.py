@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.linalg import expm
 
-from flighttest.sim.noise import Noise
+from flighttest.sim.noise import NoiseStream
 from flighttest.sim.plants.plant import Motion
 
 
@@ -86,7 +86,7 @@ class _Wander:
 
     __slots__ = ("_noise", "_sigma", "_t", "_tau", "value")
 
-    def __init__(self, noise: Noise, sigma: float, tau_s: float) -> None:
+    def __init__(self, noise: NoiseStream, sigma: float, tau_s: float) -> None:
         self._noise, self._sigma, self._tau, self._t = noise, sigma, tau_s, 0.0
         self.value = sigma * noise.draw()
 
@@ -114,12 +114,12 @@ class Sensors:
         self.noise = noise or SensorNoise()
         self._motion, self._tick = motion, tick_s
         n = self.noise
-        self._white = Noise(seed, "white")
-        slow = Noise(seed, "wander")
+        self._white = NoiseStream(seed, "white")
+        slow = NoiseStream(seed, "wander")
         # White noise of one density whatever the tick: a 400 Hz sample has the stated deviation.
         self._accel_sigma = n.accel_m_s2 / math.sqrt(400.0 * tick_s)
         self._gyro_sigma = n.gyro_rad_s / math.sqrt(400.0 * tick_s)
-        self._imu = Noise(seed, "imu")
+        self._imu = NoiseStream(seed, "imu")
         self._attitude = [_Wander(slow, n.attitude_wander_rad, 4.0) for _ in range(3)]
         self._velocity = [_Wander(slow, n.velocity_wander_m_s, 3.0) for _ in range(3)]
         self._position = [_Wander(slow, n.position_wander_m, 8.0) for _ in range(3)]

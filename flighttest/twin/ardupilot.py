@@ -21,7 +21,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Contribution, Param, Port, Signals, Term
 from flighttest.sim.plants.plant_paper import HOVER_CURRENT_A
-from flighttest.twin.firmware import Frame, frame_of
+from flighttest.twin.firmware import FirmwareFrame, frame_of
 from flighttest.twin.rotorpy import MASS_KG, test_maneuver
 from flighttest.twin.vehicle import battery_of, fly_able
 
@@ -40,7 +40,7 @@ class Exported:
 
     frame: Mapping[str, float | list[float]]
     parameters: dict[str, float]
-    loops: Frame
+    loops: FirmwareFrame
     lacking: tuple[str, ...]
     thrust_share: float
     velocity_m_s: float

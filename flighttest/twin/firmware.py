@@ -83,7 +83,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Frame:
+class FirmwareFrame:
     """axes: by name; parameters: for the firmware; not_represented: terms that a frame cannot have; notes: what the user must read."""
 
     axes: Mapping[str, Axis]
@@ -114,7 +114,7 @@ class Frame:
 
 def firmware_options(
     stored: ModelFile, hide: Mapping[str, Mapping[str, float]] | None = None, **others: Any
-) -> tuple[SimOptions, Frame]:
+) -> tuple[SimOptions, FirmwareFrame]:
     """`SimOptions` for `launch_on_physics`, and the frame in them. ModelError where the model has no attitude loops."""
     made = options_of(stored, hide, **others)
     frame = frame_of(stored)
@@ -134,7 +134,7 @@ def firmware_options(
     return replace(made, model=described, parameters={**made.parameters, **frame.parameters}), frame
 
 
-def frame_of(stored: ModelFile, motor_lag: bool = True) -> Frame:
+def frame_of(stored: ModelFile, motor_lag: bool = True) -> FirmwareFrame:
     """Fit the frame; the firmware's parameters are the recorded ones as far as they can give the identified loops. motor_lag: whether the
     motors of the target have one."""
     lags = LAG_S if motor_lag else NO_LAG_S
@@ -163,7 +163,9 @@ def frame_of(stored: ModelFile, motor_lag: bool = True) -> Frame:
     attitude.setdefault("ATC_ANGLE_BOOST", float(boost))
     hover = _hover(stored)
     lacking = tuple(t for t in stored.model.terms if t in _NOT_BY_A_FRAME)
-    return Frame(axes, {**attitude, **_LINEAR, "MOT_THST_HOVER": min(max(hover, 0.125), 0.68)}, lacking, tuple(notes))
+    return FirmwareFrame(
+        axes, {**attitude, **_LINEAR, "MOT_THST_HOVER": min(max(hover, 0.125), 0.68)}, lacking, tuple(notes)
+    )
 
 
 def _firmwares(term: str, lacking: tuple[str, ...]) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flighttest.errors import FitError
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.identify.validation.ablations import Start, measured_channels, open_loop, voltage_for
+from flighttest.identify.validation.ablations import OpenLoopStart, measured_channels, open_loop, voltage_for
 from flighttest.identify.validation.validate import comparable, merged
 from flighttest.segments.model import Segment
 from flighttest.twin.what_if import WhatIf
@@ -28,7 +28,7 @@ CHANNELS = (
 
 
 @dataclass(frozen=True)
-class Effect:
+class ChangeEffect:
     """One channel, `HORIZON_S` after each start or at the end of the response. error: RMS of twin minus recording; shift: mean of changed
     minus unchanged twin; size: its RMS; uncertainty: RMS 95 % half width of the changed twin by the model's covariance."""
 
@@ -54,7 +54,7 @@ class Shown:
 class Replay:
     """effects: by channel; shown: the stretches where the change shows most; starts: how many."""
 
-    effects: Mapping[str, Effect]
+    effects: Mapping[str, ChangeEffect]
     shown: tuple[Shown, ...]
     starts: int
 
@@ -113,7 +113,7 @@ def runnable(segments: Sequence[Segment]) -> list[Segment]:
     return usable
 
 
-def starts_in(segments: Sequence[Segment], horizon_s: float = HORIZON_S) -> list[Start]:
+def starts_in(segments: Sequence[Segment], horizon_s: float = HORIZON_S) -> list[OpenLoopStart]:
     """Starts one horizon apart, at most `MOST_STARTS`, each run to its horizon or the end of its segment."""
     found = []
     for i, s in enumerate(segments):
@@ -121,11 +121,11 @@ def starts_in(segments: Sequence[Segment], horizon_s: float = HORIZON_S) -> list
         for begin in np.arange(t[0], t[-1] - 0.5, horizon_s):
             first = int(np.searchsorted(t, begin))
             last = int(np.searchsorted(t, t[first] + horizon_s + 1e-6, side="right")) - 1
-            found.append(Start(i, first, last))
+            found.append(OpenLoopStart(i, first, last))
     return found[:: -(-len(found) // MOST_STARTS)]
 
 
-def _effect(stretches: Sequence[Shown], channel: str) -> Effect:
+def _effect(stretches: Sequence[Shown], channel: str) -> ChangeEffect:
     ends = np.array(
         [
             (
@@ -138,12 +138,12 @@ def _effect(stretches: Sequence[Shown], channel: str) -> Effect:
         ]
     )
     if not len(ends):
-        return Effect(float("nan"), float("nan"), float("nan"), float("nan"))
+        return ChangeEffect(float("nan"), float("nan"), float("nan"), float("nan"))
     error, size, half = np.sqrt(np.mean(ends**2, axis=0))
-    return Effect(float(error), float(ends[:, 1].mean()), float(size), float(half))
+    return ChangeEffect(float(error), float(ends[:, 1].mean()), float(size), float(half))
 
 
-def _liveliness(shown: Shown, effects: Mapping[str, Effect]) -> float:
+def _liveliness(shown: Shown, effects: Mapping[str, ChangeEffect]) -> float:
     """How much the change shows in a stretch, in errors of the twin; without a change, how much moves."""
     total = 0.0
     for c, e in effects.items():

@@ -17,10 +17,10 @@ from flighttest.validity.model import (
     Appeared,
     Assessment,
     BatteryCheck,
-    Change,
+    DeclaredChange,
     Drift,
     SubsetTest,
-    Verdict,
+    ValidityVerdict,
 )
 from flighttest.vehicle.fingerprint import FingerprintData
 
@@ -28,7 +28,7 @@ SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names
 
 
 @dataclass(frozen=True)
-class Evidence:
+class RecordingEvidence:
     """What new recordings show of a model.
 
     runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same steps of the
@@ -52,7 +52,7 @@ def assess(
     model_fingerprint: FingerprintData,
     vehicle_fingerprint: FingerprintData | None,
     stored: Estimates,
-    new: Evidence | None = None,
+    new: RecordingEvidence | None = None,
     subsets: Mapping[str, tuple[str, ...]] = SUBSETS,
 ) -> Assessment:
     """Is the model still valid?
@@ -60,9 +60,9 @@ def assess(
     model_fingerprint, vehicle_fingerprint: as in model.yaml; None when nothing is known of today's vehicle. stored: the model's
     estimates; new: what recordings since then show; subsets: parameters that are tested together.
     """
-    new = new or Evidence()
+    new = new or RecordingEvidence()
     runs, matched, appeared = new.runs, new.matched, new.appeared
-    changes: tuple[Change, ...] = ()
+    changes: tuple[DeclaredChange, ...] = ()
     cannot_tell = list(new.untestable)
     if vehicle_fingerprint is not None:
         changes, unknown = declared_changes(model_fingerprint, vehicle_fingerprint)
@@ -76,14 +76,14 @@ def assess(
     fly: tuple[str, ...] = ()
     narrow: tuple[str, ...] = ()
     if changes or alarms or crossed or appeared:
-        verdict = Verdict.STALE
+        verdict = ValidityVerdict.STALE
         sides = (matched.before, matched.after) if matched is not None else (stored, runs[-1]) if runs else None
         sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
         fly, narrow = ALL_SCRIPTS, _narrow(changes, alarms, crossed)
     elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
-        verdict, sentence = Verdict.CURRENT, _current(tests, bool(cannot_tell), compared)
+        verdict, sentence = ValidityVerdict.CURRENT, _current(tests, bool(cannot_tell), compared)
     else:
-        verdict, sentence = Verdict.UNKNOWN, _unknown(compared)
+        verdict, sentence = ValidityVerdict.UNKNOWN, _unknown(compared)
     return Assessment(
         verdict=verdict,
         sentence=sentence + _of_battery(checked),
@@ -100,7 +100,7 @@ def assess(
     )
 
 
-def _tests(stored: Estimates, new: Evidence, subsets: Mapping[str, tuple[str, ...]]) -> tuple[SubsetTest, ...]:
+def _tests(stored: Estimates, new: RecordingEvidence, subsets: Mapping[str, tuple[str, ...]]) -> tuple[SubsetTest, ...]:
     """The newest run's estimates against the model's, by subset; the throttle that holds height in the place of the thrust's test, or
     beside the others, where it would show the smaller change. The false-alarm rate of all together stays `FALSE_ALARM`."""
     runs, before, now = new.runs, *new.hovers
@@ -123,7 +123,9 @@ def _tests(stored: Estimates, new: Evidence, subsets: Mapping[str, tuple[str, ..
     return (*others, level) if by_gain.detectable.get("K", 0.0) > level.detectable[NAME] else tests
 
 
-def _narrow(changes: Sequence[Change], alarms: Sequence[SubsetTest], crossed: Sequence[Drift]) -> tuple[str, ...]:
+def _narrow(
+    changes: Sequence[DeclaredChange], alarms: Sequence[SubsetTest], crossed: Sequence[Drift]
+) -> tuple[str, ...]:
     """The scripts for what has changed alone; all where that is of no one subset."""
     moved = {s for c in changes for s in c.touches} | {t.subset for t in alarms}
     moved |= {SUBSET_OF[d.parameter] for d in crossed if d.parameter in SUBSET_OF}
@@ -168,7 +170,7 @@ def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
 
 
 def _stale(
-    changes: Sequence[Change],
+    changes: Sequence[DeclaredChange],
     alarms: Sequence[SubsetTest],
     crossed: Sequence[Drift],
     tests: Sequence[SubsetTest],

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from fnmatch import fnmatch
 from typing import Any
 
-from flighttest.validity.model import ALL_SCRIPTS, SCRIPTS, SUBSETS, Change
+from flighttest.validity.model import ALL_SCRIPTS, SCRIPTS, SUBSETS, DeclaredChange
 from flighttest.vehicle.fingerprint import FingerprintData
 
 EVERYTHING = tuple(SUBSETS)
@@ -69,12 +69,14 @@ FEW, PARTLY = 5, 0.2  # number and share of the parameters that a firmware's nex
 _UNTELLING_FIELDS = frozenset({"installed", "note", "notes", "comment", "url"})
 
 
-def declared_changes(before: FingerprintData, after: FingerprintData) -> tuple[tuple[Change, ...], tuple[str, ...]]:
+def declared_changes(
+    before: FingerprintData, after: FingerprintData
+) -> tuple[tuple[DeclaredChange, ...], tuple[str, ...]]:
     """Changes between two fingerprints (as in model.yaml), and what could not be compared, one sentence each.
 
     Only what both sides hold is compared: something one side never declared is unknown, not changed.
     """
-    changes: list[Change] = []
+    changes: list[DeclaredChange] = []
     unknown: list[str] = []
     changes += _components(before.get("components") or {}, after.get("components") or {}, unknown)
     changes += _firmware(before, after, unknown)
@@ -115,7 +117,7 @@ def same(a: Any, b: Any) -> bool:
     return bool(str(a).strip() == str(b).strip())
 
 
-def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
+def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[DeclaredChange]:
     if not before:
         unknown.append("the model does not hold which components it was flown with")
         return []
@@ -134,7 +136,7 @@ def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             continue
         subsets, because = _COMPONENTS.get(name, (EVERYTHING, "nothing is known about what this component touches"))
         found.append(
-            Change(
+            DeclaredChange(
                 "component",
                 name,
                 _describe(old),
@@ -150,7 +152,7 @@ def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
     return found
 
 
-def _firmware(before: FingerprintData, after: FingerprintData, unknown: list[str]) -> list[Change]:
+def _firmware(before: FingerprintData, after: FingerprintData, unknown: list[str]) -> list[DeclaredChange]:
     old, new = before.get("firmware"), after.get("firmware")
     if not old or not new:
         unknown.append("the firmware of " + ("the model's flight" if not old else "today's vehicle") + " is not known")
@@ -177,7 +179,7 @@ def _same_firmware(old: str, new: str) -> bool:
     return not (hash_of[0] and hash_of[1]) or hash_of[0][1] == hash_of[1][1]
 
 
-def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[Change]:
+def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[str]) -> list[DeclaredChange]:
     if not before or not after:
         if before:
             unknown.append("the vehicle's parameters are not known; connect it, or give a run of today")
@@ -201,7 +203,9 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             f"{name} acts on {', '.join(subsets)} alone" if subsets != EVERYTHING else f"{name} may act on everything"
         )
         found.append(
-            Change("parameter", name, _plain(old), _plain(new), subsets, ALL_SCRIPTS, scripts_for(subsets), because)
+            DeclaredChange(
+                "parameter", name, _plain(old), _plain(new), subsets, ALL_SCRIPTS, scripts_for(subsets), because
+            )
         )
     return found
 
@@ -216,19 +220,19 @@ def _partly(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[s
     return False
 
 
-def _mass(old: Any, new: Any) -> list[Change]:
+def _mass(old: Any, new: Any) -> list[DeclaredChange]:
     """Another mass as declared: what goes with force over mass, and what a payload does to the inertia."""
     if not isinstance(old, int | float) or not isinstance(new, int | float) or same(old, new):
         return []
     because = (
         f"K and the drag go with 1/mass: expect them at {old / new:.3f} of what they were; a payload also adds inertia"
     )
-    return [Change("mass", "mass", f"{old:g} kg", f"{new:g} kg", EVERYTHING, ALL_SCRIPTS, ALL_SCRIPTS, because)]
+    return [DeclaredChange("mass", "mass", f"{old:g} kg", f"{new:g} kg", EVERYTHING, ALL_SCRIPTS, ALL_SCRIPTS, because)]
 
 
-def _everything(kind: str, name: str, old: Any, new: Any) -> Change:
+def _everything(kind: str, name: str, old: Any, new: Any) -> DeclaredChange:
     because = f"a change of {name} may touch everything"
-    return Change(kind, name, _plain(old), _plain(new), EVERYTHING, ALL_SCRIPTS, ALL_SCRIPTS, because)
+    return DeclaredChange(kind, name, _plain(old), _plain(new), EVERYTHING, ALL_SCRIPTS, ALL_SCRIPTS, because)
 
 
 def scripts_for(subsets: tuple[str, ...]) -> tuple[str, ...]:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from flighttest.frames import G_M_S2
 from flighttest.validity.hover import NAME
-from flighttest.validity.model import SUBSETS, WORDS, Change, SubsetTest
+from flighttest.validity.model import SUBSETS, WORDS, DeclaredChange, SubsetTest
 
 
-def impact_of(changes: Sequence[Change], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
+def impact_of(changes: Sequence[DeclaredChange], alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
     """One sentence per subset that moved; what a declared change puts in doubt that no flight has tested yet."""
     found = [sentence for test in alarms if (sentence := _of_test(test))]
     determined = {test.subset for test in alarms}

@@ -38,7 +38,7 @@ ALPHA_UNKNOWN = 0.6  # standard error of alpha where nothing is known of it: 0 w
 
 
 @dataclass(frozen=True)
-class Step:
+class StepScore:
     """What a model keeps of one kind of step of its own flights. cell: as `Segment.cell`; score: mean over `responses`, by parameter, at
     the model's estimates; log_voltage: ln(U / U_n), NaN where it was not recorded."""
 
@@ -55,7 +55,7 @@ class Step:
         return all(abs(cell[k] - v) <= SAME_SIZE * abs(v) + 1e-6 for k, v in self.cell.items())
 
 
-def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: float) -> tuple[Step, ...]:
+def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: float) -> tuple[StepScore, ...]:
     """What to keep of a fit. normal: at the solution, clusters as `segments`."""
     found = []
     determined = np.abs(normal.hessian).sum(axis=(1, 2)) > 0.0
@@ -63,11 +63,11 @@ def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: 
         first, score = segments[members[0]], normal.score[members].mean(axis=0)
         volts = _log_voltage([segments[i] for i in members], nominal_voltage_v)
         kept = dict(zip(normal.names, score.tolist(), strict=True))
-        found.append(Step(first.kind, dict(first.cell), len(members), volts, kept))
+        found.append(StepScore(first.kind, dict(first.cell), len(members), volts, kept))
     return tuple(found)
 
 
-def as_data(steps: Sequence[Step]) -> StepsBlock:
+def as_data(steps: Sequence[StepScore]) -> StepsBlock:
     """For model.yaml: parameters in order, and one line per kind of step."""
     order = list(steps[0].score) if steps else []
     rows: list[dict[str, PlainData]] = [
@@ -83,7 +83,7 @@ def as_data(steps: Sequence[Step]) -> StepsBlock:
     return {"order": order, "flown": rows}
 
 
-def from_data(data: object) -> tuple[Step, ...]:
+def from_data(data: object) -> tuple[StepScore, ...]:
     """What `as_data` wrote; nothing where a model was written without it or by hand."""
     try:
         order, rows = list(data["order"]), list(data["flown"])  # type: ignore[index]
@@ -92,15 +92,15 @@ def from_data(data: object) -> tuple[Step, ...]:
         return ()
 
 
-def _step(order: Sequence[str], row: dict[str, Any]) -> Step:
+def _step(order: Sequence[str], row: dict[str, Any]) -> StepScore:
     kind, count, volts, score = (row.pop(k) for k in ("kind", "responses", "log_voltage", "score"))
     cell = {str(k): float(v) for k, v in row.items()}
     kept = {str(n): float(v) for n, v in zip(order, score, strict=True)}
-    return Step(str(kind), cell, int(count), math.nan if volts is None else float(volts), kept)
+    return StepScore(str(kind), cell, int(count), math.nan if volts is None else float(volts), kept)
 
 
 def compare(
-    kept: Sequence[Step], stored: Estimates, values: Mapping[str, float], noise: Noise, problem: Problem
+    kept: Sequence[StepScore], stored: Estimates, values: Mapping[str, float], noise: Noise, problem: Problem
 ) -> MatchedPairs | None:
     """The new steps of `problem` against those a model kept; None where too few match.
 
@@ -179,7 +179,7 @@ def _by_step(segments: Sequence[Segment], used: Sequence[bool] | FloatArray) -> 
     return list(found.values())
 
 
-def _pairs(kept: Sequence[Step], segments: Sequence[Segment]) -> list[tuple[Step, list[int]]]:
+def _pairs(kept: Sequence[StepScore], segments: Sequence[Segment]) -> list[tuple[StepScore, list[int]]]:
     """Kept steps with the new responses of the same kind."""
     found = []
     for members in _by_step(segments, [True] * len(segments)):
@@ -190,7 +190,7 @@ def _pairs(kept: Sequence[Step], segments: Sequence[Segment]) -> list[tuple[Step
     return found
 
 
-def _differences(normal: Normal, pairs: Sequence[tuple[Step, list[int]]]) -> Normal:
+def _differences(normal: Normal, pairs: Sequence[tuple[StepScore, list[int]]]) -> Normal:
     """Normal equations of the change, one cluster per kind of step: a difference of two means counts as so many responses."""
     hessian, score = [], []
     for step, members in pairs:
@@ -230,7 +230,7 @@ def _inverse(total: FloatArray) -> FloatArray:
 
 def _of_voltage(
     moved: Normal,
-    pairs: Sequence[tuple[Step, list[int]]],
+    pairs: Sequence[tuple[StepScore, list[int]]],
     problem: Problem,
     values: Mapping[str, float],
 ) -> FloatArray:

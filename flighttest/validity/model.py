@@ -49,7 +49,7 @@ WORDS: dict[str, str] = {
 }
 
 
-class Verdict(Enum):
+class ValidityVerdict(Enum):
     """Whether the model still holds. The value is the sentence shown to the reader."""
 
     CURRENT = "the model still holds for this vehicle"
@@ -58,7 +58,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Change:
+class DeclaredChange:
     """Something declared that differs between the model's vehicle and today's.
 
     kind: component, mass, firmware, parameter, voltage or frame. touches: subsets of `SUBSETS`; scripts: the paper's rule (all of
@@ -150,9 +150,9 @@ class BatteryCheck:
 class Assessment:
     """The whole answer. impact: what the change means for a plan made with the model; fly: script names, in order."""
 
-    verdict: Verdict
+    verdict: ValidityVerdict
     sentence: str
-    changes: tuple[Change, ...] = ()
+    changes: tuple[DeclaredChange, ...] = ()
     tests: tuple[SubsetTest, ...] = ()
     drifts: tuple[Drift, ...] = ()
     battery: BatteryCheck | None = None

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flighttest.datafiles import parse_json, read_text
-from flighttest.documents import Document, Form, Node, kind_of, read_form, require
+from flighttest.documents import Form, Node, YamlDocument, kind_of, read_form, require
 from flighttest.errors import VehicleError
 from flighttest.frames import yaw_from_compass
 from flighttest.recording.manifest import Component
@@ -59,14 +59,14 @@ def parse_vehicle(text: str, file: str = "vehicle.yaml", *, to_fly: bool = True)
     """`load_vehicle` for text; `file` names it in messages, and relative component files are looked for beside it."""
     needed = REQUIRED if to_fly else ("format", "name")
 
-    def build(document: Document, fields: Mapping[str, Node]) -> Vehicle:
+    def build(document: YamlDocument, fields: Mapping[str, Node]) -> Vehicle:
         require(document, fields, [key for key in needed if key != "format"], document.line)
         return _vehicle(document, fields, file)
 
     return read_form(text, file, Form("vehicle", KEYS, VehicleError), build)
 
 
-def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehicle:
+def _vehicle(document: YamlDocument, fields: Mapping[str, Node], file: str) -> Vehicle:
     def number(key: str, low: float, high: float, unit: str, default: float | None, hint: str = "") -> float | None:
         if key not in fields:
             return default
@@ -103,7 +103,7 @@ def _vehicle(document: Document, fields: Mapping[str, Node], file: str) -> Vehic
     )
 
 
-def _zone(document: Document, node: Node) -> Zone:
+def _zone(document: YamlDocument, node: Node) -> Zone:
     fields = document.mapping(node, ZONE_KEYS)
     require(document, fields, ("x_m", "y_m", "z_m"), node.line, node.path)
     default = Zone()
@@ -143,7 +143,7 @@ def _zone(document: Document, node: Node) -> Zone:
     return zone
 
 
-def _components(document: Document, node: Node, folder: Path) -> dict[str, Component]:
+def _components(document: YamlDocument, node: Node, folder: Path) -> dict[str, Component]:
     if isinstance(node.value, str):
         try:
             return load_components(folder / node.value)

@@ -17,7 +17,7 @@ from flighttest.cli import main as cli_main
 from flighttest.cli.durations import Durations
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.show import Show
-from flighttest.errors import FitError, InputError, LinkError, PreflightError, Problem
+from flighttest.errors import FileProblem, FitError, InputError, LinkError, PreflightError
 from flighttest.flight import FlightProgress
 from flighttest.pipeline import info as about
 from flighttest.pipeline.flights.run import counted_interrupts
@@ -61,7 +61,9 @@ def test_an_error_is_one_message_with_its_remedy(capsys, monkeypatch, error, cod
 def test_all_problems_and_refusals_reach_json(capsys, monkeypatch):
     raising(
         monkeypatch,
-        InputError.of([Problem("a.yaml", 3, "limits", "too high", "lower it"), Problem("a.yaml", 9, "", "odd")]),
+        InputError.of(
+            [FileProblem("a.yaml", 3, "limits", "too high", "lower it"), FileProblem("a.yaml", 9, "", "odd")]
+        ),
     )
     _, out, _ = call(capsys, "terms", "--json")
     assert [p["line"] for p in json.loads(out)["error"]["problems"]] == [3, 9]

@@ -47,6 +47,40 @@ def test_a_public_name_is_defined_once_in_its_package(repository):
     assert not twice
 
 
+def types_of(source: str) -> list[str]:
+    """Public classes and named types of a module: names that begin with a capital and are no constants."""
+    names = [node.name for node in parsed(source).body if isinstance(node, ast.ClassDef)]
+    for node in parsed(source).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            names += map(ast.unparse, node.targets if isinstance(node, ast.Assign) else [node.target])
+    return [name for name in names if re.fullmatch(r"[A-Z]\w*[a-z]\w*", name)]
+
+
+# Types of the same name in more than one module, with the reason.
+SAME_NAME = {
+    "BoolArray": "an array type, the same wherever it is named",
+    "FloatArray": "an array type, the same wherever it is named",
+    "IndexArray": "an array type, the same wherever it is named",
+    "IntArray": "an array type, the same wherever it is named",
+    "Fitted": "the answer of `fit`; in the comparison of terms a model at its optimum",
+    "State": "a state that a term owns; in the likelihood weights where a solver is",
+}
+
+
+def test_a_type_has_one_meaning_in_the_whole_program(repository):
+    where: dict[str, list[str]] = {}
+    for path in modules(repository):
+        for name in types_of(path.read_text()):
+            where.setdefault(name, []).append(path.relative_to(repository).as_posix())
+    assert {name for name, paths in where.items() if len(paths) > 1} == set(SAME_NAME), "name it by what it is of"
+
+
+def test_the_search_for_types_sees_classes_and_aliases():
+    assert types_of("class A1b: ...\nVerdict = Literal['a']\nSeries: TypeAlias = int\nLEVEL = 1\n_Own = int\nx = 1") == [
+        "A1b", "Verdict", "Series",
+    ]  # fmt: skip
+
+
 def exported(source: str) -> tuple[set[str], list[str] | None]:
     """What a module defines or, where it is a package, takes from its own modules, for others; and what it says it offers, if it does."""
     offered, said = set(), None

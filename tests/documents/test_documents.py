@@ -1,7 +1,7 @@
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from flighttest.documents import Document, nearest, write_text
+from flighttest.documents import YamlDocument, nearest, write_text
 
 plain = st.recursive(
     st.one_of(
@@ -22,7 +22,7 @@ def test_what_is_written_twice_is_written_out():
     shared = [1, 2]
     text = write_text({"a": shared, "b": shared})
     assert "&" not in text
-    document = Document("f", text)
+    document = YamlDocument("f", text)
     assert document.problems == []
     assert document.root.plain() == {"a": [1, 2], "b": [1, 2]}
 
@@ -31,13 +31,13 @@ def test_what_is_written_twice_is_written_out():
 @given(st.dictionaries(st.sampled_from("abc"), plain, min_size=1, max_size=3))
 @settings(max_examples=100, deadline=None, derandomize=True)
 def test_what_is_written_is_read_back(data):
-    document = Document("f", write_text(data))
+    document = YamlDocument("f", write_text(data))
     assert document.problems == []
     assert document.root.plain() == data
 
 
 def test_every_value_knows_its_line():
-    root = Document("f", "a: 1\nb:\n  - 2\n  - {c: 3}\n").root
+    root = YamlDocument("f", "a: 1\nb:\n  - 2\n  - {c: 3}\n").root
     assert root.value["a"].line == 1
     item = root.value["b"].value[1]
     assert (item.line, item.path) == (4, "b[1]")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from flighttest.link import parameters
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
@@ -105,7 +105,7 @@ class LiveProxy(Proxy):
 
 def witness_of(sitl: Sitl) -> ArduPilot:
     """Another link to the vehicle: the pilot's, and the truth."""
-    session = Session(Port(open_transport(f"tcp:127.0.0.1:{sitl.base_port + 2}"), system=255, component=190))
+    session = Session(MavlinkPort(open_transport(f"tcp:127.0.0.1:{sitl.base_port + 2}"), system=255, component=190))
     session.connect()
     session.clock.keep_real_time()
     vehicle = ArduPilot(session)

@@ -32,9 +32,9 @@ from flighttest.flight.preparation.changes import ExternalChanges
 from flighttest.flight.recorder import Recorder
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.clock import FollowedClock
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
-from flighttest.link.streams import Streams
+from flighttest.link.streams import StreamRates
 from flighttest.logs import import_log
 from flighttest.mavlink.dialect import book
 from flighttest.sim import InProcess, SimOptions
@@ -109,7 +109,7 @@ def listen_to_packets(count: int, folder: Path, seed: int = 1) -> int:
     draw, frames, given, ended = random.Random(seed), frames_of_a_flight(), 0, 0
     while given < count:
         link = Mutations(frames, draw)
-        session = Session(Port(link), FollowedClock(lambda now=link: now.now_s, lambda now=link: now.now_s))  # type: ignore[misc]
+        session = Session(MavlinkPort(link), FollowedClock(lambda now=link: now.now_s, lambda now=link: now.now_s))  # type: ignore[misc]
         recorder = Recorder(folder, session.clock.ground_s, {}, make_plan())
         session.port.tap(recorder.tap)
         vehicle = ArduPilot(session)
@@ -121,7 +121,7 @@ def listen_to_packets(count: int, folder: Path, seed: int = 1) -> int:
             stops=Stops(lambda: 0),
             external_changes=ExternalChanges({"GUID_OPTIONS": 8.0}),
         )
-        control.streams = Streams(vehicle, {"ATTITUDE": 50.0}, {}, lambda wanted, _seen: wanted)
+        control.streams = StreamRates(vehicle, {"ATTITUDE": 50.0}, {}, lambda wanted, _seen: wanted)
         try:
             control.on(Event.ARM)
             control.on(Event.ARMED)

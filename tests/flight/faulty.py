@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from flighttest import flight
-from flighttest.flight import FlightOptions, FlightResult
+from flighttest.flight import FlightResult, FlightSettings
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.state import VehicleState
 from flighttest.link.clock import Clock
@@ -37,7 +37,7 @@ def fly(
     **options: object,
 ) -> FlightResult:
     """`flighttest.flight.fly` with its options by name."""
-    return flight.fly(plan, url, run_dir, FlightOptions(**options), transport=transport, clock=clock)  # type: ignore[arg-type]
+    return flight.fly(plan, url, run_dir, FlightSettings(**options), transport=transport, clock=clock)  # type: ignore[arg-type]
 
 
 @dataclass

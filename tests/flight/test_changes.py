@@ -11,14 +11,14 @@ import pytest
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightResult
-from flighttest.flight.preparation.changes import SETS, Left, still_left
+from flighttest.flight.preparation.changes import SETS, LeftParameter, still_left
 from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.store.resuming import left_behind
 from flighttest.recording.store import MANIFEST_NAME, read_events, write_manifest
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
-GUID_OPTIONS_LEFT = {"GUID_OPTIONS": Left(0.0, float(THRUST_AS_THRUST))}
+GUID_OPTIONS_LEFT = {"GUID_OPTIONS": LeftParameter(0.0, float(THRUST_AS_THRUST))}
 
 
 def fly_while(run_dir: Path, name: str, value: float) -> tuple[FaultyLink, FlightResult]:
@@ -77,7 +77,7 @@ def killed_before_it_restores(run_dir: Path) -> float:
 def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Path) -> None:
     should = killed_before_it_restores(tmp_path / "2026-01-01-a")
     behind = left_behind(tmp_path, "paper")
-    assert behind["GUID_OPTIONS"] == Left(should, float(THRUST_AS_THRUST))
+    assert behind["GUID_OPTIONS"] == LeftParameter(should, float(THRUST_AS_THRUST))
     assert left_behind(tmp_path, "another") == {}
     link = FaultyLink(options(parameters={"GUID_OPTIONS": float(THRUST_AS_THRUST)}))
     said: list[str] = []
@@ -112,7 +112,7 @@ def test_what_was_put_back_meanwhile_is_not_reported(run_dir: Path) -> None:
         "sim",
         run_dir,
         transport=link,
-        left_behind={"GUID_OPTIONS": Left(usual, 0.0), "FENCE_GONE": Left(1.0, 0.0)},
+        left_behind={"GUID_OPTIONS": LeftParameter(usual, 0.0), "FENCE_GONE": LeftParameter(1.0, 0.0)},
     )
     assert not any("an earlier flight left" in note for note in result.notes)
 
@@ -159,13 +159,13 @@ def test_a_planted_manifest_changes_nothing_on_the_vehicle(tmp_path: Path, block
 def test_a_record_is_believed_for_what_a_flight_sets_on_the_autopilot_it_was_set_on() -> None:
     known = {"GUID_OPTIONS": 8.0, "ARMING_CHECK": 1.0, "FENCE_RADIUS": 30.0, "FS_OPTIONS": 0.0}
     behind = {
-        "GUID_OPTIONS": Left(0.0, 8.0, "a1"),
-        "ARMING_CHECK": Left(0.0, 1.0, "a1"),
-        "FENCE_RADIUS": Left(300.0, 40.0, "a1"),
-        "FS_OPTIONS": Left(float("nan"), 0.0, "a1"),
+        "GUID_OPTIONS": LeftParameter(0.0, 8.0, "a1"),
+        "ARMING_CHECK": LeftParameter(0.0, 1.0, "a1"),
+        "FENCE_RADIUS": LeftParameter(300.0, 40.0, "a1"),
+        "FS_OPTIONS": LeftParameter(float("nan"), 0.0, "a1"),
     }
     left, doubted = still_left(behind, known, "a1")
-    assert left == {"GUID_OPTIONS": Left(0.0, 8.0, "a1")}
+    assert left == {"GUID_OPTIONS": LeftParameter(0.0, 8.0, "a1")}
     assert len(doubted) == 3
     assert any("ARMING_CHECK should be 0, but no flight sets that by itself: it is left alone" in d for d in doubted)
     assert any("FENCE_RADIUS should be 300, but it was set to 40 and is 30 now" in d for d in doubted)

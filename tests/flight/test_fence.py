@@ -21,7 +21,7 @@ from flighttest.flight.preparation.fence import (
 )
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.onboard.fence import Fence, FenceItem, polygon, same_fence
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
@@ -259,7 +259,7 @@ def test_a_vehicle_in_the_air_keeps_it(run_dir: Path) -> None:
 
 def test_a_real_vehicle_without_set_params_is_given_the_remedy(run_dir: Path) -> None:
     link = FaultyLink(options())
-    session = Session(Port(link))
+    session = Session(MavlinkPort(link))
     session.connect()
     link.sim.advance(5.0)
     fence = ZoneFence(ArduPilot(session), "run", lambda _data: None)
@@ -273,7 +273,7 @@ def test_a_real_vehicle_without_set_params_is_given_the_remedy(run_dir: Path) ->
 
 def test_a_vehicle_that_refuses_the_fence_is_quoted() -> None:
     link = FaultyLink(options())
-    session = Session(Port(link))
+    session = Session(MavlinkPort(link))
     session.connect()
     broken = [replace(item, params=(5.0, 0.0, 0.0, 0.0)) for item in polygon([HOME_E7] * 4)]
     with pytest.raises(LinkError, match="MAV_MISSION_ERROR"):

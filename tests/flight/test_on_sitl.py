@@ -22,7 +22,7 @@ from flighttest.flight.transmitter import LOST
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.onboard.fence import Fence, FenceItem, polygon, same_fence
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
@@ -92,7 +92,7 @@ class Watched:
 
 def second_link(sitl) -> ArduPilot:
     """Another ground station on the same vehicle."""
-    session = Session(Port(open_transport(f"tcp:127.0.0.1:{sitl.base_port + 2}"), system=255, component=190))
+    session = Session(MavlinkPort(open_transport(f"tcp:127.0.0.1:{sitl.base_port + 2}"), system=255, component=190))
     session.connect()
     return ArduPilot(session)
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from flighttest.flight.execution.reset import Settling, Start
+from flighttest.flight.execution.reset import LegStart, Settling
 from flighttest.flight.state import VehicleState
 from flighttest.frames import G_M_S2
 
-START = Start((0.0, 0.0, 5.0), 0.0, settle_s=1.0)
+START = LegStart((0.0, 0.0, 5.0), 0.0, settle_s=1.0)
 STILL = VehicleState(
     10.0, attitude_rad=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), position_m=(0.1, 0.0, 5.0), height_m=5.0,
     climb_m_s=0.0, position_ok=True,

@@ -13,7 +13,7 @@ from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution.response import Learnt
 from flighttest.flight.recorder import LineFile
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
 from flighttest.plan import AttitudeTarget, Plan
@@ -288,7 +288,7 @@ def test_a_step_whose_targets_left_too_late_is_flown_again_and_says_so(
     run_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = iter([0.0] * 20 + [0.6])
-    monkeypatch.setattr(Port, "late_s", property(lambda _port: next(late, 0.0)))
+    monkeypatch.setattr(MavlinkPort, "late_s", property(lambda _port: next(late, 0.0)))
     result = fly(make_plan(make_leg("a")), "sim", run_dir, transport=FaultyLink(options()))
     assert [leg.outcome for leg in result.legs] == [LegOutcome.LINK_LOST, LegOutcome.FLOWN]
     assert result.legs[0].why[0] == "a target left too late: the ground was held up"

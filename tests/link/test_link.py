@@ -11,7 +11,7 @@ from flighttest.errors import LinkError
 from flighttest.link import parameters
 from flighttest.link.ardupilot import ArduPilot, LaggedYaw
 from flighttest.link.clock import FollowedClock, TimeSync
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import book, parser
@@ -95,7 +95,7 @@ class ScriptedVehicle:
 
 def session_of(vehicle: ScriptedVehicle) -> Session:
     host = vehicle.host
-    session = Session(Port(vehicle), FollowedClock(host, host))
+    session = Session(MavlinkPort(vehicle), FollowedClock(host, host))
     session.connect()
     return session
 
@@ -190,7 +190,7 @@ def test_a_muted_port_sends_nothing() -> None:
 def test_noise_is_counted_and_lost_frames_are_too() -> None:
     host = Host()
     vehicle = ScriptedVehicle(host)
-    port = Port(vehicle)
+    port = MavlinkPort(vehicle)
     for _ in range(5):
         vehicle.say(book.MAVLink_attitude_message(1000, 0, 0, 0, 0, 0, 0))
     del vehicle._pending[1:3]

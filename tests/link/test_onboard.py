@@ -13,7 +13,7 @@ from flighttest.errors import LinkError
 from flighttest.link.clock import FollowedClock
 from flighttest.link.onboard import LogDownload
 from flighttest.link.onboard.files import DATA_BYTES, Operation, Packet, crc32_of
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink.dialect import Message, book, parser
 
@@ -147,7 +147,7 @@ class FileKeeper(Keeper):
 
 
 def download(keeper: Keeper, target: Path, number: int | None = None) -> list[float]:
-    session = Session(Port(keeper), FollowedClock(lambda: keeper.now_s, lambda: keeper.now_s))
+    session = Session(MavlinkPort(keeper), FollowedClock(lambda: keeper.now_s, lambda: keeper.now_s))
     session.connect()
     shares: list[float] = []
     log = LogDownload(session).fetch(target, number, shares.append)

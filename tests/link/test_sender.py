@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink.dialect import Message, book
 
@@ -35,7 +35,7 @@ def target() -> Message:
 
 def test_a_target_leaves_on_time_while_the_program_computes() -> None:
     kept = Kept()
-    port = Port(kept)
+    port = MavlinkPort(kept)
     shown: list[float] = []
     port.tap(lambda _frame, _message, ago_s=0.0: shown.append(time.monotonic() - ago_s))
     end = port.send_on_time()
@@ -55,7 +55,7 @@ def test_a_target_leaves_on_time_while_the_program_computes() -> None:
 def test_nothing_leaves_after_a_take_over() -> None:
     for let_go in (lambda session: session.port.mute(), lambda session: setattr(session, "held", True)):
         kept = Kept()
-        session = Session(Port(kept))
+        session = Session(MavlinkPort(kept))
         session.port.send_on_time()
         session.send_at(session.now_s() + WAIT_S, target())
         let_go(session)
@@ -70,7 +70,7 @@ def test_how_late_is_known_of_one_that_still_waits() -> None:
     kept = Kept()
     held_up = threading.Event()
     kept.send = lambda _data: held_up.wait(1.0)  # type: ignore[method-assign]
-    port = Port(kept)
+    port = MavlinkPort(kept)
     end = port.send_on_time()
     port.send_at(0.0, target())
     port.send_at(0.01, target())

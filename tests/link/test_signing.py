@@ -9,7 +9,7 @@ import pytest
 
 from flighttest.errors import InputError, LinkError
 from flighttest.flight import FlightOutcome
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import Message, book, parser
@@ -89,7 +89,7 @@ def test_a_signed_flight_is_flown_and_nobody_without_the_key_moves_anything(run_
     ],
 )
 def test_a_key_on_one_side_only_is_said(vehicle: str, ours: bytes | None, words: str) -> None:
-    session = Session(Port(FreeRunning(vehicle), key=ours))
+    session = Session(MavlinkPort(FreeRunning(vehicle), key=ours))
     with pytest.raises(LinkError, match=words):
         session.connect(0.3)
 

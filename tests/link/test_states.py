@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 from flighttest.link.clock import FollowedClock
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import LOST_S, QUIET_S, UNANSWERED_S, LinkSilent, Session
 from flighttest.link.states import BROKEN, TABLE, LinkEvent, LinkMachine, LinkState, link_as_markdown
 from flighttest.mavlink.dialect import book, parser
@@ -89,7 +89,7 @@ class Vehicle:
 
 def test_a_session_goes_through_the_states_and_shows_who_waits() -> None:
     vehicle = Vehicle()
-    session = Session(Port(vehicle), FollowedClock(lambda: vehicle.now_s, lambda: vehicle.now_s))
+    session = Session(MavlinkPort(vehicle), FollowedClock(lambda: vehicle.now_s, lambda: vehicle.now_s))
     assert session.link.state is S.SEARCHING
 
     def pass_s(span_s: float) -> LinkState:

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from flighttest.errors import InputError, LinkError
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import Sequence, open_transport
 from flighttest.mavlink.dialect import book, parser
@@ -109,7 +109,7 @@ def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.Monkey
     """Whoever else reaches the port can neither speak as the vehicle nor receive its targets; a station beside it does no harm."""
     monkeypatch.setattr("flighttest.link.transport.PEER_S", 0.2)
     port = free_port(socket.SOCK_DGRAM)
-    session = Session(Port(open_transport(f"udpin:127.0.0.1:{port}")))
+    session = Session(MavlinkPort(open_transport(f"udpin:127.0.0.1:{port}")))
     with contextlib.ExitStack() as opened:
         vehicle, station, false, again = (
             opened.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(4)

@@ -4,8 +4,8 @@ import pytest
 
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
-from flighttest.physics.simulate import FEW, Step
-from flighttest.physics.vectorised import Columns, Vectorised
+from flighttest.physics.simulate import FEW, RungeKuttaStep
+from flighttest.physics.vectorised import MappedColumns, Vectorised
 
 
 @pytest.mark.parametrize("term", ["", *sorted(catalogue())])
@@ -32,7 +32,7 @@ def test_columns_are_what_casadi_gives_one_by_one(term):
 def test_few_columns_through_shared_memory_are_what_numpy_gives(n):
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u")
     function = ca.Function("f", [x, u], [ca.vertcat(x[1] * u, ca.sin(x[0]))])
-    columns = Columns(function, n)
+    columns = MappedColumns(function, n)
     rng = np.random.default_rng(4)
     first, second = (rng.normal(size=(3, n)) for _ in range(2))
     kept = columns(first, np.arange(n, dtype=float))
@@ -42,7 +42,7 @@ def test_few_columns_through_shared_memory_are_what_numpy_gives(n):
 
 def test_a_step_of_few_columns_is_the_step_of_many():
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
-    step = Step(ca.Function("rate", [x, u], [ca.vertcat(x[1], -9.0 * ca.sin(x[0]) + u)]))
+    step = RungeKuttaStep(ca.Function("rate", [x, u], [ca.vertcat(x[1], -9.0 * ca.sin(x[0]) + u)]))
     rng = np.random.default_rng(5)
     many, dt = rng.normal(size=(2, FEW + 1)), rng.uniform(0.0, 0.05, FEW + 1)
     held = rng.normal(size=(1, FEW + 1))

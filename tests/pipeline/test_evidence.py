@@ -10,9 +10,9 @@ from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
 from flighttest.pipeline.validity.evidence import appeared, in_words, subsets_of, untested
 from flighttest.report.sections.validity import status_document
-from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.assess import RecordingEvidence, assess
 from flighttest.validity.compare import Estimates, subset_tests
-from flighttest.validity.model import Appeared, Verdict
+from flighttest.validity.model import Appeared, ValidityVerdict
 
 TERMS = ("body", "linear_drag", "quadratic_drag")
 
@@ -58,12 +58,12 @@ def test_a_change_of_any_parameter_makes_the_model_stale(name, subset):
     def verdict(factor):
         new = estimates(model, names, **{name: factor})
         both = {"model_fingerprint": {}, "vehicle_fingerprint": None, "subsets": subsets_of(model.model)}
-        return assess(stored=estimates(model, names), new=Evidence(runs=[new], spread={"d_x": 0.03}), **both)
+        return assess(stored=estimates(model, names), new=RecordingEvidence(runs=[new], spread={"d_x": 0.03}), **both)
 
     found = verdict(1.6)
-    assert found.verdict is Verdict.STALE
+    assert found.verdict is ValidityVerdict.STALE
     assert [t.subset for t in found.tests if t.alarm] == [subset]
-    assert verdict(1.02).verdict is Verdict.CURRENT
+    assert verdict(1.02).verdict is ValidityVerdict.CURRENT
 
 
 def finding(term):
@@ -102,9 +102,9 @@ def test_an_effect_that_came_makes_the_model_stale():
     same = estimates(model, model.model.names)
     new = Appeared("ground_effect", "Ground effect", "R2_m2 of 0.1", False)
     found = assess(
-        model_fingerprint={}, vehicle_fingerprint=None, stored=same, new=Evidence(runs=[same], appeared=(new,))
+        model_fingerprint={}, vehicle_fingerprint=None, stored=same, new=RecordingEvidence(runs=[same], appeared=(new,))
     )
-    assert found.verdict is Verdict.STALE
+    assert found.verdict is ValidityVerdict.STALE
     assert "what the model does not have: ground effect" in found.sentence
     assert found.fly
     assert "New: R2_m2 of 0.1." in str(status_document(found, {}, (), brief=True).sections)

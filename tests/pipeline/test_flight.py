@@ -22,7 +22,7 @@ from flighttest.flight import FlightOutcome, FlightResult, LegOutcome, LegResult
 from flighttest.flight.preparation import preflight
 from flighttest.flight.recorder import Recorder, first_manifest
 from flighttest.link import parameters as params
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.pipeline.flights import run as flying
@@ -390,7 +390,7 @@ def test_a_speed_that_is_asked_for_is_kept(tmp_path):
     """In lock-step too: nobody could watch a flight, or stop it by hand, at the pace of the host."""
     request = flying.FlightRequest(("thrust",), speed=4.0)
     with flying.connection(request) as url:
-        session = Session(Port(open_transport(url)))
+        session = Session(MavlinkPort(open_transport(url)))
         session.connect()
         params.write(session, "SIM_LOCKSTEP", 1.0, {"SIM_LOCKSTEP": 1.0}, stops_time=True)
         session.enter_lock_step()

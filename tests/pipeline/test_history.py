@@ -12,7 +12,7 @@ from flighttest.physics.model import Model
 from flighttest.pipeline.store import history, lineage
 from flighttest.pipeline.store.history import (
     DEFAULT_RUNS,
-    Campaign,
+    StoredFit,
     campaigns,
     folder_of_runs,
     reference_model,
@@ -38,7 +38,7 @@ def model(scale=1.0, names=NAMES, runs=("a",), components="P1"):
 
 
 def campaign(name, **options):
-    return Campaign(Path(name), model(**options))
+    return StoredFit(Path(name), model(**options))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_a_loop_whose_delay_hangs_at_its_bound_is_not_compared():
 def test_unidentified_parameters_do_not_count():
     first = campaign("first")
     weak = {**first.model.parameters, "alpha": replace(first.model.parameters["alpha"], identifiable=False)}
-    second = Campaign(Path("second"), replace(first.model, parameters=weak, runs=("b",)))
+    second = StoredFit(Path("second"), replace(first.model, parameters=weak, runs=("b",)))
     assert reference_model([first, second]).folder.name == "first"
 
 

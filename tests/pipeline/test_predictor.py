@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.physics.model import Model
 from flighttest.pipeline.planning.predictor import ModelPredictor
-from flighttest.plan.model import Motion
+from flighttest.plan.model import PredictedMotion
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_a_flight_straight_up_and_down_is_computed_briefly_and_the_same():
     assert predictor.forms.level is not None
     start, yaw, volts = np.zeros((2, 3)), np.array([0.0, 1.0]), np.array([24.0, 22.0])
 
-    def steer(tilt_rad: float, from_s: float) -> Motion:
+    def steer(tilt_rad: float, from_s: float) -> PredictedMotion:
         def policy(now):
             targets = np.zeros((2, 4))
             targets[:, 3] = 0.25 if now.t_s < 0.5 else 0.1

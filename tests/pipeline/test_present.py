@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from flighttest.cli import main as cli_main
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.pipeline.vehicles import live as present
 from flighttest.vehicle.fingerprint import fingerprint
 
@@ -15,14 +15,14 @@ from flighttest.vehicle.fingerprint import fingerprint
 def seen():
     """The built-in vehicle as read, and the names of all messages that were sent to it."""
     sent = []
-    honest = Port.send
+    honest = MavlinkPort.send
 
     def watched(port, message):
         sent.append((message.get_type(), getattr(message, "command", None)))
         return honest(port, message)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Port, "send", watched)
+        patch.setattr(MavlinkPort, "send", watched)
         found = present.read("sim")
     return found, sent
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flighttest.plan import compile_plan
-from flighttest.plan.model import Motion, Snapshot
+from flighttest.plan.model import PredictedMotion, Snapshot
 from flighttest.script.load import load_script, parse_script
 from flighttest.script.shipped import resolve
 from flighttest.vehicle.model import DEFAULT_VEHICLE
@@ -57,7 +57,7 @@ class PaperPredictor:
             x = x + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             history.append(x)
         h = np.stack(history, axis=-1)  # (13, n, m + 1)
-        return Motion(
+        return PredictedMotion(
             np.arange(m + 1) * dt_s,
             np.moveaxis(h[0:3], 0, -1),
             np.moveaxis(h[3:6], 0, -1),

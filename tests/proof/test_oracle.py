@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from flighttest.proof import oracle, trial
 from flighttest.proof.cases import draw
-from flighttest.proof.oracle import Noise
+from flighttest.proof.oracle import OracleNoise
 from flighttest.segments import Segment
 
 G = 9.80665
@@ -52,7 +52,7 @@ def flight(**more):
     return [response(k, **more) for k in range(6)]
 
 
-NOISE = Noise({c: 0.1 if c.startswith("f") else 0.02 for c in oracle.Translation.channels}, {"translation": 0.03})
+NOISE = OracleNoise({c: 0.1 if c.startswith("f") else 0.02 for c in oracle.Translation.channels}, {"translation": 0.03})
 
 
 def test_of_the_papers_own_equations_nothing_is_left():
@@ -111,7 +111,7 @@ def tilt(k, third_pole_s=0.0):
 
 
 def test_loops_of_the_second_order_leave_nothing_and_a_third_pole_does():
-    noise = Noise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
+    noise = OracleNoise({**oracle.FIRST, "roll_rad": 1e-3, "pitch_rad": 1e-3}, oracle.FIRST_DISTURBANCE)
     sizes = {}
     for pole in (0.0, 0.05):
         left = oracle.left([tilt(k, pole) for k in range(4)], noise, 22.2)
@@ -144,4 +144,4 @@ def test_a_hidden_effect_is_measured_by_quiet_twins_with_and_without_it(monkeypa
     outcome = trial.opened(case, found, measured)
     assert outcome.forces["translational_lift"] == (measured.forces["translational_lift"], 0.3)
     assert outcome.forces["steady_wind"][1] == 0.0
-    assert trial.measure(replace(case, hide={}), ()) == trial.Measured()
+    assert trial.measure(replace(case, hide={}), ()) == trial.OracleAnswer()

@@ -13,12 +13,12 @@ from flighttest.proof.outcome import Outcome
 from flighttest.proof.prove import ProofRequest, run_trials
 from flighttest.proof.recorded import cases, sets, trial
 from flighttest.proof.recorded.injection import inject
-from flighttest.proof.recorded.side_by_side import Vehicle
+from flighttest.proof.recorded.side_by_side import OracleVehicle
 from flighttest.proof.scoreboard import score
 from flighttest.recording.model import Provenance, Recording, Series
 
 HOVER = 0.4
-VEHICLE = Vehicle(gain_m_s2=G_M_S2 / HOVER, ramp_1_s=20.0, drag_1_s=(0.0, 0.0, 0.0), answer_1_s=1.0)
+VEHICLE = OracleVehicle(gain_m_s2=G_M_S2 / HOVER, ramp_1_s=20.0, drag_1_s=(0.0, 0.0, 0.0), answer_1_s=1.0)
 SPAN = (1.0, 19.0)
 
 

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as book
 from flighttest.sim.plants.plant_motors import MotorPlant
 from flighttest.sim.ports import listen
 from flighttest.sim.sitl.json_backend import JsonBackend
-from flighttest.sim.sitl.relay import PARAMETER, Frames, Relay
+from flighttest.sim.sitl.relay import PARAMETER, FrameSplitter, Relay
 
 STEP_US = 1250
 
@@ -160,7 +160,7 @@ def test_frames_are_passed_whole():
     one = book.MAVLink_attitude_message(5, 0, 0, 0, 0, 0, 1.0).pack(mav)
     mav.seq = 9
     two = book.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3).pack(mav, force_mavlink1=True)
-    frames = Frames()
+    frames = FrameSplitter()
     passed = [frames.feed(bytes([b])) for b in b"noise" + one + two]
     assert b"".join(passed) == b"noise" + one + two
     assert one in passed

@@ -19,7 +19,7 @@ from flighttest.physics.model import Model
 from flighttest.pipeline.identification import exporting
 from flighttest.sim.sitl.launcher import SitlOptions, command
 from flighttest.twin import ardupilot, fmu, rotorpy
-from flighttest.twin.firmware import Axis, Frame
+from flighttest.twin.firmware import Axis, FirmwareFrame
 
 QUADRATIC = {
     "omega_phi": 14.617, "omega_theta": 13.493, "zeta_phi": 0.61, "zeta_theta": 0.5675, "sigma_r": 6.186, "sigma_t": 15.77, "K": 51.58,
@@ -183,7 +183,7 @@ def test_ardupilots_wind_comes_from_where_the_models_air_does_not_go():
 def test_an_export_to_ardupilot_says_what_it_lacks_and_how_it_flies(tmp_path, capsys, monkeypatch):
     file = stored("ground_effect")
     axes = {n: Axis(400.0, 0.001, 0.05, 0.01, {}) for n in ("roll", "pitch", "yaw")}
-    monkeypatch.setattr(ardupilot, "frame_of", lambda *_args, **_more: Frame(axes, {}, (), ()))
+    monkeypatch.setattr(ardupilot, "frame_of", lambda *_args, **_more: FirmwareFrame(axes, {}, (), ()))
     said = exporting.export(file, "ardupilot", tmp_path).data["left_out_sentences"]
     assert said[0] == "ArduPilot's frame has no ground_effect"
     assert said[-1] == f"fly it: flighttest sim --backend sitl --frame {tmp_path}"

@@ -83,7 +83,7 @@ def test_the_loop_of_4_7_reads_its_own_names():
 def frame(monkeypatch):
     """Without the fit: axes of given gains."""
     axes = {n: firmware.Axis(g, 0.01, 0.03, 0.0, {}) for n, g in (("roll", 400.0), ("pitch", 300.0), ("yaw", 50.0))}
-    made = firmware.Frame(axes, {"ATC_RAT_RLL_P": 0.1}, (), ())
+    made = firmware.FirmwareFrame(axes, {"ATC_RAT_RLL_P": 0.1}, (), ())
     monkeypatch.setattr(firmware, "frame_of", lambda _stored: made)
     return made
 

@@ -8,7 +8,7 @@ import pytest
 from flighttest.validity.assess import assess
 from flighttest.validity.compare import Estimates
 from flighttest.validity.declared import declared_changes, touched
-from flighttest.validity.model import ALL_SCRIPTS, Verdict
+from flighttest.validity.model import ALL_SCRIPTS, ValidityVerdict
 
 FINGERPRINT = {
     "components": {
@@ -156,9 +156,9 @@ def test_the_same_parts_are_current_though_the_parameters_are_unknown():
     base = Estimates("model", (), np.zeros(0), np.zeros((0, 0)))
     today = {key: FINGERPRINT[key] for key in ("components", "firmware")}
     found = assess(model_fingerprint=FINGERPRINT, vehicle_fingerprint=today, stored=base)
-    assert found.verdict is Verdict.CURRENT
+    assert found.verdict is ValidityVerdict.CURRENT
     assert "could not be compared" in found.sentence
     assert any("parameters" in line for line in found.cannot_tell)
     fewer = {**today, "components": {"battery": FINGERPRINT["components"]["battery"]}}
     found = assess(model_fingerprint=FINGERPRINT, vehicle_fingerprint=fewer, stored=base)
-    assert found.verdict is Verdict.UNKNOWN, "four parts are declared on one side only"
+    assert found.verdict is ValidityVerdict.UNKNOWN, "four parts are declared on one side only"

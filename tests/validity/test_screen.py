@@ -8,7 +8,7 @@ from rich.console import Console
 
 from flighttest.report.render.terminal import render
 from flighttest.report.sections.validity import Reflight, status_document
-from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.assess import RecordingEvidence, assess
 from flighttest.validity.compare import Estimates, MatchedPairs
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "d_x", "d_y", "d_z")
@@ -25,7 +25,7 @@ def found(resistance=(0.02, 0.0004), **factors):
     after = Estimates("new", NAMES, moved, np.diag((0.003 * VALUES) ** 2))
     return assess(
         model_fingerprint={}, vehicle_fingerprint=None, stored=exact,
-        new=Evidence(runs=[after], matched=MatchedPairs(exact, after, 12), battery=resistance, battery_reference=resistance),
+        new=RecordingEvidence(runs=[after], matched=MatchedPairs(exact, after, 12), battery=resistance, battery_reference=resistance),
     )  # fmt: skip
 
 

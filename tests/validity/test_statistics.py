@@ -8,11 +8,11 @@ from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.segments import Segment
 from flighttest.validity import battery, compare, cusum
-from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.assess import RecordingEvidence, assess
 from flighttest.validity.between_campaigns import measured, prior
 from flighttest.validity.compare import FALSE_ALARM, Estimates, MatchedPairs, subset_tests
 from flighttest.validity.hover import hover, hover_test
-from flighttest.validity.model import Verdict
+from flighttest.validity.model import ValidityVerdict
 
 NAMES = ("omega_phi", "omega_theta", "zeta_phi", "zeta_theta", "sigma_r", "sigma_t", "K", "alpha", "d_x", "d_y", "d_z")
 TRUTH = np.array([25.43, 23.40, 0.44, 0.39, 21.54, 20.36, 54.55, 1.71, 0.39, 0.39, 0.51])
@@ -303,8 +303,8 @@ def test_a_slower_thrust_is_not_called_less_thrust():
     base = Estimates("m", ("sigma_t", "K"), np.array([20.0, 50.0]), np.diag([0.04, 0.04]))
     for values, lag in (([14.0, 50.1], True), ([20.0, 44.0], False)):
         new = Estimates("r", ("sigma_t", "K"), np.array(values), np.diag([0.04, 0.04]))
-        found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=base, new=Evidence(runs=[new]))
-        assert found.verdict is Verdict.STALE
+        found = assess(model_fingerprint={}, vehicle_fingerprint=None, stored=base, new=RecordingEvidence(runs=[new]))
+        assert found.verdict is ValidityVerdict.STALE
         assert ("what delays the thrust" in found.sentence) is lag, found.sentence
         assert ("another mass (weigh it)" in found.could_also_be) is not lag
 

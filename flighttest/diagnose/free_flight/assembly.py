@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flighttest.diagnose.block import SEED, Answer, Asked, answer, listed, merged
+from flighttest.diagnose.block import SEED, Asked, BlockAnswer, answer, listed, merged
 from flighttest.diagnose.conclusion import (
     UNMOVED,
     compensated_voltage,
@@ -119,7 +119,7 @@ def _attitude(
     found: EquationSearch,
     previous: Mapping[str, tuple[float, float | None]],
     progress: Callable[[str], None],
-) -> tuple[list[Answer], Asked | None]:
+) -> tuple[list[BlockAnswer], Asked | None]:
     """The search of the attitude loops, as in any diagnosis, on `ATTITUDE_WINDOWS` windows."""
     if not model.attitude_loops:
         return [], None
@@ -133,7 +133,7 @@ def _attitude(
         try:
             answers.append(answer(block, asked))
         except KeyboardInterrupt:
-            answers.append(Answer(complete=False))
+            answers.append(BlockAnswer(complete=False))
             break
     return answers, asked
 
@@ -154,7 +154,7 @@ class _Assembly:
         model: Model,
         pool: tuple[Term, ...],
         found: EquationSearch,
-        answers: list[Answer],
+        answers: list[BlockAnswer],
         asked: Asked | None,
         progress: Callable[[str], None],
     ) -> None:

@@ -20,7 +20,7 @@ from flighttest.flight.transmitter import Transmitter
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.session import Session
 from flighttest.link.states import BROKEN, LinkState
-from flighttest.link.streams import Streams
+from flighttest.link.streams import StreamRates
 from flighttest.mavlink import CopterMode, mode_name
 from flighttest.mavlink.dialect import Message, book, is_armed
 from flighttest.plan import AttitudeTarget
@@ -98,7 +98,7 @@ class FlightControl:
         self._doubt: Doubt | None = None
         self._boots = self.session.boots
         self._others = set(self.session.others)
-        self.streams: Streams | None = None
+        self.streams: StreamRates | None = None
         self._transmitter = Transmitter()
         self._link = LinkState.SEARCHING
         self.session.listen(self._watch)

@@ -13,7 +13,7 @@ from flighttest.plan import Leg
 REFUSED_CELL_MAX = 2
 # What a gust or a slow moment of the host can cause: such a leg is tried once more at the end.
 _PASSING = frozenset({Refusal.HEIGHT, Refusal.ZONE, Refusal.SPEED, Refusal.MEASURED_TILT}) | SHOWN
-Cell: TypeAlias = tuple[str, str, tuple[tuple[str, float], ...]]
+CellKey: TypeAlias = tuple[str, str, tuple[tuple[str, float], ...]]
 
 
 class LegOrder:
@@ -23,7 +23,7 @@ class LegOrder:
     def __init__(self, legs: Iterable[Leg], planned: Iterable[Leg]) -> None:
         self._todo = deque(leg.id for leg in legs)
         self._planned = {leg.id: leg for leg in planned}
-        self._refused: Counter[Cell] = Counter()
+        self._refused: Counter[CellKey] = Counter()
         self._again: set[str] = set()
         self.unfit: list[str] = []
         self.refused_in_a_row = self.unsettled_in_a_row = 0
@@ -74,5 +74,5 @@ class LegOrder:
         self._again.add(leg.id)
 
 
-def _cell(leg: Leg) -> Cell:
+def _cell(leg: Leg) -> CellKey:
     return leg.maneuver, leg.kind, tuple(sorted(leg.cell.items()))

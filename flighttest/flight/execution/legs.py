@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from flighttest.flight.execution import supervisor
 from flighttest.flight.execution.control import UNSURE_S, FlightControl, sentences
 from flighttest.flight.execution.machine import Event
-from flighttest.flight.execution.reset import HoldLoop, Start
+from flighttest.flight.execution.reset import HoldLoop, LegStart
 from flighttest.flight.execution.response import ThrottleTrace
 from flighttest.flight.gate import LINK, Refusal
 from flighttest.flight.outcome import LegOutcome, LegResult
@@ -23,14 +23,14 @@ _PHASES = 4  # of the target period: 5 ms at 50 Hz, the tick of the built-in veh
 
 
 @dataclass(frozen=True)
-class Airframe:
+class AutopilotSettings:
     """The autopilot's settings that flying needs. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX; 0 is unlimited."""
 
     angle_boost: bool = False
     yaw_accel_max_rad_s2: float = 0.0
 
     @classmethod
-    def of(cls, parameters: dict[str, float]) -> Airframe:
+    def of(cls, parameters: dict[str, float]) -> AutopilotSettings:
         """By the vehicle's parameters."""
         accel_deg = params.by_either_name(parameters, "ATC_ACC_Y_MAX")
         shaped = parameters.get("ATC_RATE_FF_ENAB", 1.0) != 0.0
@@ -92,7 +92,9 @@ def _mark(control: FlightControl, leg: Leg, phase: str, at_s: float | None = Non
     )
 
 
-def fly_leg(control: FlightControl, leg: Leg, airframe: Airframe, trace: ThrottleTrace | None = None) -> LegResult:
+def fly_leg(
+    control: FlightControl, leg: Leg, airframe: AutopilotSettings, trace: ThrottleTrace | None = None
+) -> LegResult:
     """Fly one leg from a settled hover in GUIDED_NOGPS. Never falls silent: ends in a release, or in the abort mode.
 
     trace: takes in what is sent and what the vehicle does.
@@ -169,7 +171,7 @@ def _refused(control: FlightControl, leg: Leg, refused: tuple[Refusal, ...]) -> 
 class _Profile:
     """Targets of a profile, with the heading for the quaternion."""
 
-    def __init__(self, control: FlightControl, leg: Leg, airframe: Airframe) -> None:
+    def __init__(self, control: FlightControl, leg: Leg, airframe: AutopilotSettings) -> None:
         assert leg.profile is not None
         self._profile = leg.profile
         # Always from the present heading: a quaternion of "no rotation" points North.
@@ -193,7 +195,7 @@ class _Profile:
 class _Path:
     """Targets that follow waypoints by the outer loop."""
 
-    def __init__(self, control: FlightControl, leg: Leg, airframe: Airframe) -> None:
+    def __init__(self, control: FlightControl, leg: Leg, airframe: AutopilotSettings) -> None:
         self._control = control
         self._leg = leg
         self._loop = HoldLoop(control, airframe.angle_boost)
@@ -204,6 +206,6 @@ class _Path:
         place, pace = along(self._leg.waypoints, t_s)
         world = tuple(float(x) for x in zone.to_world(place))
         speed = tuple(float(x) for x in zone.to_world(pace))
-        goal = Start((world[0], world[1], world[2]), self._leg.heading_rad, 0.0)
+        goal = LegStart((world[0], world[1], world[2]), self._leg.heading_rad, 0.0)
         target, yaw = self._loop.target(goal, (speed[0], speed[1], speed[2]))
         return target, yaw, False

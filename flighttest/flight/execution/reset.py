@@ -35,7 +35,7 @@ _YAW_SLEW_RAD_S = 0.8
 
 
 @dataclass(frozen=True)
-class Start:
+class LegStart:
     """Where a leg begins: position about the zone's origin (NWU, m), heading (NWU, rad), and how long to be still, s."""
 
     position_m: tuple[float, float, float]
@@ -72,7 +72,7 @@ class Arrived:
 class Settling:
     """Counts how long the vehicle has been where it should be; the mean throttle over that time is its hover throttle."""
 
-    def __init__(self, start: Start, near_m: float = NEAR_M) -> None:
+    def __init__(self, start: LegStart, near_m: float = NEAR_M) -> None:
         self._start = start
         self._near_m = near_m
         self._since_s: float | None = None
@@ -133,12 +133,12 @@ def _commanded_throttle(control: FlightControl) -> float | None:
     return float(heard.message.thrust)
 
 
-def _timeout_s(state: VehicleState, start: Start) -> float:
+def _timeout_s(state: VehicleState, start: LegStart) -> float:
     distance = math.dist(state.position_m, start.position_m) if state.position_m is not None else 10.0
     return _TIMEOUT_BASE_S + start.settle_s + distance / _SLOWEST_M_S
 
 
-def guided(control: FlightControl, start: Start) -> Arrived:
+def guided(control: FlightControl, start: LegStart) -> Arrived:
     """By GUIDED's own position control."""
 
     def hold() -> None:
@@ -173,7 +173,7 @@ def guided(control: FlightControl, start: Start) -> Arrived:
     return Arrived(Arrival.NOT_SETTLED)
 
 
-def attitude(control: FlightControl, start: Start, angle_boost: bool) -> Arrived:
+def attitude(control: FlightControl, start: LegStart, angle_boost: bool) -> Arrived:
     """By an outer loop of ours over attitude targets; without horizontal position only height and heading are brought back."""
     if control.state.mode != CopterMode.GUIDED_NOGPS and not enter_nogps(control):
         return Arrived(Arrival.NO_NOGPS)
@@ -227,7 +227,7 @@ class HoldLoop:
         self._hover = control.hover_throttle
 
     def target(
-        self, goal: Start, goal_v_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self, goal: LegStart, goal_v_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> tuple[AttitudeTarget, float]:
         """The next target towards a goal, and the heading for its quaternion."""
         control, state = self._control, self._control.state

@@ -12,7 +12,7 @@ from flighttest.flight.execution import legs as flying
 from flighttest.flight.execution import reset, supervisor
 from flighttest.flight.execution.control import FlightControl, sentences
 from flighttest.flight.execution.leg_order import LegOrder
-from flighttest.flight.execution.legs import Airframe
+from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.reset import Arrival
 from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace
@@ -40,7 +40,7 @@ class Scheduler:
 
     control: FlightControl
     plan: Plan
-    airframe: Airframe
+    airframe: AutopilotSettings
     skip: Collection[str] = ()
     replanner: Replanner | None = None
     on_armed: Callable[[], None] = lambda: None
@@ -322,7 +322,7 @@ class Scheduler:
 
     def _reset(self, leg: Leg) -> reset.Arrived:
         world = self.control.gate.zone.to_world(leg.start_m)
-        start = reset.Start(
+        start = reset.LegStart(
             (float(world[0]), float(world[1]), float(world[2])), leg.heading_rad, self.plan.reset.settle_s
         )
         if self.plan.reset.by == "guided":

@@ -59,7 +59,7 @@ class ExternalChanges:
 
 
 @dataclass(frozen=True)
-class Left:
+class LeftParameter:
     """A parameter that a flight set. value: what it should have again; given: what the flight gave it; hardware: the autopilot it was
     set on, '' where that does not say."""
 
@@ -68,7 +68,7 @@ class Left:
     hardware: str = ""
 
 
-def record_of(run: str, entries: Mapping[str, Left]) -> ParametersSet:
+def record_of(run: str, entries: Mapping[str, LeftParameter]) -> ParametersSet:
     """The manifest's word of what was given to which autopilot in which run: without it no later flight puts anything back."""
     return {
         "run": run,
@@ -77,20 +77,20 @@ def record_of(run: str, entries: Mapping[str, Left]) -> ParametersSet:
     }
 
 
-def values_of(entries: Mapping[str, Left]) -> dict[str, float]:
+def values_of(entries: Mapping[str, LeftParameter]) -> dict[str, float]:
     """Name to the value it should have."""
     return {name: entry.value for name, entry in entries.items()}
 
 
 def still_left(
-    behind: Mapping[str, Left], known: Mapping[str, float], hardware: str
-) -> tuple[dict[str, Left], list[str]]:
+    behind: Mapping[str, LeftParameter], known: Mapping[str, float], hardware: str
+) -> tuple[dict[str, LeftParameter], list[str]]:
     """What of an earlier flight's record is still to be put back on this vehicle, and a sentence for each entry that is not believed.
 
     A record is a file, and anybody may have written it: it counts for a parameter that a flight sets by itself, on the autopilot it
     was set on, as long as that still has the value it was given.
     """
-    left: dict[str, Left] = {}
+    left: dict[str, LeftParameter] = {}
     doubted: list[str] = []
     for name, entry in behind.items():
         if name in known and params.same(known[name], entry.value):
@@ -119,15 +119,18 @@ class ParameterChanges:
     """
 
     def __init__(
-        self, session: Session, known: dict[str, float], inherited: Mapping[str, Left], hardware: str = ""
+        self, session: Session, known: dict[str, float], inherited: Mapping[str, LeftParameter], hardware: str = ""
     ) -> None:
         self._session = session
         self._known = known
         self._hardware = hardware
-        self._before: dict[str, Left] = dict(inherited)
+        self._before: dict[str, LeftParameter] = dict(inherited)
 
     def apply(
-        self, wanted: Mapping[str, float], note: Callable[[str], None], keep: Callable[[Mapping[str, Left]], None]
+        self,
+        wanted: Mapping[str, float],
+        note: Callable[[str], None],
+        keep: Callable[[Mapping[str, LeftParameter]], None],
     ) -> None:
         """Set parameters. keep: called with what has to be restored before anything is set, so that a program that dies leaves word of it.
 
@@ -140,7 +143,7 @@ class ParameterChanges:
             if known is None:
                 raise LinkError(f"the vehicle has no parameter {name}", "set it up by hand, or waive its check")
             before = self._before.get(own[name][0])
-            self._before[own[name][0]] = Left(before.value if before else known, own[name][1], self._hardware)
+            self._before[own[name][0]] = LeftParameter(before.value if before else known, own[name][1], self._hardware)
         keep(self._before)
         for name, value in own.values():
             was = self._known[name]

@@ -14,7 +14,7 @@ LEVEL = (
 
 
 @dataclass(frozen=True)
-class Difference:
+class ParameterDifference:
     """One parameter in two models. z, p_value: of the difference; None where either has no standard error."""
 
     name: str
@@ -29,7 +29,7 @@ class Difference:
     sentence: str
 
 
-def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
+def compare(first: ModelFile, second: ModelFile) -> tuple[ParameterDifference, ...]:
     """Every parameter of either model; those that differ first, then by z. K of the second at the nominal voltage of the first."""
     rows = []
     second = replace(second, parameters={**second.parameters, **_gain_at(first.model.nominal_voltage_v, second)})
@@ -42,7 +42,7 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
             unit = known.unit if known else ""
             value_a, value_b = (a.value if a else None), (b.value if b else None)
             rows.append(
-                Difference(
+                ParameterDifference(
                     name, unit, value_a, value_b, None, None, None, None, False, f"only the {where} model has {name}"
                 )
             )
@@ -50,12 +50,12 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[Difference, ...]:
         difference = b.value - a.value
         if a.scatter is None or b.scatter is None or not (a.identifiable and b.identifiable):
             why = "not known in both"
-            rows.append(Difference(name, a.unit, a.value, b.value, difference, None, None, None, False, why))
+            rows.append(ParameterDifference(name, a.unit, a.value, b.value, difference, None, None, None, False, why))
             continue
         std = math.hypot(a.scatter, b.scatter)
         z = difference / std if std > 0 else math.copysign(math.inf, difference) if difference else 0.0
         p = normal_beyond(z)
-        rows.append(Difference(name, a.unit, a.value, b.value, difference, std, z, p, False, ""))
+        rows.append(ParameterDifference(name, a.unit, a.value, b.value, difference, std, z, p, False, ""))
     tested = sorted((r for r in rows if r.p_value is not None), key=lambda r: r.p_value or 0.0)
     decided: dict[str, bool] = {}
     still = True
@@ -79,12 +79,12 @@ def _gain_at(nominal_v: float, model: ModelFile) -> dict[str, StoredParameter]:
     return {"K": replace(gain, value=gain.value * factor, scatter=scatter)}
 
 
-def _decide(row: Difference, differs: bool | None) -> Difference:
+def _decide(row: ParameterDifference, differs: bool | None) -> ParameterDifference:
     if differs is None or row.z is None:
         return row
     relative = f" ({100 * row.difference / row.first:+.1f} %)" if row.first and row.difference is not None else ""
     word = "differs" if differs else "does not differ beyond its error"
     sentence = f"{row.name} {word}{relative}, z = {row.z:+.1f}"
-    return Difference(
+    return ParameterDifference(
         row.name, row.unit, row.first, row.second, row.difference, row.std, row.z, row.p_value, differs, sentence
     )

@@ -17,7 +17,7 @@ from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics.simulate import rk4
 from flighttest.version import __version__
 
-Kind = Literal["casadi", "c", "json"]
+ExportKind = Literal["casadi", "c", "json"]
 JACOBIANS = ("step_A", "step_B")
 
 
@@ -146,7 +146,7 @@ def hover_input(stored: ModelFile) -> Any:
     return np.array([level.get(n, 0.0) for n in stored.model.system.inputs])
 
 
-def export(stored: ModelFile, kind: Kind, folder: Path) -> tuple[Path, ...]:
+def export(stored: ModelFile, kind: ExportKind, folder: Path) -> tuple[Path, ...]:
     """Write the files of one kind into `folder` (made if need be); returns them."""
     folder.mkdir(parents=True, exist_ok=True)
     described = folder / "model.json"

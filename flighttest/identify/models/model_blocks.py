@@ -7,7 +7,7 @@ from typing import Any, TypedDict, cast
 
 import yaml
 
-from flighttest.documents import Document, Node, PlainData, kind_of
+from flighttest.documents import Node, PlainData, YamlDocument, kind_of
 from flighttest.identify.diagnostics.parameter_diagnostics import FitChecks
 from flighttest.physics.catalogue import catalogue
 from flighttest.vehicle.fingerprint import FingerprintData
@@ -184,7 +184,7 @@ class ModelData(TypedDict, total=False):
     diagnosed: DiagnosedBlock
 
 
-def constants_of(document: Document, node: Node | None) -> dict[str, float]:
+def constants_of(document: YamlDocument, node: Node | None) -> dict[str, float]:
     """Gravity, nominal voltage and height of the rotors, as far as they are stated."""
     if node is None:
         return {}
@@ -193,7 +193,7 @@ def constants_of(document: Document, node: Node | None) -> dict[str, float]:
     return {name: value for name, value in read.items() if value is not None}
 
 
-def noise_of(document: Document, node: Node | None) -> NoiseBlock:
+def noise_of(document: YamlDocument, node: Node | None) -> NoiseBlock:
     """Standard deviations of channels and disturbances; one that is not known (null) is left out."""
     found: dict[str, dict[str, float]] = {}
     for part, block in children_of(document, node).items():
@@ -202,7 +202,7 @@ def noise_of(document: Document, node: Node | None) -> NoiseBlock:
     return cast(NoiseBlock, found)
 
 
-def check_plain(document: Document, root: Mapping[str, Node]) -> None:
+def check_plain(document: YamlDocument, root: Mapping[str, Node]) -> None:
     """Kinds of the blocks that are kept as they are written: mappings, lists, true or false."""
     _check_valid(document, root.get("valid"))
     _check_fingerprint(document, root.get("fingerprint"))
@@ -216,7 +216,7 @@ def check_plain(document: Document, root: Mapping[str, Node]) -> None:
             document.wrong(root[key], "expected true or false")
 
 
-def _check_valid(document: Document, node: Node | None) -> None:
+def _check_valid(document: YamlDocument, node: Node | None) -> None:
     """Each range of validity is a number or [low, high]."""
     for name, child in children_of(document, node).items():
         if isinstance(child.value, list):
@@ -225,7 +225,7 @@ def _check_valid(document: Document, node: Node | None) -> None:
             document.number(child, -1e9, 1e9)
 
 
-def _check_fingerprint(document: Document, node: Node | None) -> None:
+def _check_fingerprint(document: YamlDocument, node: Node | None) -> None:
     """Components are blocks of what was declared of each, parameters and sizes are numbers; what else is there is text."""
     parts = children_of(document, node)
     for child in children_of(document, parts.get("components")).values():
@@ -238,7 +238,7 @@ def _check_fingerprint(document: Document, node: Node | None) -> None:
         document.number(child, -1e12, 1e12)
 
 
-def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
+def children_of(document: YamlDocument, node: Node | None) -> Mapping[str, Node]:
     """What a block of any keys holds; nothing where there is none."""
     if node is None or node.value is None:
         return {}
@@ -248,7 +248,7 @@ def children_of(document: Document, node: Node | None) -> Mapping[str, Node]:
     return node.value
 
 
-def plain_block(document: Document, node: Node | None) -> dict[str, PlainData]:
+def plain_block(document: YamlDocument, node: Node | None) -> dict[str, PlainData]:
     """A block of any keys and values as plain data."""
     return {name: child.plain() for name, child in children_of(document, node).items()}
 
@@ -258,7 +258,7 @@ def listed(plain: PlainData) -> Sequence[Any]:
     return cast(Sequence[Any], plain) if isinstance(plain, list) else ()
 
 
-def terms_of(document: Document, node: Node | None) -> list[str]:
+def terms_of(document: YamlDocument, node: Node | None) -> list[str]:
     """Names of terms; body alone where none are listed."""
     if node is None:
         return ["body"]

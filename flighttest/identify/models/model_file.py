@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Form, Node, PlainData, kind_of, read_form, require
+from flighttest.documents import Form, Node, PlainData, YamlDocument, kind_of, read_form, require
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
 from flighttest.identify.diagnostics.bootstrap import bootstrap_std
@@ -223,7 +223,7 @@ def read(path: Path, *, whole: bool = False) -> ModelFile:
     return found
 
 
-def _model_file(document: Document, root: Mapping[str, Node], path: str) -> ModelFile:
+def _model_file(document: YamlDocument, root: Mapping[str, Node], path: str) -> ModelFile:
     """The model of a document; block by block first, then each parameter by the model that the blocks state, where those are right."""
     terms = terms_of(document, root.get("terms"))
     parameters = _parameters(document, root.get("parameters"))
@@ -296,7 +296,7 @@ def _number(value: float | None) -> float | None:
     return float(f"{value:.7g}")
 
 
-def _parameters(document: Document, node: Node | None) -> dict[str, StoredParameter]:
+def _parameters(document: YamlDocument, node: Node | None) -> dict[str, StoredParameter]:
     if node is None:
         return {}
     if not isinstance(node.value, dict):
@@ -345,7 +345,7 @@ def _parameters(document: Document, node: Node | None) -> dict[str, StoredParame
     return found
 
 
-def _check_parameter(document: Document, node: Node, name: str, stored: StoredParameter, model: Model) -> None:
+def _check_parameter(document: YamlDocument, node: Node, name: str, stored: StoredParameter, model: Model) -> None:
     """A name that the model has, in its unit, where such a parameter can lie."""
     known = {p.name: p for p in (*ATTITUDE_PARAMS, *CHANNEL_DELAYS, DELAY)} | dict(model.param)
     param = known.get(name)
@@ -370,7 +370,7 @@ def _plain_unit(unit: str) -> str:
 
 
 def _covariance(
-    document: Document, node: Node | None, parameters: Mapping[str, StoredParameter]
+    document: YamlDocument, node: Node | None, parameters: Mapping[str, StoredParameter]
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Order and matrix; from the standard errors alone where the file has no covariance."""
     plain = plain_block(document, node)

@@ -21,7 +21,7 @@ MOST_RESPONSES = 24  # given one by one, spread over all
 MAX_OVERLAYS = 40  # per kind: more lines than that are a grey cloud, and megabytes of page
 SETTLED_SHARE = 0.3  # the last part of a throttle response that counts as settled
 _SPECIFIC_FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
-Piece = tuple[Segment, Part, FloatArray, FloatArray, FloatArray]
+ResponsePiece = tuple[Segment, Part, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class FittedResponse:
 
 
 @dataclass(frozen=True)
-class Overlay:
+class ResponseOverlay:
     """The stepped channel of one response, (n,) measured and simulated, or the world's vertical acceleration. t_s counts from the step."""
 
     segment: str
@@ -68,7 +68,7 @@ class ThrustPoint:
     simulated: float
 
 
-def pieces(found: Fit) -> Iterator[Piece]:
+def pieces(found: Fit) -> Iterator[ResponsePiece]:
     """(segment, part, t_s (n,), measured (n, outputs), simulated (n, outputs)) of every response in every block; NaN where masked."""
     for part, made in zip(found.problem.parts, found.solution.evaluations, strict=True):
         for j, response in enumerate(part.responses):
@@ -85,7 +85,7 @@ def _of(part: Part, made: PartEvaluation, j: int) -> tuple[FloatArray, FloatArra
 def fitted_responses(found: Fit) -> tuple[FittedResponse, ...]:
     """Command, measured, model and what is left, of responses spread over all of them."""
     floors = {c: q.floor for c, q in found.quality.items()}
-    by_segment: dict[int, list[Piece]] = {}
+    by_segment: dict[int, list[ResponsePiece]] = {}
     order: dict[int, Segment] = {}
     for piece in pieces(found):
         order[id(piece[0])] = piece[0]
@@ -111,9 +111,9 @@ def fitted_responses(found: Fit) -> tuple[FittedResponse, ...]:
     return tuple(views)
 
 
-def overlays(found: Fit) -> tuple[Overlay, ...]:
+def overlays(found: Fit) -> tuple[ResponseOverlay, ...]:
     """Measured and simulated responses, at most `MAX_OVERLAYS` per kind, spread over the cells."""
-    made: list[Overlay] = []
+    made: list[ResponseOverlay] = []
     for part, evaluation in zip(found.problem.parts, found.solution.evaluations, strict=True):
         for j, response in enumerate(part.responses):
             segment = found.problem.segments[response.index]
@@ -121,7 +121,7 @@ def overlays(found: Fit) -> tuple[Overlay, ...]:
     return tuple(_thinned(made))
 
 
-def _overlays_of(part: Part, made: PartEvaluation, j: int, segment: Segment) -> list[Overlay]:
+def _overlays_of(part: Part, made: PartEvaluation, j: int, segment: Segment) -> list[ResponseOverlay]:
     t = part.responses[j].t_s
     n = t.size
     wanted = {"roll_step": "roll_rad", "pitch_step": "pitch_rad", "yaw_rate_step": "r_rad_s"}.get(segment.kind)
@@ -130,14 +130,14 @@ def _overlays_of(part: Part, made: PartEvaluation, j: int, segment: Segment) -> 
         k = part.outputs.index(wanted)
         measured = np.where(part.mask[j, :n, k], part.y[j, :n, k], np.nan)
         return [
-            Overlay(
+            ResponseOverlay(
                 segment.name, segment.kind, segment.cell, wanted, since, measured, measured - made.residual[j, :n, k]
             )
         ]
     if segment.kind in ("throttle_step", "tilt_throttle", "free") and all(c in part.outputs for c in _SPECIFIC_FORCE):
         both = _vertical(part, made, j, segment)
         if both is not None:
-            return [Overlay(segment.name, segment.kind, segment.cell, "a_z_m_s2", since, *both)]
+            return [ResponseOverlay(segment.name, segment.kind, segment.cell, "a_z_m_s2", since, *both)]
     return []
 
 
@@ -155,8 +155,8 @@ def _vertical(part: Part, made: PartEvaluation, j: int, segment: Segment) -> tup
     return measured, simulated
 
 
-def _thinned(made: Sequence[Overlay]) -> list[Overlay]:
-    kept: list[Overlay] = []
+def _thinned(made: Sequence[ResponseOverlay]) -> list[ResponseOverlay]:
+    kept: list[ResponseOverlay] = []
     for kind in dict.fromkeys(o.kind for o in made):
         mine = [o for o in made if o.kind == kind]
         step = max(1, -(-len(mine) // MAX_OVERLAYS))

@@ -50,7 +50,7 @@ class Variation(Enum):
 
 
 @dataclass(frozen=True)
-class Start:
+class OpenLoopStart:
     """One run: its segment, first sample, and samples covered."""
 
     segment: int
@@ -116,7 +116,7 @@ def _grid_of(model: Model, values: Mapping[str, float], segment: Segment) -> Gri
 
 
 Predicted = list[dict[str, FloatArray]]
-Runner = Callable[[Sequence[Segment], Sequence[Start], Sequence[Mapping[str, FloatArray]]], Predicted]
+Runner = Callable[[Sequence[Segment], Sequence[OpenLoopStart], Sequence[Mapping[str, FloatArray]]], Predicted]
 
 
 def runner(variation: Variation, stored: ModelFile, previous: ModelFile | None) -> Runner | None:
@@ -168,7 +168,7 @@ def _at_voltage(stored: ModelFile, run: Runner) -> Runner:
 
 
 def _hold(
-    segments: Sequence[Segment], starts: Sequence[Start], measured: Sequence[Mapping[str, FloatArray]]
+    segments: Sequence[Segment], starts: Sequence[OpenLoopStart], measured: Sequence[Mapping[str, FloatArray]]
 ) -> Predicted:
     found = []
     for s in starts:
@@ -192,7 +192,7 @@ class _ModelRun:
         self.p = np.array([values[n] for n in model.system.params]) if p is None else p  # or one row per start
 
     def __call__(
-        self, segments: Sequence[Segment], starts: Sequence[Start], measured: Sequence[Mapping[str, FloatArray]]
+        self, segments: Sequence[Segment], starts: Sequence[OpenLoopStart], measured: Sequence[Mapping[str, FloatArray]]
     ) -> Predicted:
         system = self.model.system
         grids = [_grid_of(self.model, self.values, s) for s in segments]
@@ -218,7 +218,12 @@ class _ModelRun:
         return found
 
     def _inputs(
-        self, u: FloatArray, dt: FloatArray, x0: FloatArray, segments: Sequence[Segment], starts: Sequence[Start]
+        self,
+        u: FloatArray,
+        dt: FloatArray,
+        x0: FloatArray,
+        segments: Sequence[Segment],
+        starts: Sequence[OpenLoopStart],
     ) -> FloatArray:
         return u
 
@@ -249,7 +254,7 @@ def open_loop(
     model: Model,
     values: Mapping[str, float],
     segments: Sequence[Segment],
-    starts: Sequence[Start],
+    starts: Sequence[OpenLoopStart],
     p: FloatArray | None = None,
 ) -> Predicted:
     """Predictions of a model per start, as measured; p: (n_starts, n_params) where each start has parameters of its own (`values` then
@@ -266,7 +271,12 @@ class _OnlyDelay(_ModelRun):
         self.full, self.full_values = model, values
 
     def _inputs(
-        self, u: FloatArray, dt: FloatArray, x0: FloatArray, segments: Sequence[Segment], starts: Sequence[Start]
+        self,
+        u: FloatArray,
+        dt: FloatArray,
+        x0: FloatArray,
+        segments: Sequence[Segment],
+        starts: Sequence[OpenLoopStart],
     ) -> FloatArray:
         inputs, system = list(self.model.system.inputs), self.full.system
         delays = np.asarray(system.delays_s(np.array([self.full_values[n] for n in system.params]))).ravel()
@@ -293,7 +303,9 @@ class _OnlyDelay(_ModelRun):
         return u
 
 
-def _cut(grids: Sequence[Grid], starts: Sequence[Start]) -> tuple[FloatArray, FloatArray, list[NDArray[np.intp]]]:
+def _cut(
+    grids: Sequence[Grid], starts: Sequence[OpenLoopStart]
+) -> tuple[FloatArray, FloatArray, list[NDArray[np.intp]]]:
     """Each start's pieces, padded with pieces of no length, and for each of its samples the piece that ends there."""
     spans = []
     for s in starts:

@@ -22,8 +22,8 @@ from flighttest.identify.selection import problem_of
 from flighttest.identify.validation.ablations import (
     GROUPS,
     UNITS,
+    OpenLoopStart,
     Predicted,
-    Start,
     Variation,
     measured_channels,
     runner,
@@ -200,19 +200,19 @@ def _joined(group: Sequence[Segment]) -> Segment:
     return replace(group[0], t_s=np.concatenate([s.t_s for s in group]), y=y, u=u)
 
 
-def _samples(segment: Segment, start: Start) -> int:
+def _samples(segment: Segment, start: OpenLoopStart) -> int:
     t = segment.t_s
     return int(np.searchsorted(t, t[start.first] + FIGURE_S + 1e-9)) - start.first
 
 
-def _starts(segments: Sequence[Segment], longest_s: float) -> list[Start]:
+def _starts(segments: Sequence[Segment], longest_s: float) -> list[OpenLoopStart]:
     found = []
     for i, s in enumerate(segments):
         t = s.t_s
         for at in np.arange(t[0], t[-1] - 0.5, START_EVERY_S):
             first = int(np.searchsorted(t, at))
             last = int(np.searchsorted(t, t[first] + max(longest_s, FIGURE_S) + 1e-6, side="right")) - 1
-            found.append(Start(i, first, last))
+            found.append(OpenLoopStart(i, first, last))
     stride = -(-len(found) // MAX_STARTS)
     return found[::stride]
 
@@ -220,7 +220,7 @@ def _starts(segments: Sequence[Segment], longest_s: float) -> list[Start]:
 def _errors(
     variation: Variation,
     predicted: Predicted,
-    starts: Sequence[Start],
+    starts: Sequence[OpenLoopStart],
     measured: Sequence[Mapping[str, FloatArray]],
     segments: Sequence[Segment],
     horizons_s: Sequence[float],
@@ -252,7 +252,7 @@ def _errors(
 
 
 def _most_lively(
-    starts: Sequence[Start], measured: Sequence[Mapping[str, FloatArray]], segments: Sequence[Segment]
+    starts: Sequence[OpenLoopStart], measured: Sequence[Mapping[str, FloatArray]], segments: Sequence[Segment]
 ) -> int:
     """The start whose first 1.5 s show most motion."""
     best, found = -1.0, 0

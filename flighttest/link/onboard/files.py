@@ -85,7 +85,7 @@ class Packet:
         return FileError.END_OF_FILE if self.data[:1] == bytes([FileError.END_OF_FILE]) else FileError.OTHER
 
 
-class Files:
+class VehicleFiles:
     """The files of the vehicle of a session."""
 
     def __init__(self, session: Session) -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import IO
 
 from flighttest.errors import InputError, LinkError
-from flighttest.link.onboard.files import DATA_BYTES, SILENCE_S, Files, crc32_of
-from flighttest.link.port import Port
+from flighttest.link.onboard.files import DATA_BYTES, SILENCE_S, VehicleFiles, crc32_of
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import URL_FORMS, full_url, open_transport
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
@@ -77,7 +77,7 @@ def fetch(
     on_progress: called with the share done, 0..1. key: of MAVLink 2 signing. LinkError when nothing answers, the vehicle has no logs, or
     the download stops; what arrived until then stays beside the target, and the next call goes on from there.
     """
-    session = Session(Port(open_transport(full_url(url)), key=key))
+    session = Session(MavlinkPort(open_transport(full_url(url)), key=key))
     try:
         session.connect()
         return LogDownload(session).fetch(target, number, on_progress or (lambda _share: None))
@@ -92,7 +92,7 @@ class LogDownload:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._system = session.vehicle_system
-        self._files = Files(session)
+        self._files = VehicleFiles(session)
         self._path: str | None = None  # by MAVLink FTP
         self.by: list[str] = []  # how it came
 

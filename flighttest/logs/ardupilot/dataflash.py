@@ -51,7 +51,7 @@ class Gap:
     size: int
 
 
-class Table:
+class MessageTable:
     """All messages of one type: raw fields as stored, `at` (n,) int64 their byte offsets in the log."""
 
     def __init__(self, format: Format, at: NDArray[np.int64], raw: Mapping[str, NDArray[Any]]) -> None:
@@ -75,16 +75,16 @@ class Table:
         """A text field, cut at its first zero byte; what is not UTF-8 is read as Latin-1."""
         return [_text(bytes(value)) for value in self.raw[name]]
 
-    def where(self, keep: NDArray[np.bool_]) -> Table:
+    def where(self, keep: NDArray[np.bool_]) -> MessageTable:
         """The messages that `keep` (n,) selects."""
-        return Table(self.format, self.at[keep], {name: values[keep] for name, values in self.raw.items()})
+        return MessageTable(self.format, self.at[keep], {name: values[keep] for name, values in self.raw.items()})
 
 
 @dataclass(frozen=True)
 class Dataflash:
     """What was read: tables by message name, every format declared, gaps, bytes in all, and trouble that is no gap."""
 
-    tables: Mapping[str, Table]
+    tables: Mapping[str, MessageTable]
     formats: Mapping[str, Format]
     gaps: tuple[Gap, ...]
     size: int
@@ -206,11 +206,11 @@ class _Reader:
                 columns.setdefault(name, []).append(np.ascontiguousarray(rows[name]))
         self.at.setdefault(format.type, []).append(hits + base)
 
-    def table(self, kind: int) -> Table:
+    def table(self, kind: int) -> MessageTable:
         """The columns of one type put together; the pieces are freed."""
         pieces = self.columns.pop(kind)
         raw = {name: np.concatenate(pieces.pop(name)) for name in list(pieces)}
-        return Table(self.formats[kind], np.concatenate(self.at.pop(kind)), raw)
+        return MessageTable(self.formats[kind], np.concatenate(self.at.pop(kind)), raw)
 
 
 def read_dataflash(pieces: Iterable[bytes], wanted: Mapping[str, tuple[str, ...] | None] | None = None) -> Dataflash:
@@ -237,7 +237,7 @@ def read_dataflash(pieces: Iterable[bytes], wanted: Mapping[str, tuple[str, ...]
     for kind, count in sorted(reader.unknown.items()):
         if count > 1:  # one is a chance pattern in lost bytes
             reader.notes.append(f"{count} messages of type {kind} could not be read: no FMT message declares it")
-    tables: dict[str, Table] = {}
+    tables: dict[str, MessageTable] = {}
     for kind in list(reader.columns):
         table = reader.table(kind)
         # Two types may carry one name (a script may declare a name anew); the larger is the one meant.
@@ -252,7 +252,7 @@ def read_dataflash(pieces: Iterable[bytes], wanted: Mapping[str, tuple[str, ...]
     )
 
 
-def stack(table: Table, *names: str) -> NDArray[np.float64]:
+def stack(table: MessageTable, *names: str) -> NDArray[np.float64]:
     """Several numeric fields side by side: (n, fields)."""
     return np.stack([table.get(name) for name in names], axis=-1)
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from flighttest import frames
 from flighttest.errors import RecordingError
-from flighttest.logs.ardupilot.dataflash import Dataflash, Table, read_dataflash, stack
+from flighttest.logs.ardupilot.dataflash import Dataflash, MessageTable, read_dataflash, stack
 from flighttest.logs.ardupilot.notes import board, firmware, markers, parameter_changes, parameters, state
 from flighttest.logs.ardupilot.targets import Targets
-from flighttest.logs.ardupilot.times import Times
+from flighttest.logs.ardupilot.times import Stamped, Times
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import ordered
 from flighttest.mavlink import offset_m
@@ -27,7 +27,6 @@ from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.manifest import ClockData
 
 FloatArray = NDArray[np.float64]
-Stamped = tuple[Table, FloatArray]
 
 _TIME = ("TimeUS", "TimeMS")
 _ANGLES = (*_TIME, "DesRoll", "Roll", "DesPitch", "Pitch", "Yaw")
@@ -157,7 +156,7 @@ class _Importer:
         if found is not None and len(found):
             series[group] = found
 
-    def _denser(self, *names: str) -> tuple[str, Table, FloatArray] | None:
+    def _denser(self, *names: str) -> tuple[str, MessageTable, FloatArray] | None:
         """The message with the most samples; the first named wins a tie."""
         found = [(name, *self.tables[name]) for name in names if name in self.tables]
         return max(found, key=lambda item: len(item[1]), default=None)
@@ -191,7 +190,7 @@ class _Importer:
                     return used[lane] if 0 <= lane < len(used) else None
         return None
 
-    def _attitude(self, angles: tuple[str, Table, FloatArray] | None) -> Series | None:
+    def _attitude(self, angles: tuple[str, MessageTable, FloatArray] | None) -> Series | None:
         if angles is None:
             return None
         name, table, t_s = angles
@@ -330,10 +329,10 @@ def known_filters(parameters: dict[str, float]) -> dict[str, float]:
     return {group: parameters[name] for group, name in pairs if parameters.get(name, 0.0) > 0}
 
 
-def _sound(table: Table) -> Table:
+def _sound(table: MessageTable) -> MessageTable:
     """The fields that are as their name states, text or one number: a damaged FMT can make them anything."""
     raw = {n: v for n, v in table.raw.items() if v.ndim == 1 and (v.dtype.kind == "S") == (n in _TEXTS)}
-    return Table(table.format, table.at, raw)
+    return MessageTable(table.format, table.at, raw)
 
 
 def named(values: FloatArray, *names: str) -> dict[str, FloatArray]:

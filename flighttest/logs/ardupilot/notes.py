@@ -8,14 +8,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.logs.ardupilot.dataflash import Table
+from flighttest.logs.ardupilot.times import Stamped
 from flighttest.mavlink import ClockEstimate, in_force, mode_name
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.recording import Marker, Series
 from flighttest.recording.manifest import EventData
 
 FloatArray = NDArray[np.float64]
-Stamped = tuple[Table, FloatArray]
 
 _ARMED, _DISARMED, _TAKE_OFF, _LANDED = 10, 11, 28, 18  # LogEvent in ArduPilot's AP_Logger.h
 _VEHICLE, _GROUND = 1, 255

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.logs.ardupilot.dataflash import Table, stack
+from flighttest.logs.ardupilot.dataflash import MessageTable, stack
+from flighttest.logs.ardupilot.times import Stamped
 from flighttest.logs.timing import held_union, ordered
 from flighttest.mavlink.accepted import CLIMB_RATES
 from flighttest.mavlink.modes import TAKES_ATTITUDE_TARGETS
 from flighttest.recording import Series
 
 FloatArray = NDArray[np.float64]
-Stamped = tuple[Table, FloatArray]
-Part = tuple[FloatArray, dict[str, FloatArray]]
+TargetPart = tuple[FloatArray, dict[str, FloatArray]]
 
 
 class Targets:
@@ -28,7 +28,7 @@ class Targets:
     def __init__(
         self,
         tables: Mapping[str, Stamped],
-        angles: tuple[str, Table, FloatArray] | None,
+        angles: tuple[str, MessageTable, FloatArray] | None,
         derived: dict[str, str],
         losses: list[str],
     ) -> None:
@@ -37,9 +37,9 @@ class Targets:
         self.derived = derived
         self.losses = losses
 
-    def _own(self, suffix: str) -> list[Part]:
+    def _own(self, suffix: str) -> list[TargetPart]:
         """The autopilot's own attitude and yaw rate targets, NWU/FLU, with the channels' suffix."""
-        parts: list[Part] = []
+        parts: list[TargetPart] = []
         angles = self.angles
         if angles is not None and "DesRoll" in angles[1] and "DesPitch" in angles[1]:
             table = angles[1]
@@ -89,7 +89,7 @@ class Targets:
             parts.append(throttle)
         return held_union(parts) if parts else None
 
-    def _ctun(self, channel: str, name: str, old: str) -> Part | None:
+    def _ctun(self, channel: str, name: str, old: str) -> TargetPart | None:
         if "CTUN" not in self.tables:
             return None
         table, t_s = self.tables["CTUN"]
@@ -112,7 +112,7 @@ class Targets:
         return Series(*found) if found is not None else None
 
 
-def _rates_alone(guia: Table) -> NDArray[np.bool_]:
+def _rates_alone(guia: MessageTable) -> NDArray[np.bool_]:
     """Which targets (n,) asked for body rates and no attitude: the autopilot logs the empty quaternion as a level head due north."""
     if not {"Yaw", "RollRt", "PitchRt"} <= set(guia.raw):
         return np.zeros(len(guia), dtype=bool)
@@ -121,7 +121,7 @@ def _rates_alone(guia: Table) -> NDArray[np.bool_]:
     return np.asarray(level & np.any(level & turning))
 
 
-def _ended_by_mode(series: Series, state_series: Series | None) -> Part:
+def _ended_by_mode(series: Series, state_series: Series | None) -> TargetPart:
     """Targets count only in the mode they were sent in: where it changes, the reference becomes unknown (NaN) until the next target."""
     t, columns = series.t_s, dict(series.columns)
     if state_series is None or "mode" not in state_series.columns:

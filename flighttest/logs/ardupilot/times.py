@@ -7,10 +7,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.logs.ardupilot.dataflash import Dataflash, Table
+from flighttest.logs.ardupilot.dataflash import Dataflash, MessageTable
 from flighttest.logs.timing import BACK_S, OUTLIER_S, outliers
 
 FloatArray = NDArray[np.float64]
+Stamped = tuple[MessageTable, FloatArray]  # messages of one type and their times (n,), s
 
 _STAMPS = (("TimeUS", 1e-6, 2.0**32 * 1e-6), ("TimeMS", 1e-3, 2.0**32 * 1e-3), ("T", 1e-3, 2.0**32 * 1e-3))
 _WRAP_GAP_S = 120.0
@@ -61,7 +62,7 @@ class Times:
             at, t = at[a:b], t[a:b]
         self._at, self._t = at, np.maximum.accumulate(t) if t.size else t
 
-    def of(self, name: str, table: Table) -> tuple[Table, FloatArray]:
+    def of(self, name: str, table: MessageTable) -> Stamped:
         """The messages of a table that belong to the run, and their times (n,), s. Types without a stamp get the time of the
         message before them."""
         stamps, _ = self._raw[name]
@@ -77,7 +78,7 @@ class Times:
         return (table, t) if keep.all() else (table.where(keep), t[keep])
 
 
-def _stamps(table: Table) -> tuple[FloatArray | None, float]:
+def _stamps(table: MessageTable) -> tuple[FloatArray | None, float]:
     # Before Copter 3.3 a GPS message's TimeMS is the GPS week's, and T the vehicle's.
     for name, scale, wrap_s in _STAMPS if "T" not in table else _STAMPS[::-1]:
         if name in table and table.raw[name].dtype.kind in "iu":

@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 from flighttest.channels import CHANNELS, GROUPS
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Form, Node, nearest, read_form
+from flighttest.documents import Form, Node, YamlDocument, nearest, read_form
 from flighttest.errors import RecordingError
 from flighttest.logs.tables.input_table import InputTable, parse_table
 from flighttest.logs.tables.sheet import TIME
@@ -37,7 +37,7 @@ _KEYS = ("format", "doc", "frame", "rate_hz", "columns", "constants", "filters_h
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """Where one channel comes from: the mean of `columns`, each to the `power` and through the `table` first, times scale, plus offset.
     A column may be a cell of a vector column, as `v[0]`."""
 
@@ -53,7 +53,7 @@ class ColumnMap:
     """Channel name (or t_s, step) to its source; quaternions (attitude, reference) to four columns in the order w, x, y, z;
     frames of the table; constants and filters (channel group to Hz) as given. `file` names the map in messages."""
 
-    columns: Mapping[str, Source]
+    columns: Mapping[str, ColumnSource]
     quaternions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     world: World = "NWU"
     body: Body = "FLU"
@@ -74,7 +74,7 @@ def parse_columns(text: str, file: str = "columns.yaml") -> ColumnMap:
     return read_form(text, file, Form("columns", _KEYS, RecordingError), _column_map)
 
 
-def _column_map(document: Document, fields: Mapping[str, Node]) -> ColumnMap:
+def _column_map(document: YamlDocument, fields: Mapping[str, Node]) -> ColumnMap:
     columns, quaternions = _columns(document, fields["columns"]) if "columns" in fields else ({}, {})
     if not columns and not quaternions and not document.problems:
         document.problem(
@@ -96,10 +96,10 @@ def _column_map(document: Document, fields: Mapping[str, Node]) -> ColumnMap:
 def plain_map(names: tuple[str, ...]) -> ColumnMap:
     """The map of a table whose columns already carry the channels' names; what has no such name is left out."""
     known = [n for n in names if n in CHANNELS or n in (TIME, STEP)]
-    return ColumnMap({name: Source((name,)) for name in known})
+    return ColumnMap({name: ColumnSource((name,)) for name in known})
 
 
-def _frame(document: Document, fields: Mapping[str, Node]) -> tuple[str, str]:
+def _frame(document: YamlDocument, fields: Mapping[str, Node]) -> tuple[str, str]:
     if "frame" not in fields:
         return "NWU", "FLU"
     frame = document.mapping(fields["frame"], ("world", "body"))
@@ -108,13 +108,13 @@ def _frame(document: Document, fields: Mapping[str, Node]) -> tuple[str, str]:
     return world or "NWU", body or "FLU"
 
 
-def _columns(document: Document, node: Node) -> tuple[dict[str, Source], dict[str, tuple[str, ...]]]:
-    sources: dict[str, Source] = {}
+def _columns(document: YamlDocument, node: Node) -> tuple[dict[str, ColumnSource], dict[str, tuple[str, ...]]]:
+    sources: dict[str, ColumnSource] = {}
     quaternions: dict[str, tuple[str, ...]] = {}
     names = (TIME, STEP, *CHANNELS, *_QUATERNIONS)
     for name, entry in document.mapping(node, names, "channel").items():
         if isinstance(entry.value, str):  # the short form, `roll_rad: roll`
-            sources[name] = Source((entry.value,))
+            sources[name] = ColumnSource((entry.value,))
             continue
         keys = document.mapping(entry, _ENTRY)
         if not keys:
@@ -132,7 +132,7 @@ def _columns(document: Document, node: Node) -> tuple[dict[str, Source], dict[st
     return sources, quaternions
 
 
-def _quaternion(document: Document, entry: Node, keys: Mapping[str, Node]) -> tuple[str, ...] | None:
+def _quaternion(document: YamlDocument, entry: Node, keys: Mapping[str, Node]) -> tuple[str, ...] | None:
     if set(keys) != {"quaternion"}:
         document.wrong(
             entry, "attitude and reference are given as a quaternion", "write {quaternion: [qw, qx, qy, qz]}"
@@ -145,7 +145,7 @@ def _quaternion(document: Document, entry: Node, keys: Mapping[str, Node]) -> tu
     return tuple(n for n in names if n is not None)
 
 
-def _source(document: Document, name: str, entry: Node, keys: Mapping[str, Node]) -> Source | None:
+def _source(document: YamlDocument, name: str, entry: Node, keys: Mapping[str, Node]) -> ColumnSource | None:
     if "quaternion" in keys:
         document.wrong(keys["quaternion"], f"{name} is no quaternion", "use the channel `attitude` or `reference`")
         return None
@@ -176,10 +176,10 @@ def _source(document: Document, name: str, entry: Node, keys: Mapping[str, Node]
         return None
     power = document.number(keys["power"], 0.1, 4.0) if "power" in keys else 1.0
     table = parse_table(document, keys["table"], document.file) if "table" in keys else None
-    return Source(tuple(columns), scale * factor, offset, 1.0 if power is None else power, table)
+    return ColumnSource(tuple(columns), scale * factor, offset, 1.0 if power is None else power, table)
 
 
-def _numbers(document: Document, node: Node | None, known: tuple[str, ...], low: float = -1e9) -> dict[str, float]:
+def _numbers(document: YamlDocument, node: Node | None, known: tuple[str, ...], low: float = -1e9) -> dict[str, float]:
     if node is None:
         return {}
     found = {name: document.number(child, low, 1e9) for name, child in document.mapping(node, known, "name").items()}

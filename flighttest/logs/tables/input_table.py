@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.documents import Document, Node
+from flighttest.documents import Node, YamlDocument
 from flighttest.errors import FlighttestError
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +38,7 @@ class InputTable:
         return np.asarray(np.where(np.isfinite(values), found, np.nan))
 
 
-def parse_table(document: Document, node: Node, file: str) -> InputTable | None:
+def parse_table(document: YamlDocument, node: Node, file: str) -> InputTable | None:
     """A table as it stands in a column map; None with its problems noted."""
     if isinstance(node.value, dict):
         return _from_file(document, node, Path(file).parent)
@@ -52,7 +52,7 @@ def parse_table(document: Document, node: Node, file: str) -> InputTable | None:
     return InputTable(tuple(p[0] for p in known), tuple(p[1] for p in known))
 
 
-def _from_file(document: Document, node: Node, folder: Path) -> InputTable | None:
+def _from_file(document: YamlDocument, node: Node, folder: Path) -> InputTable | None:
     from flighttest.logs.opening import LogFile
     from flighttest.logs.tables.reading import read_sheet
 

@@ -31,7 +31,7 @@ TIMES = (
     "timestamp",
 )  # names of a time vector; in seconds, unless a column map states another unit
 _SAVE = "save it in MATLAB by save(name, '-v7')"
-Table = tuple[str, FloatArray | None, dict[str, FloatArray]]
+MatlabTable = tuple[str, FloatArray | None, dict[str, FloatArray]]
 
 
 def read_matlab(file: LogFile, data: bytes) -> Sheet:
@@ -85,7 +85,7 @@ def _bare(columns: dict[str, FloatArray]) -> dict[str, FloatArray]:
     }
 
 
-def _tables(path: str, content: dict[str, Any]) -> Iterator[Table]:
+def _tables(path: str, content: dict[str, Any]) -> Iterator[MatlabTable]:
     """Every structure that holds vectors as (path, its time, its columns of the time's length); inner structures after it."""
     if path and isinstance(signal := _timeseries(path, content), tuple):
         yield signal
@@ -107,7 +107,7 @@ def _tables(path: str, content: dict[str, Any]) -> Iterator[Table]:
             yield from _tables(f"{path}.{name}{inner}" if path else f"{name}{inner}", one)
 
 
-def _timeseries(path: str, content: dict[str, Any]) -> Table | None:
+def _timeseries(path: str, content: dict[str, Any]) -> MatlabTable | None:
     """A timeseries saved as a structure (Time, Data), or Simulink's structure with time (time, signals.values)."""
     lower = {name.lower(): value for name, value in content.items()}
     time = _numbers(lower.get("time"))

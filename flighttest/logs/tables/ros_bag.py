@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flighttest.datafiles import MOST_VALUES
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import UNPACKED_BYTES, UNPACKED_TIMES, LogFile
-from flighttest.logs.tables.columns import ColumnMap, Source
+from flighttest.logs.tables.columns import ColumnMap, ColumnSource
 from flighttest.logs.tables.sheet import Sheet, joined
 
 FloatArray = NDArray[np.float64]
@@ -179,16 +179,16 @@ def _columns(
 
 def _map(kinds: Mapping[str, str], sheet: Sheet) -> ColumnMap:
     """Channels of known message types, each from the first topic that has it."""
-    columns: dict[str, Source] = {}
+    columns: dict[str, ColumnSource] = {}
     quaternions: dict[str, tuple[str, ...]] = {}
     for topic, kind in kinds.items():
         for channel, name, scale in _KNOWN.get(kind, ()):
             if f"{topic}.{name}" in sheet.raw:
-                columns.setdefault(channel, Source((f"{topic}.{name}",), scale))
+                columns.setdefault(channel, ColumnSource((f"{topic}.{name}",), scale))
         if (
             topic.endswith("velocity_local") and kind == "geometry_msgs/msg/TwistStamped"
         ):  # mavros: in the world's frame
-            columns |= {f"v_{a}_m_s": Source((f"{topic}.twist.linear.{a}",)) for a in "xyz"}
+            columns |= {f"v_{a}_m_s": ColumnSource((f"{topic}.twist.linear.{a}",)) for a in "xyz"}
     for what, kind, name in _TURNS:
         topic = next((t for t, k in kinds.items() if k == kind), "")
         if topic and f"{topic}.{name}.w" in sheet.raw:

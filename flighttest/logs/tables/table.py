@@ -19,7 +19,7 @@ from flighttest.documents import nearest
 from flighttest.errors import RecordingError
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.tables.agreement import disagreements, gravity_warnings
-from flighttest.logs.tables.columns import STEP, ColumnMap, Source, load_columns, plain_map
+from flighttest.logs.tables.columns import STEP, ColumnMap, ColumnSource, load_columns, plain_map
 from flighttest.logs.tables.crazyflie import crazyflie_map
 from flighttest.logs.tables.reading import read_sheet
 from flighttest.logs.tables.ros_bag import MAGIC, read_bag
@@ -194,7 +194,7 @@ def _read(sheet: Sheet, plan: ColumnMap, name: str) -> FloatArray:
     return np.asarray(values * source.scale + source.offset)
 
 
-def _mapped(values: FloatArray, source: Source) -> FloatArray:
+def _mapped(values: FloatArray, source: ColumnSource) -> FloatArray:
     """A column through its static map: thrust of a rotor goes with the square of its speed, or as a stand has measured."""
     if source.power != 1.0:
         values = np.sign(values) * np.abs(values) ** source.power

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
-from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, Term
-
-Values = Mapping[str, Expr]
+from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, Term, Values
 
 # Keeps square roots of thrust differentiable where the rotors stand still, (m/s^2)^2.
 _SMALL_THRUST_2 = 0.05**2

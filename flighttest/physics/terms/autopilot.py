@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
-from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
-
-Values = Mapping[str, Expr]
+from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term, Values
 
 # How fast a shaped target's rate catches up with the wanted one where its acceleration allows, s: the autopilot does it in one cycle,
 # the integration steps of a fit are longer.

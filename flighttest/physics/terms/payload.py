@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
-from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
-
-Values = Mapping[str, Expr]
+from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term, Values
 
 
 def _payload(s: Signals, p: Values, x: Values) -> Contribution:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import casadi as ca
 
 from flighttest.physics import body
-from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term
-
-Values = Mapping[str, Expr]
+from flighttest.physics.core import Contribution, Expr, Param, Port, Signals, State, Term, Values
 
 # Below this throttle the gain is taken as at it: a factor on the command cannot be defined at zero.
 _SMALL_THROTTLE = 0.004

@@ -19,7 +19,7 @@ from flighttest.pipeline.identification.fitting import cut_all, model_data
 from flighttest.pipeline.identification.per_flight import weather_of
 from flighttest.pipeline.identification.reporting import REPORT_NAME
 from flighttest.pipeline.recordings.consistency import deduplicate
-from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, RecordingSource, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.identities import of_recording
 from flighttest.recording import Recording
@@ -35,8 +35,8 @@ _UNNAMED = (Verdict.PARTLY, Verdict.UNKNOWN_PHYSICS)
 
 
 def against(
-    runs: Sequence[Source],
-    simulated: Sequence[Source],
+    runs: Sequence[RecordingSource],
+    simulated: Sequence[RecordingSource],
     model: Path | ModelFile | None = None,
     output: Path | None = None,
     vehicle: Path | None = None,

@@ -32,7 +32,7 @@ from flighttest.pipeline.parallel import in_parallel
 from flighttest.pipeline.presenters.fit_view import fit_view
 from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, RecordingSource, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import words_of
 from flighttest.pipeline.store.history import DEFAULT_RUNS, folder_of_runs
@@ -86,7 +86,7 @@ def run_diagnosis(
 
 
 def diagnose(
-    runs: Sequence[Source],
+    runs: Sequence[RecordingSource],
     model: Path | ModelFile | None = None,
     output: Path | None = None,
     vehicle: Path | None = None,

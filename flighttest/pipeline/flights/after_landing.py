@@ -35,7 +35,7 @@ from flighttest.report.sections import fit as fit_sections
 from flighttest.report.sections.diagnosis import missing_sections
 from flighttest.report.sections.validity import TONES, status_document
 from flighttest.segments import Segment
-from flighttest.validity.model import Assessment, Verdict
+from flighttest.validity.model import Assessment, ValidityVerdict
 from flighttest.vehicle.model import Vehicle
 
 
@@ -172,7 +172,7 @@ def _status(found: Analysis, usable: bool) -> Status:
         return Status.UNUSABLE if not any(s.usable for s in found.segments) else Status.UNEXPLAINED
     if not found.fit.status.good:
         return Status.UNEXPLAINED
-    if found.validity is not None and found.validity.verdict is Verdict.STALE and not renewed(found):
+    if found.validity is not None and found.validity.verdict is ValidityVerdict.STALE and not renewed(found):
         return Status.STALE
     return Status.DONE if found.explained else Status.UNEXPLAINED
 
@@ -187,7 +187,7 @@ def _verdict(found: Analysis, view: FitView | None) -> tuple[str, Tone]:
         parts.insert(0, str(found.diagnosis.get("sentence", "")))
         tone = tone if found.explained else "warn"
     if found.validity is not None:
-        stale = found.validity.verdict is Verdict.STALE
+        stale = found.validity.verdict is ValidityVerdict.STALE
         if not renewed(found):
             # A few steps make no model: what was asked is whether the one in use still holds.
             parts = [found.validity.sentence, *parts[:-1]]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from flighttest.documents import nearest
 from flighttest.errors import FlighttestError, InputError, ScriptError
-from flighttest.flight import FlightOptions, FlightOutcome, FlightResult, LegOutcome, fly
+from flighttest.flight import FlightOutcome, FlightResult, FlightSettings, LegOutcome, fly
 from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
@@ -31,7 +31,7 @@ from flighttest.pipeline.validity.status import flown_until
 from flighttest.pipeline.vehicles.live import BUILTIN, key_for
 from flighttest.pipeline.vehicles.simulator import options
 from flighttest.plan import Plan
-from flighttest.report.document import Block, Bullets, Document, Section
+from flighttest.report.document import Bullets, Document, PageBlock, Section
 from flighttest.report.numbers import join
 from flighttest.report.render.plain import plain
 from flighttest.sim import start_simulator
@@ -223,7 +223,7 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
             folder = new_run(request.out, plan.script.name, datetime.datetime.now())
             number = f"{index + 1} of {len(compiled)}"
             progress.stage(f"{plan.script.name} ({number}): {len(plan.legs)} steps, recorded in {folder}")
-            asked = FlightOptions(
+            asked = FlightSettings(
                 left_behind=behind,
                 fence_behind=fence_behind(request.out, plan.vehicle.name),
                 skip=flown_in(earlier),
@@ -338,7 +338,7 @@ def _say_changes(previous: ModelFile, today: FingerprintData, said: set[str], pr
     )
 
 
-def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightOptions, progress: Progress) -> FlightResult:
+def _one(request: FlightRequest, plan: Plan, folder: Path, asked: FlightSettings, progress: Progress) -> FlightResult:
     """One script, flown and recorded in a folder. asked: what the flight needs beside the request."""
     with connection(request) as url, counted_interrupts() as stops:
         keep(folder, FlownWith(target(request), request.vehicle, request.airframe, request.hide))
@@ -370,7 +370,7 @@ def _flown(
     for plan, ended in zip(plans, ends, strict=False):
         flown = sum(leg.outcome is LegOutcome.FLOWN for leg in ended.legs)
         lines.append(f"{ended.run_dir}: {flown} of {len(plan.legs)} steps flown; {ended.sentence}")
-    blocks: list[Block] = [Bullets(tuple(lines))]
+    blocks: list[PageBlock] = [Bullets(tuple(lines))]
     if notes:
         blocks.append(Bullets(tuple(notes)))
     verdict = "Recorded." if usable else "The flight did not end as planned; what was recorded is kept."

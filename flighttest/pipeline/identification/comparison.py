@@ -6,7 +6,7 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
-from flighttest.identify.models.compare import LEVEL, Difference
+from flighttest.identify.models.compare import LEVEL, ParameterDifference
 from flighttest.identify.models.compare import compare as compare_models
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.identification.fitting import cut_all, fit_segments
@@ -71,7 +71,7 @@ def compare(first: Path | ModelFile, second: Path | ModelFile, progress: Progres
     return Result(document, shown, value=found)
 
 
-def _compared(d: Difference, a: ModelFile, b: ModelFile) -> tuple[Cell | str, ...]:
+def _compared(d: ParameterDifference, a: ModelFile, b: ModelFile) -> tuple[Cell | str, ...]:
     p, q = a.parameters.get(d.name), b.parameters.get(d.name)
     word = Cell("differs", "bad") if d.differs else Cell("same", "good")
     if d.z is None:

@@ -54,10 +54,10 @@ def _what(path: Path) -> str:
     }.get(path.name, "")
 
 
-Files = list[tuple[Path, str]]
+ExportedFiles = list[tuple[Path, str]]
 
 
-def _fmu(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
+def _fmu(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, Any]]:
     from flighttest.twin import fmu
 
     said = ["every term of the model and its delays are in it; the battery's voltage is an input"]
@@ -65,7 +65,7 @@ def _fmu(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
     return [(fmu.write_fmu(stored, output), what)], {"left_out": [], "left_out_sentences": said}
 
 
-def _rotorpy(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
+def _rotorpy(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, Any]]:
     from flighttest.twin import rotorpy
 
     path = rotorpy.write_vehicle(stored, output)
@@ -86,7 +86,7 @@ def _rotorpy(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
     return [(path, "quad_params, and Commands: references and throttle to RotorPy's cmd_ctbm")], data
 
 
-def _ardupilot(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
+def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, Any]]:
     from flighttest.twin import ardupilot
 
     (frame, parameters), made = ardupilot.write_frame(stored, output)
@@ -118,7 +118,7 @@ def _ardupilot(stored: ModelFile, output: Path) -> tuple[Files, dict[str, Any]]:
     ], data
 
 
-_VEHICLES: dict[str, Callable[[ModelFile, Path], tuple[Files, dict[str, Any]]]] = {
+_VEHICLES: dict[str, Callable[[ModelFile, Path], tuple[ExportedFiles, dict[str, Any]]]] = {
     "fmu": _fmu,
     "rotorpy": _rotorpy,
     "ardupilot": _ardupilot,

@@ -25,7 +25,7 @@ from flighttest.pipeline.presenters.fit_view import fit_view, metrics, segment_v
 from flighttest.pipeline.recordings.batteries import battery_data
 from flighttest.pipeline.recordings.consistency import deduplicate, inconsistencies
 from flighttest.pipeline.recordings.fingerprints import of_recordings
-from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, RecordingSource, losses_of, named, open_recordings
 from flighttest.pipeline.recordings.time_budget import time_data, time_section
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.identities import identity_of
@@ -45,7 +45,7 @@ from flighttest.vehicle.model import Vehicle
 
 
 @dataclass(frozen=True)
-class FitOptions:
+class FitRequest:
     """Options of a fit: terms beside the model's, parameters to hold at a value, parameters to tie to another, how many processes.
 
     model: where it is not the paper's; its nominal voltage and the height of its rotors count where neither vehicle nor recordings state
@@ -71,7 +71,7 @@ def cut_all(recordings: Sequence[Recording], progress: Progress = SILENT) -> tup
     return tuple(found)
 
 
-def segment(runs: Sequence[Source], columns: Path | None = None, progress: Progress = SILENT) -> Result:
+def segment(runs: Sequence[RecordingSource], columns: Path | None = None, progress: Progress = SILENT) -> Result:
     """Table of responses, each accepted or rejected with its reason."""
     recordings = open_recordings(runs, Reading(columns), progress)
     segments = cut_all(recordings, progress)
@@ -149,11 +149,11 @@ def fit_segments(
     segments: Sequence[Segment],
     recordings: Sequence[Recording],
     vehicle: Vehicle | None = None,
-    options: FitOptions | None = None,
+    options: FitRequest | None = None,
     progress: Progress = SILENT,
 ) -> Fit:
     """The paper's model, plus named terms, fitted jointly to all usable segments."""
-    options = options or FitOptions()
+    options = options or FitRequest()
     usable = [s for s in segments if s.usable]
     if not usable:
         raise FitError("no response can be used", "see `flighttest segment` for why each was rejected")
@@ -247,15 +247,15 @@ def for_later_flights(found: Fit) -> QualityBlock:
 
 
 def fit(
-    runs: Sequence[Source],
+    runs: Sequence[RecordingSource],
     output: Path | None = None,
     columns: Path | None = None,
     vehicle: Path | None = None,
-    options: FitOptions | None = None,
+    options: FitRequest | None = None,
     progress: Progress = SILENT,
 ) -> Result:
     """Estimate the parameters of one or several recordings, jointly; write model.yaml where `output` says."""
-    options = options or FitOptions()
+    options = options or FitRequest()
     check_writable(None if output is None else output.parent)
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     recordings = open_recordings(runs, Reading(columns, options.workers, options.scheduler), progress)

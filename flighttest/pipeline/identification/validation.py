@@ -15,7 +15,7 @@ from flighttest.identify.validation.validate import HORIZONS_S, Validation, Vari
 from flighttest.identify.validation.validate import validate as compare_models
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.fingerprints import differences
-from flighttest.pipeline.recordings.sources import Reading, Source, losses_of, named, open_recordings
+from flighttest.pipeline.recordings.sources import Reading, RecordingSource, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.history import check_runs, folder_of_runs
 from flighttest.pipeline.store.identities import whose
@@ -38,7 +38,7 @@ class Beside:
 
 def validate(
     model: Path | ModelFile | None,
-    runs: Sequence[Source],
+    runs: Sequence[RecordingSource],
     beside: Beside | None = None,
     output: Path | None = None,
     columns: Path | None = None,
@@ -90,7 +90,7 @@ def validate(
     return Result(document, data, Status.DONE, found)
 
 
-def _in_use(recordings: Sequence[Recording], runs: Sequence[Source], out: Path) -> Path:
+def _in_use(recordings: Sequence[Recording], runs: Sequence[RecordingSource], out: Path) -> Path:
     """The accepted model of the recordings' vehicle. InputError where the vehicle is unknown, or has none."""
     name = whose(recordings, None, out)
     if not name:
@@ -118,7 +118,7 @@ def _reservations(stored: ModelFile, recordings: Sequence[Recording]) -> dict[st
     return found
 
 
-def _parted(paths: Sequence[Source]) -> tuple[Path | None, Sequence[Source]]:
+def _parted(paths: Sequence[RecordingSource]) -> tuple[Path | None, Sequence[RecordingSource]]:
     """The model among what was named, and the recordings: a model file, or the first of several folders where it holds one."""
     first, others = paths[0], paths[1:]
     if isinstance(first, Recording):

@@ -17,7 +17,7 @@ from flighttest.physics.model import Model
 from flighttest.physics.stepping import SIDEWAYS, Forms, Stepping
 from flighttest.plan import Plan
 from flighttest.plan.compile import compile_plan
-from flighttest.plan.model import Motion, Policy, Snapshot, Trail
+from flighttest.plan.model import Policy, PredictedMotion, Snapshot, Trail
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -92,7 +92,7 @@ class ModelPredictor:
         policy: Policy,
         duration_s: float,
         dt_s: float,
-    ) -> Motion:
+    ) -> PredictedMotion:
         """Fly n vehicles from rest at start_m (n, 3), yaw_rad (n,), voltage_v (n,), hovering until now, for duration_s."""
         steps = np.full(len(np.atleast_2d(start_m)), max(round(duration_s / dt_s), 1))
         return self.fly_each(start_m, yaw_rad, voltage_v, policy, steps, dt_s).motion
@@ -179,7 +179,7 @@ class ModelPredictor:
         # Each coordinate of each vehicle in one piece of memory: they are searched for extremes. Attitudes are not.
         p, v = (np.ascontiguousarray(record[:, i].transpose(2, 1, 0)).transpose(0, 2, 1) for i in (place, speed))
         rpy = record[:, angle].transpose(2, 0, 1)
-        return Trail(Motion(t_s, p, v, rpy), record, asked, volts, clock_s)
+        return Trail(PredictedMotion(t_s, p, v, rpy), record, asked, volts, clock_s)
 
     def _memory(self, dt_s: float) -> int:
         """How many targets are on their way at most."""

@@ -32,10 +32,10 @@ from flighttest.report.render.plain import plain
 from flighttest.segments import cut
 from flighttest.vehicle.load import load_vehicle
 
-Source = Path | Recording  # a run folder or log, or a recording that was read before
+RecordingSource = Path | Recording  # a run folder or log, or a recording that was read before
 
 
-def named(source: Source) -> str:
+def named(source: RecordingSource) -> str:
     """What a source is called in facts and sentences: its path, or the recording's name."""
     return source.name if isinstance(source, Recording) else str(source)
 
@@ -86,7 +86,7 @@ class Reading:
 
 
 def open_recordings(
-    sources: Sequence[Source], reading: Reading | None = None, progress: Progress = SILENT
+    sources: Sequence[RecordingSource], reading: Reading | None = None, progress: Progress = SILENT
 ) -> tuple[Recording, ...]:
     """All of them, in order, those that were read before as they are; each name is made unique, since segments carry it."""
     reading = reading or Reading()

@@ -41,7 +41,7 @@ def folder_of_runs(sources: Iterable[object]) -> Path:
 
 
 @dataclass(frozen=True)
-class Campaign:
+class StoredFit:
     """One joint fit found in a folder of runs. runs: the recordings it was fitted to."""
 
     folder: Path
@@ -116,10 +116,10 @@ def dof_of(factor: float) -> float:
     return float(brentq(lambda nu: quantile(0.975, nu) - factor, 1.0, MANY))
 
 
-def campaigns(folder: Path, vehicle: str) -> list[Campaign]:
+def campaigns(folder: Path, vehicle: str) -> list[StoredFit]:
     """Distinct fits of one vehicle's runs in a folder, with the terms that a diagnosis found, oldest first; files that cannot be read are
     passed over (`runs` names them)."""
-    found: dict[tuple[str, ...], Campaign] = {}
+    found: dict[tuple[str, ...], StoredFit] = {}
     known = known_in(folder)
     for run in run_folders(folder):
         path = run / FIT_NAME
@@ -131,7 +131,7 @@ def campaigns(folder: Path, vehicle: str) -> list[Campaign]:
             stored = model_file.read(model_file.held_by(run))
         except FlighttestError:
             continue  # an old or broken file must not hide the others
-        found[tuple(str(r) for r in stored.runs) or (run.name,)] = Campaign(run, stored)
+        found[tuple(str(r) for r in stored.runs) or (run.name,)] = StoredFit(run, stored)
     return list(found.values())
 
 
@@ -150,9 +150,9 @@ def _known(model: ModelFile) -> dict[str, float]:
     return {n: std for n, std in sure.items() if std is not None}
 
 
-def reference_model(known: Sequence[Campaign]) -> Campaign | None:
+def reference_model(known: Sequence[StoredFit]) -> StoredFit | None:
     """The campaign whose model is in use: the last one that is as good as the one before it, or flown after a declared change."""
-    kept: Campaign | None = None
+    kept: StoredFit | None = None
     for campaign in known:
         if kept is not None and not as_good(campaign.model, kept.model):
             changes, _ = declared_changes(kept.model.fingerprint, campaign.model.fingerprint)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from flighttest.errors import InputError
 from flighttest.flight import legs_flown
-from flighttest.flight.preparation.changes import Left
+from flighttest.flight.preparation.changes import LeftParameter
 from flighttest.flight.preparation.fence import FenceSet, fence_set
 from flighttest.pipeline.store.history import vehicle_name
 from flighttest.pipeline.store.identities import run_folders
@@ -39,7 +39,7 @@ def chain(run_dir: Path | None) -> list[Path]:
     return found
 
 
-def left_behind(folder: Path, vehicle: str) -> dict[str, Left]:
+def left_behind(folder: Path, vehicle: str) -> dict[str, LeftParameter]:
     """Parameters that the last flight of a vehicle set and did not restore (its program may have been killed). Only by a record that was
     written for this run folder: a manifest copied from elsewhere is no evidence of this vehicle."""
     last = next((run for run in reversed(run_folders(folder)) if vehicle_name(run) == vehicle), None)
@@ -52,7 +52,7 @@ def left_behind(folder: Path, vehicle: str) -> dict[str, Left]:
     if record.get("run") != last.name:
         return {}
     return {
-        name: Left(float(value), float(given[name]), str(hardware.get(name, "")))
+        name: LeftParameter(float(value), float(given[name]), str(hardware.get(name, "")))
         for name, value in values.items()
         if name in given
     }

@@ -21,7 +21,7 @@ from flighttest.identify.selection import problem_of
 from flighttest.pipeline.identification.fitting import cut_all
 from flighttest.pipeline.recordings.batteries import battery_of, battery_reference
 from flighttest.pipeline.recordings.fingerprints import of_recordings, of_vehicle
-from flighttest.pipeline.recordings.sources import Source, named, open_recordings
+from flighttest.pipeline.recordings.sources import RecordingSource, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import options_of
 from flighttest.pipeline.store.history import campaigns, watched, when
@@ -45,11 +45,11 @@ from flighttest.report.render.plain import plain
 from flighttest.report.sections.validity import status_document
 from flighttest.segments import Segment
 from flighttest.validity import matched_pair
-from flighttest.validity.assess import Evidence, assess
+from flighttest.validity.assess import RecordingEvidence, assess
 from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.hover import Hover, hover
 from flighttest.validity.matched_pair import DELAY_S
-from flighttest.validity.model import Assessment, Verdict
+from flighttest.validity.model import Assessment, ValidityVerdict
 from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
@@ -60,7 +60,7 @@ ENOUGH_HISTORY = 5  # unchanged campaigns after which the vehicle's own scatter 
 
 
 def status(
-    runs: Sequence[Source],
+    runs: Sequence[RecordingSource],
     vehicle: Path | None,
     model: Path | ModelFile | None,
     out: Path,
@@ -141,7 +141,7 @@ def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed:
         model_fingerprint=stored.fingerprint,
         vehicle_fingerprint=today,
         stored=base,
-        new=Evidence(
+        new=RecordingEvidence(
             runs=series,
             matched=paired,
             spread=spread,
@@ -343,9 +343,13 @@ def finish(
     data["tests"] = [{**test, "alike": test["matched"]} for test in data["tests"]]
     data["repeats"] = {name: need.repeats for name, need in repeats.items()}
     data["minutes"] = minutes
-    shown = rows if found.fly or found.verdict is Verdict.UNKNOWN else ()
+    shown = rows if found.fly or found.verdict is ValidityVerdict.UNKNOWN else ()
     data["reflights"] = [plain(row) for row in shown]
     data["compared"] = facts
     data["page"] = str(output / "status.html") if output is not None else None
-    status_of = {Verdict.CURRENT: Status.DONE, Verdict.STALE: Status.STALE, Verdict.UNKNOWN: Status.DONE}
+    status_of = {
+        ValidityVerdict.CURRENT: Status.DONE,
+        ValidityVerdict.STALE: Status.STALE,
+        ValidityVerdict.UNKNOWN: Status.DONE,
+    }
     return Result(document, data, status_of[found.verdict], found)

@@ -10,7 +10,7 @@ from pathlib import Path
 from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
 from flighttest.link import parameters as params
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.mavlink.dialect import book
@@ -43,7 +43,7 @@ def read(url: str, progress: Progress = SILENT, key: bytes | None = None) -> Liv
     """Connect, read, let go. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")
-        session = Session(Port(open_transport(where), key=None if url == BUILTIN else key))
+        session = Session(MavlinkPort(open_transport(where), key=None if url == BUILTIN else key))
         try:
             beat = session.connect()
             found = params.read_all(session)
@@ -72,7 +72,7 @@ def _built_in() -> Iterator[str]:
 def hello(url: str, key: bytes | None = None) -> str:
     """What answers at a URL, in words. `sim` is the built-in vehicle, started for it. LinkError when nothing does."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
-        session = Session(Port(open_transport(where), key=None if url == BUILTIN else key))
+        session = Session(MavlinkPort(open_transport(where), key=None if url == BUILTIN else key))
         try:
             beat = session.connect()
             return f"{url}: {_NAMES.get(beat.autopilot, 'autopilot')} {ArduPilot(session).firmware()}".strip()

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from flighttest.errors import LinkError
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT
@@ -21,7 +21,7 @@ _SETTLE_S = 1.0
 
 @contextmanager
 def _talk(url: str, key: bytes | None) -> Iterator[Session]:
-    session = Session(Port(open_transport(url), key=key))
+    session = Session(MavlinkPort(open_transport(url), key=key))
     try:
         session.connect()
         yield session

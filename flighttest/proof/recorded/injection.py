@@ -23,7 +23,15 @@ from scipy.signal import savgol_filter
 from flighttest.channels import CHANNELS, HELD_GROUPS
 from flighttest.frames import G_M_S2
 from flighttest.proof.oracle import body_to_world
-from flighttest.proof.recorded.side_by_side import DAMPING, STEP_S, Air, Effects, Loops, Thrust, Vehicle
+from flighttest.proof.recorded.side_by_side import (
+    DAMPING,
+    STEP_S,
+    AirEffects,
+    AttitudeLoops,
+    Effects,
+    OracleVehicle,
+    Thrust,
+)
 from flighttest.recording.model import Recording, Series
 from flighttest.sim.plants.slung import SlungLoad
 
@@ -37,7 +45,7 @@ MOST_TILT_RAD = 0.3  # that it asks for beyond the recorded
 def inject(
     recording: Recording,
     effects: Effects,
-    vehicle: Vehicle,
+    vehicle: OracleVehicle,
     spans: Sequence[tuple[float, float]],
     steps: Sequence[tuple[float, float]],
 ) -> Recording:
@@ -118,7 +126,7 @@ class _Recorded:
 def _difference(
     recording: Recording,
     effects: Effects,
-    vehicle: Vehicle,
+    vehicle: OracleVehicle,
     span: tuple[float, float],
     steps: Sequence[tuple[float, float]],
 ) -> _Change:
@@ -134,10 +142,10 @@ def _difference(
     voltage = (seen.get("voltage_v", vehicle.nominal_voltage_v) / vehicle.nominal_voltage_v) ** vehicle.alpha
     recorded = seen.get("throttle")
     thrust = Thrust(vehicle, effects, recorded, voltage)
-    loops = Loops(
+    loops = AttitudeLoops(
         vehicle, effects, *(seen.get(f"{a}") for a in ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s"))
     )
-    air = Air(effects, seen.get("height_m"), seen.t_s - seen.t_s[0])
+    air = AirEffects(effects, seen.get("height_m"), seen.t_s - seen.t_s[0])
     load = SlungLoad(1.0, dict(effects["slung_payload"])) if "slung_payload" in effects else None
     load_trim = np.array([0.0, 0.0, G_M_S2 * load.mass_kg if load else 0.0])  # the pilot hovers with the load
     trim = float(

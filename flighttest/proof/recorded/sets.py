@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flighttest.datafiles import read_text
-from flighttest.documents import Document, Form, Node, read_form, require
+from flighttest.documents import Form, Node, YamlDocument, read_form, require
 from flighttest.errors import InputError
 from flighttest.physics.catalogue import catalogue
 
@@ -41,7 +41,7 @@ def read_sets(path: Path) -> tuple[RecordedSet, ...]:
     return read_form(text, str(path), Form("recordings", _KEYS, InputError), lambda d, keys: _sets(d, keys, path))
 
 
-def _sets(document: Document, fields: Mapping[str, Node], path: Path) -> tuple[RecordedSet, ...]:
+def _sets(document: YamlDocument, fields: Mapping[str, Node], path: Path) -> tuple[RecordedSet, ...]:
     require(document, fields, ("sets",), document.line)
     items = document.items(fields["sets"], "sets") if "sets" in fields else []
     made = [one for item in items if (one := _set(document, item, path)) is not None]
@@ -52,7 +52,7 @@ def _sets(document: Document, fields: Mapping[str, Node], path: Path) -> tuple[R
     return tuple(made)
 
 
-def _set(document: Document, node: Node, path: Path) -> RecordedSet | None:
+def _set(document: YamlDocument, node: Node, path: Path) -> RecordedSet | None:
     keys = document.mapping(node, _SET)
     require(document, keys, ("name", "source", "files"), node.line, node.path)
     if not {"name", "source", "files"} <= keys.keys():

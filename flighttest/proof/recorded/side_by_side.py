@@ -26,7 +26,7 @@ MOST_PHASE_RAD = 0.55  # at its crossover, that a lag may take of it
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class OracleVehicle:
     """What the difference of two flights needs of a vehicle. gain_m_s2: thrust over mass at full throttle and nominal voltage; alpha: its
     power of the voltage; ramp_1_s, delay_s: thrust lag; drag_1_s (3,): body; omega_1_s, zeta (2,): roll and pitch loop, attitude_delay_s
     behind; yaw_1_s, yaw_delay_s: yaw rate loop; answer_1_s: bandwidth of the position loop between steps."""
@@ -45,7 +45,7 @@ class Vehicle:
     answer_1_s: float = 1.0
 
     @classmethod
-    def fitted(cls, parameters: Mapping[str, FloatArray], nominal_voltage_v: float, answer_1_s: float) -> Vehicle:
+    def fitted(cls, parameters: Mapping[str, FloatArray], nominal_voltage_v: float, answer_1_s: float) -> OracleVehicle:
         """Of the oracle's own fit of the base model (`oracle.Left.parameters`); what it could not fit keeps its default."""
         made = cls(nominal_voltage_v=nominal_voltage_v, answer_1_s=answer_1_s)
 
@@ -89,7 +89,7 @@ class _Delayed:
 class Thrust:
     """Thrust of the same base model for the recorded commands, and for those that are asked for, with the propulsion's effects."""
 
-    def __init__(self, vehicle: Vehicle, effects: Effects, throttle: FloatArray, voltage: FloatArray) -> None:
+    def __init__(self, vehicle: OracleVehicle, effects: Effects, throttle: FloatArray, voltage: FloatArray) -> None:
         delay = round(vehicle.delay_s / STEP_S)
         self._throttle = np.concatenate([np.full(delay, throttle[0]), throttle[: throttle.size - delay]])
         self._gain, self._vehicle, self._asked = vehicle.gain_m_s2 * voltage, vehicle, _Delayed(vehicle.delay_s)
@@ -157,11 +157,11 @@ class _Axis:
             self.angle += h * self.rate
 
 
-class Loops:
+class AttitudeLoops:
     """Roll and pitch loops and yaw rate for the recorded targets, and for those that are asked for, with the autopilot's effects."""
 
     def __init__(
-        self, vehicle: Vehicle, effects: Effects, roll: FloatArray, pitch: FloatArray, yaw_rate: FloatArray
+        self, vehicle: OracleVehicle, effects: Effects, roll: FloatArray, pitch: FloatArray, yaw_rate: FloatArray
     ) -> None:
         delay, late = round(vehicle.attitude_delay_s / STEP_S), round(vehicle.yaw_delay_s / STEP_S)
         self._refs = [np.concatenate([np.zeros(delay), r[: r.size - delay]]) for r in (roll, pitch)]
@@ -202,7 +202,7 @@ class Loops:
         return np.array([*angles, self._yaw]), (rates[0], rates[1], self._r_after - self._r_before)
 
 
-class Air:
+class AirEffects:
     """What air, ground and heat do to the thrust of the flight with the effects, and to the body."""
 
     def __init__(self, effects: Effects, height_m: FloatArray, since_s: FloatArray) -> None:

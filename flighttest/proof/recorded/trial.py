@@ -21,12 +21,12 @@ from flighttest.proof import oracle
 from flighttest.proof.outcome import Outcome, judged
 from flighttest.proof.recorded.cases import ADDED, PART_S, Added, RecordedCase
 from flighttest.proof.recorded.injection import inject
-from flighttest.proof.recorded.side_by_side import Effects, Vehicle
+from flighttest.proof.recorded.side_by_side import Effects, OracleVehicle
 from flighttest.recording import Recording
 from flighttest.recording.model import Series
 from flighttest.segments import Segment, cut
 from flighttest.segments.airborne import flights
-from flighttest.validity.model import Verdict
+from flighttest.validity.model import ValidityVerdict
 
 CHANGED = "change"  # what the flag of `status` is called among the names
 STEP_MARGIN_S = 0.5  # before a scripted step its commands hold already
@@ -50,7 +50,7 @@ def _read(case: RecordedCase, files: Sequence[str]) -> tuple[Recording, ...]:
 def _diagnosed(case: RecordedCase) -> Outcome:
     recordings = tuple(part(r, case.begin) for r in _read(case, case.files))
     voltage = base_model(recordings, None).nominal_voltage_v
-    flown = Flown.of(recordings, voltage, case.answer_1_s)
+    flown = FlownTrial.of(recordings, voltage, case.answer_1_s)
     hide = sized(case, flown)
     added = flown.with_effects(hide)
     wall, used = time.perf_counter(), _processor_s()
@@ -91,20 +91,20 @@ def _processor_s() -> float:
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlownTrial:
     """Recordings, the vehicle that flew them as the oracle fits it, what the base model leaves of them, and the noise that is in that."""
 
     recordings: tuple[Recording, ...]
-    vehicle: Vehicle
+    vehicle: OracleVehicle
     steps: Mapping[str, Sequence[tuple[float, float]]]
     left: oracle.Left
-    noise: oracle.Noise
+    noise: oracle.OracleNoise
 
     @classmethod
-    def of(cls, recordings: tuple[Recording, ...], nominal_voltage_v: float, answer_1_s: float) -> Flown:
+    def of(cls, recordings: tuple[Recording, ...], nominal_voltage_v: float, answer_1_s: float) -> FlownTrial:
         """RecordingError where there is too little to fit a vehicle to."""
         segments = _segments(recordings)
-        noise = oracle.Noise(oracle.FIRST, oracle.FIRST_DISTURBANCE)
+        noise = oracle.OracleNoise(oracle.FIRST, oracle.FIRST_DISTURBANCE)
         for _ in range(2):
             left = oracle.left(segments, noise, nominal_voltage_v, free=True)
             noise = noise.of_residual(left)
@@ -114,7 +114,7 @@ class Flown:
             r.name: [(s.t_s[0] - STEP_MARGIN_S, s.t_s[-1]) for s in segments if s.run == r.name and s.kind != "free"]
             for r in recordings
         }
-        vehicle = Vehicle.fitted(left.parameters, nominal_voltage_v, answer_1_s)
+        vehicle = OracleVehicle.fitted(left.parameters, nominal_voltage_v, answer_1_s)
         return cls(recordings, vehicle, steps, left, noise)
 
     def with_effects(self, effects: Effects) -> tuple[Recording, ...]:
@@ -149,7 +149,7 @@ def _segments(recordings: Sequence[Recording]) -> list[Segment]:
     ]
 
 
-def sized(case: RecordedCase, flown: Flown) -> dict[str, dict[str, float]]:
+def sized(case: RecordedCase, flown: FlownTrial) -> dict[str, dict[str, float]]:
     """The effects that are added: the first of the order that these flights show, each scaled to the size asked for as far as may be."""
     found: dict[str, dict[str, float]] = {}
     for effect in case.order:
@@ -185,7 +185,7 @@ def _compared(case: RecordedCase) -> Outcome:
         diagnose(earlier, output=Path(folder) / "model")
         found = status(later, None, Path(folder) / "model" / MODEL_NAME, Path(folder))
     wall, used = time.perf_counter() - wall, _processor_s() - used
-    flagged = found.value.verdict is Verdict.STALE
+    flagged = found.value.verdict is ValidityVerdict.STALE
     return Outcome(
         case.index, case.kind, case.sha256(), {CHANGED: {}} if case.differs else {}, named=(CHANGED,) if flagged else (),
         verdict=found.value.verdict.name, cpu_s=used, wall_s=wall, truth=case.truth(),

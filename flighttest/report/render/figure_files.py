@@ -18,7 +18,7 @@ PNG_PIXELS_PER_PX = 2.0  # a picture of 800 px is 1600 pixels wide: sharp on a s
 
 
 @dataclass(frozen=True)
-class Written:
+class WrittenFigures:
     """What `write_figures` wrote. figures: how many; files: their paths, SVG, PNG (where it could be drawn) and CSV of each in turn."""
 
     figures: int
@@ -43,7 +43,7 @@ def named_figures(document: Document) -> Iterator[tuple[str, Figure]]:
                     yield f"{block.id}-{re.sub(r'[^A-Za-z0-9.+-]+', '_', name)}", figure
 
 
-def write_figures(document: Document, folder: Path) -> Written:
+def write_figures(document: Document, folder: Path) -> WrittenFigures:
     """NAME.svg, NAME.png and NAME.csv of every figure (CSV: panel, trace, x, y, z per row).
 
     PNG has PNG_PIXELS_PER_PX pixels per px of the SVG and is left out where resvg-py is not installed.
@@ -69,7 +69,7 @@ def write_figures(document: Document, folder: Path) -> Written:
                     head = [panel.title, panel.x_label, panel.y_label, trace.name]
                     writer.writerows([*head, *row] for row in _rows(trace.x, trace.y, trace.z, trace.mode == "heat"))
         written.append(numbers)
-    return Written(count, tuple(written), rasterise is None)
+    return WrittenFigures(count, tuple(written), rasterise is None)
 
 
 def _rasteriser() -> Callable[[str], bytes] | None:

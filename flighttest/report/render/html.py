@@ -9,7 +9,6 @@ from importlib import resources
 from pathlib import Path
 
 from flighttest.report.document import (
-    Block,
     Bullets,
     Cell,
     Choice,
@@ -17,6 +16,7 @@ from flighttest.report.document import (
     Document,
     Facts,
     Figure,
+    PageBlock,
     Paragraph,
     Section,
     Table,
@@ -95,7 +95,7 @@ def _section(section: Section) -> str:
     return f'<section id="{escape(section.id)}">{title}{lead}{blocks}</section>'
 
 
-def _block(block: Block, key: str) -> str:
+def _block(block: PageBlock, key: str) -> str:
     if isinstance(block, Paragraph):
         return f'<p class="{block.tone}">{_prose(block.text)}</p>'
     if isinstance(block, Bullets):
@@ -155,7 +155,7 @@ def _breakable(text: str) -> str:
     return re.sub(r"(?<=\S{4})([_/])(?=\w\w)", r"\1<wbr>", escape(text))
 
 
-def _figures(blocks: Sequence[Block]) -> list[Figure]:
+def _figures(blocks: Sequence[PageBlock]) -> list[Figure]:
     """All figures in the order in which their elements stand in the page."""
     found: list[Figure] = []
     for block in blocks:

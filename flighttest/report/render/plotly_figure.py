@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from flighttest.report.document import Block, Document, Figure
+from flighttest.report.document import Document, Figure, PageBlock
 from flighttest.report.render.figures import specification
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ MOST_COLUMNS = 3
 
 def figures_of(document: Document) -> dict[str, Figure]:
     """The figures of a document by id, in order."""
-    blocks: list[Block] = [block for section in document.sections for block in section.blocks]
+    blocks: list[PageBlock] = [block for section in document.sections for block in section.blocks]
     return {block.id: block for block in blocks if isinstance(block, Figure)}
 
 

@@ -13,7 +13,6 @@ from rich.text import Text
 
 from flighttest.report.document import (
     OMITTED,
-    Block,
     Bullets,
     Cell,
     Choice,
@@ -21,6 +20,7 @@ from flighttest.report.document import (
     Document,
     Facts,
     Figure,
+    PageBlock,
     Paragraph,
     Section,
     Table,
@@ -82,7 +82,7 @@ def _section(section: Section, everything: bool) -> RenderableType | None:
     return Group("", *head, *blocks)
 
 
-def _block(block: Block, everything: bool) -> RenderableType | None:
+def _block(block: PageBlock, everything: bool) -> RenderableType | None:
     if isinstance(block, Table | Code | Bullets) and block.brief and not everything:
         return None if block.brief == OMITTED else _Prose(block.brief)
     if isinstance(block, Paragraph):

@@ -11,10 +11,10 @@ from flighttest.channels import WORDS
 from flighttest.report.document import (
     OMITTED,
     Align,
-    Block,
     Bullets,
     Cell,
     Figure,
+    PageBlock,
     Panel,
     Role,
     Section,
@@ -196,7 +196,7 @@ def comparison_figure(
 
 
 def _parameters(data: AgainstData) -> Section:
-    blocks: list[Block] = [parameter_table(data["parameters"], "real", "simulated")]
+    blocks: list[PageBlock] = [parameter_table(data["parameters"], "real", "simulated")]
     if data["notes"]:
         blocks.insert(0, Bullets(tuple(data["notes"])))
     return Section("parameters", "Parameters of both sides", tuple(blocks))

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from flighttest.frames import compass_from_yaw
 from flighttest.plan import CheckResult, EnvelopeRow
-from flighttest.report.document import OMITTED, Align, Block, Bullets, Cell, Document, Paragraph, Section, Table
+from flighttest.report.document import OMITTED, Align, Bullets, Cell, Document, PageBlock, Paragraph, Section, Table
 from flighttest.report.numbers import duration, join, number
 
 MAX_REFUSALS = 8
@@ -29,7 +29,7 @@ def check_document(results: Sequence[CheckResult], facts: Mapping[str, str], *, 
 
 def _section(result: CheckResult, verbose: bool) -> Section:
     lead = f"{result.doc}; {result.legs} steps, {duration(result.duration_s)}. Battery: {result.battery.sentence}."
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     if result.refusals:
         blocks.append(Bullets(_refusals(result)))
     blocks += [Paragraph(note, "warn") for note in result.notes]

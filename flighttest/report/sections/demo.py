@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.diagnose.records import FindingRow
 from flighttest.report.document import (
-    Block,
     Cell,
     Code,
     Document,
     Figure,
+    PageBlock,
     Panel,
     Paragraph,
     Section,
@@ -183,7 +183,7 @@ def _truth(data: DemoData) -> Section:
             rows.append((f"{term} {name}", hidden, Cell(value, "good" if inside else "plain"), span, _sure(finding)))
     said = "; ".join(f"{term} {_given(given)}".strip() for term, given in data["hidden"].items())
     names = join([_named(f) for f in data["findings"]]) or "nothing"
-    blocks: list[Block] = [
+    blocks: list[PageBlock] = [
         Table(
             ("effect", "hidden", "found", "95 % interval", "probability"),
             tuple(rows),

@@ -10,7 +10,7 @@ from typing import cast
 
 from flighttest.diagnose.records import FROM_REPEATS, DiagnosisData, HeldOutRow, ParameterRow, RivalRow
 from flighttest.identify.models.model_blocks import FlightWindRow
-from flighttest.report.document import OMITTED, Align, Block, Bullets, Cell, Code, Paragraph, Section, Table, Tone
+from flighttest.report.document import OMITTED, Align, Bullets, Cell, Code, PageBlock, Paragraph, Section, Table, Tone
 from flighttest.report.numbers import number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, channel_words, heat_map, regimes
 
@@ -61,7 +61,7 @@ def missing_sections(data: DiagnosisData) -> tuple[Section, ...]:
             rows.append((name, *row))
             name = ""
     align: tuple[Align, ...] = ("left", "left", "right", "left", "right")
-    blocks: list[Block] = [Table(("term", "parameter", "value", "unit", "95 % interval"), tuple(rows), align)]
+    blocks: list[PageBlock] = [Table(("term", "parameter", "value", "unit", "95 % interval"), tuple(rows), align)]
     held = _heldout_rows(data)
     if held:
         caption = "RMSE on responses that were not used for the choice, without and with what is missing."
@@ -72,7 +72,7 @@ def missing_sections(data: DiagnosisData) -> tuple[Section, ...]:
 
 def _located(data: DiagnosisData) -> Section:
     located = data.get("located") or ()
-    blocks: list[Block] = [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
+    blocks: list[PageBlock] = [figure for figure in (heat_map(data), regimes(data)) if figure is not None]
     if not located:
         blocks.append(Paragraph("Nowhere above the noise floor."))
     else:
@@ -102,7 +102,7 @@ def _squares(text: str) -> str:
 
 def _findings(data: DiagnosisData) -> Section:
     findings = data.get("findings") or ()
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     for item in findings:
         verdict = str(item.get("verdict", ""))
         head = f"{item.get('title') or item['term']} ({item['term']}): {TERM_WORDS.get(verdict, verdict.lower())}."
@@ -179,7 +179,7 @@ def _rival(rival: RivalRow) -> str:
 
 
 def _improvement(data: DiagnosisData) -> Section | None:
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     rows = _heldout_rows(data)
     if rows:
         align: tuple[Align, ...] = ("left", "right", "right", "right", "right")
@@ -242,7 +242,7 @@ def _baselines(data: DiagnosisData) -> Table | None:
 
 
 def _limits(data: DiagnosisData) -> Section:
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     candidates = [c for c in data.get("candidates") or () if c.get("verdict") == "NOT_NEEDED"]
     not_needed = [str(t) for t in data.get("not_needed") or ()]
     if not_needed:
@@ -306,7 +306,7 @@ def _next(data: DiagnosisData, script: str) -> Section | None:
     path = shlex.quote(str(data.get("next_path") or name))
     command = str(said or f"flighttest run {path}{data.get('next_options', '')}")
     # A command that cannot be flown is not shown as one.
-    blocks: list[Block] = [] if reason.get("fits_zone") is False else [Code(command)]
+    blocks: list[PageBlock] = [] if reason.get("fits_zone") is False else [Code(command)]
     if reason.get("sentence"):
         blocks.append(Paragraph(str(reason["sentence"])))
     if reason.get("zone"):

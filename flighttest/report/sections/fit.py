@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from flighttest.identify.response_analysis.comparison import Overlay, ThrustPoint
+from flighttest.identify.response_analysis.comparison import ResponseOverlay, ThrustPoint
 from flighttest.report.document import (
     Align,
-    Block,
     Bullets,
     Cell,
     Figure,
+    PageBlock,
     Panel,
     Paragraph,
     Section,
@@ -56,7 +56,7 @@ def parameters(view: FitView) -> Section:
     columns = ("parameter", "value", "unit", "95 % interval", "state", "what it is")
     align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
     rows = tuple(_parameter_row(p) for p in view.parameters)
-    blocks: list[Block] = [Table(columns, rows, align, detail=(len(columns) - 1,))]
+    blocks: list[PageBlock] = [Table(columns, rows, align, detail=(len(columns) - 1,))]
     remarks: list[str] = []
     strong = [(a, b, c) for a, b, c in view.correlations if abs(c) >= view.correlation_above]
     if strong:
@@ -86,7 +86,7 @@ def quality(view: FitView) -> Section:
     )
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "left")
     table = Table(("channel", "RMSE", "noise", "unit", "R2", "what is left"), rows, align)
-    blocks: list[Block] = [table]
+    blocks: list[PageBlock] = [table]
     if any(not q.clean for q in view.quality):
         blocks.append(
             Paragraph(
@@ -138,7 +138,7 @@ def figure4(view: FitView) -> Section | None:
     )
 
 
-def _responses(overlays: Sequence[Overlay], kind: str, channel: str, title: str, label: str) -> Panel | None:
+def _responses(overlays: Sequence[ResponseOverlay], kind: str, channel: str, title: str, label: str) -> Panel | None:
     chosen = [o for o in overlays if o.kind == kind and (not channel or o.channel == channel)]
     if not channel:
         vertical = [o for o in chosen if o.channel in ("a_z_m_s2", "f_z_m_s2")]
@@ -208,7 +208,7 @@ def segments(views: Sequence[SegmentView]) -> Section:
         )
         for s in sorted(views, key=lambda s: (s.kind == "free", not s.flaws))
     )
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     reasons: dict[str, int] = {}
     for s in rejected:
         for flaw in s.flaws:

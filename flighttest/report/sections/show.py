@@ -11,12 +11,12 @@ from flighttest.channels import CHANNELS, HELD_GROUPS, WORDS
 from flighttest.identify.expected_information import Expected
 from flighttest.recording import Recording
 from flighttest.report.document import (
-    Block,
     Bullets,
     Cell,
     Code,
     Figure,
     Mark,
+    PageBlock,
     Panel,
     Paragraph,
     Role,
@@ -28,7 +28,7 @@ from flighttest.report.document import (
 from flighttest.report.numbers import duration, number, percent, unit
 from flighttest.report.packing import coarse
 from flighttest.segments.compatibility import LARGEST, PRIOR_S, Compatibility
-from flighttest.segments.health import AtLimit, Battery, Sampling, Spectrum
+from flighttest.segments.health import AtLimit, BatteryCourse, Sampling, Spectrum
 
 # Standard deviation of vibration: "below 30 m/s/s normally acceptable, above 60 nearly always problems" (ArduPilot, Measuring Vibration).
 VIBRATION_M_S2 = 30.0
@@ -58,7 +58,7 @@ class Look:
     limits: tuple[AtLimit, ...]
     spectra: tuple[Spectrum, ...]
     compatibility: Compatibility | None
-    battery: Battery | None
+    battery: BatteryCourse | None
     resistance: str
     modes: tuple[tuple[float, float, str], ...]
     flights: tuple[tuple[float, float], ...]
@@ -135,7 +135,7 @@ def viewer(look: Look) -> Section:
 
 def what(look: Look) -> Section:
     """What each parameter's error would be, and what this recording says nothing of."""
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     if look.outlook:
         rows = []
         for one in look.outlook:
@@ -162,7 +162,7 @@ def what(look: Look) -> Section:
 
 def timeline(look: Look) -> Section | None:
     """Flights and modes with their times."""
-    blocks: list[Block] = []
+    blocks: list[PageBlock] = []
     start = look.recording.t_span_s[0]
     totals: dict[str, list[float]] = {}
     for a, b, name in look.modes:
@@ -262,7 +262,7 @@ def health(look: Look) -> Section:
             f"battery: {number(b.first_v, 4)} V at take-off, {number(b.last_v, 4)} V at landing, lowest {number(b.lowest_v, 4)} V{drawn}"
         )
         lines.append(look.resistance)
-    blocks: list[Block] = [table, Bullets(tuple(line for line in lines if line))]
+    blocks: list[PageBlock] = [table, Bullets(tuple(line for line in lines if line))]
     source = look.recording.provenance
     if source.losses:
         blocks.append(Bullets(tuple(source.losses)))
@@ -314,7 +314,7 @@ def spectrum(look: Look) -> Section | None:
         for s in look.spectra
     )  # fmt: skip
     forces = [s.rms for s in look.spectra if s.channel.startswith("f_") and np.isfinite(s.rms)]
-    blocks: list[Block] = [
+    blocks: list[PageBlock] = [
         Figure(
             "spectrum",
             tuple(panels),
@@ -344,5 +344,5 @@ def spectrum(look: Look) -> Section | None:
 
 def next_steps(look: Look) -> Section:
     """What to do with it now."""
-    blocks: Sequence[Block] = [Code(command, what_for) for what_for, command in look.commands]
+    blocks: Sequence[PageBlock] = [Code(command, what_for) for what_for, command in look.commands]
     return Section("next", "Go on", tuple(blocks))

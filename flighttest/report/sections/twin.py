@@ -8,7 +8,7 @@ from typing import TypedDict
 import numpy as np
 
 from flighttest.channels import CHANNELS, WORDS
-from flighttest.report.document import Block, Bullets, Cell, Figure, Panel, Section, Table, Trace
+from flighttest.report.document import Bullets, Cell, Figure, PageBlock, Panel, Section, Table, Trace
 from flighttest.report.numbers import join, number, unit
 from flighttest.report.sections.against import (
     DifferenceRow,
@@ -96,7 +96,7 @@ class ReplayData(TypedDict):
     losses: list[str]
 
 
-class Stretch(TypedDict):
+class StretchData(TypedDict):
     """One stretch of a replay over time since its start; by channel (n,)."""
 
     segment: str
@@ -175,7 +175,7 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
     )
     errors = {"twin": {c: v["ratio"] for c, v in judged(data).items()}}
     picture = comparison_figure(data["parameters"], errors, "recorded", "twin")
-    blocks: list[Block] = [Bullets(tuple(lines)), parameter_table(data["parameters"], "recorded", "twin")]
+    blocks: list[PageBlock] = [Bullets(tuple(lines)), parameter_table(data["parameters"], "recorded", "twin")]
     found = [] if picture is None else [Section("picture", "", (picture,))]
     found += [
         Section("channels", "Twin against recordings", tuple(tables), f"Compared: {how}."),
@@ -236,7 +236,7 @@ def _off(channel: str, value: float) -> str:
     return f"{_WORDS.get(channel, channel)} is {_value(channel, value)}"
 
 
-def replay_sections(data: ReplayData, shown: Sequence[Stretch]) -> tuple[Section, ...]:
+def replay_sections(data: ReplayData, shown: Sequence[StretchData]) -> tuple[Section, ...]:
     """The stretches where the change shows most, and its effect by channel."""
     rows: list[tuple[Cell | str, ...]] = []
     for c, e in data["effects"].items():
@@ -267,7 +267,7 @@ def replay_sections(data: ReplayData, shown: Sequence[Stretch]) -> tuple[Section
     return (Section("stretches", "Where it shows most", (figure,)), *found) if figure is not None else tuple(found)
 
 
-def _stretches(data: ReplayData, shown: Sequence[Stretch]) -> Figure | None:
+def _stretches(data: ReplayData, shown: Sequence[StretchData]) -> Figure | None:
     ranked = sorted(
         (c for c, e in data["effects"].items() if e["size"] is not None),
         key=lambda c: -data["effects"][c]["size"] / max(data["effects"][c]["error"], 1e-9),

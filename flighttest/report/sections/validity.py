@@ -9,11 +9,11 @@ import numpy as np
 
 from flighttest.report.document import (
     Align,
-    Block,
     Bullets,
     Cell,
     Document,
     Figure,
+    PageBlock,
     Panel,
     Paragraph,
     Role,
@@ -23,9 +23,13 @@ from flighttest.report.document import (
     Trace,
 )
 from flighttest.report.numbers import duration, join, percent, to_error, unit
-from flighttest.validity.model import WORDS, Assessment, Verdict
+from flighttest.validity.model import WORDS, Assessment, ValidityVerdict
 
-TONES: dict[Verdict, Tone] = {Verdict.CURRENT: "good", Verdict.STALE: "bad", Verdict.UNKNOWN: "warn"}
+TONES: dict[ValidityVerdict, Tone] = {
+    ValidityVerdict.CURRENT: "good",
+    ValidityVerdict.STALE: "bad",
+    ValidityVerdict.UNKNOWN: "warn",
+}
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def status_document(
         sections.append(_listed("appeared", "New", tuple(a.sentence for a in found.appeared), brief))
     if found.impact:
         sections.append(_listed("matters", "Why it matters", found.impact, brief))
-    if flights and (found.fly or found.verdict is Verdict.UNKNOWN):
+    if flights and (found.fly or found.verdict is ValidityVerdict.UNKNOWN):
         sections.append(_fly(flights, brief))
     if found.battery is not None and not (brief and found.tests and found.battery.resistance_ohm is not None):
         tone: Tone = "bad" if found.battery.alarm else "plain"
@@ -99,7 +103,7 @@ def _changes(found: Assessment, brief: bool) -> Section:
         touched = join(tuple(dict.fromkeys(s for c in rest for s in c.touches)))
         rows.append((f"and {len(rest)} more", Cell("(all with --json)", "quiet"), Cell(""), touched))
     since = tuple(dict.fromkeys(c.since for c in ordered if c.since))
-    blocks: list[Block] = [Table(("what", "the model's", "today's", "touches"), tuple(rows))]
+    blocks: list[PageBlock] = [Table(("what", "the model's", "today's", "touches"), tuple(rows))]
     reasons = [c for c in ordered if c.kind in _FIRST or not brief]
     said = tuple(dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in reasons))
     if said:
@@ -169,7 +173,7 @@ def _tests_in_full(found: Assessment) -> Section:
                     Cell("changed" if t.alarm else "as before", "bad" if t.alarm else "good") if first else "",
                 )
             )
-    blocks: list[Block] = [_shifts(found)]
+    blocks: list[PageBlock] = [_shifts(found)]
     blocks.append(
         Table(
             ("subset", "parameter", "change", "z", "shows from", "compared by", "p-value", ""),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from flighttest.script.profiles.attitude import ATTITUDE_STEP, DOUBLET, THREE_TWO_ONE_ONE
-from flighttest.script.profiles.declare import Cell, Duration, Field, Profile
+from flighttest.script.profiles.declare import Duration, Field, Profile, StepCell
 from flighttest.script.profiles.steady import FREE_FLIGHT, HOVER, REST
 from flighttest.script.profiles.sweeps import BANKED_TURN, CHIRP, RAMP, YAW_RATE_STEP
 from flighttest.script.profiles.throttle import THROTTLE_PAIR, TILT_THROTTLE
@@ -27,4 +27,4 @@ PROFILES: dict[str, Profile] = {
     )
 }
 
-__all__ = ["PROFILES", "Cell", "Chirp", "Duration", "Field", "Piece", "Profile", "Ramp", "Timeline"]
+__all__ = ["PROFILES", "Chirp", "Duration", "Field", "Piece", "Profile", "Ramp", "StepCell", "Timeline"]

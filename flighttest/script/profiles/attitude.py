@@ -9,11 +9,11 @@ from flighttest.script.profiles.declare import (
     COAST,
     ENTRY,
     SIGN,
-    Cell,
     Duration,
     Field,
     Profile,
     Settings,
+    StepCell,
     shortest,
     signs,
 )
@@ -40,7 +40,7 @@ def tilts(settings: Settings, size: str = "amplitude_rad") -> Iterator[tuple[str
                 yield axis, sign * amplitude
 
 
-def countered(cell: Cell, axis: str, angle: float, settings: Settings, *, vertical: bool = False) -> Cell:
+def countered(cell: StepCell, axis: str, angle: float, settings: Settings, *, vertical: bool = False) -> StepCell:
     """The cell with its level entry, and its ending: the tilt's other side until the vehicle stands, then level. vertical: a throttle of
     its own stops a climb after that.
     """
@@ -53,12 +53,12 @@ def countered(cell: Cell, axis: str, angle: float, settings: Settings, *, vertic
     )
 
 
-def _steps(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _steps(settings: Settings, throttle_unit: float) -> list[StepCell]:
     hold, dash = settings["hold_s"], settings["dash_s"]
     level = (Piece("dash", dash, record=True),) if dash else ()
     cells = []
     for axis, angle in tilts(settings):
-        cell = Cell(
+        cell = StepCell(
             label=f"{axis}{angle:+.2f}",
             kind=f"{axis}_step",
             values={"amplitude_rad": angle},
@@ -85,7 +85,7 @@ ATTITUDE_STEP = Profile(
 )
 
 
-def _doublets(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _doublets(settings: Settings, throttle_unit: float) -> list[StepCell]:
     half = settings["half_s"]
     cells = []
     for axis, angle in tilts(settings):
@@ -95,7 +95,7 @@ def _doublets(settings: Settings, throttle_unit: float) -> list[Cell]:
             row.append(tilt(f"reversal {k + 1}", 2.0 * half, axis, angle * (-1) ** (k + 1), record=True))
         row.append(tilt("back", half, axis, angle * (-1) ** (settings["reversals"] + 1), record=True))
         cells.append(
-            Cell(
+            StepCell(
                 label=f"{axis}{angle:+.2f}x{settings['reversals']}",
                 kind="free",
                 values={"amplitude_rad": angle},
@@ -122,7 +122,7 @@ DOUBLET = Profile(
 )
 
 
-def _three_two_one_one(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _three_two_one_one(settings: Settings, throttle_unit: float) -> list[StepCell]:
     unit = settings["unit_s"]
     cells = []
     for axis, angle in tilts(settings):
@@ -130,7 +130,7 @@ def _three_two_one_one(settings: Settings, throttle_unit: float) -> list[Cell]:
             tilt(str(count), count * unit, axis, angle * direction, record=True)
             for count, direction in ((3, 1), (2, -1), (1, 1), (1, -1))
         )
-        cell = Cell(label=f"{axis}{angle:+.2f}", kind="free", values={"amplitude_rad": angle}, lead=row)
+        cell = StepCell(label=f"{axis}{angle:+.2f}", kind="free", values={"amplitude_rad": angle}, lead=row)
         cells.append(countered(cell, axis, angle, settings))
     return cells
 

@@ -1,4 +1,4 @@
-"""What a profile declares: its settings (`Field`), and the cells it makes of them (`Cell`)."""
+"""What a profile declares: its settings (`Field`), and the cells it makes of them (`StepCell`)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Cell:
+class StepCell:
     """One distinct step of a script, before it is fitted into a zone.
 
     lead: the pieces up to the end of the record; `shortest_s` names those that may be shortened, with the least that is
@@ -72,7 +72,7 @@ class Profile:
     name: str
     doc: str
     fields: tuple[Field, ...]
-    cells: Callable[[Settings, float], list[Cell]]
+    cells: Callable[[Settings, float], list[StepCell]]
     check: Callable[[Settings], str | None] = lambda settings: None
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from flighttest.script.profiles.declare import Cell, Field, Profile, Settings
+from flighttest.script.profiles.declare import Field, Profile, Settings, StepCell
 from flighttest.script.profiles.timeline import Piece
 
 
-def _hover(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _hover(settings: Settings, throttle_unit: float) -> list[StepCell]:
     return [
-        Cell(
+        StepCell(
             label="hover" + ("" if height is None else f"@{height:g}m"),
             kind="free",
             values={} if height is None else {"height_m": height},
@@ -33,9 +33,9 @@ HOVER = Profile(
 )
 
 
-def _rest(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _rest(settings: Settings, throttle_unit: float) -> list[StepCell]:
     return [
-        Cell(
+        StepCell(
             label="rest",
             kind="rest",
             values={},
@@ -53,7 +53,7 @@ REST = Profile(
 )
 
 
-def _free_flight(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _free_flight(settings: Settings, throttle_unit: float) -> list[StepCell]:
     points, speed = settings["waypoints"], settings["speed_m_s"]
     cells = []
     for pace in speed:
@@ -63,7 +63,7 @@ def _free_flight(settings: Settings, throttle_unit: float) -> list[Cell]:
             t += max(math.dist(here, there) / pace, 0.2)
             timed.append((t, *there))
         cells.append(
-            Cell(
+            StepCell(
                 label=f"free {pace:g}m/s",
                 kind="free",
                 values={"speed_m_s": pace},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from flighttest.script.profiles.declare import COAST, ENTRY, SIGN, Cell, Field, Profile, Settings, signs
+from flighttest.script.profiles.declare import COAST, ENTRY, SIGN, Field, Profile, Settings, StepCell, signs
 from flighttest.script.profiles.timeline import Chirp, Piece, Ramp, Wave
 
 INPUTS = ("roll", "pitch", "yaw_rate", "throttle")
@@ -39,9 +39,9 @@ def _stop(which: str) -> tuple[Literal["vertical"], ...]:
     return ("vertical",) if which == "throttle" else ()
 
 
-def _yaw_steps(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _yaw_steps(settings: Settings, throttle_unit: float) -> list[StepCell]:
     return [
-        Cell(
+        StepCell(
             label=f"yaw{sign * rate:+.2f}",
             kind="yaw_rate_step",
             values={"rate_rad_s": sign * rate},
@@ -70,9 +70,9 @@ YAW_RATE_STEP = Profile(
 )
 
 
-def _banked_turns(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _banked_turns(settings: Settings, throttle_unit: float) -> list[StepCell]:
     return [
-        Cell(
+        StepCell(
             label=f"roll{tilt:+.2f}_yaw{sign * rate:+.2f}",
             kind="free",
             values={"amplitude_rad": tilt, "rate_rad_s": sign * rate},
@@ -102,14 +102,14 @@ BANKED_TURN = Profile(
 )
 
 
-def _chirps(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _chirps(settings: Settings, throttle_unit: float) -> list[StepCell]:
     which, seconds = settings["input"], settings["duration_s"]
     size = settings[_SIZE[which]]
     centre = throttle_unit if which == "throttle" else 0.0
     scale = throttle_unit if which == "throttle" else 1.0
     wave = Chirp(size * scale, settings["from_hz"], settings["to_hz"], seconds, centre)
     return [
-        Cell(
+        StepCell(
             label=f"chirp {which} {size:.2f}",
             kind="free",
             values={_SIZE[which]: size * scale},
@@ -137,7 +137,7 @@ CHIRP = Profile(
 )
 
 
-def _ramps(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _ramps(settings: Settings, throttle_unit: float) -> list[StepCell]:
     which, seconds = settings["input"], settings["duration_s"]
     size = settings[_SIZE[which]]
     scale = throttle_unit if which == "throttle" else 1.0
@@ -151,7 +151,7 @@ def _ramps(settings: Settings, throttle_unit: float) -> list[Cell]:
             drive("back", seconds, which, Ramp(end, start, seconds)),
         )
         cells.append(
-            Cell(
+            StepCell(
                 label=f"ramp {which}{sign * size:+.2f}",
                 kind="free",
                 values={_SIZE[which]: sign * size * scale},

@@ -9,11 +9,11 @@ from flighttest.script.profiles.declare import (
     COAST,
     ENTRY,
     SIGN,
-    Cell,
     Duration,
     Field,
     Profile,
     Settings,
+    StepCell,
     shortest,
 )
 from flighttest.script.profiles.timeline import Piece
@@ -33,7 +33,7 @@ def _no_step(settings: Settings) -> str | None:
     return "throttle_0 and throttle_1 are the same: there is no step"
 
 
-def _pairs(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _pairs(settings: Settings, throttle_unit: float) -> list[StepCell]:
     hold, record = settings["hold_0_s"], settings["record_1_s"]
     cells = []
     for height in settings["height_m"] or (None,):
@@ -45,7 +45,7 @@ def _pairs(settings: Settings, throttle_unit: float) -> list[Cell]:
                 if height is not None:
                     values["height_m"] = height
                 cells.append(
-                    Cell(
+                    StepCell(
                         label=f"{first:.2f}-{second:.2f}" + ("" if height is None else f"@{height:g}m"),
                         kind="throttle_step",
                         values=values,
@@ -80,7 +80,7 @@ THROTTLE_PAIR = Profile(
 )
 
 
-def _tilted(settings: Settings, throttle_unit: float) -> list[Cell]:
+def _tilted(settings: Settings, throttle_unit: float) -> list[StepCell]:
     hold, record = settings["hold_0_s"], settings["record_1_s"]
     cells = []
     for axis, angle in tilts(settings, "tilt_rad"):
@@ -88,7 +88,7 @@ def _tilted(settings: Settings, throttle_unit: float) -> list[Cell]:
             if first == second:
                 continue
             before, after = first * throttle_unit, second * throttle_unit
-            cell = Cell(
+            cell = StepCell(
                 label=f"{axis}{angle:+.2f},{first:.2f}-{second:.2f}",
                 kind="tilt_throttle",
                 values={"amplitude_rad": angle, "throttle_0": before, "throttle_1": after},

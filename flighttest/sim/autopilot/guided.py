@@ -17,7 +17,7 @@ _UNIT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class AttitudeTarget:
+class AcceptedTarget:
     """An accepted target, NWU/FLU. attitude: (roll, pitch, yaw) rad, None for rates only; rates: (p, q, r) rad/s, None for attitude
     only; thrust as sent.
     """
@@ -29,7 +29,7 @@ class AttitudeTarget:
 
 def accept(
     type_mask: int, q: list[float], rates_frd: tuple[float, float, float], thrust: float
-) -> AttitudeTarget | None:
+) -> AcceptedTarget | None:
     """SET_ATTITUDE_TARGET's fields as a target, or None where ArduCopter drops it without a word."""
     if type_mask & MASK_THROTTLE:
         return None
@@ -53,7 +53,7 @@ def accept(
         return None
     if not math.isfinite(thrust):
         thrust = 0.5  # flown: what the firmware's limiter makes of a NaN
-    return AttitudeTarget(attitude, rates, thrust)
+    return AcceptedTarget(attitude, rates, thrust)
 
 
 class AngleControl:
@@ -77,11 +77,11 @@ class AngleControl:
         self.thrust: float | None = None
         self.last_s = t_s
         self.positive_thrust = False
-        self._attitude: deque[tuple[float, AttitudeTarget]] = deque()
-        self._yaw_rate: deque[tuple[float, AttitudeTarget]] = deque()
-        self._thrust: deque[tuple[float, AttitudeTarget]] = deque()
+        self._attitude: deque[tuple[float, AcceptedTarget]] = deque()
+        self._yaw_rate: deque[tuple[float, AcceptedTarget]] = deque()
+        self._thrust: deque[tuple[float, AcceptedTarget]] = deque()
 
-    def receive(self, t_s: float, target: AttitudeTarget) -> None:
+    def receive(self, t_s: float, target: AcceptedTarget) -> None:
         """A target that arrived at t_s, s."""
         self.last_s = t_s
         d = self.delays

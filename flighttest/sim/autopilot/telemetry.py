@@ -10,7 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.autopilot.modes import LAND
-from flighttest.sim.autopilot.vehicle import Vehicle
+from flighttest.sim.autopilot.vehicle import TelemetrySource
 
 RATE_MAX_HZ = 200.0
 HOME_LAT_E7, HOME_LON_E7, HOME_ALT_M = -353632621, 1491652374, 584.09
@@ -46,11 +46,11 @@ def _short(value: float, scale: float) -> int:
     return min(max(round(value * scale), -32768), 32767)
 
 
-def _ms(v: Vehicle) -> int:
+def _ms(v: TelemetrySource) -> int:
     return int(v.time_s * 1e3 + 1e-6) & _U32
 
 
-def _us(v: Vehicle) -> int:
+def _us(v: TelemetrySource) -> int:
     return int(v.time_s * 1e6 + 0.5)
 
 
@@ -70,27 +70,27 @@ def _wrapped(angle: float) -> float:
     return math.remainder(angle, math.tau)
 
 
-def _attitude(v: Vehicle) -> bytes:
+def _attitude(v: TelemetrySource) -> bytes:
     roll, pitch, yaw = v.sensors.attitude(v.time_s)
     g = v.sensors.gyro
     return v.encoder.fields(book.MAVLink_attitude_message, _ms(v), roll, -pitch, -_wrapped(yaw), g.x, -g.y, -g.z)
 
 
-def _attitude_quaternion(v: Vehicle) -> bytes:
+def _attitude_quaternion(v: TelemetrySource) -> bytes:
     g = v.sensors.gyro
     q = _quaternion_ned(*v.sensors.attitude(v.time_s))
     message = book.MAVLink_attitude_quaternion_message(_ms(v), *q, g.x, -g.y, -g.z)
     return v.encoder.message(message)
 
 
-def _attitude_target(v: Vehicle) -> bytes:
+def _attitude_target(v: TelemetrySource) -> bytes:
     t = v.target
     q = _quaternion_ned(t.roll, t.pitch, t.yaw)
     # wire order: time, q[4], rates, thrust, type_mask
     return v.encoder.fields(book.MAVLink_attitude_target_message, _ms(v), *q, 0.0, 0.0, -t.yaw_rate, t.throttle, 0)
 
 
-def _highres_imu(v: Vehicle) -> bytes:
+def _highres_imu(v: TelemetrySource) -> bytes:
     a, g = v.sensors.accel, v.sensors.gyro
     height = v.sensors.pressure_height(v.time_s)
     altitude = HOME_ALT_M + height
@@ -101,8 +101,8 @@ def _highres_imu(v: Vehicle) -> bytes:
     )  # fmt: skip
 
 
-def _milli_imu(kind: Any, stamp: Callable[[Vehicle], int]) -> Callable[[Vehicle], bytes]:
-    def make(v: Vehicle) -> bytes:
+def _milli_imu(kind: Any, stamp: Callable[[TelemetrySource], int]) -> Callable[[TelemetrySource], bytes]:
+    def make(v: TelemetrySource) -> bytes:
         a, g = v.sensors.accel, v.sensors.gyro
         k = 1e3 / 9.80665
         return v.encoder.message(
@@ -115,7 +115,7 @@ def _milli_imu(kind: Any, stamp: Callable[[Vehicle], int]) -> Callable[[Vehicle]
     return make
 
 
-def _local_position(v: Vehicle) -> bytes | None:
+def _local_position(v: TelemetrySource) -> bytes | None:
     if not v.has_position:
         return None
     t = v.time_s
@@ -124,7 +124,7 @@ def _local_position(v: Vehicle) -> bytes | None:
     return v.encoder.fields(book.MAVLink_local_position_ned_message, _ms(v), px, -py, -pz, vx, -vy, -vz)
 
 
-def _global_position(v: Vehicle) -> bytes:
+def _global_position(v: TelemetrySource) -> bytes:
     t = v.time_s
     heading = round(math.degrees(-v.sensors.attitude(t)[2]) * 100.0) % 36000
     if not v.has_position:
@@ -141,7 +141,7 @@ def _global_position(v: Vehicle) -> bytes:
     )  # fmt: skip
 
 
-def _vfr_hud(v: Vehicle) -> bytes:
+def _vfr_hud(v: TelemetrySource) -> bytes:
     t = v.time_s
     vx, vy, vz = v.sensors.velocity(t) if v.has_position else (0.0, 0.0, v.motion.vz)
     speed = math.hypot(vx, vy)
@@ -151,7 +151,7 @@ def _vfr_hud(v: Vehicle) -> bytes:
     return v.encoder.message(book.MAVLink_vfr_hud_message(speed, speed, heading, throttle, altitude, vz))
 
 
-def _battery(v: Vehicle) -> bytes:
+def _battery(v: TelemetrySource) -> bytes:
     cells = [min(max(round(v.sensors.voltage() * 1e3), 0), 65534)] + [_U16] * 9
     used = v.charge_used_ah
     left = max(0, min(100, int(100.0 * (1.0 - used / v.capacity_ah))))
@@ -162,7 +162,7 @@ def _battery(v: Vehicle) -> bytes:
     )  # fmt: skip
 
 
-def _sys_status(v: Vehicle) -> bytes:
+def _sys_status(v: TelemetrySource) -> bytes:
     sensors = 0x5361_FC2F if v.has_position else 0x5361_FC0F
     health = sensors if v.armable else sensors & ~book.MAV_SYS_STATUS_PREARM_CHECK
     if v.store["SIM_RC_FAIL"]:
@@ -177,26 +177,26 @@ def _sys_status(v: Vehicle) -> bytes:
     )
 
 
-def _pressure(v: Vehicle) -> bytes:
+def _pressure(v: TelemetrySource) -> bytes:
     return v.encoder.message(book.MAVLink_scaled_pressure_message(_ms(v), _hpa(v), 0.0, 3120))
 
 
-def _hpa(v: Vehicle) -> float:
+def _hpa(v: TelemetrySource) -> float:
     altitude = HOME_ALT_M + v.sensors.pressure_height(v.time_s)
     return float(1013.25 * (1.0 - 2.25577e-5 * altitude) ** 5.25588)
 
 
-def _vibration(v: Vehicle) -> bytes:
+def _vibration(v: TelemetrySource) -> bytes:
     return v.encoder.message(book.MAVLink_vibration_message(_us(v), 0.3, 0.3, 0.3, 0, 0, 0))
 
 
-def _fence(v: Vehicle) -> bytes | None:
+def _fence(v: TelemetrySource) -> bytes | None:
     if not v.store["FENCE_ENABLE"]:
         return None
     return v.encoder.message(book.MAVLink_fence_status_message(int(v.fence_breach > 0), 0, v.fence_breach, _ms(v)))
 
 
-def _navigation(v: Vehicle) -> bytes:
+def _navigation(v: TelemetrySource) -> bytes:
     t = v.target
     roll, pitch, heading = math.degrees(t.roll), -math.degrees(t.pitch), round(math.degrees(-t.yaw)) % 360
     return v.encoder.message(
@@ -204,20 +204,20 @@ def _navigation(v: Vehicle) -> bytes:
     )
 
 
-def _silent(_: Vehicle) -> None:
+def _silent(_: TelemetrySource) -> None:
     """Accepted, and never sent: there is no such instrument."""
 
 
-def _power(v: Vehicle) -> bytes:
+def _power(v: TelemetrySource) -> bytes:
     return v.encoder.message(book.MAVLink_power_status_message(5000, 0, 0))
 
 
-def _ekf(v: Vehicle) -> bytes:
+def _ekf(v: TelemetrySource) -> bytes:
     flags = 831 if v.has_position else (167 if v.time_s > 15.0 else 1024)
     return v.encoder.message(book.MAVLink_ekf_status_report_message(flags, 0.01, 0.01, 0.005, 0.02, 0.0, 0.0))
 
 
-def _extended_state(v: Vehicle) -> bytes:
+def _extended_state(v: TelemetrySource) -> bytes:
     state = book.MAV_LANDED_STATE_ON_GROUND if v.landed else book.MAV_LANDED_STATE_IN_AIR
     if v.taking_off:
         state = book.MAV_LANDED_STATE_TAKEOFF
@@ -226,7 +226,7 @@ def _extended_state(v: Vehicle) -> bytes:
     return v.encoder.message(book.MAVLink_extended_sys_state_message(0, state))
 
 
-def _rc_channels(v: Vehicle) -> bytes:
+def _rc_channels(v: TelemetrySource) -> bytes:
     if v.store["SIM_RC_FAIL"]:
         return v.encoder.message(book.MAVLink_rc_channels_message(_ms(v), 0, *([_U16] * 18), 0))
     switch = 1000 if v.store["SIM_PILOT_MODE"] < 0 else 1300
@@ -234,12 +234,12 @@ def _rc_channels(v: Vehicle) -> bytes:
     return v.encoder.message(book.MAVLink_rc_channels_message(_ms(v), 16, *sticks, 254))
 
 
-def _servo(v: Vehicle) -> bytes:
+def _servo(v: TelemetrySource) -> bytes:
     out = round(1000 + 1000 * v.command.throttle) if v.armed else 1000
     return v.encoder.message(book.MAVLink_servo_output_raw_message(_us(v) & _U32, 0, out, out, out, out, 0, 0, 0, 0))
 
 
-def _home(v: Vehicle) -> bytes | None:
+def _home(v: TelemetrySource) -> bytes | None:
     if not v.has_home:
         return None
     nan = float("nan")
@@ -250,7 +250,7 @@ def _home(v: Vehicle) -> bytes | None:
     )
 
 
-def _origin(v: Vehicle) -> bytes | None:
+def _origin(v: TelemetrySource) -> bytes | None:
     if not v.has_home:
         return None
     return v.encoder.message(
@@ -258,7 +258,7 @@ def _origin(v: Vehicle) -> bytes | None:
     )
 
 
-def _gps(v: Vehicle) -> bytes:
+def _gps(v: TelemetrySource) -> bytes:
     if not v.store["SIM_GPS1_ENABLE"] or v.time_s < 12.0:
         return v.encoder.message(book.MAVLink_gps_raw_int_message(_us(v), 0, 0, 0, 0, _U16, _U16, 0, _U16, 0))
     m = v.motion
@@ -269,7 +269,7 @@ def _gps(v: Vehicle) -> bytes:
     )
 
 
-def _version(v: Vehicle) -> bytes:
+def _version(v: TelemetrySource) -> bytes:
     commit = [ord(c) for c in "simulate"]
     none = [0] * 8
     return v.encoder.message(
@@ -277,7 +277,7 @@ def _version(v: Vehicle) -> bytes:
     )
 
 
-def heartbeat(v: Vehicle) -> bytes:
+def heartbeat(v: TelemetrySource) -> bytes:
     """HEARTBEAT: the mode in custom_mode."""
     base = 89 | (book.MAV_MODE_FLAG_SAFETY_ARMED if v.armed else 0)  # 89 whatever the mode, as a real SITL sends
     state = book.MAV_STATE_STANDBY if v.landed else book.MAV_STATE_ACTIVE
@@ -287,11 +287,11 @@ def heartbeat(v: Vehicle) -> bytes:
     return v.encoder.message(book.MAVLink_heartbeat_message(kind, autopilot, base, v.mode, state, 3))
 
 
-def _system_time(v: Vehicle) -> bytes:
+def _system_time(v: TelemetrySource) -> bytes:
     return v.encoder.message(book.MAVLink_system_time_message(1_763_000_000_000_000 + _us(v), _ms(v)))
 
 
-Maker = Callable[[Vehicle], bytes | None]
+Maker = Callable[[TelemetrySource], bytes | None]
 
 MAKERS: dict[int, Maker] = {
     book.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,

@@ -27,7 +27,7 @@ class Target:
     throttle: float = 0.0
 
 
-class Vehicle(Protocol):
+class TelemetrySource(Protocol):
     """What telemetry reads of the autopilot."""
 
     encoder: Encoder
@@ -121,7 +121,7 @@ class KeepsFence(Protocol):
         """What does not come is asked for again, at vehicle time t_s, s."""
 
 
-class CommandedVehicle(Vehicle, Protocol):
+class CommandedVehicle(TelemetrySource, Protocol):
     """What commands, targets and the slow duties read of the vehicle, and do to it. outbox: frames to be sent, in order."""
 
     plant: Plant

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from flighttest.sim.noise import Noise
+from flighttest.sim.noise import NoiseStream
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Gusts:
 class Air:
     """The air's velocity over the ground beyond any steady wind, m/s, NWU: `x`, `y`, `z`."""
 
-    def __init__(self, gusts: Gusts, noise: Noise) -> None:
+    def __init__(self, gusts: Gusts, noise: NoiseStream) -> None:
         self._gusts, self._noise = gusts, noise
         self.calm = gusts.rms_m_s <= 0.0
         self.x = self.y = self.z = 0.0

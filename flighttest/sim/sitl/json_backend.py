@@ -19,7 +19,7 @@ from math import sqrt
 from typing import Protocol
 
 from flighttest.errors import InputError, LinkError
-from flighttest.sim.noise import Noise
+from flighttest.sim.noise import NoiseStream
 from flighttest.sim.plants.plant import Motion
 from flighttest.sim.sensors import SensorNoise
 from flighttest.sim.sitl.relay import Relay
@@ -101,7 +101,7 @@ class JsonBackend:
         self._rested_v = rested_v
         self._flown, self._stopped_s = False, 0.0
         self._noise = noise
-        self._draw = Noise(seed, "imu").draw
+        self._draw = NoiseStream(seed, "imu").draw
         self._socket = sock or bind_physics(host, port)
         self._socket.settimeout(_IDLE_S)
         self.port = int(self._socket.getsockname()[1])

@@ -65,18 +65,18 @@ def find_arducopter(environment: Mapping[str, str] | None = None) -> Path:
 
 
 @dataclass(frozen=True)
-class Airframe:
+class SitlAirframe:
     """A vehicle for SITL: parameter files (later ones win), and a frame file of ArduPilot's own physics, if any."""
 
     parameters: tuple[str, ...]
     frame: str | None = None
 
 
-AIRFRAMES: dict[str, Airframe] = {
-    "stock": Airframe(("copter.parm", "stock.parm")),
-    "sagging": Airframe(("copter.parm", "sagging.parm"), "sagging.json"),
-    "paper": Airframe(("copter.parm", "paper.parm"), "paper.json"),
-    "rotor": Airframe(("copter.parm", "json.parm")),  # on our physics only: see `sitl_physics`
+AIRFRAMES: dict[str, SitlAirframe] = {
+    "stock": SitlAirframe(("copter.parm", "stock.parm")),
+    "sagging": SitlAirframe(("copter.parm", "sagging.parm"), "sagging.json"),
+    "paper": SitlAirframe(("copter.parm", "paper.parm"), "paper.json"),
+    "rotor": SitlAirframe(("copter.parm", "json.parm")),  # on our physics only: see `sitl_physics`
 }
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from flighttest.errors import InputError
-from flighttest.sim.noise import Noise
+from flighttest.sim.noise import NoiseStream
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
 from flighttest.sim.plants.plant_motors import MotorPlant
@@ -50,7 +50,7 @@ def build_motor_plant(options: SimOptions) -> MotorDriven:
     """The plant of these options, motor by motor."""
     air = None
     if options.gust_rms_m_s > 0.0:
-        air = Air(Gusts(options.gust_rms_m_s), Noise(options.seed, "gusts"))
+        air = Air(Gusts(options.gust_rms_m_s), NoiseStream(options.seed, "gusts"))
     if options.model is not None:
         from flighttest.sim.plant_frame import FramePlant  # only here: CasADi takes its time to load
 

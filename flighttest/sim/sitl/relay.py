@@ -29,7 +29,7 @@ _SIGNED_BYTES = 13
 _NO_INDEX = 0xFFFF
 
 
-class Frames:
+class FrameSplitter:
     """Cuts what the firmware sends into whole frames. system, component, sequence: of the last one."""
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class Relay:
         self._client: socket.socket | None = None
         self._firmware: socket.socket | None = None
         self._pending = bytearray()
-        self._frames, self._decoder = Frames(), Decoder()
+        self._frames, self._decoder = FrameSplitter(), Decoder()
         self._queue: deque[Any] = deque()
         self._encoder = book.MAVLink(None)
         self.lockstep = self.resting = False
@@ -140,7 +140,7 @@ class Relay:
                 sock.setblocking(False)
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self.selector.register(sock, selectors.EVENT_READ)
-            self._frames, self._decoder = Frames(), Decoder()
+            self._frames, self._decoder = FrameSplitter(), Decoder()
             self.selector.unregister(self._listening)  # a second ground program waits until the first has left
 
     def _leave(self) -> None:
