@@ -36,7 +36,7 @@ CONSTANTS = {
 
 
 def pair(seed: int, index: int) -> str:
-    """Fly, diagnose and compare one pair; a line that says what was changed and what was found."""
+    """Fly, diagnose and compare one pair; a line with what was changed and what was found."""
     rng = np.random.default_rng([seed, index])
     kind = ("clean", "parameter", "effect")[index % 3]
     case = draw(seed, index, "rotor")

@@ -68,7 +68,7 @@ def line_of(case: Case, outcome: Outcome, digest: str) -> str:
     kept = {k: v for k, v in outcome.to_json().items() if v and v == v and v != usual[k] and k not in ("hide", "truth")}
     if outcome.located is not None:
         kept["located"] = outcome.located
-    # Six digits tell any change that matters.
+    # Six digits show any change that matters.
     rounded = json.loads(json.dumps(kept), parse_float=lambda text: float(f"{float(text):.6g}"))
     return json.dumps({"seed": case.seed, "index": case.index, **rounded, **({"flight": digest} if digest else {})})
 
@@ -111,7 +111,8 @@ def digest_of(segments: Sequence[Segment]) -> str:
 
 
 def answer(run: Path, path: Path) -> dict[str, Any]:
-    """What the code at hand says of a run: diagnosis.json without its pictures, times, digest of the flight; also written to `path`."""
+    """What the code at hand answers about a run: diagnosis.json without its pictures, times, digest of the flight; also written to
+    `path`."""
     signal.signal(signal.SIGALRM, _too_long)
     signal.alarm(LIMIT_S)
     segments, model = responses(run)
@@ -132,7 +133,7 @@ def _too_long(_signal: int, _frame: Any) -> None:
 
 
 def outcome_of(case: Case, reported: Mapping[str, Any], known: Outcome) -> Outcome:
-    """An answer beside what the reference knows of the truth. A diagnosis that failed named nothing."""
+    """An answer beside the reference's knowledge of the truth. A diagnosis that failed named nothing."""
     measured = OracleAnswer(sizes=known.sizes, classes=known.classes)
     if "diagnosis" not in reported:
         blank = {
@@ -159,7 +160,7 @@ def comparison(before: Mapping[str, Outcome], after: Mapping[str, Outcome]) -> I
     old = [before[k] for k in shared]
     new = [as_known(after[k], before[k]) for k in shared]
     tables = [dict(rates(score(some))) for some in (old, new, [after[k] for k in shared])]
-    yield "| what | reference | now, where the reference knows it | now |\n|---|---|---|---|"
+    yield "| what | reference | now, of those in the reference | now |\n|---|---|---|---|"
     for what in dict.fromkeys(w for t in tables for w in t):
         yield f"| {what} | {' | '.join(t.get(what, '-') for t in tables)} |"
     same = [o.verdict == n.verdict for o, n in zip(old, new, strict=True) if o.verdict]
@@ -173,7 +174,7 @@ def comparison(before: Mapping[str, Outcome], after: Mapping[str, Outcome]) -> I
         hidden = ", ".join(f"{e} {o.sizes.get(e, 0.0):.1f}" for e in o.hide) or "nothing"
         yield f"- {word}: {k} ({o.kind}; hidden: {hidden}): {_in_words(o)} -> {_in_words(n)}"
     held = [score(some)["inside_by_parameter"] for some in (old, new, [after[k] for k in shared])]
-    yield "\n| parameters inside their 95 % interval | reference | now, where the reference knows it | now |\n|---|---|---|---|"
+    yield "\n| parameters inside their 95 % interval | reference | now, of those in the reference | now |\n|---|---|---|---|"
     for what in sorted({w for h in held for w in h}):
         yield f"| {what} | {' | '.join('{} of {}'.format(*h[what]) if what in h else '-' for h in held)} |"
 

@@ -40,7 +40,7 @@ _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 
 
 def double(port: int, seconds: float, result: object) -> None:
-    """Speaks as a vehicle does, and notes when each target reached its socket."""
+    """Sends as a vehicle does, and notes when each target reached its socket."""
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)

@@ -58,7 +58,7 @@ CHANGES: dict[str, dict[str, float]] = {
     "attitude 20 % slower": {"omega_roll": 0.8, "omega_pitch": 0.8},
     "resistance +20 %": {"resistance_ohm": 1.2},
 }
-# The subset an operator should be shown; None: only the battery's monitor may speak.
+# The subset an operator should be shown; None: only the battery's monitor may alarm.
 TOUCHED: dict[str, str | None] = {
     "unchanged": None,
     "thrust -5 %": "thrust",
@@ -152,7 +152,8 @@ def fly_all(first: int, vehicles: int, kinds: Sequence[str], folder: Path) -> No
 
 
 def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
-    """What the program says of a campaign: subsets that raise an alarm, the battery's alarm, and the relative change of each parameter."""
+    """What the program reports of a campaign: subsets that raise an alarm, the battery's alarm, and the relative change of each
+    parameter."""
     base = watched(stored, "model")
     usable = [s for s in new.segments if s.usable]
     found, _ = reestimate_segments(stored, usable, "new")

@@ -33,7 +33,7 @@ def folder_of_recordings() -> Path:
 
 
 def row(name: str, flights: int, data: dict[str, Any]) -> str:
-    """One line of the table: how the throttle that holds height moved, its chance, and what `status` says."""
+    """One line of the table: how the throttle that holds height moved, its chance, and the answer of `status`."""
     test = next((t for t in data["tests"] if "hover_throttle" in t["shifts"]), None)
     if test is None:
         return f"| {name} | {flights} | - | - | - | {data['verdict'].lower()} |"

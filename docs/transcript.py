@@ -51,7 +51,7 @@ def written(text: str, outputs: dict[str, str]) -> str:
 
 
 def shown(text: str, command: str) -> str:
-    """What a page says a command prints."""
+    """What a command prints according to a page."""
     for match in BLOCK.finditer(text):
         if match[2] == command:
             body = match[0].split("```\n", 1)[1].rsplit("```", 1)[0]

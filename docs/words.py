@@ -286,6 +286,17 @@ GONE = {
     "doubts_of": "identifiability diagnostics of a parameter",
     "feeding": "data selection",
     "like_with_like": "matched pairs",
+    "nobody": "not, no sender, no receiver",
+    "whoever": "the sender, the recorder, the pilot: who it is",
+    "knows": "depends on, has, determines",
+    "believe[sd]?": "takes for, uses",
+    "thinks?": "estimates, takes",
+    "speaks?": "sends",
+    "vouch(?:es|ed|ing)?": "confirms",
+    "honest(?:ly)?": "calibrated, as measured",
+    "swallow(?:s|ed)?": "hides",
+    "lets? go|letting go": "release target; stops sending",
+    "by the way": "in passing, constant",
 }
 
 # Names that are gone from the code as names of modules, classes, functions and constants; as words of a sentence some are ordinary English.

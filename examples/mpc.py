@@ -43,7 +43,7 @@ NEAR_M = 0.5
 
 
 class NoPlanError(Exception):
-    """There is no plan; the message says why."""
+    """There is no plan; the message gives the reason."""
 
 
 def compiled(*functions: ca.Function) -> list[ca.Function]:

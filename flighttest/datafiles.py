@@ -1,4 +1,4 @@
-"""Files that a program wrote: read only up to a size, without anchors and to a depth, whoever may have planted them.
+"""Files that a program wrote: read only up to a size, without anchors and to a depth: they may come from anywhere.
 
 For files that people write see `documents`, which keeps the line of every value.
 """
@@ -24,7 +24,7 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's own re
 
 
 class _Refused(ValueError):
-    """The text is no honest file of ours; why."""
+    """The text is not a file that this program writes; why."""
 
 
 def read_bytes(path: Path, error: type[InputError], what: str, most: int = DATA_BYTES, remedy: str = "") -> bytes:

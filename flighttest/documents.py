@@ -68,7 +68,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 class _Refused(Exception):
-    """A file that is no honest one: what is wrong, and on which line."""
+    """A file that must not be read: what is wrong, and on which line."""
 
     def __init__(self, line: int, what: str, hint: str) -> None:
         super().__init__(what)

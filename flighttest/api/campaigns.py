@@ -113,7 +113,7 @@ class Checks(Answer):
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Demonstrated(Answer):
     """`demo`: a concealed effect found, modelled, and a flight predicted that was not used. page: the report. Where the flights were of no
-    use nothing was named or predicted, and `status` says so."""
+    use nothing was named or predicted, which `status` shows."""
 
     page: Path
 

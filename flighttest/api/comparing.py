@@ -37,7 +37,7 @@ def against(
     progress: ProgressLike | None = None,
     **options: Unpack[ReadingOptions],
 ) -> Opposed:
-    """Say what a simulator lacks, has too much of or has with another value, from its recordings and real ones of the same vehicle.
+    """Find what a simulator lacks, has too much of or has with another value, from its recordings and real ones of the same vehicle.
 
     model: what both diagnoses start from, the paper's where none is given. output: folder for against.json, report.html and model.yaml
     (of the real recordings). options: `flighttest.api.inputs.ReadingOptions`. InputError where one recording is on both sides.
@@ -67,7 +67,7 @@ def twin(
     columns: AnyPath | None = None,
     progress: ProgressLike | None = None,
 ) -> Twin:
-    """Fly an identified model as a vehicle, as it was recorded, and say what still differs.
+    """Fly an identified model as a vehicle, as it was recorded, and report what still differs.
 
     The scripts of recorded runs are flown behind the built-in autopilot, or with backend="sitl" under the real ArduCopter on this machine
     (LinkError without one), where the steps are compared as flown; logs and runs without a script, or all of them with offline=True,

@@ -141,7 +141,7 @@ def diagnose(
     progress: ProgressLike | None = None,
     **options: Unpack[DiagnoseOptions],
 ) -> Diagnosed:
-    """Say where simulation and recordings differ, what physics the model leaves out, and what to fly next.
+    """Find where simulation and recordings differ, what physics the model leaves out, and what to fly next.
 
     model: what to start from, one fitted to the recordings where none is given. output: folder for diagnosis.json, model.yaml,
     report.html and, where one is due, next.yaml. options: `flighttest.api.inputs.DiagnoseOptions`, as weather="still".

@@ -46,7 +46,7 @@ def import_(context: Context, log: Path, columns: Path | None, output: Path, veh
     help="Page to write; otherwise show.html in the run, or LOG-show.html here.",
 )
 def show(context: Context, log: Path, columns: Path | None, output: Path | None) -> int:
-    """One page about a log or run before anything is fitted: health, course, channels, map, what it can tell."""
+    """One page about a log or run before anything is fitted: health, course, channels, map, what it can determine."""
     with LiveProgress(context.show) as progress:
         answer = ft.show(log, output, columns=columns, progress=progress)
     return context.finish(answer)
@@ -119,7 +119,7 @@ def fit(
     multiple=True,
     type=ANY,
     metavar="SIMULATED...",
-    help="A simulator's recordings of the same vehicle: say what the simulator lacks, or has otherwise.",
+    help="A simulator's recordings of the same vehicle: find what the simulator lacks, or has with another value.",
 )
 def diagnose(
     context: Context,
@@ -130,7 +130,7 @@ def diagnose(
     vehicle: Path | None,
     **options: Unpack[_DiagnoseOptions],
 ) -> int:
-    """Say where simulation and recordings differ, what physics was left out, and what to fly next."""
+    """Find where simulation and recordings differ, what physics was left out, and what to fly next."""
     with LiveProgress(context.show) as progress:
         answer: ft.Answer
         if simulated:

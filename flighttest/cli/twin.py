@@ -28,7 +28,7 @@ class _TwinOptions(TypedDict):
     multiple=True,
     type=ANY,
     metavar="RUN...",
-    help="Fly the scripts of these runs on the twin and say what still differs.",
+    help="Fly the scripts of these runs on the twin and report what still differs.",
 )
 @click.option(
     "--replay",
@@ -36,7 +36,7 @@ class _TwinOptions(TypedDict):
     multiple=True,
     type=ANY,
     metavar="RUN...",
-    help="Run the recorded commands on the twin, beside the recording; --set says what is otherwise.",
+    help="Run the recorded commands on the twin, beside the recording; --set changes its values.",
 )
 @click.option(
     "--set",

@@ -49,7 +49,7 @@ class Kind(StrEnum):
 @dataclass(frozen=True)
 class Difference:
     """One parameter on both sides. difference: real minus simulated; std, interval_95, p_value: of it, None where it is untested, or where
-    its term has no amplitude; why: what speaks against a test; detectable: the smallest difference that is found in four of five
+    its term has no amplitude; why: the reason why it is not tested; detectable: the smallest difference that is found in four of five
     such pairs."""
 
     name: str
@@ -98,7 +98,7 @@ class Prediction:
 @dataclass(frozen=True)
 class Against:
     """What a comparison found. real, simulated: fits of one model; prediction: by channel; corrected: parameters of the corrected
-    simulator; held_out: whether `Prediction.after` is of steps the correction has not seen; notes: what the reader must know."""
+    simulator; held_out: whether `Prediction.after` is of steps the correction has not seen; notes: cautions for the reader."""
 
     real: Fit
     simulated: Fit

@@ -43,7 +43,7 @@ class Place(TypedDict):
 
 
 class EvidenceRow(TypedDict):
-    """What speaks for a term. heldout_gain: share of the mean square above the floor; floors: its size in noise floors, at `where`."""
+    """Evidence for a term. heldout_gain: share of the mean square above the floor; floors: its size in noise floors, at `where`."""
 
     delta_bic: float
     log_evidence: float

@@ -74,7 +74,7 @@ def diagnose(
     segments: of one vehicle, from one or several recordings, marked steps or windows of free flight. model: the base (default:
     the paper's). previous: its parameters, name to (value, std), to compare with a former state of the vehicle. only: ids of the
     candidates (default: the whole catalogue). side_by_side(work, items, shares of the work): a way to run work(items), one result per
-    item, in more than one process. flyable: what of a maneuver the vehicle's zone has room for. FitError when there is too little for any
+    item, in more than one process. flyable: what of a maneuver the vehicle's zone has space for. FitError when there is too little for any
     answer. An interrupt (KeyboardInterrupt) ends the search and returns what is known, with complete=False.
     """
     usable = tuple(s for s in segments if s.usable and s.t_s.size >= 8)
@@ -172,7 +172,7 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
     asked.tell("choosing the next flight")
     proposal = _next(searches, findings, unseen, {t.id: t for t in pool}, flyable) if complete else None
     return Diagnosis(
-        verdict=so_far if complete else Verdict.PARTLY,  # what nobody has looked for is neither missing nor explained
+        verdict=so_far if complete else Verdict.PARTLY,  # what was not searched for is neither missing nor explained
         sentence=sentence_of(so_far, findings, share, located, complete)
         + predicted_worse(merged(a.heldout for a in answers))
         + moved_parameters(asked.previous, after),
@@ -225,7 +225,7 @@ def _not_testable(
 
 def _described(asked: Asked, searches: Sequence[Search], staying: set[str]) -> list[Description]:
     """What has no name, by sparse regression. staying: channels whose mismatch stays."""
-    asked.tell("describing what has no name")
+    asked.tell("describing the rest by residual regression")
     channels = _with_forces(staying)
     return [one for search in searches for one in describe(search, asked.segments, asked.groups, channels)]
 

@@ -123,7 +123,7 @@ def noises(streams: Sequence[Stream]) -> dict[str, Autoregression]:
 
 
 def whiten(streams: Sequence[Stream], noise: dict[str, Autoregression], rows_per_block: int) -> Whitened:
-    """Every stream by its channel's noise. Blocks are stretches of rows of one group, for errors that must not trust the whiteness."""
+    """Every stream by its channel's noise. Blocks are stretches of rows of one group, for standard errors that do not assume whiteness."""
     residual, columns, group, block, channel = [], [], [], [], []
     first = 0
     known: dict[tuple[int, int], int] = {}
@@ -173,7 +173,7 @@ def step(rows: Whitened, prior_mean: FloatArray, prior_std: FloatArray) -> Step:
     """Least squares with a Gaussian prior of the step, prior_std (q,) infinite where there is none.
 
     robust: the sandwich over blocks (Liang and Zeger 1986), with the few-cluster factor n / (n - 1); not below the information's. A
-    direction that neither data nor prior know has an infinite variance.
+    direction that neither data nor prior determine has an infinite variance.
     """
     hessian, score = rows.information()
     precision = np.where(np.isfinite(prior_std), 1.0 / np.where(np.isfinite(prior_std), prior_std, 1.0) ** 2, 0.0)

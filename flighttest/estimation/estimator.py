@@ -73,7 +73,7 @@ class Estimator:
         return replace(begun, objective=self.objective(model, begun))
 
     def moved(self, model: Model, at: Optimum, values: Mapping[str, float] | None = None) -> Optimum:
-        """The same point under another model, or with other values: what both know is kept."""
+        """The same point under another model, or with other values: what holds for both is kept."""
         full = self.problem(model).full_values(model.start())
         full |= {k: v for k, v in at.values.items() if k in full} | dict(values or {})
         made = replace(at, values=full)

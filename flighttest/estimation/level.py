@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from flighttest.estimation.responses import knows_attitude
+from flighttest.estimation.responses import attitude_is_known
 from flighttest.frames import G_M_S2
 from flighttest.segments.model import Segment
 
@@ -30,7 +30,7 @@ PIECE_S = 0.5  # accelerations are means over so long: shorter ones are noise of
 
 def taken_as_level(segment: Segment) -> bool:
     """Whether roll and pitch were not measured, and nothing that was recorded shows that the vehicle was tilted."""
-    return not knows_attitude(segment) and tilt_rad(segment) <= LEVEL_RAD
+    return not attitude_is_known(segment) and tilt_rad(segment) <= LEVEL_RAD
 
 
 def tilt_rad(segment: Segment) -> float:
@@ -64,7 +64,7 @@ def level_share(problem: Problem, solution: Solution) -> float:
 
 def level_notes(segments: Sequence[Segment], share: float) -> list[str]:
     """What a fit reports of segments without a measured attitude. share: `level_share` of it."""
-    unknown = [s for s in segments if not knows_attitude(s)]
+    unknown = [s for s in segments if not attitude_is_known(s)]
     if not unknown:
         return []
     level = [s for s in unknown if taken_as_level(s)]
@@ -85,7 +85,7 @@ def level_notes(segments: Sequence[Segment], share: float) -> list[str]:
 
 def refusal(segments: Sequence[Segment]) -> str:
     """Why segments without a measured attitude cannot be taken as level; '' where none of these segments is such."""
-    tilted = [tilt_rad(s) for s in segments if not knows_attitude(s) and not taken_as_level(s)]
+    tilted = [tilt_rad(s) for s in segments if not attitude_is_known(s) and not taken_as_level(s)]
     if not tilted:
         return ""
     return (

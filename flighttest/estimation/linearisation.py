@@ -36,7 +36,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Projection:
-    """What one part of a problem does not know of its m responses, as `Linearisation` projects it out.
+    """The nuisance parameters of one part of a problem with m responses, as `Linearisation` projects them out.
 
     basis (m, k, n_l), start (m, k, n_f): orthonormal, of all nuisance parameters and of the initial states alone, over the k - n_l samples
     (times outputs) and the n_l priors; scale (k - n_l,): standard deviations that samples were whitened by; keep (m, k - n_l): which of

@@ -53,7 +53,7 @@ class Response:
     start_std: FloatArray
 
 
-def knows_attitude(segment: Segment) -> bool:
+def attitude_is_known(segment: Segment) -> bool:
     """Whether roll and pitch were measured."""
     return all(np.isfinite(segment.y.get(name, np.nan)).any() for name in ("roll_rad", "pitch_rad"))
 
@@ -191,7 +191,7 @@ def prepare(
     for i, name in enumerate(outputs):
         if has_force and name.startswith("a_"):  # world acceleration is derived from f: the same sample twice
             y[:, i] = np.nan
-    level = block.name == "translation" and not knows_attitude(segment)
+    level = block.name == "translation" and not attitude_is_known(segment)
     if level:
         y[:, [i for i, name in enumerate(outputs) if name in HORIZONTAL]] = np.nan
     start, std = _start(segment, block, hover_throttle_gain)

@@ -13,7 +13,7 @@ _LOOK_EVERY_S = 0.1
 
 
 def asked(control: FlightControl, confirm: Callable[[str], bool], text: str) -> bool:
-    """Whether the operator confirms a text; the link is kept alive and read meanwhile, and Ctrl-C is a no."""
+    """Whether the operator confirms a text; heartbeats are sent and messages read meanwhile, and Ctrl-C is a no."""
     answers: list[bool] = []
     thread = threading.Thread(target=lambda: answers.append(confirm(text)), daemon=True)
     thread.start()

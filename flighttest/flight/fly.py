@@ -120,7 +120,7 @@ class _Flight:
             except FlightEnded as ended:
                 outcome, why = ended.outcome, ended.why
             except LinkError as error:
-                # The vehicle is in the air, or may be: land it with what is left of the link, then say what happened.
+                # The vehicle is in the air, or may be: land it with what is left of the link, then report what happened.
                 why = str(error)
                 try:
                     outcome = self._land_after(scheduler, error)
@@ -128,7 +128,7 @@ class _Flight:
                     outcome = ended.outcome
             except BaseException:  # a defect of ours, whatever it is, must not leave the vehicle with a step's throttle; it is raised after
                 with contextlib.suppress(Exception):  # whatever fails again here is the lesser news
-                    supervisor.let_go(control, "the program failed")
+                    supervisor.release(control, "the program failed")
                 raise
         except StoppedByOperator:
             outcome = FlightOutcome.OPERATOR_STOP
@@ -288,7 +288,7 @@ class _Flight:
         self.recorder.save_manifest()
 
     def _inherit(self, restoring: bool) -> None:
-        """What an earlier flight set and nobody has put back since."""
+        """What an earlier flight set and what has not been restored since."""
         known = self._parameters
         left, words = still_left(self.options.left_behind, known, self.vehicle.hardware)
         self._unrestored = {} if restoring else values_of(left)
@@ -381,7 +381,7 @@ class _Flight:
             self._stage("restoring parameters")
             try:
                 left = self._changes.restore(airborne=self.vehicle.armed)
-            except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over what was let go
+            except (FlighttestError, FlightEnded) as error:  # the link, or a pilot who takes over the released vehicle
                 left = self._changes.pending
                 self.notes.append(str(error))
         for text in self.session.port.left_out():

@@ -1,6 +1,6 @@
 """The gate: may this target leave, and if not, why. Pure; it drops, it never clamps.
 
-Level attitude with a stopping or hover throttle always passes: one may always let go.
+Level attitude with a stopping or hover throttle always passes (a release target): giving up control is never refused.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def stop_throttles(limits: Limits, hover_throttle: float) -> tuple[float, float]
 
 
 def releases(target: AttitudeTarget, gate: GateLimits) -> bool:
-    """Whether a target lets go: level, no yaw rate, a throttle between the stopping ones."""
+    """Whether a target is a release target: level, no yaw rate, a throttle between the stopping ones."""
     low, high = gate.stop_throttle
     level = target.roll_rad == 0.0 and target.pitch_rad == 0.0 and target.yaw_rate_rad_s == 0.0
     return level and low - EPSILON <= target.throttle <= high + EPSILON
@@ -120,8 +120,8 @@ def refusals(
 ) -> tuple[Refusal, ...]:
     """Every reason why this target may not leave now; empty when it may.
 
-    step: the target is a maneuver's: it is judged in full, also where its throttle over level attitude is one that lets go. Most steps of
-    throttle are such targets, and hold for longer than a stop would.
+    step: the target is a maneuver's: it is judged in full, also where its throttle over level attitude is that of a release target. Most
+    steps of throttle are such targets, and hold for longer than a stop would.
     """
     if not step and releases(target, gate):
         return ()
@@ -147,7 +147,7 @@ def _target(target: AttitudeTarget, limits: Limits) -> list[Refusal]:
 
 
 def readiness(state: VehicleState, gate: GateLimits) -> tuple[Refusal, ...]:
-    """Every reason why nothing but letting go may be sent to a vehicle in this state, wherever it is."""
+    """Every reason why nothing but a release target may be sent to a vehicle in this state, wherever it is."""
     found = []
     if state.mode != gate.mode:
         found.append(Refusal.MODE)

@@ -27,7 +27,7 @@ class FlightSettings:
     the vehicle. extend_fence: add the zone's polygon to a fence that the vehicle keeps. resume: a run that this one goes on with, for
     the manifest; skip: ids of legs that are left out. replanner: plans again for the hover throttle and the age of thrust that are seen
     in flight, where the autopilot holds the position meanwhile. on_vehicle: called with firmware and parameters that will be in force,
-    before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: let go now). confirm: shown the checklist
+    before anything arms. stop_requested: how often the operator asked to stop (1: land, 2: stop sending now). confirm: shown the checklist
     before arming, in a thread of its own. weather: kept with the run. signing_key: with which frames are signed, and without which none is
     taken; system: our own system id.
     """

@@ -89,7 +89,7 @@ class Recorder:
     """Writes one run folder. ground_s: the ground's clock for the stamps of raw.tlog, s since 1970. host_s: for flushing.
 
     failure: why something could not be written (a full disk), empty while all is well; then the space that was kept back is used to end
-    the flight and its record. Nothing here raises for it: in flight the vehicle comes first, and whoever flies looks at `failure`.
+    the flight and its record. Nothing here raises for it: in flight the vehicle comes first, and the flight looks at `failure`.
     incomplete: what the record lacks in the end.
     """
 
@@ -227,7 +227,7 @@ class Recorder:
 
 
 def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> Manifest:
-    """The manifest of a flight before it begins; its outcome is what stays where the program dies."""
+    """The manifest of a flight before it begins; its outcome is the one that stays where the program is killed."""
     vehicle = plan.vehicle
     return {
         "name": plan.script.name,

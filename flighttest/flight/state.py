@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 VOLTAGE_MEAN_S = 2.0
 VOLTAGE_LOST_S = 10.0  # without a new one: then the battery is not known any more
-_EKF_SPEAKS_S = 5.0  # it reports five times a second
+_EKF_REPORT_S = 5.0  # it reports five times a second
 _PRESSURE_SCALE_M, _PRESSURE_EXPONENT = 44330.8, 0.190263  # international standard atmosphere
 _FRESH_S = 1.0  # a preferred message older than this gives way to the next one of its group
 
@@ -149,8 +149,8 @@ class StateReader:
         heard = bool(self._voltages) and now - self._voltages[-1][0] <= VOLTAGE_LOST_S
         voltages = [v for _, v in self._voltages] if heard else []
         ekf = session.latest.get("EKF_STATUS_REPORT")
-        # A filter that fell silent vouches for nothing; one that only assumes to stand still has no position.
-        informed = ekf is None or now - ekf.t_s <= _EKF_SPEAKS_S
+        # A filter that reports no more has no valid position; neither has one that only assumes to stand still.
+        informed = ekf is None or now - ekf.t_s <= _EKF_REPORT_S
         flags = int(ekf.message.flags) if ekf and informed else 0
         placed = flags & (book.EKF_POS_HORIZ_ABS | book.EKF_POS_HORIZ_REL) and not flags & book.EKF_CONST_POS_MODE
         return VehicleState(

@@ -50,7 +50,7 @@ def tie_tests(
         std, dof = covariance.of(weights)
         difference = free.values[name] - free.values[source]
         p = beyond(difference / std, dof) if std > 0 else 0.0
-        verdict = "the data supports the tie" if p > 0.05 else "the data speaks against the tie"
+        verdict = "the data supports the tie" if p > 0.05 else "the data contradicts the tie"
         sentence = f"{name} - {source} = {difference:.3g} +- {std:.2g}: {verdict} (p = {p:.3f})"
         tests.append(TieTest(name, source, difference, std, p, sentence))
     return tuple(tests)

@@ -62,7 +62,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class PlannedInformation:
-    """The information of the responses of one plan, each with what it needs to know of the others left open.
+    """The information of the responses of one plan, each in terms of the free parameters of all plans.
 
     steps: their segments, without samples (n,); able: block name to the positions of those in which its references move; information:
     block name to Fisher information (n, p, p) by `model.names`, zero for a response that feeds the block in no company.

@@ -61,7 +61,7 @@ _REPORTED_OUTLIER = 0.7  # responses weighted below this are named
 class Estimate:
     """One parameter. source: fit, frozen, tied, derived or assumed (nothing here depends on it); std and interval None where none was
     estimated; scatter: the part of std by which two fits of like flights differ, without what the equations may err; why and fly: what
-    speaks against it and the maneuver script that would make it known, empty where it is known."""
+    contradicts it and the maneuver script that would make it known, empty where it is known."""
 
     name: str
     symbol: str
@@ -89,7 +89,7 @@ class Outlier:
 class Fit:
     """What identification found. estimates: by name, T_d included; covariance over `covariance.names` (those estimated).
 
-    delays_s: per channel (value, std); onset: the paper's estimate; quality: per channel; notes: what the reader must know;
+    delays_s: per channel (value, std); onset: the paper's estimate; quality: per channel; notes: cautions for the reader;
     checks: plain data of cross-checks made afterwards, for model.yaml's fit_quality.
     """
 

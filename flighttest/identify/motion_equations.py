@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flighttest.channels import CHANNELS
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.integration.kernel import Kernel
-from flighttest.estimation.responses import Stacked, knows_attitude, max_step_s, prepare, zero_order_hold
+from flighttest.estimation.responses import Stacked, attitude_is_known, max_step_s, prepare, zero_order_hold
 from flighttest.frames import G_M_S2, rotation_from_euler
 from flighttest.physics.blocks import ACCELERATION, FORCE, VELOCITY, Block
 from flighttest.physics.model import Model
@@ -53,7 +53,7 @@ def stretches(segments: Sequence[Segment]) -> list[Segment]:
 def _can(s: Segment) -> bool:
     velocity = all(np.isfinite(s.y.get(n, np.nan)).any() for n in VELOCITY)
     heading = bool(np.isfinite(s.y.get("yaw_rad", np.nan)).any())
-    return velocity and heading and "throttle" in s.u and knows_attitude(s)
+    return velocity and heading and "throttle" in s.u and attitude_is_known(s)
 
 
 def _joined(windows: Sequence[Segment]) -> Segment:

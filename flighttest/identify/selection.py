@@ -10,7 +10,7 @@ import numpy as np
 from flighttest.errors import FitError
 from flighttest.estimation.level import refusal, taken_as_level
 from flighttest.estimation.problem import Problem
-from flighttest.estimation.responses import dead_channels, knows_attitude, never_changing
+from flighttest.estimation.responses import attitude_is_known, dead_channels, never_changing
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -81,7 +81,7 @@ def _change(segment: Segment, name: str) -> float:
 def _can_feed(segment: Segment, block: Block) -> bool:
     if block.name == "translation":
         return "throttle" in segment.u and (
-            segment.kind in LEVEL_STEPS or knows_attitude(segment) or taken_as_level(segment)
+            segment.kind in LEVEL_STEPS or attitude_is_known(segment) or taken_as_level(segment)
         )
     return all(n in segment.u for n in block.inputs) and moves(segment, block)
 

@@ -33,7 +33,7 @@ class WindVerdict(Enum):
 
     WIND = "wind"
     NONE_SEEN = "none seen"
-    STILL = "still"  # declared, and nothing speaks against it
+    STILL = "still"  # declared, and the data do not contradict it
 
 
 @dataclass(frozen=True)

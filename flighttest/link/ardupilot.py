@@ -96,7 +96,7 @@ class ArduPilot:
             if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
                 texts.append(message.text.strip())
 
-        ours = (0, self.session.port.system)  # whom an answer is for; 0: the vehicle does not say
+        ours = (0, self.session.port.system)  # addressee of an answer; 0: not given
         self.session.listen(note)
         try:
             for confirmation in range(tries):
@@ -134,7 +134,7 @@ class ArduPilot:
         return None
 
     def firmware(self) -> str:
-        """Version and commit; empty when the vehicle does not say."""
+        """Version and commit; empty when the vehicle does not report it."""
         version = self.request("AUTOPILOT_VERSION", book.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         return firmware_version(version) if version is not None else ""
 
@@ -207,7 +207,7 @@ class ArduPilot:
                 return
         raise LinkError(
             f"the vehicle did not enter {mode.name} (it is in {mode_name(self.mode)}; {why})",
-            "check FLTMODE_GCSBLOCK and what the vehicle's messages say",
+            "check FLTMODE_GCSBLOCK and the vehicle's messages",
         )
 
     def arm(self, timeout_s: float = 60.0, stopped: Callable[[], bool] = lambda: False) -> bool:

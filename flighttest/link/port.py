@@ -1,4 +1,4 @@
-"""MAVLink frames over a transport, every one of them shown to whoever records."""
+"""MAVLink frames over a transport, every one of them handed to the recorder."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class MavlinkPort:
         self._taps.append(tap)
 
     def keep_to(self, system: int, component: int) -> None:
-        """Hear and answer from now on only who first spoke as this one: over UDP anybody can say that he is the vehicle."""
+        """From now on receive from and send to the first sender of this system id only: over UDP anybody can use it."""
         peer = self._peers.get((system, component))
         if peer is not None and isinstance(self._transport, UdpTransport):
             self._transport.keep_to(peer)

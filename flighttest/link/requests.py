@@ -8,7 +8,7 @@ REORDER_S = 0.3  # a link does not reorder over longer, so what was sent before 
 class ModeRequests:
     """Modes asked for and neither carried out nor refused as far as is known.
 
-    MAVLink's acknowledgement of a mode change does not say which mode, and may be lost. A request is closed by a round trip: a TIMESYNC
+    MAVLink's acknowledgement of a mode change does not name the mode, and may be lost. A request is closed by a round trip: a TIMESYNC
     question sent `REORDER_S` after it was answered, so the request was handled or lost before, and a HEARTBEAT that came `REORDER_S`
     after that answer has shown which mode resulted.
     """

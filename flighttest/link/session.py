@@ -1,4 +1,4 @@
-"""One vehicle on one port: its latest messages, its time, and questions with answers. Does not interpret, does not swallow a timeout."""
+"""One vehicle on one port: its latest messages, its time, and questions with answers. Does not interpret, does not hide a timeout."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_ve
 
 CONNECT_S = 10.0  # host seconds
 HEARTBEAT_EVERY_S = 1.0
-TIMESYNC_EVERY_S = 0.25  # also how the uplink is seen to be alive; 120 bytes a second each way
+TIMESYNC_EVERY_S = 0.25  # its answers also show that the uplink works; 120 bytes a second each way
 LOST_S = 6.0  # without a message (HEARTBEATs come once a second at least): waiting for an answer ends with a LinkError
 UNANSWERED_S = 10.0
 QUIET_S = 1.5  # more than from one HEARTBEAT to the next: a vehicle that is not heard for longer cannot show whether it receives
 _DRAIN_MAX = 100  # receives in a row: seconds of a real link, and an end where a simulator sends faster than it is read
 _POLL_S = 0.02  # host seconds one receive may block
 _OVERTAKING_S = 0.2  # a link does not reorder over longer; sequence numbers begin anew after some 0.3 s
-_SILENCE_MAX_S = 10.0  # host seconds a simulator in lock-step may think about a grant
+_SILENCE_MAX_S = 10.0  # host seconds a simulator in lock-step may take for a grant
 
 
 class LinkSilent(LinkError):
@@ -328,7 +328,7 @@ class Session:
             ):  # nearer no simulator grants time: it has whole milliseconds
                 self.advance(min(self.now_s() + 0.02, deadline))
                 if not found:
-                    self.require_link()  # after what has waited was read: nobody may have looked for long
+                    self.require_link()  # after reading what has waited: the last call may be long ago
         finally:
             self.forget(look)
         return found[0] if found else None

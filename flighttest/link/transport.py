@@ -1,4 +1,4 @@
-"""Bytes to and from a vehicle: UDP, TCP and serial ports by URL. Knows nothing of MAVLink."""
+"""Bytes to and from a vehicle: UDP, TCP and serial ports by URL. Independent of MAVLink."""
 
 from __future__ import annotations
 
@@ -92,10 +92,10 @@ Peer = tuple[str, int]
 
 
 class UdpTransport:
-    """UDP. listen: bind and answer whoever sends (udpin); otherwise send to the address (udpout).
+    """UDP. listen: bind and answer every sender (udpin); otherwise send to the address (udpout).
 
-    Whoever was heard in the last seconds is answered, not the last one only: a ground station that sends to the same port must not turn
-    targets away from the vehicle. `keep_to` ends that: from then on nobody else is heard or answered. sender: who sent what `receive`
+    Every sender of the last seconds is answered, not the last one only: a ground station that sends to the same port must not turn
+    targets away from the vehicle. `keep_to` ends that: from then on no other sender is read or answered. sender: who sent what `receive`
     gave last; turned_away: datagrams of others since.
     """
 
@@ -118,12 +118,12 @@ class UdpTransport:
             raise
 
     def keep_to(self, peer: Peer) -> None:
-        """Hear and answer this peer alone. Another port of its host takes its place where it has fallen silent (a restarted router)."""
+        """Read and answer this peer alone. Another port of its host takes its place once it sends no more (a restarted router)."""
         self._only = peer
         self._peers = {peer: time.monotonic()}
 
     def send(self, data: bytes) -> None:
-        """Send one datagram; nobody heard yet, or a full buffer, loses it."""
+        """Send one datagram; it is lost where no sender is known yet, or a buffer is full."""
         for peer in tuple(self._peers):  # another thread may be receiving
             with contextlib.suppress(OSError):  # unreachable now may be reachable later; loss shows as missing answers
                 self._socket.sendto(data, peer)
@@ -138,7 +138,7 @@ class UdpTransport:
             if got is None:
                 try:
                     got = self._socket.recvfrom(_CHUNK)
-                except OSError:  # nothing more waits, nobody there, or the network is down: silence
+                except OSError:  # nothing more waits, no receiver, or the network is down
                     break
             data, peer = got
             if not self._welcome(peer):

@@ -146,7 +146,7 @@ def missing_messages(frames: Frames) -> list[str]:
         # Frames that overtook one another step back a little: that is no loss.
         steps = (np.diff(sequence) + 127) % 256 - 128
         missing = max(int(np.sum(steps)), 0) if sequence.size > 1 else 0
-        # A sender that restarts its count, or counts per link, looks like a loss of everything: say nothing then.
+        # A sender that restarts its count, or counts per link, looks like a loss of everything: nothing is reported then.
         if _SEQUENCE_LOSS * sequence.size < missing < sequence.size:
             share = 100.0 * missing / (missing + sequence.size)
             sentences.append(

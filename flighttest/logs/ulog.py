@@ -27,7 +27,7 @@ _TOPICS = [
     "vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "vehicle_acceleration", "vehicle_attitude_setpoint",
     "vehicle_rates_setpoint", "vehicle_local_position", "battery_status", "vehicle_thrust_setpoint", "vehicle_status", "distance_sensor",
 ]  # fmt: skip
-# What pyulog raises on bytes that are not what they say.
+# What pyulog raises on damaged bytes.
 _DAMAGED = (
     ULogException, ValueError, TypeError, KeyError, IndexError, AttributeError, struct.error, MemoryError, OverflowError,
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""MAVLink messages to channels and targets, and back: one place with degE7, centimetres and signs. Knows no maneuvers."""
+"""MAVLink messages to channels and targets, and back: one place with degE7, centimetres and signs. Independent of maneuvers."""
 
 from flighttest.mavlink.accepted import in_force
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock

@@ -13,7 +13,7 @@ from flighttest.recording import Series
 
 FloatArray = NDArray[np.float64]
 
-SELDOM = 0.01  # a few around every change of mode are nobody's loss
+SELDOM = 0.01  # a few around every change of mode are no loss
 _THRUST_IS_THROTTLE = 8  # of GUID_OPTIONS
 CLIMB_RATES = "the targets were climb rates (GUID_OPTIONS bit 3 not set), so the throttle is the altitude controller's"
 

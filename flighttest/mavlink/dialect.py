@@ -1,4 +1,4 @@
-"""The MAVLink book this package speaks: version 2, ArduPilot's dialect. The only module that imports pymavlink's messages."""
+"""The MAVLink dialect of this package: version 2, ArduPilot's. The only module that imports pymavlink's messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a message was made: what the vehicle's time stamps say, what rounding took from them, and what holds where there is none."""
+"""When a message was made: from the vehicle's time stamps, with what rounding took from them, and from the ground's where there is none."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def composed(
     progress: Progress = SILENT,
 ) -> Result:
     """The page of a diagnosed campaign, by its last run folder, and of a recorded flight that was not used. hidden: shown in its last
-    section, and read for nothing else."""
+    section, and used for nothing else."""
     base, improved = (model_file.read(folder / name, whole=True) for name in (FIT_NAME, MODEL_NAME))
     verified = twins.verify(folder / MODEL_NAME, [unused], out / "twin", progress=progress)
     segments = [s for s in cut_all(open_recordings([unused], progress=progress), progress) if s.usable]

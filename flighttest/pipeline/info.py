@@ -144,7 +144,7 @@ def _term_section(term: Term) -> Section:
             ("equation", term.equation),
             ("acts at", f"{term.port.name.lower().replace('_', ' ')} ({term.port.unit})"),
             ("hides in", ", ".join(term.hides_in) or "nothing"),
-            ("told apart by", term.told_apart_by),
+            ("distinguished by", term.told_apart_by),
             ("flown by", term.reveals),
             ("needs", ", ".join(term.needs)),
             ("source", term.source),

@@ -72,7 +72,7 @@ class _Filling:
         self.counter_s, self.vertical_s, self.throttle = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def rehearsal(self, dt_s: float) -> Rehearsal:
-        # Nobody who plans asks for the attitude.
+        # Planning does not use the attitude.
         motion = PredictedMotion(np.arange(self.steps + 1, dtype=float) * dt_s, self.p, self.v, np.zeros((0, 0, 3)))
         return Rehearsal(motion, self.low, self.high, self.counter_s, self.vertical_s, self.throttle)
 

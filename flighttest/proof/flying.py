@@ -61,7 +61,7 @@ class InProcessTransport:
         self.io.send(data)
 
     def receive(self, timeout_s: float) -> bytes:
-        """What the vehicle has sent; time stands still while nobody grants any."""
+        """What the vehicle has sent; time does not advance while the client grants none."""
         return self.io.receive()
 
     def close(self) -> None:

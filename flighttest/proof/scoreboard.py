@@ -151,7 +151,7 @@ def _magnitudes(groups: Groups) -> Magnitudes:
 
 
 def _calibration(groups: Groups) -> Calibration:
-    """Do intervals hold what they promise, and are names as often right as stated?"""
+    """Coverage of the intervals, and calibration of the probabilities beside names."""
     counted = (*groups.single, *groups.pairs)
     named = [(e, k, v) for o in counted for e, table in o.values.items() for k, v in table.items()]
     base = [(BASE, k, v) for o in groups.clean for k, v in o.values.get(BASE, {}).items()]

@@ -1,4 +1,4 @@
-"""`Script`: a maneuver script as frozen data. Knows nothing of time, vehicles or physics; SI and radians throughout."""
+"""`Script`: a maneuver script as frozen data. Independent of time, vehicles and physics; SI and radians throughout."""
 
 from __future__ import annotations
 

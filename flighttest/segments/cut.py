@@ -66,7 +66,7 @@ def _responses(references: References | None, exact: Tolerance = EXACT) -> list[
     by_hand = [
         (row, edges) for row, edges in by_hand if not any(row[e.before].values[ed.THROTTLE] <= _IDLE for e in edges)
     ]
-    # A target that holds still by the way makes no script: steps beside a throttle that drifts are found by hand's tolerance only.
+    # One constant target makes no script: steps beside a throttle that drifts are found with the tolerance for flights by hand only.
     return found if _MANY * _steps_of(found) > _steps_of(by_hand) else by_hand
 
 

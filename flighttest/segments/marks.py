@@ -48,7 +48,7 @@ class Marked:
 
 
 def marked(recording: Recording) -> list[Marked]:
-    """All marked stretches in order of time; empty for a recording nobody marked."""
+    """All marked stretches in order of time; empty for a recording without marks."""
     legs = _legs(recording)
     known = [leg for leg in legs if "kind" in leg.data]
     return known or legs or _texts(recording)

@@ -1,4 +1,4 @@
-"""Accept or reject a response on facts: gaps, unrest before the step, take-over, clipping. Says nothing about outliers or gusts."""
+"""Accept or reject a response on facts: gaps, unrest before the step, take-over, clipping. Does not judge outliers or gusts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ _ERROR_MAX_RAD = 0.12
 _CLIP_M_S2 = 15.95 * 9.80665  # the usual accelerometers end at 16 g
 _GUIDED_NOGPS = 20
 _SILENCE_S = 0.25
-_LATE_S = 0.1  # half of the GUID_TIMEOUT that a flight asks for: later, and the vehicle may have let go of the step
+_LATE_S = (
+    0.1  # half of the GUID_TIMEOUT that a flight asks for: later, and the vehicle may have ended the step by itself
+)
 _GAP_S = 0.1
 _PRIMARY = {
     "roll_step": ("roll_rad",), "pitch_step": ("pitch_rad",), "yaw_rate_step": ("r_rad_s",),

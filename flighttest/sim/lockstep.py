@@ -7,7 +7,7 @@ equal bytes give equal flights. The protocol:
    runs on its own clock. From the moment the vehicle handles it, its time stands still.
    (`SimOptions.lockstep` starts it so, at t = 0; a HEARTBEAT is sent once to each new connection all the same, so that there is
    something to connect to.)
-2. The client sends SYSTEM_TIME with time_unix_usec = 0 and time_boot_ms = X: a grant. It says: I have read what I wanted to read,
+2. The client sends SYSTEM_TIME with time_unix_usec = 0 and time_boot_ms = X: a grant. It means: I have read what I wanted to read,
    and sent all that is to arrive before vehicle time X; run on to X (whole ms).
 3. The vehicle handles the bytes of the client strictly in order: what stands between two grants arrives at the vehicle time at which
    the first of them ended. Having reached X it sends the telemetry of the interval and, last, SYSTEM_TIME with time_unix_usec = 0 and

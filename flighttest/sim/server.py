@@ -32,7 +32,7 @@ class _Client:
 class Server:
     """One vehicle, its sockets and its clock.
 
-    tcp: a listening socket, clients connect to it. udp: a bound socket, whoever sends to it is answered; udp_peer: an address
+    tcp: a listening socket, clients connect to it. udp: a bound socket, every sender is answered; udp_peer: an address
     that is sent to from the start. Vehicle time starts with the first client, as ArduPilot SITL's does, unless `udp_peer` is given.
     """
 
@@ -67,7 +67,7 @@ class Server:
         self._stop = True
 
     def watch(self, fileobj: int) -> None:
-        """Stop when this file descriptor reports its end: the other end belongs to whoever started us."""
+        """Stop when this file descriptor reports its end: the other end belongs to the process that started this one."""
         self._selector.register(fileobj, selectors.EVENT_READ, "parent")
 
     def run(self) -> None:
@@ -222,7 +222,7 @@ class Server:
                 if end + size - start > _DATAGRAM_MAX_BYTES and end > start:
                     break
                 end += size
-            with suppress(OSError):  # nobody there, or the buffer is full: a datagram is lost, as datagrams are
+            with suppress(OSError):  # no receiver, or the buffer is full: a datagram is lost, as datagrams are
                 self._udp.sendto(data[start:end], client.address)
             start = end
 

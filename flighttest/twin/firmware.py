@@ -38,7 +38,7 @@ STEPS = {
     "yaw": (1.0,),
 }  # rad, rad/s: of the paper's maneuvers, where none were kept
 SECONDS = 1.2
-NEAR = 0.05  # RMS error of a step, as a share of it, up to which the recorded gains are believed to be those that flew
+NEAR = 0.05  # RMS error of a step, as a share of it, up to which the recorded gains are taken for those that flew
 GAIN_RAD_S2 = 400.0  # of a frame whose gains are chosen: ArduCopter's stock simulated quadrotor makes 404
 STARTS_RAD_S2 = (30.0, 100.0, 300.0, 1000.0)
 LAG_S = (0.002, 0.2)

@@ -4,7 +4,7 @@ With x_i the recorded responses of one step, m in number, and y the mean of the 
 recording by themselves would give, s sqrt(1 + 1/n) with s^2 the variance between the repeats. Each response counts from its own state
 before the step, and moved in time to where it fits y best: a link delivers one command earlier than another by milliseconds, which on the
 slope of a step is more than all else that repeats differ by. The mean of these moves is given apart, as a delay. Compared is what was
-commanded alike: the stop after a step is planned with what is known of the vehicle by then, and the twin's plan knows more.
+commanded alike: the stop after a step is planned with the model of that time, and the twin's plan has a better one.
 """
 
 from __future__ import annotations

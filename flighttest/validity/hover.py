@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.estimation.level import taken_as_level
-from flighttest.estimation.responses import knows_attitude, zero_order_hold
+from flighttest.estimation.responses import attitude_is_known, zero_order_hold
 from flighttest.estimation.uncertainty.distributions import beyond, quantile
 from flighttest.frames import G_M_S2
 from flighttest.segments import Segment
@@ -52,7 +52,7 @@ def hover(segments: Sequence[Segment], nominal_voltage_v: float) -> Hover | None
 def _window(s: Segment) -> tuple[float, float] | None:
     """Throttle that would hold height, and voltage, of one window: its mean, for its mean tilt and climb."""
     climb = s.y.get("v_z_m_s")
-    if "throttle" not in s.u or climb is None or not (knows_attitude(s) or taken_as_level(s)):
+    if "throttle" not in s.u or climb is None or not (attitude_is_known(s) or taken_as_level(s)):
         return None
     level = np.zeros(s.t_s.size)
     roll, pitch = s.y.get("roll_rad", level), s.y.get("pitch_rad", level)

@@ -1,4 +1,4 @@
-"""What a change means for whoever plans with the model, in numbers a pilot can picture."""
+"""What a change of parameters means for a plan made with the model, in everyday quantities."""
 
 from __future__ import annotations
 

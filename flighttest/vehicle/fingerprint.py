@@ -49,7 +49,7 @@ PX4_PATTERNS: tuple[str, ...] = (
     "PWM_*_MIN*",
     "PWM_*_MAX*",
 )
-# These match a pattern above and yet do not touch the response: the autopilot learns the hover throttle in every flight and
+# These match a pattern above and yet do not touch the response: the autopilot adapts the hover throttle in every flight and
 # uses it in modes that hold height only; the others steer what happens before take-off, or a tuning aid.
 HARMLESS: frozenset[str] = frozenset(
     {"MOT_THST_HOVER", "MOT_HOVER_LEARN", "MOT_SAFE_DISARM", "MOT_SAFE_TIME", "MC_AT_EN", "MC_AT_APPLY", "MC_AT_START"}

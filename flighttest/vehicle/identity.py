@@ -29,7 +29,7 @@ class IdentityData(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Identity:
-    """name: as declared in vehicle.yaml, '' where nobody did; autopilot: the board's own number, '' where it is not known; sysid: MAVLink
+    """name: as declared in vehicle.yaml, '' where it was not; autopilot: the board's own number, '' where it is not known; sysid: MAVLink
     system id, None where it is not known; calibration: of the accelerometers, by parameter."""
 
     name: str = ""

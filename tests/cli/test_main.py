@@ -132,7 +132,7 @@ def test_doctor_says_what_is_here(capsys):
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), OSError(5, "Input/output error"), SystemExit(1)])
-def test_a_flight_goes_on_where_nobody_reads_its_progress(error):
+def test_a_flight_goes_on_where_its_progress_is_not_read(error):
     """`flighttest run | tee log`: Ctrl-C ends tee as well, and the vehicle must still be landed."""
 
     class Gone:
@@ -147,7 +147,7 @@ def test_a_flight_goes_on_where_nobody_reads_its_progress(error):
         progress.flight(FlightProgress(1, 2, "landing", "", "", 1.0, 1.0))
 
 
-def test_a_closed_terminal_lands_and_ctrl_c_twice_lets_go():
+def test_a_closed_terminal_lands_and_ctrl_c_twice_stops_sending():
     with counted_interrupts() as presses:
         os.kill(os.getpid(), signal.SIGHUP)
         os.kill(os.getpid(), signal.SIGHUP)

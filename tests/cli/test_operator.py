@@ -1,4 +1,4 @@
-"""What an operator hears and sees at the terminal: the bell, the answer to Ctrl-C, short names of links."""
+"""Sounds and texts for the operator at the terminal: the bell, the answer to Ctrl-C, short names of links."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_ctrl_c_while_a_live_line_begins_is_no_traceback(monkeypatch: pytest.Mon
 
 def test_ctrl_c_is_answered_before_anything_looks_at_it(capfd: pytest.CaptureFixture[str]) -> None:
     with counted_interrupts() as presses:
-        for words in ("stopping", "letting go"):
+        for words in ("stopping", "nothing is sent any more"):
             began = time.monotonic()
             os.kill(os.getpid(), signal.SIGINT)
             while words not in (said := capfd.readouterr().err) and time.monotonic() < began + 0.5:

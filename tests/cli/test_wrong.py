@@ -1,4 +1,4 @@
-"""Every wrong invocation gives exit code 2 and says what is wrong; none gives a traceback, or writes anything."""
+"""Every wrong invocation gives exit code 2 and a message about what is wrong; none gives a traceback, or writes anything."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_wrong_invocation_is_reported_and_nothing_else_happens(
         if code != (0 if sound(wrong) else 2):
             found.append(f"{code}: {wrong}")
         elif not (out + err).strip() or "Traceback" in out + err or len(err) > 3000:
-            found.append(f"says nothing of use: {wrong}: {err[:200]}")
+            found.append(f"no message of use: {wrong}: {err[:200]}")
         elif time.monotonic() - began > MOST_S:
             found.append(f"takes {time.monotonic() - began:.1f} s: {wrong}")
     assert not found, "\n".join(found)

@@ -31,7 +31,7 @@ def term_figures(repository):
 
 
 def numbers_of(caption):
-    """Residual without the term, with it, and noise floor, as a figure's caption says."""
+    """Residual without the term, with it, and noise floor, as a figure's caption has them."""
     found = re.search(r"residual ([\d.]+) .* without the term, ([\d.]+) with it, noise floor ([\d.]*\d)", caption)
     return [float(number) for number in found.groups()]
 
@@ -110,7 +110,7 @@ def test_every_page_is_in_the_site_and_says_the_version_that_is(repository):
     assert yaml.safe_load((repository / "CITATION.cff").read_text())["version"] == project["version"]
     install = (repository / "docs" / "install.md").read_text()
     for dependency in project["dependencies"]:
-        assert re.split(r"[<>=]", dependency)[0] in install, "docs/install.md says what each dependency is for"
+        assert re.split(r"[<>=]", dependency)[0] in install, "docs/install.md explains what each dependency is for"
 
 
 def test_modules_that_the_docs_name_exist(repository):

@@ -82,7 +82,8 @@ def test_the_search_for_types_sees_classes_and_aliases():
 
 
 def exported(source: str) -> tuple[set[str], list[str] | None]:
-    """What a module defines or, where it is a package, takes from its own modules, for others; and what it says it offers, if it does."""
+    """What a module defines or, where it is a package, takes from its own modules, for others; and what its `__all__` lists, if it has
+    one."""
     offered, said = set(), None
     for node in parsed(source).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):

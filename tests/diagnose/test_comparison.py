@@ -1,4 +1,4 @@
-"""The evidence for a term, and what an estimate must be like to be what its name says."""
+"""The evidence for a term, and what an estimate must be like to be what its name means."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -98,7 +98,7 @@ RECORDED = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2", "v_x_m_s", "v_y_m_s", "v_z_m_s",
     ("term", "missing", "aside"),
     [
         ("slung_payload", (), {"v_x_m_s", "v_y_m_s", "v_z_m_s"}),
-        ("slung_payload", ("f_x_m_s2",), {"v_z_m_s"}),  # body axes turn: one axis says nothing of a side
+        ("slung_payload", ("f_x_m_s2",), {"v_z_m_s"}),  # body axes turn: one axis does not show a side
         ("slung_payload", ("f_z_m_s2",), {"v_x_m_s", "v_y_m_s"}),
         ("slung_payload", ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), set()),
         ("velocity_latency", (), set()),
@@ -387,7 +387,7 @@ def test_an_effect_between_two_optima_is_compared_with_what_the_equations_may_er
         ("thrust_fade", 4.0, False, True),
         ("axial_inflow", 4.0, True, True),  # linear: the scatter between cells is asked of
         ("motor_saturation", 4.0, False, False),
-        ("motor_saturation", 0.5, False, True),  # no coefficient says whether it is there
+        ("motor_saturation", 0.5, False, True),  # no coefficient shows whether it is there
     ],
 )
 def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term, effect, repeated, said):

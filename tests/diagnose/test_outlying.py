@@ -83,7 +83,7 @@ def test_free_flight_has_no_repeats_and_what_was_not_measured_no_push():
 
 
 @pytest.mark.parametrize("count", [LEAST - 1, LEAST])
-def test_of_few_responses_nobody_knows_what_is_usual(count):
+def test_few_responses_do_not_determine_what_is_usual(count):
     steps = [replace(step, repeat=k % 2) for step in campaign(1, throttles=False, yaws=False) for k in (0, 1)]
     segments = tuple(fly(steps[:count], gust=((3,), -2.0)))
     kept, aside = set_aside(Estimator(segments, "translation", able), default_model(segments), {})

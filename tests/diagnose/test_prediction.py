@@ -28,7 +28,7 @@ def test_what_a_model_that_lacks_something_leaves_is_no_noise(verdict):
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))
-def test_repeats_are_believed_whatever_the_fit_leaves(verdict):
+def test_repeats_are_taken_whatever_the_fit_leaves(verdict):
     assert floors_of(FIT, diagnosed(verdict, value=0.08, **{"from": FROM_REPEATS})) == {CHANNEL: 0.08}
 
 

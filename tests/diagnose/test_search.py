@@ -391,7 +391,7 @@ def test_a_gain_or_lag_is_astray_beyond_a_factor_of_three_and_a_delay_never(name
 
 
 class Likelihoods:
-    """An estimator whose every fit of a model gains what `gains` says of its terms; compared: what each was compared with."""
+    """An estimator whose every fit of a model gains what `gains` states for its terms; compared: what each was compared with."""
 
     def __init__(self):
         self.compared = []

@@ -36,7 +36,7 @@ def test_what_is_written_is_read_back(data):
     assert document.root.plain() == data
 
 
-def test_every_value_knows_its_line():
+def test_every_value_has_its_line():
     root = YamlDocument("f", "a: 1\nb:\n  - 2\n  - {c: 3}\n").root
     assert root.value["a"].line == 1
     item = root.value["b"].value[1]

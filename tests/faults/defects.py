@@ -65,7 +65,7 @@ DEFECTS: tuple[Defect, ...] = (
         "D4", "a planted manifest writes any parameter",
         "flight/preparation/changes.py", "if name not in SETS or not math.isfinite(entry.value):",
         "if not math.isfinite(entry.value):",
-        "tests/flight/test_changes.py::test_a_record_is_believed_for_what_a_flight_sets_on_the_autopilot_it_was_set_on",
+        "tests/flight/test_changes.py::test_a_record_is_taken_for_what_a_flight_sets_on_the_autopilot_it_was_set_on",
         "tests/flight/test_changes.py::test_a_planted_manifest_changes_nothing_on_the_vehicle",
     ),
     _one(

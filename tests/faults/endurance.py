@@ -32,7 +32,7 @@ _LIVE_BAUD = 921600  # a flight controller's USB or fast UART: it carries all ra
 
 
 def resident_mb() -> float:
-    """Memory of this process that is in use, MB. What was freed is given back first: its pages are nobody's growth."""
+    """Memory of this process that is in use, MB. What was freed is given back first: its pages are no growth."""
     ctypes.CDLL(None).malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize() / 1e6

@@ -90,7 +90,7 @@ class Line:
         now_s = time.monotonic()
         for message in (self._codecs[up].parse_buffer(data) or []) if data else []:
             if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET") and message.param_id == "SIM_LOCKSTEP":
-                continue  # a real line's vehicle grants nobody its time
+                continue  # the vehicle of a real line takes no grants of time
             frame = bytes(message.get_msgbuf()) if up else renamed(message)
             free_s = max(self._free_s[up], now_s)
             if free_s - now_s > _BUFFER_S:

@@ -47,7 +47,7 @@ DANGEROUS: tuple[tuple[str, When], ...] = (
     ("pilot while down 3.2 s", When.FLYING),
     ("pilot while up 15 s", When.FLYING),
 )
-"""What left a vehicle armed in the air, or was called a landing that nobody saw, and what a pilot does meanwhile."""
+"""What left a vehicle armed in the air, or was called an unseen landing, and what a pilot does meanwhile."""
 
 _DOWN_S = 90.0
 _PACK, _OTHER_V = "SIM_BATT_VOLTAGE", 0.01  # SITL's pack is full again where this changes
@@ -89,7 +89,7 @@ class LiveProxy(Proxy):
             said = self.inner.receive(min(0.002, max(end_s - self.now_s, 0.0) / self.speed))
             for message in (self._theirs.parse_buffer(said) or []) if said else []:
                 self._queue(self._down, self._altered(message), lost=self.fault.down)
-            self._speak_as_twin()
+            self._send_as_twin()
             self.witness.session.advance(self.witness.session.now_s())
             self._now()
             if self.now_s >= end_s or self._down:

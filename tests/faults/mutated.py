@@ -90,7 +90,7 @@ class Mutations:
         self.given, self.now_s = 0, 1000.0
 
     def send(self, data: bytes) -> None:
-        """Nobody hears it."""
+        """Not sounded."""
 
     def receive(self, timeout_s: float) -> bytes:
         """A handful of frames, once for each wait."""

@@ -243,7 +243,7 @@ class Proxy:
         for message in self._ours.parse_buffer(data) or []:
             self._look(message)
             if message.get_type() in ("PARAM_REQUEST_READ", "PARAM_SET") and message.param_id == "SIM_LOCKSTEP":
-                continue  # time is nobody's to grant here
+                continue  # time is not granted here
             if self.switched_s is not None:
                 self.sent_after_switch.append((self.now_s, message.get_type()))
             self._queue(self._up, bytes(message.get_msgbuf()), lost=self.fault.up)
@@ -282,7 +282,7 @@ class Proxy:
             said = self.sim.receive()
             for message in (self._theirs.parse_buffer(said) or []) if said else []:
                 self._queue(self._down, self._altered(message), lost=self.fault.down)
-            self._speak_as_twin()
+            self._send_as_twin()
 
     def _altered(self, message: object) -> bytes:
         kind, fault = message.get_type(), self.fault  # type: ignore[attr-defined]
@@ -312,7 +312,7 @@ class Proxy:
             message.tc1 += int(LEAP_S * 1e9)  # type: ignore[attr-defined]
         return bytes(message.pack(again))  # type: ignore[attr-defined]
 
-    def _speak_as_twin(self) -> None:
+    def _send_as_twin(self) -> None:
         if not (self.fault.twin and self.active) or self.now_s < self._twin_next_s:
             return
         self._twin_next_s = self.now_s + 0.25

@@ -45,7 +45,7 @@ class FaultyLink:
     """The built-in vehicle behind a link. down: frames of neither direction pass, except the clock's (lock-step needs them).
 
     sent: message names in order, with the vehicle's time; hook: called with each message before it is handed over. deaf: the
-    vehicle hears nothing, but is heard; mute: the other way round; silenced: messages of the vehicle that do not arrive.
+    vehicle receives nothing, but its messages arrive; mute: the other way round; silenced: messages of the vehicle that do not arrive.
     """
 
     options: SimOptions

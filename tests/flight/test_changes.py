@@ -54,7 +54,7 @@ def test_another_parameter_is_reported_and_the_flight_goes_on(run_dir: Path) -> 
     assert result.outcome is FlightOutcome.COMPLETED
     assert sum("ATC_ANG_RLL_P was changed from" in note for note in result.notes) == 1
     assert sum("was changed" in note for note in result.notes) == 1, (
-        "what the flight itself sets and restores is nobody else's"
+        "what the flight itself sets and restores is no external change"
     )
 
 
@@ -89,7 +89,7 @@ def test_what_a_killed_program_left_is_restored_by_the_next_flight(tmp_path: Pat
     assert left_behind(tmp_path, "paper") == {}
 
 
-def test_what_was_left_is_only_reported_where_nobody_allowed_to_set_it(
+def test_what_was_left_is_only_reported_where_setting_was_not_allowed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("flighttest.flight.preparation.preflight.is_simulator", lambda _parameters: False)
@@ -156,7 +156,7 @@ def test_a_planted_manifest_changes_nothing_on_the_vehicle(tmp_path: Path, block
     assert {name: store[name] for name in WANTED if name in store} == {n: before[n] for n in WANTED if n in before}
 
 
-def test_a_record_is_believed_for_what_a_flight_sets_on_the_autopilot_it_was_set_on() -> None:
+def test_a_record_is_taken_for_what_a_flight_sets_on_the_autopilot_it_was_set_on() -> None:
     known = {"GUID_OPTIONS": 8.0, "ARMING_CHECK": 1.0, "FENCE_RADIUS": 30.0, "FS_OPTIONS": 0.0}
     behind = {
         "GUID_OPTIONS": LeftParameter(0.0, 8.0, "a1"),

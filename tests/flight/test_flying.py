@@ -135,7 +135,7 @@ def test_a_refused_target_is_dropped_and_level_targets_follow_in_the_same_cycle(
 
 
 def test_a_pilot_who_lands_during_an_abort_has_taken_over(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """LAND is the last of the abort's modes, but nobody asked for it yet; the asking for BRAKE is lost on the way."""
+    """LAND is the last of the abort's modes, but it was not requested yet; the request for BRAKE is lost on the way."""
     link = FaultyLink(options())
     asked: list[float] = []
 
@@ -352,7 +352,7 @@ def test_preflight_says_everything_at_once(run_dir: Path) -> None:
     )
 
 
-def test_nobody_there(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_vehicle_there(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Silence:
         def send(self, data: bytes) -> None: ...
         def receive(self, timeout_s: float) -> bytes:

@@ -1,4 +1,4 @@
-"""The gate at and around every boundary, and the two laws: letting go always passes; nothing else passes an unfit vehicle."""
+"""The gate at and around every boundary, and the two laws: a release target always passes; nothing else passes an unfit vehicle."""
 
 import math
 from dataclasses import replace
@@ -181,7 +181,7 @@ angles = st.floats(-1.0, 1.0)
     height=st.floats(-10.0, 100.0),
     tilt=angles,
 )
-def test_letting_go_passes_whatever_the_vehicle_does(
+def test_a_release_target_passes_whatever_the_vehicle_does(
     throttle: float, mode: int, silence: float, height: float, tilt: float
 ) -> None:
     low, high = GATE.stop_throttle
@@ -210,7 +210,7 @@ def test_letting_go_passes_whatever_the_vehicle_does(
         ({"pitch_rad": -JUST}, False),
     ],
 )
-def test_letting_go_is_level_without_a_yaw_rate_between_the_stopping_throttles(
+def test_a_release_target_is_level_without_a_yaw_rate_between_the_stopping_throttles(
     change: dict[str, float], passes: bool
 ) -> None:
     target = AttitudeTarget(
@@ -226,7 +226,7 @@ def test_the_zones_floor_and_ceiling_count_where_they_are_narrower(height_m: flo
 
 
 @given(roll=angles, pitch=angles, rate=st.floats(-5.0, 5.0), throttle=st.floats(-0.2, 1.2))
-def test_only_what_lets_go_passes_an_unfit_vehicle(roll: float, pitch: float, rate: float, throttle: float) -> None:
+def test_only_a_release_target_passes_an_unfit_vehicle(roll: float, pitch: float, rate: float, throttle: float) -> None:
     target = AttitudeTarget(0.0, roll, pitch, rate, throttle)
     unfit = replace(GOOD, mode=0, silence_s=10.0)
     assert (refusals(target, unfit, GATE) == ()) == releases(target, GATE)
@@ -243,7 +243,7 @@ def test_what_passes_a_resting_vehicle_is_inside_the_limits(
         assert abs(rate) <= 3.5 + 1e-5
 
 
-def test_a_step_that_looks_like_letting_go_is_judged_in_full() -> None:
+def test_a_step_that_looks_like_a_release_target_is_judged_in_full() -> None:
     level = AttitudeTarget(0.0, 0.0, 0.0, 0.0, 0.3)
     assert releases(level, GATE)
     assert refusals(level, GOOD, GATE, step=True) == ()
@@ -304,6 +304,6 @@ def test_stop_throttles_stay_inside_the_script_and_leave_attitude_authority() ->
     assert stop_throttles(LIMITS, 0.18) == pytest.approx((0.054, 0.324))
     narrow = replace(LIMITS, throttle=(0.15, 0.2))
     assert stop_throttles(narrow, 0.18) == pytest.approx((0.15, 0.2))
-    # A vehicle that hovers outside the script's range must still be able to hover when it lets go.
+    # A vehicle that hovers outside the script's range must still be able to hover when it is released.
     low, high = stop_throttles(replace(LIMITS, throttle=(0.0, 0.1)), 0.18)
     assert low <= 0.18 <= high

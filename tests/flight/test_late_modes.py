@@ -40,7 +40,7 @@ def first_request(link: FaultyLink, mode: CopterMode, count: int = 1) -> list[fl
 def test_a_mode_of_ours_that_is_seen_late_is_not_taken_for_a_pilots(
     mode: CopterMode, count: int, lost_s: float, run_dir: Path
 ) -> None:
-    """The vehicle hears us, and we do not hear it, from the request until after it was given up."""
+    """The uplink works and the downlink does not, from the request until after it was given up."""
     link = FaultyLink(options())
     asked = first_request(link, mode, count)
     link.mute = lambda t: bool(asked) and asked[0] <= t < asked[0] + lost_s
@@ -80,7 +80,7 @@ def test_a_request_stays_open_until_a_round_trip_closes_it() -> None:
     assert requests.shows(NOGPS, 11.2) is True, "as soon as it is seen"
     assert requests.open == {NOGPS, GUIDED}
     requests.shows(NOGPS, 11.5)
-    assert requests.open == {GUIDED}, "that a later question was answered says nothing of a later request"
+    assert requests.open == {GUIDED}, "the answer to a later question is no answer to a later request"
     requests.answered(11.5, 11.6)
     assert requests.shows(GUIDED, 12.0) is True
     assert requests.open == set()

@@ -174,8 +174,8 @@ def test_a_landing_is_only_claimed_where_land_and_then_disarmed_were_seen() -> N
 
 def test_the_pilot_wins_in_every_state_that_is_ours() -> None:
     for state in OURS - {FlightState.OFFERED}:
-        nobodys = state is FlightState.ARMING  # as long as it is not armed
-        assert TABLE[state, Event.FOREIGN_MODE].state is (FlightState.NOT_ARMED if nobodys else FlightState.WITH_PILOT)
+        unflown = state is FlightState.ARMING  # as long as it is not armed
+        assert TABLE[state, Event.FOREIGN_MODE].state is (FlightState.NOT_ARMED if unflown else FlightState.WITH_PILOT)
         assert TABLE[state, Event.FOREIGN_MODE].outcome is not None
     assert TABLE[FlightState.OFFERED, Event.FOREIGN_MODE].state is FlightState.HANDED, "as was asked of the pilot"
 

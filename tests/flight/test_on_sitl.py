@@ -186,7 +186,7 @@ def killed(sitl, run_dir: Path, profile: str):
     watcher.session.port.close()
 
 
-def test_hard_climbs_are_flown_once_the_plan_knows_the_vehicle(sitl, tmp_path):
+def test_hard_climbs_are_flown_once_the_plan_has_the_vehicles_model(sitl, tmp_path):
     """This vehicle's thrust follows in 10 ms, not in the paper's 150: what the prior leads to, the gate refuses."""
     vehicle = load_vehicle(sitl_dir() / "paper.yaml")
     prior = predictor_for(None, vehicle)

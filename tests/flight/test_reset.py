@@ -21,7 +21,7 @@ STILL = VehicleState(
         ({}, True),
         ({"attitude_rad": (0.17, 0.1, 0.0)}, True),  # leans into 5 m/s of wind and does not move
         ({"attitude_rad": (0.4, 0.0, 0.0)}, False),
-        ({"attitude_rad": (0.17, 0.1, 0.0), "position_ok": False}, False),  # who knows where that leads
+        ({"attitude_rad": (0.17, 0.1, 0.0), "position_ok": False}, False),  # the tilt may be an error of the filter
         ({"attitude_rad": (0.1, 0.0, 0.0), "position_ok": False}, True),
         ({"velocity_m_s": (0.5, 0.0, 0.0)}, False),
         ({"position_m": (1.0, 0.0, 5.0)}, False),

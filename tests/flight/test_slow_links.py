@@ -77,7 +77,7 @@ def test_a_slow_link_flies_with_fewer_messages(run_dir: Path, url: str, bytes_pe
     rates = read_manifest(run_dir)["rates_hz"]
     assert rates["ATTITUDE"] >= 40.0
     assert rates["BATTERY_STATUS"] >= 1.5
-    assert link.sim.time_s < 120.0, "nobody waits for what a full link drops"
+    assert link.sim.time_s < 120.0, "no wait for what a full link drops"
     t_s = open_run(run_dir).series["attitude"].t_s
     assert len(t_s) > 0.75 * 40.0 * (t_s[-1] - t_s[0])
 

@@ -42,4 +42,4 @@ def test_voltage_is_a_mean_of_two_seconds_and_is_not_known_for_ever():
     session.t_s = 12.0
     assert reader.read().voltage_v == pytest.approx(23.0)
     session.t_s = 13.0
-    assert reader.read().voltage_v is None, "a battery nobody has heard of for ten seconds may be empty"
+    assert reader.read().voltage_v is None, "a battery without a message for ten seconds may be empty"

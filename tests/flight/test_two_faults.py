@@ -50,7 +50,7 @@ def on_arming(link: FaultyLink, then: Callable[[list[float]], None] = lambda _ti
 
 
 def test_what_else_is_aboard_is_not_the_autopilot(run_dir: Path) -> None:
-    """A gimbal's heartbeat says mode 0 and disarmed, its clock another time, its answers concern others."""
+    """A gimbal's heartbeat has mode 0 and disarmed, its clock another time, its answers concern others."""
     link = FaultyLink(options())
 
     def aboard(message: object, t_s: float) -> None:
@@ -67,7 +67,7 @@ def test_what_else_is_aboard_is_not_the_autopilot(run_dir: Path) -> None:
     assert result.outcome is FlightOutcome.COMPLETED
 
 
-def test_a_pilot_who_takes_what_was_let_go_at_once_ends_the_restoring(run_dir: Path) -> None:
+def test_a_pilot_who_takes_a_vehicle_released_at_once_ends_the_restoring(run_dir: Path) -> None:
     link = FaultyLink(options())
     began: list[float] = []
     switched: list[float] = []
@@ -115,7 +115,7 @@ def test_ctrl_c_while_it_will_not_arm_arms_nothing(run_dir: Path) -> None:
 
 
 def test_a_climb_by_throttle_ends_where_the_vehicle_is_not_heard(run_dir: Path) -> None:
-    """The vehicle hears us, we do not hear it: the climb's throttle must not go on."""
+    """The uplink works, the downlink does not: the climb's throttle must not go on."""
     link = FaultyLink(options(parameters={"SIM_GPS1_ENABLE": 0.0}))
     off: list[float] = []
     heights: list[float] = []
@@ -168,7 +168,7 @@ def test_a_pilot_who_takes_over_the_landing_is_left_alone(run_dir: Path) -> None
 
 
 def test_a_level_step_is_judged_like_any_other(run_dir: Path) -> None:
-    """Between the stopping throttles a step looks like letting go, but holds for seconds, here on the way through the ceiling."""
+    """Between the stopping throttles a step looks like a release target, but holds for seconds, here on the way through the ceiling."""
 
     def climb(t_s: float) -> AttitudeTarget:
         return AttitudeTarget(t_s, 0.0, 0.0, 0.0, 0.18 if t_s < 0.3 else 0.25)
@@ -270,7 +270,7 @@ def test_heights_are_above_the_place_where_it_armed(run_dir: Path, monkeypatch: 
 
 
 def test_a_host_that_was_held_up_in_a_step_flies_it_again(run_dir: Path) -> None:
-    """A suspended laptop: the vehicle has long let go of the step by itself, and must not be put into the middle of it."""
+    """A suspended laptop: the vehicle has long ended the step by itself, and must not be put into the middle of it."""
     held: list[float] = []
     link = FaultyLink(options())
 

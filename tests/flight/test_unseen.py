@@ -86,7 +86,7 @@ def test_a_lost_downlink_between_two_steps_ends_the_flight(run_dir: Path) -> Non
     result = fly(make_plan(make_leg("a"), away), "sim", run_dir, transport=link)
     assert result.outcome is FlightOutcome.LINK_LOST
     last = max(t for t, kind in link.sent if kind.startswith("SET_"))
-    assert last < ended[0] + 1.5 + 1.6, "nobody would see a pilot who takes over now"
+    assert last < ended[0] + 1.5 + 1.6, "a pilot's take-over would not be seen now"
 
 
 def test_a_vehicle_that_refuses_guided_is_held_level_and_landed(run_dir: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_vehicle_that_is_left_in_the_air_keeps_its_fence(run_dir: Path) -> Non
     assert any("not restored, set by hand" in note for note in result.notes)
 
 
-def test_an_estimator_that_fell_silent_vouches_for_nothing(run_dir: Path) -> None:
+def test_an_estimator_that_reports_no_more_is_not_used(run_dir: Path) -> None:
     link = FaultyLink(options())
     began = marked(link, " step")
     link.silenced = lambda kind, t_s: kind == "EKF_STATUS_REPORT" and bool(began) and t_s > began[0]

@@ -39,5 +39,5 @@ def test_the_last_point_is_the_fits_own(found):
         e = found.estimates[a.name]
         assert a.value[-1] == pytest.approx(e.value)
         assert 2.0 * a.half_width[-1] == pytest.approx(e.interval_95[1] - e.interval_95[0])
-        assert np.all(np.diff(a.half_width) < 1e-9 * a.half_width[0]), "more responses never tell less"
+        assert np.all(np.diff(a.half_width) < 1e-9 * a.half_width[0]), "more responses never hold less information"
         assert np.all(np.diff(a.count) > 0)

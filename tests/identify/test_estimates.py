@@ -1,4 +1,4 @@
-"""The fit finds what made the data, says how well, and says what it cannot know."""
+"""The fit finds the parameters that made the data, with their errors, and lists those that the data do not determine."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The documented planner runs on an export and keeps what it promises."""
+"""The documented planner runs on an export and keeps its limits."""
 
 import importlib.util
 import subprocess

@@ -1,4 +1,4 @@
-"""A model that a short flight was held against keeps what the flight could not tell."""
+"""A model that a short flight was held against keeps what the flight could not determine."""
 
 import numpy as np
 import pytest

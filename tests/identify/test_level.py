@@ -1,4 +1,4 @@
-"""Recordings without measured roll and pitch: level flight is assumed where nothing recorded speaks against it, and that is said."""
+"""Recordings without measured roll and pitch: level flight is assumed where nothing recorded contradicts it, and the fit notes it."""
 
 from dataclasses import replace
 

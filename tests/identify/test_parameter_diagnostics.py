@@ -34,8 +34,8 @@ def ramped(segment, rng, accel_rad_s2=4.7):
 
 def test_a_ramped_yaw_rate_has_no_one_decay_constant(yaws):
     rng = np.random.default_rng(1)
-    honest = fit(yaws).estimates["sigma_r"]
-    assert honest.identifiable, honest.why
+    usual = fit(yaws).estimates["sigma_r"]
+    assert usual.identifiable, usual.why
     shaped = fit([ramped(s, rng) for s in yaws])
     for name in ("sigma_r", "T_d_yaw_rate"):
         assert not shaped.estimates[name].identifiable

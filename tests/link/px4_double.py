@@ -1,4 +1,4 @@
-"""A vehicle that speaks MAVLink as PX4 does, on a UDP port of this machine: its modes, refusals and failsafe, no aerodynamics.
+"""A vehicle that sends and answers MAVLink as PX4 does, on a UDP port of this machine: its modes, refusals and failsafe, no aerodynamics.
 
 After PX4 1.15 (commander's mode and failsafe checks, mavlink_receiver): custom_mode is main << 16 | sub << 24; offboard is refused
 while no setpoint has come for COM_OF_LOSS_T, and left for Position when they stop; arming is refused with a STATUSTEXT while a

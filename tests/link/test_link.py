@@ -168,7 +168,7 @@ def test_arming_is_tried_again_and_says_why_it_was_refused() -> None:
         copter.arm(timeout_s=3.0)
 
 
-def test_a_mode_is_believed_when_heartbeat_shows_it() -> None:
+def test_a_mode_is_confirmed_by_heartbeat() -> None:
     vehicle = ScriptedVehicle(Host())
     copter = ArduPilot(session_of(vehicle))
     copter.set_mode(CopterMode.GUIDED)
@@ -224,7 +224,7 @@ def test_a_heartbeat_that_was_overtaken_shows_a_mode_that_is_over() -> None:
         session.advance(session.now_s() + 0.05)
         assert copter.mode == seen
     vehicle.host.now += 1.0
-    beat_of(vehicle, 9, 20)  # after a pause of the link the numbers tell nothing
+    beat_of(vehicle, 9, 20)  # after a pause of the link the numbers show nothing
     session.advance(session.now_s() + 0.05)
     assert copter.mode == 9
 
@@ -363,7 +363,7 @@ def test_two_vehicles_of_one_system_id_are_distinguished(hz: float) -> None:
     session.advance(session.now_s() + 10.0)
     assert session.others == {1}
     if hz == 1.0:
-        assert modes.count(6) < 8, "most of what the second one says is not taken for the first one's"
+        assert modes.count(6) < 8, "most of what the second one sends is not taken for the first one's"
 
 
 def test_a_program_that_did_not_look_for_long_finds_the_link_as_it_is() -> None:

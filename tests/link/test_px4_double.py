@@ -1,4 +1,4 @@
-"""An offboard attitude flight by the real MAVSDK against a vehicle that speaks as PX4 does: no PX4 itself was flown."""
+"""An offboard attitude flight by the real MAVSDK against a vehicle that answers as PX4 does: no PX4 itself was flown."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_arming_that_px4_refuses_is_an_error() -> None:
 
 
 def test_offboard_ends_by_the_vehicle_when_targets_stop() -> None:
-    """MAVSDK repeats the last target by itself until it is stopped: a client that dies is what PX4 notices."""
+    """MAVSDK repeats the last target by itself until it is stopped: PX4 notices only a client that was killed."""
     with Px4Double(armed=True, height_m=3.0) as vehicle:
         px4 = Px4.connect(vehicle.url)
         stream(px4, 0.0, 0.2)

@@ -46,19 +46,19 @@ def test_a_target_leaves_on_time_while_the_program_computes() -> None:
     port.receive(0.0)
     end()
     [(sent_s, thread)] = kept.sent
-    assert 0.0 <= sent_s - due_s < 0.05  # some tenths of a millisecond where nobody else computes
+    assert 0.0 <= sent_s - due_s < 0.05  # some tenths of a millisecond on an idle machine
     assert thread != threading.get_ident()
     assert abs(shown[0] - sent_s) < 0.02, "recorded when it left, not when the program looked"
     assert port.late_s == 0.0, "nothing waits"
 
 
 def test_nothing_leaves_after_a_take_over() -> None:
-    for let_go in (lambda session: session.port.mute(), lambda session: setattr(session, "held", True)):
+    for stop in (lambda session: session.port.mute(), lambda session: setattr(session, "held", True)):
         kept = Kept()
         session = Session(MavlinkPort(kept))
         session.port.send_on_time()
         session.send_at(session.now_s() + WAIT_S, target())
-        let_go(session)
+        stop(session)
         time.sleep(2.0 * WAIT_S)
         session.send_at(session.now_s(), target())
         time.sleep(0.5 * WAIT_S)

@@ -1,4 +1,4 @@
-"""MAVLink 2 signing: what is not signed with the key is refused, on either side; a false frame shuts nobody out."""
+"""MAVLink 2 signing: what is not signed with the key is refused, on either side; a false frame ends no link."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_only_what_is_signed_with_the_key_is_taken() -> None:
     assert ours.refused == 4
 
 
-def test_a_false_frame_from_the_future_shuts_nobody_out() -> None:
+def test_a_false_frame_from_the_future_ends_no_link() -> None:
     ours, theirs, forger = SignedLink(245, 191, KEY), SignedLink(1, 1, KEY), SignedLink(1, 1, OTHER)
     forger.signing.timestamp = ticks(4e9)
     assert not heard(ours, bytes(attitude().pack(forger)))
@@ -61,7 +61,7 @@ def test_a_key_is_made_for_its_owner_and_read_again(tmp_path: Path) -> None:
             read_key(path)
 
 
-def test_a_signed_flight_is_flown_and_nobody_without_the_key_moves_anything(run_dir: Path) -> None:
+def test_a_signed_flight_is_flown_and_frames_without_the_key_change_nothing(run_dir: Path) -> None:
     link = FaultyLink(options(signing_key=KEY.hex()))
     unsigned = parser(245, 191)
 

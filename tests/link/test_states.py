@@ -59,10 +59,10 @@ def test_the_drawing_has_every_change() -> None:
 
 
 class Vehicle:
-    """Speaks once a second and answers TIMESYNC, where it may. speaks, answers: whether it does now."""
+    """Sends once a second and answers TIMESYNC, where it may. sends, answers: whether it does now."""
 
     def __init__(self) -> None:
-        self.now_s, self.speaks, self.answers = 1000.0, True, True
+        self.now_s, self.sends, self.answers = 1000.0, True, True
         self._mav, self._ours, self._next_s, self._out = parser(1, 1), parser(1, 1), 0.0, b""
 
     def send(self, data: bytes) -> None:
@@ -71,7 +71,7 @@ class Vehicle:
                 self._say(book.MAVLink_timesync_message(int(self.now_s * 1e9), message.ts1))
 
     def _say(self, message: object) -> None:
-        if self.speaks:
+        if self.sends:
             self._out += bytes(message.pack(self._mav))  # type: ignore[attr-defined]
             self._mav.seq = (self._mav.seq + 1) % 256
 
@@ -98,13 +98,13 @@ def test_a_session_goes_through_the_states_and_shows_who_waits() -> None:
 
     session.connect()
     assert pass_s(2.0) is S.BOTH_WAYS
-    vehicle.speaks = False
+    vehicle.sends = False
     assert pass_s(QUIET_S + 1.2) is S.QUIET
     session.require_link()
     assert pass_s(LOST_S) is S.LOST
     with pytest.raises(LinkSilent, match="nothing has been heard"):
         session.require_link()
-    vehicle.speaks, vehicle.answers = True, False
+    vehicle.sends, vehicle.answers = True, False
     assert pass_s(2.0) is S.HEARD
     assert pass_s(UNANSWERED_S + 2.0) is S.ONE_WAY
     with pytest.raises(LinkSilent, match="one direction"):

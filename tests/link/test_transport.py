@@ -18,7 +18,7 @@ from flighttest.mavlink.dialect import book, parser
 
 
 def free_port(kind: socket.SocketKind) -> int:
-    """A port of this machine that nobody has."""
+    """A free port of this machine."""
     with socket.socket(socket.AF_INET, kind) as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
@@ -32,7 +32,7 @@ def test_a_bad_url_names_the_good_ones(url: str) -> None:
         open_transport(url)
 
 
-def test_nobody_listens() -> None:
+def test_no_listener() -> None:
     port = free_port(socket.SOCK_STREAM)
     with pytest.raises(LinkError, match=f"cannot open tcp:127.0.0.1:{port}"):
         open_transport(f"tcp:127.0.0.1:{port}")
@@ -64,10 +64,10 @@ def test_tcp_connects_again_when_the_other_side_comes_back() -> None:
     server.close()
 
 
-def test_udp_answers_whoever_sent_and_loses_what_nobody_asked_for() -> None:
+def test_udp_answers_every_sender_and_loses_what_has_no_receiver() -> None:
     port = free_port(socket.SOCK_DGRAM)
     listening = open_transport(f"udpin://127.0.0.1:{port}")
-    listening.send(b"to nobody")
+    listening.send(b"without a receiver")
     assert listening.receive(0.01) == b""
     other = open_transport(f"udpout:127.0.0.1:{port}")
     other.send(b"a")
@@ -106,7 +106,7 @@ def beat(system: int, mode: int, armed: bool = True) -> bytes:
 
 
 def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever else reaches the port can neither speak as the vehicle nor receive its targets; a station beside it does no harm."""
+    """Another sender that reaches the port can neither act as the vehicle nor receive its targets; a station beside it does no harm."""
     monkeypatch.setattr("flighttest.link.transport.PEER_S", 0.2)
     port = free_port(socket.SOCK_DGRAM)
     session = Session(MavlinkPort(open_transport(f"udpin:127.0.0.1:{port}")))

@@ -194,7 +194,7 @@ def with_attitude(log):
 
 
 def estimated(log, statuses):
-    """1 s per solution status, at 50 Hz, always flying north at 1 m/s as far as the EKF knows."""
+    """1 s per solution status, at 50 Hz, always flying north at 1 m/s by the EKF's estimate."""
     with_attitude(log)
     log.format("XKF1", "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD")
     log.format("XKF4", "QBHB", "TimeUS,C,SS,PI")

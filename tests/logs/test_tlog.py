@@ -226,7 +226,7 @@ def test_targets_in_a_mode_that_drops_them_are_no_reference(tmp_path):
     assert any("the autopilot drops what is sent in another mode" in loss for loss in r.provenance.losses)
 
 
-def test_a_battery_that_nobody_measures_is_no_battery_at_zero_volts(tmp_path):
+def test_a_battery_that_is_not_measured_is_no_battery_at_zero_volts(tmp_path):
     w = link()
     for k in range(40):
         w.add(k / 10.0 + 0.02, v2.MAVLink_sys_status_message(0, 0, 0, 0, 0, -1, -1, 0, 0, 0, 0, 0, 0))

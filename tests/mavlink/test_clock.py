@@ -20,7 +20,7 @@ def trips(span_s: float, drift: float = 0.0, up_s: float = 0.012, down_s: float 
     t = np.arange(1.0, span_s, 1.0)
     late = np.where(
         np.arange(t.size) % 7 == 0, 0.0, 0.08
-    )  # most round trips are slow one way, which a mean would believe
+    )  # most round trips are slow one way, which a mean would take over
     sent = 1.7e9 + t * (1.0 + drift)
     return np.column_stack([sent, t + up_s, sent + up_s + down_s + late])
 

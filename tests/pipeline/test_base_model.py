@@ -15,7 +15,7 @@ def recorded(**vehicle):
     return Recording("r", {}, (), Provenance("", "table", vehicle=vehicle))
 
 
-def test_the_vehicle_file_is_believed_before_the_recordings_and_these_before_the_usual():
+def test_the_vehicle_file_comes_before_the_recordings_and_these_before_the_usual():
     declared = Vehicle("v", None, "ardupilot", 14.8, 0.3, rotor_height_m=0.5)
     kept = [recorded(), recorded(nominal_voltage_v=25.2, rotor_height_m=0.0), recorded(rotor_height_m=0.3)]
     assert base_model(kept, declared) == Model(nominal_voltage_v=14.8, rotor_height_m=0.5)

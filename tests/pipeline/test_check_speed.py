@@ -1,4 +1,4 @@
-"""`flighttest check` on all shipped scripts: what it says of each is what it says of it alone, and it does not take long."""
+"""`flighttest check` on all shipped scripts: its answer for each is that for it alone, and it does not take long."""
 
 import json
 import subprocess
@@ -27,7 +27,7 @@ def test_what_scripts_tell_together_is_what_each_shows_alone():
             )
             assert [cell for cell, _ in mine.best] == [cell for cell, _ in theirs.best]
     std = {e.name: e.std for e in altogether}
-    assert std["d_x"] < 0.99 * {e.name: e.std for e in each[1]}["d_x"], "more flights tell more"
+    assert std["d_x"] < 0.99 * {e.name: e.std for e in each[1]}["d_x"], "more flights hold more information"
     assert std["sigma_r"] == pytest.approx({e.name: e.std for e in each[0]}["sigma_r"], rel=1e-9), "of what they move"
 
 
@@ -78,7 +78,7 @@ def test_repeats_that_are_the_same_flight_are_flown_once(monkeypatch, terms):
     monkeypatch.setattr(expected, "simulate_many", counted)
     planned = expected.planned_information(compiled, model, model.start(prior.values))
     poses = {(*sorted(leg.cell.items()), leg.kind, leg.heading_rad, leg.start_m[2]) for leg in compiled[0].legs}
-    assert flown == [len(poses) if terms else 12], "only what knows heading and height separates them"
+    assert flown == [len(poses) if terms else 12], "only headings and heights separate them"
     assert len(poses) > 24
     assert len(planned[0].steps) == 36
 

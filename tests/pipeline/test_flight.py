@@ -1,4 +1,4 @@
-"""`flighttest run` on the built-in vehicle over a real socket: what it says, leaves behind, resumes and exits with."""
+"""`flighttest run` on the built-in vehicle over a real socket: what it prints, leaves behind, resumes and exits with."""
 
 import io
 import json
@@ -387,7 +387,7 @@ def test_the_next_flight_is_printed_with_its_vehicle(tmp_path):
 
 
 def test_a_speed_that_is_asked_for_is_kept(tmp_path):
-    """In lock-step too: nobody could watch a flight, or stop it by hand, at the pace of the host."""
+    """In lock-step too: a flight could not be watched, or stop it by hand, at the pace of the host."""
     request = flying.FlightRequest(("thrust",), speed=4.0)
     with flying.connection(request) as url:
         session = Session(MavlinkPort(open_transport(url)))

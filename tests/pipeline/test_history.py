@@ -71,7 +71,7 @@ def test_what_came_out_sharply_is_compared_though_two_responses_cannot_say_how_s
     }
     found = watched(replace(made, parameters=doubted), "run")
     assert found.names == ("omega_phi", "K", "alpha")
-    assert found.known.names == ("omega_phi", "K"), "alpha only helps to tell the thrust at the voltage flown"
+    assert found.known.names == ("omega_phi", "K"), "alpha only helps to determine the thrust at the voltage flown"
     assert found.dof[0] == 1.0
 
 

@@ -63,7 +63,7 @@ def test_two_vehicles_in_one_call_are_refused(tmp_path):
         whose([a, b], None)
     with pytest.raises(InputError, match="two vehicles in one call"):
         whose([a], Vehicle("crow", None, "", 22.2, 0.2))
-    assert identity_of([a, b], None).name == "", "a model of both is nobody's"
+    assert identity_of([a, b], None).name == "", "a model of both is of neither"
     assert whose([a, recording("c")], None) == "heron"
 
 

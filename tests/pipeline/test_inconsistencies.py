@@ -50,7 +50,7 @@ def test_fit_and_diagnosis_count_a_recording_once(monkeypatch, flight_csv):
     ]
 
 
-def test_a_filter_that_nobody_stated_is_a_doubt():
+def test_a_filter_that_was_not_declared_is_a_doubt():
     t = np.arange(5.0)
     series = {"specific_force": Series(t, {f"f_{a}_m_s2": t for a in "xyz"})}
     bare = Recording("bare", series, (), Provenance("", "table"))

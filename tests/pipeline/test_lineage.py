@@ -143,7 +143,7 @@ def test_a_component_change_ends_a_model_by_name(tmp_path):
     assert whole.generations[0].ended == ("propellers P1 is now P2",)
 
 
-def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
+def test_a_model_of_a_vehicle_that_is_not_known_is_unnameds(tmp_path):
     folder = write_model(tmp_path / "one", vehicle=None)
     with pytest.raises(InputError, match="not known which vehicle") as reported:
         lineage.take_into_use(folder, tmp_path)
@@ -155,13 +155,13 @@ def test_a_model_of_a_vehicle_that_is_not_known_is_nobodys(tmp_path):
         lineage.take_into_use(write_model(tmp_path / "two"), tmp_path, tmp_path / "vehicle.yaml")
 
 
-def test_a_model_that_knows_less_does_not_take_the_place_of_one_that_knows_more(tmp_path):
+def test_a_model_that_determines_less_does_not_replace_one_that_determines_more(tmp_path):
     lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
     with pytest.raises(InputError, match="determines less than the model in use, of alpha") as reported:
         lineage.take_into_use(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
     both = f"flighttest diagnose {tmp_path / 'a'} {tmp_path / 'two'} -o {tmp_path / 'two' / 'together'} --accept"
     assert both in reported.value.hint
-    # Also where a term joined: the two heights of a ground effect tell less of the drag than a campaign.
+    # Also where a term joined: the two heights of a ground effect determine less of the drag than a campaign.
     longer = (*PAPER, "ground_effect")
     with pytest.raises(InputError, match="of alpha"):
         lineage.take_into_use(write_model(tmp_path / "two", longer, runs=("b",), unknown=("alpha",)), tmp_path)
@@ -223,16 +223,16 @@ def test_any_name_has_a_folder_of_its_own(tmp_path, name):
 
 
 def test_what_a_campaign_found_is_accepted_where_that_was_asked_for(tmp_path):
-    """Of a vehicle that is known; of an unknown one the command says what is missing, and nothing is lost."""
+    """Of a vehicle that is known; of an unknown one the command reports what is missing, and nothing is lost."""
     found = campaign.Analysis((), (), SimpleNamespace(status=SimpleNamespace(good=True)))  # type: ignore[arg-type]
 
     def accepting(folder, name, status=Status.DONE, keep=True):
         return campaign.how_to_accept(found, status, folder, name, tmp_path, keep)
 
-    heron, nobody = write_model(tmp_path / "1"), write_model(tmp_path / "2", vehicle=None)
+    heron, unnamed = write_model(tmp_path / "1"), write_model(tmp_path / "2", vehicle=None)
     assert accepting(heron, "heron", keep=False) == f"flighttest accept {heron} --out {tmp_path}"
     assert "did not end as planned" in accepting(heron, "heron", Status.UNUSABLE)
-    assert "--vehicle vehicle.yaml" in accepting(nobody, "")
+    assert "--vehicle vehicle.yaml" in accepting(unnamed, "")
     assert lineage.lineages(tmp_path) == []
     assert "done: body + linear_drag is now model 1 of heron." in accepting(heron, "heron")
     assert lineage.in_use(tmp_path, "heron").runs == ("a",)

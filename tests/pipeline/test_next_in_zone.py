@@ -1,4 +1,4 @@
-"""A proposed flight that the vehicle's zone has no space for says so; what is known of the zone decides, not the usual one."""
+"""A proposed flight that the vehicle's zone has no space for is marked so; what is known of the zone decides, not the usual one."""
 
 import re
 from dataclasses import dataclass, field, replace

@@ -15,11 +15,11 @@ from flighttest.vehicle.fingerprint import fingerprint
 def seen():
     """The built-in vehicle as read, and the names of all messages that were sent to it."""
     sent = []
-    honest = MavlinkPort.send
+    usual = MavlinkPort.send
 
     def watched(port, message):
         sent.append((message.get_type(), getattr(message, "command", None)))
-        return honest(port, message)
+        return usual(port, message)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MavlinkPort, "send", watched)

@@ -150,7 +150,7 @@ def test_a_height_that_does_not_fit_is_refused_with_one_that_does(plan_of):
 
 
 def test_a_lost_link_alone_is_reason_enough(plan_of):
-    # The height holds the step itself, but not what follows when nobody stops it.
+    # The height holds the step itself, but not what follows when it is not stopped.
     low = replace(DEFAULT_VEHICLE, zone=Zone(z_m=(1.0, 6.5), margin_m=1.0))
     plan = plan_of("throttle_pair: {throttle_0: 0.15, throttle_1: 0.35, hold_0_s: 0.3, record_1_s: 0.42}", low)
     assert plan.refusals

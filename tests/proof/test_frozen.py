@@ -1,4 +1,4 @@
-"""The frozen bench: answers kept, compared on what both sides know."""
+"""The frozen bench: answers kept, compared on what both sides have."""
 
 import json
 from dataclasses import replace
@@ -49,7 +49,7 @@ def outcome(index, kind, hide, named, verdict="", **more):
     return Outcome(index, kind, "00", {h: {} for h in hide}, tuple(named), verdict=verdict, sizes=sizes, **more)
 
 
-def test_what_only_one_side_knows_is_not_compared_and_worse_trials_come_first():
+def test_what_only_one_side_has_is_not_compared_and_worse_trials_come_first():
     inside, outside = {"voltage_sag": {"sag_v": (5.0, 5.1, 4.9, 5.3)}}, {"voltage_sag": {"sag_v": (5.0, 6.0, 5.9, 6.1)}}
     before = {
         "a": outcome(0, "single", ["voltage_sag"], ["voltage_sag"], "EXPLAINED", values=inside),

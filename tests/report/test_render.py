@@ -191,7 +191,7 @@ def test_plotly_accepts_every_panel():
         go.Figure(json.loads(re.sub(r'"@\w+"', '"#123456"', text)))
 
 
-def test_the_page_knows_a_colour_for_every_role():
+def test_the_page_has_a_colour_for_every_role():
     script = (Path(figures.__file__).parent / "figures.js").read_text()
     from typing import get_args
 
@@ -228,7 +228,7 @@ def test_no_table_loses_a_column_or_cuts_a_heading(width, columns):
 
 def test_a_heading_that_is_cut_is_seen(monkeypatch):
     wide = Document("t", "v", sections=(Section("s", "S", (Table(("name", "a long heading"), (("x", "1"),)),)),))
-    monkeypatch.setattr(terminal, "room_shared", lambda spans, room: dict.fromkeys(spans, 4))
+    monkeypatch.setattr(terminal, "width_shared", lambda spans, available: dict.fromkeys(spans, 4))
     assert any("cut" in words for words in troubles(wide, 80))
 
 

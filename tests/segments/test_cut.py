@@ -18,7 +18,7 @@ def of_marks(recording):
     return [s for s in cut(recording) if s.name in labels]
 
 
-def test_a_flight_nobody_marked_is_cut_by_its_references(campaign):
+def test_a_flight_without_marks_is_cut_by_its_references(campaign):
     segments = cut(campaign.recording())
     assert [s.kind for s in segments] == ["roll_step", "yaw_rate_step", "throttle_step", "throttle_step", "pitch_step"]
     edges = campaign.edges_s()
@@ -331,7 +331,7 @@ def test_a_target_read_off_at_the_loggers_times_is_moved_half_way_back(fly):
     assert np.median(sent - polled) == pytest.approx(0.5 * np.median(np.diff(sent)), abs=0.006)
 
 
-def test_a_table_knows_its_edges_to_a_row(campaign):
+def test_a_table_has_its_edges_to_a_row(campaign):
     recording = campaign.recording()
     row_s = 1.0 / max(s.rate_hz for s in recording.series.values())
     assert cut(recording)[0].context.edge_error_s == pytest.approx(0.5 * row_s)

@@ -239,7 +239,7 @@ def test_timesync_and_version_and_stubs(bare):
     assert c.last("AUTOPILOT_VERSION").flight_sw_version >> 24 == 4
     c.send(book.MAVLink_mission_request_list_message(1, 1, 0))
     assert c.last("MISSION_COUNT").count == 1, "home is the first item of every mission"
-    assert c.command(31010) == 3  # nothing here knows it
+    assert c.command(31010) == 3  # unknown here
 
 
 def test_position_targets_in_both_frames(bare):

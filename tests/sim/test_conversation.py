@@ -15,7 +15,7 @@ ASIDE = re.compile(
     r"STATUSTEXT \d (EKF3|AHRS|GPS|PreArm|SIM Hit|Field Elevation|Barometer|ArduPilot Ready|RC7|[0-9a-f]{32}$)"
     r"|PARAM_VALUE (STAT_|MOT_THST_HOVER)"
 )
-# step: what the built-in vehicle says, what ArduCopter 4.7.0-dev says instead
+# step: what the built-in vehicle sends, what ArduCopter 4.7.0-dev sends instead
 DIFFERENCES = {
     "parameters": ("PARAM_VALUE ATC_ANGLE_MAX 30 type 9 index 65535", "PARAM_VALUE ANGLE_MAX 3000 type 4 index 65535"),
     "parameter list": (

@@ -10,7 +10,7 @@ def beat(armed: bool) -> object:
 
 
 def test_a_full_pack_after_each_landing() -> None:
-    crew = GroundCrew("127.0.0.1", 1)  # nobody listens there
+    crew = GroundCrew("127.0.0.1", 1)  # no listener there
     crew.stop()
     asked = crew.take(beat(False))
     assert asked.get_type() == "PARAM_REQUEST_READ"

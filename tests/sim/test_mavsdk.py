@@ -1,4 +1,4 @@
-"""MAVSDK, which knows nothing of us, against the built-in vehicle over both transports."""
+"""MAVSDK, an independent client, against the built-in vehicle over both transports."""
 
 import contextlib
 import time

@@ -1,4 +1,4 @@
-"""Lock-step for a firmware that knows nothing of it: the test plays ground program and firmware."""
+"""Lock-step for a firmware that does not have it: the test plays ground program and firmware."""
 
 import itertools
 import json

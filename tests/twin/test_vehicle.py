@@ -1,4 +1,4 @@
-"""The vehicle of a model: its plant is the model, its noise the fit's residuals, and what cannot fly says so."""
+"""The vehicle of a model: its plant is the model, its noise the fit's residuals, and a model that cannot fly is refused."""
 
 from dataclasses import replace
 

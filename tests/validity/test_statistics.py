@@ -20,7 +20,7 @@ RELATIVE = np.array([0.004, 0.004, 0.008, 0.008, 0.01, 0.01, 0.003, 0.03, 0.05, 
 
 
 def campaign(rng, name="run", factor=None):
-    """Estimates of one campaign of a vehicle whose campaigns scatter as the prior says, K and alpha correlated."""
+    """Estimates of one campaign of a vehicle whose campaigns scatter as the prior has it, K and alpha correlated."""
     own = np.diag((RELATIVE * TRUTH) ** 2)
     i, j = NAMES.index("K"), NAMES.index("alpha")
     own[i, j] = own[j, i] = 0.8 * np.sqrt(own[i, i] * own[j, j])
@@ -161,14 +161,14 @@ def test_thrust_is_compared_at_the_voltage_flown():
     assert compare.subset_tests(sharp, held, spread={"K": 0.004, "alpha": 0.02})[0].alarm
     vague = Estimates("model", ("K", "alpha"), values, np.diag((np.array([0.002, 0.5]) * values) ** 2), None, 0.0)
     test = compare.subset_tests(vague, held, spread={"K": 0.004, "alpha": 0.02})[0]
-    assert not test.alarm, "the model does not know what its throttle gives at that voltage"
+    assert not test.alarm, "the model does not determine what its throttle gives at that voltage"
 
 
 def test_few_responses_raise_no_more_false_alarms():
     rng = np.random.default_rng(16)
     alarms = 0
     for _ in range(2000):
-        rows = rng.normal(size=(2, 5))  # five responses on either side know their own scatter badly
+        rows = rng.normal(size=(2, 5))  # five responses on either side determine their own scatter badly
         means, errors = rows.mean(axis=1), rows.std(axis=1, ddof=1) / np.sqrt(5)
         sides = [
             Estimates(n, ("K",), np.array([1e3 + m]), np.array([[e**2]]), np.array([4.0]))
@@ -179,7 +179,8 @@ def test_few_responses_raise_no_more_false_alarms():
 
 
 def flown(rng, heading_shift=0.0, responses=48):
-    """Normal equations of throttle steps that all tell K alike, and the heading of each; K off by a share towards two of four headings."""
+    """Normal equations of throttle steps that all determine K alike, and the heading of each; K off by a share towards two of four
+    headings."""
     headings = np.arange(responses) % 4 * (np.pi / 2)
     own = rng.normal(0.0, 0.01, responses) + np.where(headings < 2.0, heading_shift, -heading_shift)
     own -= own.mean()

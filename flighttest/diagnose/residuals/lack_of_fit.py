@@ -43,7 +43,7 @@ DISTURBANCE_DRIFT = {
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """std: channel to the spread (in its unit) no model of the recorded inputs explains; from_repeats: channels for which repeats say so,
+    """std: channel to the spread (in its unit) no model of the recorded inputs explains; from_repeats: channels whose repeats determine it,
     the others' floor is their high-frequency residual, or what estimators wander (`DRIFT`) where that is more: weaker, since slow
     disturbances are not in it.
 

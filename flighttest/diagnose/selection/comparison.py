@@ -78,7 +78,7 @@ class Evidence:
     """What a term adds. nats: difference of the log predictive densities; probability: that it is needed, against its absence; floors: its
     effect in noise floors at `place` (channel, kind of maneuver), where it is largest; effect, profiled (measured rows,): what it changes
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
-    estimates cannot be what its name says, empty where they can; without: the model fitted without it; improved, worsened: strata
+    estimates cannot be what its name means, empty where they can; without: the model fitted without it; improved, worsened: strata
     (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`; `held_out_falls` of few);
     nothing: the estimate, where its 95 % interval holds its null value; withdrawn: why the model with all that was named does not stay."""
 
@@ -239,7 +239,7 @@ def may_be_absent(term: Term, fitted: Fitted, change: Change, estimator: Estimat
     """Why a term's estimates do not exclude its absence, empty where they do. change: what it changes; repeated: whether steps were.
 
     By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
-    err. Then only the scatter between cells is tested; and of a term with nonlinear parameters, where repeats vouch for it,
+    err. Then only the scatter between cells is tested; and of a term with nonlinear parameters, where repeats confirm it,
     not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
     not used (`improved`).
     """

@@ -20,7 +20,7 @@ from flighttest.diagnose.selection.held_out import places
 from flighttest.diagnose.selection.search import Search
 from flighttest.diagnose.selection.subsets import ABSORBED
 from flighttest.estimation.linearisation import orthonormal
-from flighttest.estimation.responses import HORIZONTAL, knows_attitude
+from flighttest.estimation.responses import HORIZONTAL, attitude_is_known
 from flighttest.physics.core import Term
 from flighttest.segments.model import Segment
 
@@ -33,7 +33,7 @@ NEVER = 100.0  # times the usual size: as good as never
 def missing_channels(term: Term, segments: Sequence[Segment]) -> tuple[str, ...]:
     """Of what the term needs, what no segment has. Of horizontal motion nothing is compared where roll or pitch was not measured."""
     missing = []
-    level = not any(knows_attitude(s) for s in segments)
+    level = not any(attitude_is_known(s) for s in segments)
     for name in term.needs:
         if name == "time_since_takeoff_s":
             if not any(np.isfinite(s.time_since_takeoff_s) for s in segments):

@@ -1,6 +1,7 @@
 """`FlightControl`: one cycle of the flight, and `steer`, the only place from which an attitude target leaves.
 
-The pilot always wins: from the HEARTBEAT on that shows a mode nobody here asked for nothing is sent, and the second one ends the flight.
+The pilot always wins: from the HEARTBEAT on that shows a mode that this program did not ask for, nothing is sent, and the second one ends
+the flight.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Stops:
 
     @property
     def now(self) -> bool:
-        """Let go at once."""
+        """Stop sending at once."""
         return self.count() >= 2
 
 
@@ -143,7 +144,7 @@ class FlightControl:
             if text:
                 self.recorder.event("note", text, t_s)
         if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
-            self.alarm(f"the vehicle says: {message.text.strip()}")  # a lost transmitter, a failsafe, a fence
+            self.alarm(f"message of the vehicle: {message.text.strip()}")  # a lost transmitter, a failsafe, a fence
         if message.get_type() == "HEARTBEAT":
             self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
 
@@ -251,7 +252,7 @@ class FlightControl:
 
     @property
     def stop_now(self) -> bool:
-        """Whether the operator asked to let go at once."""
+        """Whether the operator asked to stop sending at once."""
         return self._stops.now
 
     # -- targets -------------------------------------------------------------------------------------------------------------
@@ -270,7 +271,7 @@ class FlightControl:
         step: bool = False,
         at_s: float | None = None,
     ) -> tuple[Refusal, ...]:
-        """Send a target if the gate lets it pass; else send nothing and say why. yaw_rad: the heading for the quaternion; step: see
+        """Send a target if the gate lets it pass; else send nothing and report why. yaw_rad: the heading for the quaternion; step: see
         `gate.refusals`; at_s: when it leaves, None at once."""
         found = refusals(target, self.state, self.gate, step=step)
         if not found and not self.taken_over:
@@ -297,7 +298,7 @@ class FlightControl:
         yaw = self.state.attitude_rad[2] if self.state.attitude_rad else 0.0
         yaw = yaw if math.isfinite(yaw) else 0.0
         refused = self.steer(self.release_target(), yaw)
-        assert not refused, "letting go must always pass"
+        assert not refused, "a release target must always pass"
 
     def use_hover(self, throttle: float) -> None:
         """Fly with this hover throttle from now on, in the gate as well."""
@@ -313,7 +314,7 @@ class FlightControl:
         self._progress = replace(self._progress, **changes)
 
     def alarm(self, text: str) -> None:
-        """Tell the operator now, with a sound where there is one."""
+        """Alarm the operator now, with a sound where there is one."""
         self.show(alarm=text, alarms=self._progress.alarms + 1)
         self._alarm_over_s = self.session.now_s() + ALARM_S * self.pace
         self._report(at_once=True)

@@ -25,7 +25,7 @@ NEAR_M = 0.6
 SLOW_M_S = 0.35
 FACING_RAD = 0.12
 LEVEL_RAD = 0.15
-LEANING_RAD = 0.35  # into the wind, where position and velocity say that it holds still all the same
+LEANING_RAD = 0.35  # into the wind, where position and velocity show that it holds still all the same
 _TIMEOUT_BASE_S = 25.0
 _SLOWEST_M_S = 0.7
 _ASK_AGAIN_S = 0.1
@@ -184,7 +184,7 @@ def attitude(control: FlightControl, start: LegStart, angle_boost: bool) -> Arri
         if control.stop_asked:
             return Arrived(Arrival.STOPPED)
         target, yaw = loop.target(start)
-        # Without a position the targets are level: they would let go, and pass, also over a link or a battery that is gone.
+        # Without a position the targets are level: they would be release targets, and pass, also over a link or a battery that is gone.
         refused = readiness(control.state, control.gate) or control.steer(target, yaw)
         if refused:
             return Arrived(Arrival.REFUSED, refused=refused)

@@ -29,7 +29,7 @@ _MISFIT_MAX_M_S = 0.25  # rms; a gust, or a throttle that is not followed, would
 
 @dataclass(frozen=True)
 class Learnt:
-    """What a hover and the legs flown so far say of the vehicle's thrust.
+    """The vehicle's thrust, estimated from a hover and the legs flown so far.
 
     hover_throttle at voltage_v; thrust_age_s: from sending a throttle to its mean effect, None as long as no leg determined it.
     """

@@ -92,7 +92,7 @@ class Scheduler:
         control.show(
             legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
         )
-        # Before arming: that may take a minute, and whoever changes the mode meanwhile does not want it to fly.
+        # Before arming: that may take a minute, and a pilot who changes the mode meanwhile means it not to fly.
         control.on(Event.ARM)
         vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
         if not vehicle.arm(stopped=lambda: control.stop_asked) or control.stop_asked:
@@ -242,7 +242,7 @@ class Scheduler:
 
     def _asked_to_end(self) -> FlightOutcome | None:
         if self.control.stop_now:
-            supervisor.let_go(self.control, "the operator asked to stop at once")
+            supervisor.release(self.control, "the operator asked to stop at once")
             return FlightOutcome.OPERATOR_ABORT
         return self._stopped() if self.control.stop_asked else None
 

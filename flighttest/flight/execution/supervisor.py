@@ -1,4 +1,5 @@
-"""The supervisor, when a target was refused: let go in the same cycle, ask for the abort mode, never fall silent until it is there."""
+"""The supervisor, when a target was refused: release the vehicle in the same cycle, ask for the abort mode, keep sending until it is
+confirmed."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ UNSEEN_S = 1.5
 UNHEARD_S = 0.7  # a silent link hides what a pilot chooses: asked once when it falls silent, and again when it is heard
 UPLINK_LOST_S = 3.0  # without an answer: then an operator who asked to stop is not kept waiting for it
 STOP_AFTER_S = 20.0  # of asking for LAND over a lost uplink, after the operator asked to stop
-LET_GO_AFTER_S = 5.0  # of insisting after the operator wanted to let go at once
+RELEASE_AFTER_S = 5.0  # of asking for the abort mode after the operator asked to stop sending at once
 REST_PATIENCE_S = 6.0
 AT_REST_M_S = 0.4
 _STICK_MID = 0.5
@@ -72,7 +73,7 @@ def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Cal
 
     FlightEnded when the pilot takes over, the link stays away (`control`), or the operator asks for an end and the vehicle does not answer.
     """
-    let_go_s = math.inf
+    release_s = math.inf
     began = control.session.now_s()
     next_ask = began
     heard_again = began
@@ -83,8 +84,8 @@ def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Cal
         now = control.session.now_s()
         unheard = control.stop_asked and control.state.uplink_silence_s > UPLINK_LOST_S
         if control.stop_now or unheard:
-            let_go_s = min(let_go_s, now + (LET_GO_AFTER_S if control.stop_now else STOP_AFTER_S))
-            if now > let_go_s:
+            release_s = min(release_s, now + (RELEASE_AFTER_S if control.stop_now else STOP_AFTER_S))
+            if now > release_s:
                 control.on(Event.GIVEN_UP if control.stop_now else Event.UPLINK_GONE)
         if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
             if control.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
@@ -101,7 +102,7 @@ def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Cal
         meanwhile()
 
 
-def let_go(control: FlightControl, why: str) -> None:
+def release(control: FlightControl, why: str) -> None:
     """Into the abort mode from wherever the vehicle is ours."""
     if control.owned and control.state.mode == CopterMode.GUIDED_NOGPS:
         abort(control, (why,))

@@ -36,7 +36,7 @@ SETS = frozenset(
 
 @dataclass
 class ExternalChanges:
-    """Parameters that change while a vehicle is flown, which nobody here has asked for.
+    """Parameters that change while a vehicle is flown, not by this program.
 
     known: as they were when the flight began; changed: a sentence for each change; vital: those of `VITAL`.
     """
@@ -61,7 +61,7 @@ class ExternalChanges:
 @dataclass(frozen=True)
 class LeftParameter:
     """A parameter that a flight set. value: what it should have again; given: what the flight gave it; hardware: the autopilot it was
-    set on, '' where that does not say."""
+    set on, '' where that is not in it."""
 
     value: float
     given: float
@@ -85,7 +85,7 @@ def values_of(entries: Mapping[str, LeftParameter]) -> dict[str, float]:
 def still_left(
     behind: Mapping[str, LeftParameter], known: Mapping[str, float], hardware: str
 ) -> tuple[dict[str, LeftParameter], list[str]]:
-    """What of an earlier flight's record is still to be put back on this vehicle, and a sentence for each entry that is not believed.
+    """What of an earlier flight's record is still to be put back on this vehicle, and a sentence for each entry that is not used.
 
     A record is a file, and anybody may have written it: it counts for a parameter that a flight sets by itself, on the autopilot it
     was set on, as long as that still has the value it was given.
@@ -132,7 +132,8 @@ class ParameterChanges:
         note: Callable[[str], None],
         keep: Callable[[Mapping[str, LeftParameter]], None],
     ) -> None:
-        """Set parameters. keep: called with what has to be restored before anything is set, so that a program that dies leaves word of it.
+        """Set parameters. keep: called with what has to be restored before anything is set, so that the record exists even where the
+        program is killed.
 
         LinkError where one does not take.
         """
@@ -158,7 +159,7 @@ class ParameterChanges:
     def restore(self, airborne: bool = False) -> dict[str, float]:
         """Put everything back, verified; what could not be, with the value it should have, stays pending.
 
-        airborne: the fence stays as it is: nobody takes it from a vehicle that is left in the air. A link that is still silent after
+        airborne: the fence stays as it is, since the vehicle is left in the air. A link that is still silent after
         one of them has been tried is not waited for again.
         """
         tried = False

@@ -203,7 +203,7 @@ class ZoneFence:
                 return (
                     f"the zone's fence polygon is left on the vehicle ({error.message}): the next flight takes it away"
                 )
-            except FlightEnded as ended:  # a pilot takes over what was let go
+            except FlightEnded as ended:  # a pilot takes over the released vehicle
                 return f"the zone's fence polygon may be left on the vehicle: {ended.why or ended.outcome.value}"
             self._record(left=False)
             self._set = None

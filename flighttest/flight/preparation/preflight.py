@@ -1,6 +1,6 @@
 """Preflight: everything that would ruin the data or the vehicle, each with its remedy; and setting parameters, to be restored.
 
-A simulator is excused from what only a field has (a live RC link, a fence), and the notes say so.
+A simulator is excused from what only a field has (a live RC link, a fence), and the notes list it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def rc_live(vehicle: ArduPilot) -> bool:
     if heard is None or received(heard.message) is False:
         return False
     status = vehicle.request("SYS_STATUS", book.MAVLINK_MSG_ID_SYS_STATUS)
-    return status is not None and received(status) is not False  # it may not say
+    return status is not None and received(status) is not False  # it may not report it
 
 
 def figure(value: float) -> str:
@@ -76,7 +76,7 @@ NAMES = (
 
 
 def checks(s: Situation) -> list[Check]:
-    """Everything that speaks against flying this plan now."""
+    """Every reason against flying this plan now."""
     return [*_plan(s), *_firmware(s), *_guided(s), *_safety(s), *_data(s), *_readiness(s)]
 
 
@@ -132,7 +132,7 @@ def _guided(s: Situation) -> list[Check]:
             )
         )
     timeout = s.value("GUID_TIMEOUT")
-    # A simulator far above real time gets less often a target than it thinks: 0.2 s of its time may be 20 ms of the host's.
+    # A simulator far above real time gets targets less often than its own clock shows: 0.2 s of its time may be 20 ms of the host's.
     wanted_s = min(TIMEOUT_S * s.pace, 3.0) if s.simulator and s.pace > _FAST else TIMEOUT_S
     if timeout is None or timeout > wanted_s + 1e-3:
         seen = "not known" if timeout is None else f"{timeout:.2g} s"

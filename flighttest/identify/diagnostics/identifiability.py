@@ -208,7 +208,7 @@ def flown_voltage(segments: Sequence[Segment], model: Model) -> float:
 
 
 def voltage_notes(segments: Sequence[Segment], model: Model, still: bool) -> list[str]:
-    """What an assumed alpha leaves open. still: whether the voltage was recorded with one and the same value."""
+    """What is uncertain because alpha was assumed. still: whether the voltage was recorded with one and the same value."""
     notes = [f"{never_changing(['voltage_v'])}: alpha cannot be determined from it"] if still else []
     if assumed_share(segments, model) > FAR_SHARE:
         notes.append(

@@ -2,7 +2,7 @@
 
 Steps that the model follows to within its noise have one optimum. Free flight at a few samples per time constant, or a loop that is not the
 model's, may have several: a slow loop without delay beside a quick one with. Which of two optima serves better is asked of every response
-by itself, since residuals of a wrong model are no noise, and their likelihood is not to be believed.
+by itself, since residuals of a wrong model are no noise, and their likelihood must not be used.
 """
 
 from __future__ import annotations

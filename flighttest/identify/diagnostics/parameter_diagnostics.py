@@ -1,4 +1,4 @@
-"""What speaks against calling a parameter known, gathered for every free parameter of a solution."""
+"""Reasons against calling a parameter known, gathered for every free parameter of a solution."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _leaning_on(others: Sequence[str], solution: Solution, correlation: float = 
 
 
 def _pushed_by_bounds(solution: Solution, covariance: Covariance) -> dict[str, str]:
-    """Parameters that would move, or be known far worse, if those at their bounds were let go, by name: the bound they lean on."""
+    """Parameters that would move, or be known far worse, if those at their bounds were free, by name: the bound they lean on."""
     stuck = tuple(n for n in solution.at_bound if n not in solution.insensitive)
     if not stuck or not covariance.names:
         return {}
@@ -172,9 +172,9 @@ def _pushed_by_bounds(solution: Solution, covariance: Covariance) -> dict[str, s
     known, free = cluster_covariance(solution.normal, covariance.names), cluster_covariance(solution.normal, every)
     found: dict[str, str] = {}
     for k, name in enumerate(covariance.names):
-        held, let_go = std_of(known, name), std_of(free, name)
+        held, released = std_of(known, name), std_of(free, name)
         shared = np.abs(scaled[k, len(covariance.names) :])
-        if shared.max() > MEETS and (abs(float(move[k])) > 2.0 * held or let_go > 2.0 * held):
+        if shared.max() > MEETS and (abs(float(move[k])) > 2.0 * held or released > 2.0 * held):
             found[name] = stuck[int(np.argmax(shared))]
     return found
 

@@ -67,7 +67,8 @@ def compare(first: ModelFile, second: ModelFile) -> tuple[ParameterDifference, .
 
 
 def _gain_at(nominal_v: float, model: ModelFile) -> dict[str, StoredParameter]:
-    """K of a model at another nominal voltage, K (U / U_n)^alpha, with what alpha leaves open; empty where it needs no change."""
+    """K of a model at another nominal voltage, K (U / U_n)^alpha, with the uncertainty of alpha in its error; empty where it needs no
+    change."""
     gain, exponent = model.parameters.get("K"), model.parameters.get("alpha")
     far = math.log(nominal_v / model.model.nominal_voltage_v)
     if gain is None or exponent is None or not far:

@@ -1,4 +1,5 @@
-"""What flights do not determine, from the model that they were compared with: a short flight must not discard what a campaign knew."""
+"""What flights do not determine, from the model that they were compared with: a short flight must not discard what a campaign
+determined."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ MEAN_DELAY = "T_d"
 
 
 def known_before(found: Fit, base: ModelFile | None) -> dict[str, float]:
-    """Parameters that this fit does not know and the earlier model does, with the earlier model's values."""
+    """Parameters that this fit does not determine and the earlier model does, with the earlier model's values."""
     if base is None:
         return {}
     return {

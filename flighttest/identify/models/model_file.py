@@ -382,7 +382,7 @@ def _covariance(
         names = tuple(str(n) for n in given.get("order") or ())
         matrix = np.array(given.get("matrix") or [], dtype=float).reshape(len(names), len(names))
     except (ValueError, TypeError):
-        document.wrong(node, f"the matrix is not {len(names)} x {len(names)} numbers, as `order` says")
+        document.wrong(node, f"the matrix is not {len(names)} x {len(names)} numbers, as many as `order` names")
         return (), np.zeros((0, 0))
     if not np.isfinite(matrix).all():
         document.wrong(node, "the matrix holds something that is not a finite number")

@@ -81,7 +81,7 @@ def block_coordinate_descent(found: Fit) -> BlockDescent | None:
         numbers = ", ".join(f"{n} = {values[n]:.3g} (joint {found.values[n]:.3g})" for n in far)
         sentence = (
             f"the paper's block coordinate descent gives {numbers}: throttle steps and tilt steps do not agree on one model, so that it "
-            "misses something they do not share; `flighttest diagnose` says what"
+            "misses something they do not share; `flighttest diagnose` finds what"
         )
     else:
         sentence = f"the paper's block coordinate descent {ended} and agrees with the joint estimate"

@@ -1,4 +1,4 @@
-"""Are a fit's own intervals for data it has not seen honest? The share of held-out samples inside their 95 % interval."""
+"""Coverage of a fit's own prediction intervals: the share of held-out samples inside their 95 % interval."""
 
 from __future__ import annotations
 

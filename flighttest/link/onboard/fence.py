@@ -60,7 +60,7 @@ class Fence:
         self._target = (session.vehicle_system, COMPONENT_AUTOPILOT)
 
     def read(self) -> tuple[FenceItem, ...]:
-        """All items, none where there is no fence. LinkError where the vehicle does not say."""
+        """All items, none where there is no fence. LinkError where the vehicle does not report it."""
         counted = self._ask(
             book.MAVLink_mission_request_list_message(*self._target, _KIND), lambda m: m.get_type() == "MISSION_COUNT"
         )

@@ -52,7 +52,7 @@ def parameter_changes(parm: Stamped | None) -> list[Marker]:
 
 
 def firmware(tables: Mapping[str, Stamped]) -> str:
-    """The firmware's version string, empty where the log does not say."""
+    """The firmware's version string, empty where the log does not hold it."""
     if "VER" in tables and "FWS" in tables["VER"][0]:
         return tables["VER"][0].text("FWS")[0]
     if "MSG" in tables and "Message" in tables["MSG"][0]:
@@ -67,7 +67,7 @@ _UID2_BYTES = 18  # of AUTOPILOT_VERSION, which has the twelve bytes of the boar
 
 
 def board(tables: Mapping[str, Stamped]) -> str:
-    """The board's own number as AUTOPILOT_VERSION has it, in hexadecimal, '' where the log does not say. The text has each word of four
+    """The board's own number as AUTOPILOT_VERSION has it, in hexadecimal, '' where the log does not hold it. The text has each word of four
     bytes reversed (AP_HAL_ChibiOS, Util::get_system_id)."""
     if "MSG" not in tables or "Message" not in tables["MSG"][0]:
         return ""

@@ -112,7 +112,7 @@ def gravity_warnings(found: Mapping[str, FloatArray], body: Literal["FLU", "FRD"
         if body == "FRD":
             remedy = "the map turns it by `frame: {body: FRD}`; if the table is in FLU already, leave that out"
         else:
-            remedy = f"if the table is in FRD (z down), say `frame: {{body: FRD}}` in {where}, which also turns pitch, q, r and y"
+            remedy = f"if the table is in FRD (z down), write `frame: {{body: FRD}}` in {where}, which also turns pitch, q, r and y"
         doubts.append(
             f"{up} is usually {vertical:.2f} m/s^2, where a vehicle that stands or hovers reads +9.81: {remedy}"
         )

@@ -1,4 +1,4 @@
-"""Tables of any origin as named columns of numbers: CSV and its kin, Parquet, MATLAB's files, Crazyflie's µSD log."""
+"""Tables of any origin as named columns of numbers: CSV and similar text, Parquet, MATLAB's files, Crazyflie's µSD log."""
 
 from __future__ import annotations
 

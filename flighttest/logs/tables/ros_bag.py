@@ -126,7 +126,7 @@ def _most_bytes(file: LogFile) -> int:
 
 
 def _check_chunks(file: LogFile) -> None:
-    """RecordingError where the chunks say that they unpack to more than a recording does; they are not unpacked for it."""
+    """RecordingError where the chunks declare that they unpack to more than a recording does; they are not unpacked for it."""
     import zstandard
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader

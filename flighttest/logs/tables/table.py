@@ -124,7 +124,7 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
     own = sheet.raw.get(TIME) if plan.rate_hz is None else None  # a bag's or MATLAB file's, where the map names none
     if TIME in plan.columns or own is not None:
         t_s = _read(sheet, plan, TIME) if TIME in plan.columns else sheet.column(TIME)
-        # Epoch times lose their microseconds in arithmetic; and nobody reads them.
+        # Epoch times lose their microseconds in arithmetic, and are not legible.
         if np.isfinite(t_s).any() and float(np.nanmin(t_s)) > 1e8:
             t_s = t_s - float(np.nanmin(t_s))
     elif plan.rate_hz is not None:

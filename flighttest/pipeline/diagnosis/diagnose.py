@@ -142,7 +142,7 @@ def _base_terms(found: Diagnosis) -> list[str]:
 def refit(
     found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None, progress: Progress = SILENT
 ) -> tuple[Fit, tuple[str, ...]]:
-    """The diagnosis' own fit of the accepted model; fitted anew where parameters are held as the base model knew them, and which."""
+    """The diagnosis' own fit of the accepted model; fitted anew where parameters are held as in the base model, and which."""
     assert found.fit is not None
     fitted = found.fit
     known = known_before(fitted, base)

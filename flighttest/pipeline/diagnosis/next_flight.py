@@ -33,7 +33,7 @@ GROWTH = (1.25, 1.5, 2.0, 3.0, 4.0)  # of a zone in which nothing fits
 
 
 def flyable_in(recordings: Sequence[Recording], vehicle: Vehicle | None) -> Flyable:
-    """What a vehicle's zone has room for of a script: the largest of `SIZES` of which every step can be flown."""
+    """What a vehicle's zone has space for of a script: the largest of `SIZES` of which every step can be flown."""
     where = vehicle if vehicle is not None and vehicle.flies else flown_vehicle(recordings)
     if where is None:
         return as_shipped

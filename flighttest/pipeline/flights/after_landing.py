@@ -78,7 +78,7 @@ def analyse(
     recordings = open_recordings(folders, progress=progress)
     name = whose(recordings, vehicle, out)
     if previous is None and vehicle is not None and not vehicle.name:
-        previous = model_of(out, name)  # a vehicle that nobody named is known by its autopilot once it has been read
+        previous = model_of(out, name)  # a vehicle without a name is known by its autopilot once it has been read
     found = _analysis(landed, recordings, name, previous, diagnose, progress)
     for folder, recording in zip(folders, recordings, strict=True):
         keep_segments(folder, [s for s in found.segments if s.run == recording.name])

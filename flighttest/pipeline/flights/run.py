@@ -42,8 +42,8 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 BUILTIN_SPEED = 20.0
-STOPPING = b"\r\nCtrl-C: stopping; a vehicle in the air is made safe and lands (again: let go of it at once)\r\n"
-LETTING_GO = b"\r\nCtrl-C again: letting go; it is the pilot's\r\n"
+STOPPING = b"\r\nCtrl-C: stopping; a vehicle in the air is made safe and lands (again: stops sending at once)\r\n"
+SENDING_ENDS = b"\r\nCtrl-C again: nothing is sent any more; the pilot has control\r\n"
 MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list them all
 
 
@@ -115,7 +115,7 @@ def declared_vehicle(request: FlightRequest) -> Vehicle:
     """The vehicle file, the built-in one's, or one without a name in the built-in one's zone."""
     if request.vehicle is not None:
         return load_vehicle(request.vehicle)
-    if target(request) != BUILTIN:  # whatever answers there: not the built-in one, and nobody said which
+    if target(request) != BUILTIN:  # another vehicle than the built-in one, and it is not known which
         return replace(DEFAULT_VEHICLE, name="", mass_kg=None, components={})
     # The other built-in airframe is another vehicle: its runs must not be compared with the first one's model.
     return (
@@ -160,7 +160,7 @@ def new_run(out: Path, script: str, now: datetime.datetime) -> Path:
 
 @contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """While this is open, Ctrl-C is counted instead of raised: once lands, twice lets go. A closed terminal or a shutdown lands."""
+    """While this is open, Ctrl-C is counted instead of raised: once lands, twice stops sending. A closed terminal or a shutdown lands."""
     presses = 0
 
     def count(_signal: int, _frame: object) -> None:
@@ -168,11 +168,11 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
         presses += 1
         # Past Python's own buffers, which the signal may have interrupted.
         with suppress(OSError):
-            os.write(2, STOPPING if presses == 1 else LETTING_GO)
+            os.write(2, STOPPING if presses == 1 else SENDING_ENDS)
 
     def end(_signal: int, _frame: object) -> None:
         nonlocal presses
-        presses = max(presses, 1)  # often comes twice, with nobody left to say what the second means
+        presses = max(presses, 1)  # often comes twice, and the second is no second request
 
     if threading.current_thread() is not threading.main_thread():
         yield lambda: 0

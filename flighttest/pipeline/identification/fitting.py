@@ -254,7 +254,7 @@ def fit(
     options: FitRequest | None = None,
     progress: Progress = SILENT,
 ) -> Result:
-    """Estimate the parameters of one or several recordings, jointly; write model.yaml where `output` says."""
+    """Estimate the parameters of one or several recordings, jointly; write model.yaml to `output`."""
     options = options or FitRequest()
     check_writable(None if output is None else output.parent)
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
@@ -284,7 +284,7 @@ def finish_fit(
     output: Path | None,
     runs: Sequence[str],
 ) -> Result:
-    """Write the model and say what was found."""
+    """Write the model and report what was found."""
     view = fit_view(found, segments)
     data = model_data(found, recordings, vehicle)
     facts = {"runs": paths(list(runs)), "terms": ", ".join(found.model.terms)}

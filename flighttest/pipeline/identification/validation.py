@@ -49,7 +49,7 @@ def validate(
     """Paper section 4; `output`: also write the page; `out`: where the vehicle's model is, by itself the folder that holds the first run.
 
     Free flight and steps, where both are given, are compared apart: they ask different things of a model, and an error over both together
-    would say little of either.
+    would show little of either.
     """
     check_writable(None if output is None else output.parent)
     if out is not None:

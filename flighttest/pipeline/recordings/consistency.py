@@ -31,7 +31,7 @@ def repeated(recordings: Sequence[Recording]) -> str:
 
 
 def unfiltered(recordings: Sequence[Recording]) -> str:
-    """Whose accelerometer may have a filter that nobody stated, in one sentence; empty where none has."""
+    """Whose accelerometer may have a filter that was not declared, in one sentence; empty where none has."""
     names = [r.name for r in recordings if r.has("f_z_m_s2") and "specific_force" not in r.provenance.filters]
     if not names:
         return ""

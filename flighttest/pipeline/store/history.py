@@ -100,7 +100,7 @@ def _at_bound(delay: StoredParameter | None) -> bool:
 
 
 def _determines(p: StoredParameter) -> bool:
-    """Whether a parameter can be compared: also one from too few responses to know how well it is known, as in a spot check, if it
+    """Whether a parameter can be compared: also one from too few responses for a standard error, as in a spot check, if it
     came out sharply: what campaigns differ by is allowed for anyway."""
     return p.identifiable or (p.std is not None and p.std < KNOWN_STD * abs(p.value))
 

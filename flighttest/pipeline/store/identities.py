@@ -18,7 +18,7 @@ from flighttest.vehicle.model import Vehicle
 MODELS_DIR = "models"  # in a folder of runs: the accepted models of each vehicle (see `lineage`)
 LINEAGE_NAME = "lineage.yaml"
 LINEAGE_REPAIR = "restore the file, or move its folder away and accept a model again"
-SAY = "say with --vehicle vehicle.yaml (`format: vehicle/1` and `name: ...` are enough)"
+NAME_IT = "name it with --vehicle vehicle.yaml (`format: vehicle/1` and `name: ...` are enough)"
 
 
 def run_folders(folder: Path) -> list[Path]:
@@ -100,8 +100,8 @@ def whose(recordings: Sequence[Recording], vehicle: Vehicle | None, folder: Path
 
 
 def only_vehicle(names: Sequence[str], folder: Path) -> str:
-    """The vehicle that is meant where nobody names one: the only one there is. InputError where there are several."""
+    """The vehicle that is meant where none is named: the only one there is. InputError where there are several."""
     distinct = sorted({n for n in names if n})
     if len(distinct) > 1:
-        raise InputError(f"{folder} holds {len(distinct)} vehicles: {join(distinct)}", SAY)
+        raise InputError(f"{folder} holds {len(distinct)} vehicles: {join(distinct)}", NAME_IT)
     return distinct[0] if distinct else ""

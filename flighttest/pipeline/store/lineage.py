@@ -24,7 +24,7 @@ from flighttest.pipeline.store.identities import (
     LINEAGE_NAME,
     LINEAGE_REPAIR,
     MODELS_DIR,
-    SAY,
+    NAME_IT,
     known_in,
     only_vehicle,
     recognised,
@@ -137,7 +137,7 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
         whose = f" of a vehicle called {vehicle}" if vehicle else ""
         raise InputError(
             f"no model was given, and {out} holds no run{whose} with a fit",
-            f"name one with --model, fly: flighttest run thrust, or {SAY}",
+            f"name one with --model, fly: flighttest run thrust, or {NAME_IT}",
         )
     return found
 
@@ -196,7 +196,7 @@ def _whose(stored: ModelFile, path: Path, out: Path, vehicle: Path | None) -> st
         raise InputError(f"{path} is a model of {name}, not of {declared}", f"give the vehicle file of {name}")
     name = name or of.key
     if not (declared or name):
-        raise InputError(f"{path}: it is not known which vehicle this is a model of", SAY)
+        raise InputError(f"{path}: it is not known which vehicle this is a model of", NAME_IT)
     return declared or name
 
 

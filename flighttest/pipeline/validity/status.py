@@ -25,7 +25,7 @@ from flighttest.pipeline.recordings.sources import RecordingSource, named, open_
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import options_of
 from flighttest.pipeline.store.history import campaigns, watched, when
-from flighttest.pipeline.store.identities import SAY, whose
+from flighttest.pipeline.store.identities import NAME_IT, whose
 from flighttest.pipeline.store.lineage import in_use
 from flighttest.pipeline.validity.evidence import (
     NOT_DIAGNOSED,
@@ -78,7 +78,7 @@ def status(
         name = name or stored.vehicle_name
     elif recordings and not name:
         raise InputError(
-            f"{join([named(r) for r in runs])}: of an unknown vehicle", f"{SAY}, or name a model with --model"
+            f"{join([named(r) for r in runs])}: of an unknown vehicle", f"{NAME_IT}, or name a model with --model"
         )
     else:
         stored = in_use(out, name)
@@ -204,7 +204,7 @@ def reestimate(
 ) -> tuple[Estimates, dict[str, float | None]]:
     """The stored model's parameters from new responses alone, and the standard error of each, None where nothing determines it.
 
-    What the new recordings cannot determine (alpha over a short flight, say) is held at the stored value, so that it does not blur
+    What the new recordings cannot determine (for instance alpha over a short flight) is held at the stored value, so that it does not blur
     the rest; the test's covariance carries the stored doubt anyway.
     """
     if not usable:

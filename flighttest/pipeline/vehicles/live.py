@@ -40,7 +40,7 @@ class LiveVehicle:
 
 
 def read(url: str, progress: Progress = SILENT, key: bytes | None = None) -> LiveVehicle:
-    """Connect, read, let go. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers."""
+    """Connect, read, disconnect. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")
         session = Session(MavlinkPort(open_transport(where), key=None if url == BUILTIN else key))

@@ -82,7 +82,7 @@ def _asset(name: str) -> str:
 
 
 def _verdict(text: str) -> str:
-    """The first sentences large, what else there is to say smaller below."""
+    """The first sentences large, the others smaller below."""
     said = re.split(r"(?<=[.!?]) +(?=[A-Z0-9])", text)
     first, rest = " ".join(said[:LEADING]), " ".join(said[LEADING:])
     return escape(first) + (f"<p>{escape(rest)}</p>" if rest else "")

@@ -131,18 +131,18 @@ class _Prose:
                 head = " " * cell_len(head)
 
 
-def _folded(text: str, room: int, command: bool = False) -> list[str]:
-    """Lines of at most `room` cells, except where one word is longer: `text` broken between words, and within a command (the whole
+def _folded(text: str, available: int, command: bool = False) -> list[str]:
+    """Lines of at most `available` cells, except where one word is longer: `text` broken between words, and within a command (the whole
     text, or in backticks) only where it is longer than a line, behind backslashes and with what follows two deeper."""
     lines = [""]
     command = command or text.startswith("flighttest ")
     for piece in [text.strip()] if command else re.split(r"(`flighttest [^`]*`\S*)", text.strip()):
         inside = command or piece.startswith("`")
-        long = inside and cell_len(piece) > room
+        long = inside and cell_len(piece) > available
         words = [piece] if inside and not long else piece.split()
         for k, word in enumerate(words):
             end = " \\" if long and k < len(words) - 1 else ""
-            if lines[-1] and cell_len(f"{lines[-1]} {word}{end}") > room and word != "\\":
+            if lines[-1] and cell_len(f"{lines[-1]} {word}{end}") > available and word != "\\":
                 lines[-1] += " \\" if long and k else ""
                 lines.append(f"  {word}" if long and k else word)
             else:
@@ -158,10 +158,10 @@ class _Facts:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         indent = max((cell_len(name) for name, _ in self._pairs), default=0) + 2
-        room = options.max_width - indent
+        available = options.max_width - indent
         for name, value in self._pairs:
-            lines = [line for part in value.split("\n") for line in _folded(part, room)]
-            if any(cell_len(line) > room for line in lines):
+            lines = [line for part in value.split("\n") for line in _folded(part, available)]
+            if any(cell_len(line) > available for line in lines):
                 yield Text(name, style="dim")
                 yield _Prose(value, head="  ")
                 continue
@@ -208,22 +208,22 @@ def _left_out(rows: int, columns: Sequence[str]) -> str:
     return f"... {'; '.join(what)}: --all shows them, --csv DIR writes them" if what else ""
 
 
-def _blocks(table: Table, chosen: Sequence[int], room: int) -> list[dict[int, int]]:
-    """Columns (by position) with their widths, in as many blocks as the room asks for."""
+def _blocks(table: Table, chosen: Sequence[int], available: int) -> list[dict[int, int]]:
+    """Columns (by position) with their widths, in as many blocks as the available width needs."""
     wanted = {i: max(_lengths(table, i)) for i in chosen}
-    least = {i: min(wanted[i], max(1, room - 1), _least(table, i)) for i in chosen}
+    least = {i: min(wanted[i], max(1, available - 1), _least(table, i)) for i in chosen}
     blocks: list[list[int]] = [[]]
     for i in chosen:
-        if len(blocks[-1]) > 1 and sum(least[k] + 1 for k in (*blocks[-1], i)) > room:
-            blocks.append([chosen[0]] if least[chosen[0]] + least[i] + 2 <= room else [])
+        if len(blocks[-1]) > 1 and sum(least[k] + 1 for k in (*blocks[-1], i)) > available:
+            blocks.append([chosen[0]] if least[chosen[0]] + least[i] + 2 <= available else [])
         blocks[-1].append(i)
-    return [room_shared({i: (least[i], wanted[i]) for i in block}, room) for block in blocks if block]
+    return [width_shared({i: (least[i], wanted[i]) for i in block}, available) for block in blocks if block]
 
 
-def room_shared(spans: Mapping[int, tuple[int, int]], room: int) -> dict[int, int]:
+def width_shared(spans: Mapping[int, tuple[int, int]], available: int) -> dict[int, int]:
     """A width per column between its least and its wanted one; what is over goes to the narrowest that needs more, sign by sign."""
     widths = {i: least for i, (least, _) in spans.items()}
-    for _ in range(room - sum(w + 1 for w in widths.values())):
+    for _ in range(available - sum(w + 1 for w in widths.values())):
         wanting = [i for i in widths if widths[i] < spans[i][1]]
         if not wanting:
             break

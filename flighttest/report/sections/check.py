@@ -13,7 +13,7 @@ MAX_REFUSALS = 8
 
 
 def check_document(results: Sequence[CheckResult], facts: Mapping[str, str], *, verbose: bool = False) -> Document:
-    """All scripts on one page; the verdict says whether everything may be flown."""
+    """All scripts on one page; the verdict: whether everything may be flown."""
     refused = sum(len(r.refusals) for r in results)
     legs = sum(r.legs for r in results)
     names = join([r.name for r in results])

@@ -191,7 +191,7 @@ def _truth(data: DemoData) -> Section:
         ),
         Paragraph(f"hidden: {said}; found: {names}.", "good" if data["as_hidden"] else "warn"),
     ]
-    lead = "The simulator alone knew this; the diagnosis read recordings."
+    lead = "Only the simulator had this; the diagnosis read recordings."
     return Section("truth", "What was hidden, and what was found", tuple(blocks), lead)
 
 

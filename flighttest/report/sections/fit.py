@@ -90,8 +90,8 @@ def quality(view: FitView) -> Section:
     if any(not q.clean for q in view.quality):
         blocks.append(
             Paragraph(
-                "Where more is left, it is slow noise or something that the model misses: `flighttest diagnose` says, as far as the "
-                "recordings can tell.",
+                "Where more is left, it is slow noise or something that the model misses: `flighttest diagnose` finds it, as far as the "
+                "recordings can show it.",
                 "quiet",
             )
         )

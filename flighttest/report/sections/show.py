@@ -1,4 +1,4 @@
-"""The page of a recording before anything is fitted: its health, its course, its channels, and what it could tell."""
+"""The page of a recording before anything is fitted: its health, its course, its channels, and what it could determine."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def viewer(look: Look) -> Section:
 
 
 def what(look: Look) -> Section:
-    """What each parameter's error would be, and what this recording says nothing of."""
+    """What each parameter's error would be, and what this recording holds no information on."""
     blocks: list[PageBlock] = []
     if look.outlook:
         rows = []
@@ -150,7 +150,7 @@ def what(look: Look) -> Section:
                 ("parameter", "expected error", "unit", "of its value", "can be determined", "fly"), tuple(rows),
                 ("left", "right", "left", "right", "left", "left"),
                 "Before any fit: Fisher information of the recorded commands at nominal parameters, with the noise of a usual outdoor "
-                "vehicle. A fit knows less where repeats are few or differ, or where the model misses something.",
+                "vehicle. A fit determines less where repeats are few or differ, or where the model misses something.",
             )
         )  # fmt: skip
     if look.outlook_why:

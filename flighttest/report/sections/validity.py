@@ -49,7 +49,7 @@ _FIRST = (
     "firmware",
     "frame",
     "voltage",
-)  # what a person changed, before what a parameter list says
+)  # what a person changed, before what a parameter list shows
 
 
 def status_document(

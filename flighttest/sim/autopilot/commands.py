@@ -17,7 +17,7 @@ _EVERY_FENCE = 15
 
 
 def acknowledge(v: CommandedVehicle, message: Any, command: int, result: int) -> None:
-    """COMMAND_ACK to whoever sent the message."""
+    """COMMAND_ACK to the sender of the message."""
     sender = (message.get_srcSystem(), message.get_srcComponent())
     v.outbox.append(v.encoder.message(book.MAVLink_command_ack_message(command, result, 0, 0, *sender)))
 

@@ -18,7 +18,7 @@ _NO_INDEX = 0xFFFF
 
 
 class Mailbox:
-    """Handlers by message name. lockstep_asked, speed_asked: what SIM_ parameters ask of whoever runs the simulation; None: nothing."""
+    """Handlers by message name. lockstep_asked, speed_asked: what SIM_ parameters request of the simulation's server; None: nothing."""
 
     def __init__(self, vehicle: CommandedVehicle) -> None:
         self._v = vehicle

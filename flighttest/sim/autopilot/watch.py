@@ -40,7 +40,7 @@ class Watch:
         """Do what is due now."""
         v = self._v
         t_s = v.time_s
-        self._speak(t_s)
+        self._report(t_s)
         self._landing(t_s)
         v.fence.look(t_s)
         if not v.armed:
@@ -50,7 +50,7 @@ class Watch:
         self._fence()
         self._crashed(t_s)
 
-    def _speak(self, t_s: float) -> None:
+    def _report(self, t_s: float) -> None:
         v = self._v
         while self._texts and self._texts[0][0] <= t_s:
             v.say(self._texts.pop(0)[1])

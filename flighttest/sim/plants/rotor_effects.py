@@ -1,6 +1,6 @@
 """The switches of the rotor vehicle: every mechanism it can have beyond a clean multirotor, with keys and usual magnitudes.
 
-Ids are the catalogue's where it has such physics, and keys are named alike for the sake of whoever types them; the forms are this
+Ids are the catalogue's where it has such physics, and keys are named alike, as they are typed; the forms are this
 plant's own, from rotor aerodynamics and autopilot source. The rest no catalogue term describes. Where a default depends on the
 vehicle, it is given in its terms.
 """

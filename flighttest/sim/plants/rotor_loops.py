@@ -70,7 +70,7 @@ class Loops:
                 shaper.angle = shaper.rate = 0.0
 
     def update(self, dt: float, c: Command, roll: float, pitch: float, p: float, q: float, r: float) -> None:
-        """One loop: attitude rad as the controller believes it, body rates rad/s."""
+        """One loop: attitude rad as the controller's estimate has it, body rates rad/s."""
         if self._shapers:
             self.roll = self._shapers[0].update(c.roll + self._turn[0] * c.pitch, dt)
             self.pitch = self._shapers[1].update(c.pitch + self._turn[1] * c.roll, dt)
@@ -82,10 +82,10 @@ class Loops:
         roll_rate = p + tt * (sf * q + cf * r)
         pitch_rate = cf * q - sf * r
         limit = self._limit
-        want = self._angle_roll * (self.roll - roll)
-        roll_accel = self._rate_roll * (min(max(want, -limit), limit) - roll_rate)
-        want = self._angle_pitch * (self.pitch - pitch)
-        pitch_accel = self._rate_pitch * (min(max(want, -limit), limit) - pitch_rate)
+        rate_ref = self._angle_roll * (self.roll - roll)
+        roll_accel = self._rate_roll * (min(max(rate_ref, -limit), limit) - roll_rate)
+        rate_ref = self._angle_pitch * (self.pitch - pitch)
+        pitch_accel = self._rate_pitch * (min(max(rate_ref, -limit), limit) - pitch_rate)
         # Euler to body accelerations for r held by its own loop (rate products left to the feedback)
         x = roll_accel - tt * (sf / cf) * pitch_accel
         y = pitch_accel / cf

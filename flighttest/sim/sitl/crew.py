@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as book
 
 from flighttest.sim.wire import Decoder, Encoder
 
-_SYSTEM, _COMPONENT = 253, 190  # nobody's ground station
+_SYSTEM, _COMPONENT = 253, 190  # an id that no ground station uses
 _NAME = b"SIM_BATT_VOLTAGE"
 # The pack is only swapped when the value differs from the last one.
 _OTHER_V = 0.01
@@ -46,7 +46,7 @@ class GroundCrew:
                     connection.settimeout(0.2)
                     self._watch(connection)
             except OSError:
-                # Not listening yet, or gone: whoever started the vehicle decides about that.
+                # Not listening yet, or gone: the launcher decides about that.
                 self._stop.wait(_RETRY_S)
 
     def _watch(self, connection: socket.socket) -> None:

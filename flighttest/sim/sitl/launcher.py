@@ -285,7 +285,7 @@ def command(options: SitlOptions, program: Path, base: int, folder: Path, speedu
 
 
 def free_ports(candidates: Sequence[int] = _PORTS) -> int:
-    """The first of ten TCP ports in a row that nobody listens on."""
+    """The first of ten TCP ports in a row that are free."""
     offset = os.getpid() % len(candidates)  # two programs started together begin their search at different places
     for base in (*candidates[offset:], *candidates[:offset]):
         if all(_is_free(base + i) for i in range(_PORTS_EACH)):

@@ -1,7 +1,7 @@
 """Lock-step for a real firmware on our physics: between a ground program and the firmware's serial port, beside the physics.
 
 A firmware waits for each answer of its physics, and the physics answers no further than the ground program has granted: the protocol of
-`flighttest.sim.lockstep`, for a firmware that knows nothing of it. SIM_LOCKSTEP is answered here, grants end here, and every other
+`flighttest.sim.lockstep`, for a firmware that does not have it. SIM_LOCKSTEP is answered here, grants end here, and every other
 frame passes as it is. Without it a target arrives when both processes happen to be scheduled: at four times real time, a host that is
 late by 10 ms makes a target late by 40 ms.
 
