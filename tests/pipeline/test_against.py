@@ -17,7 +17,7 @@ from flighttest.recording import Provenance, Recording
 def _nothing_found(monkeypatch):
     """The search for terms is tested elsewhere: here it finds none."""
 
-    def no_search(segments, recordings, stored, vehicle, progress):
+    def no_search(segments, recordings, stored, vehicle, progress, weather):
         model = base_model(recordings, vehicle)
         return SimpleNamespace(
             model=model,
