@@ -76,6 +76,15 @@ def test_an_accepted_model_is_its_vehicles_and_keeps_those_before_it(call, tmp_p
     assert lineage.in_use(out).model.terms == (*PAPER, "quadratic_drag")
 
 
+def test_a_model_that_is_in_use_is_not_accepted_again(call, tmp_path):
+    out, folder = tmp_path / "runs", write_model(tmp_path / "one")
+    answers = [call("accept", folder, "--out", out)[1] for _ in range(2)]
+    assert all("is now model 1 of heron" in answer for answer in answers)
+    assert len(lineage.lineage_of(out, "heron").generations) == 1
+    call("accept", write_model(tmp_path / "two", K=61.0), "--out", out)
+    assert len(lineage.lineage_of(out, "heron").generations) == 2
+
+
 def test_an_accepted_model_comes_with_the_command_for_its_twin(call, tmp_path):
     out = tmp_path / "runs"
     (out / "flown").mkdir(parents=True)
@@ -143,7 +152,7 @@ def test_a_component_change_ends_a_model_by_name(tmp_path):
     assert whole.generations[0].ended == ("propellers P1 is now P2",)
 
 
-def test_a_model_of_a_vehicle_that_is_not_known_is_unnameds(tmp_path):
+def test_a_model_of_a_vehicle_that_is_not_known_has_no_name(tmp_path):
     folder = write_model(tmp_path / "one", vehicle=None)
     with pytest.raises(InputError, match="not known which vehicle") as reported:
         lineage.take_into_use(folder, tmp_path)

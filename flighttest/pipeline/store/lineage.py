@@ -101,9 +101,9 @@ def _read(path: Path) -> Lineage:
         try:
             made.append(_generation(row))
         except (TypeError, KeyError, ValueError, AttributeError) as error:
-            raise ModelError(f"{path}: a model in it is no whole entry", LINEAGE_REPAIR) from error
+            raise ModelError(f"{path}: an entry in its list of models is incomplete", LINEAGE_REPAIR) from error
         if Path(made[-1].file).name != made[-1].file:
-            raise ModelError(f"{path}: {made[-1].file!r} is no file beside it", LINEAGE_REPAIR)
+            raise ModelError(f"{path}: {made[-1].file!r} is not a file name in its folder", LINEAGE_REPAIR)
     return Lineage(data["vehicle"], path.parent, tuple(made))
 
 
@@ -144,7 +144,8 @@ def in_use(out: Path, vehicle: str = "") -> ModelFile:
 
 def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[Lineage, Generation]:
     """Make the model of a run or diagnosis folder, or a model file, its vehicle's model in use. InputError where the vehicle is not known
-    or another one's, or where the model determines less than the one in use, of an unchanged vehicle and without its flights."""
+    or another one's, or where the model determines less than the one in use, of an unchanged vehicle and without its flights. The model
+    that is in use already stays so."""
     if not path.exists():
         raise InputError(
             f"{path}: there is no such model or folder", "name what `flighttest diagnose -o` or `run` wrote"
@@ -166,6 +167,8 @@ def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[L
     generations = list(before.generations)
     if last is not None and before.current is not None:
         old = model_file.read(before.current)
+        if (old.runs, old.values, old.fingerprint) == (stored.runs, stored.values, stored.fingerprint):
+            return before, last
         made = replace(
             made,
             joined=tuple(t for t in made.terms if t not in last.terms),
