@@ -246,6 +246,18 @@ QUESTIONS = (
     ("How is an interrupted run resumed?", "resume", "pipeline/store/resuming.py"),
     ("Where is the physics of voltage sag?", "voltage sag", "physics/terms/propulsion.py"),
     ("Which components and parameters is a model valid for?", "fingerprint", "vehicle/fingerprint.py"),
+    # Ten more of another reader. Five had no answer then: "geofence", "sensor noise", "throttle curve", "confidence interval", "position
+    # loop".
+    ("How is a geofence brought onto the vehicle?", "geofence", "link/onboard/fence.py"),
+    ("Where is the sensor noise of the built-in vehicle?", "sensor noise", "sim/sensors.py"),
+    ("Where is the throttle curve?", "throttle curve", "physics/terms/propulsion.py"),
+    ("How is the next flight chosen?", "next flight", "diagnose/next_flight.py"),
+    ("How is the vehicle brought back between steps?", "position loop", "flight/execution/reset.py"),
+    ("Where is a confidence interval made?", "confidence interval", "identify/fit.py"),
+    ("Which model of a vehicle is in use?", "model in use", "pipeline/store/lineage.py"),
+    ("Which target may always be sent?", "release target", "flight/gate.py"),
+    ("How does a model become C?", "C99", "identify/models/export.py"),
+    ("How are gaps of a recording found?", "gap", "segments/health.py"),
 )
 
 # What is gone: pattern and what to say. Matched as a whole word, in any case, also as a part of names like flight_house_m.

@@ -1,5 +1,5 @@
-"""Which flight would decide: shipped maneuvers are rehearsed with the fitted model, and the one whose data would separate the rivals
-best, or show best what could not be seen, is written as a script.
+"""The next flight, one that would decide: shipped maneuvers are rehearsed with the fitted model, and the one whose data would separate
+the rivals best, or show best what could not be seen, is written as a script.
 
 Nothing in the recordings prefers either answer now (else there were no question): odds of 1 to 1. The expected odds are those of the
 information the rehearsed data would carry: half the squared length of what of the effect no rival and no base parameter can copy, in noise

@@ -59,9 +59,9 @@ _REPORTED_OUTLIER = 0.7  # responses weighted below this are named
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter. source: fit, frozen, tied, derived or assumed (nothing here depends on it); std and interval None where none was
-    estimated; scatter: the part of std by which two fits of like flights differ, without what the equations may err; why and fly: what
-    contradicts it and the maneuver script that would make it known, empty where it is known."""
+    """One parameter, interval_95: its 95 % confidence interval. source: fit, frozen, tied, derived or assumed (nothing here depends on
+    it); std and interval None where none was estimated; scatter: the part of std by which two fits of like flights differ, without what
+    the equations may err; why and fly: what contradicts it and the maneuver script that would make it known, empty where it is known."""
 
     name: str
     symbol: str

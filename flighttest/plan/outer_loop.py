@@ -1,4 +1,5 @@
-"""The outer loop over attitude targets that flies free flight, and brings a vehicle back where the autopilot holds no position.
+"""The outer loop (position loop) over attitude targets that flies free flight, and brings a vehicle back where the autopilot holds no
+position.
 
 Position error to velocity, velocity error to acceleration, acceleration to tilt and throttle. Gains are slow against the paper's
 attitude loops (25 rad/s) and delay (0.1 s), so that it stays stable on any airframe this package can fly.

@@ -1,4 +1,4 @@
-"""What the vehicle's instruments and its estimator make of the motion: noise, filters, rates.
+"""What the vehicle's instruments and its estimator make of the motion: sensor noise, filters, rates.
 
 Accelerometer and gyro pass the autopilot's own low-pass at every tick; attitude, velocity and position are an estimator's: errors
 that wander slowly with a little white noise on top, drawn when they are asked for.

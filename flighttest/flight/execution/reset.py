@@ -1,4 +1,4 @@
-"""Bringing the vehicle back between steps: by the autopilot's own position control, by our outer loop, or by the pilot.
+"""Bringing the vehicle back between steps: by the autopilot's own position loop, by our outer loop, or by the pilot.
 
 Each returns whether the vehicle is at the start and settled, and the hover throttle measured while it hovered there.
 """

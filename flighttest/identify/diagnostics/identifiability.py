@@ -1,4 +1,4 @@
-"""Which parameters this data makes known, which not, and the maneuver that would."""
+"""Identifiability: which parameters this data determines, which not (collinear sensitivities, bounds), and the maneuver that would."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Over all responses of a fit: correlations of residuals, frequency responses (Bode) of measurement and model, and coherence."""
+"""Over all responses of a fit: correlations of residuals, frequency responses (transfer function estimates, Bode) of measurement and
+model, and coherence."""
 
 from __future__ import annotations
 

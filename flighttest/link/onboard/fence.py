@@ -1,4 +1,4 @@
-"""The fence that a vehicle keeps aboard: read, written and verified by MAVLink's mission protocol with MISSION_TYPE_FENCE.
+"""The fence (geofence) that a vehicle keeps aboard: read, written and verified by MAVLink's mission protocol with MISSION_TYPE_FENCE.
 
 MAVLink guide, "Mission Protocol"; answers and their time limits as ArduPilot's MissionItemProtocol.cpp handles them.
 """

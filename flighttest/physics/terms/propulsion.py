@@ -1,4 +1,4 @@
-"""Propulsion beyond a linear gain with one lag: motors, propellers, speed controllers, battery (voltage sag)."""
+"""Propulsion beyond a linear gain with one lag: throttle curve, motors, propellers, speed controllers, battery (voltage sag)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rotor-level vehicles: masses, lengths, motors, battery and inner loops, by hand or drawn at random from a seed."""
+"""Rotor-level vehicles: masses, moments of inertia, lengths, motors, battery and inner loops, by hand or drawn at random from a seed."""
 
 from __future__ import annotations
 
