@@ -93,7 +93,7 @@ class _Watched(yaml.SafeLoader):
         self._depth += isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent))
         self._depth -= isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent))
         if self._depth > MAX_DEPTH or self._count > MAX_NODES:
-            hint = "it is no file of this kind"
+            hint = "it is not a file of this kind"
             raise _Refused(line, "the file is nested too deeply or holds too many values", hint)
         return event
 
@@ -106,7 +106,7 @@ class YamlDocument:
         self.problems: list[FileProblem] = []
         self.root: Node | None = None
         if len(text.encode("utf-8", "replace")) > MAX_BYTES:
-            self.problem(1, "", f"the file is larger than {MAX_BYTES} bytes", "it is no file of this kind")
+            self.problem(1, "", f"the file is larger than {MAX_BYTES} bytes", "it is not a file of this kind")
             return
         try:
             node = yaml.compose(text, Loader=_Watched)

@@ -58,7 +58,7 @@ def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
     for source in given:
         if not isinstance(source, str | PathLike | Recording):
             raise InputError(
-                f"a {type(source).__name__} is no recording",
+                f"a {type(source).__name__} is not a recording",
                 "give each run folder, log or `Recording` as an argument of its own, a list of them as *runs",
             )
     return [source if isinstance(source, Recording) else Path(source) for source in given]

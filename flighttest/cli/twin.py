@@ -71,9 +71,9 @@ def twin(
     if bool(verified) == bool(replayed):
         raise click.UsageError("give either --verify RUN... or --replay RUN...")
     if options["backend"] == "sitl" and replayed:
-        raise click.UsageError("--backend is of --verify: a replay flies nothing")
+        raise click.UsageError("--backend works with --verify only: --replay flies nothing")
     if changes and not replayed:
-        raise click.UsageError("--set changes the vehicle of a --replay")
+        raise click.UsageError("--set works with --replay only")
     with LiveProgress(context.show) as progress:
         answer: ft.Answer
         if replayed:

@@ -56,6 +56,6 @@ def seconds(word: str | None) -> tuple[float, ...]:
         found = [-1.0]
     if not all(0.0 < value <= LONGEST_S for value in found):
         raise InputError(
-            f"--horizons {word!r} is no list of times up to {LONGEST_S:g} s", "as in --horizons 0.01,0.1,0.5,1"
+            f"--horizons {word!r} is not a list of times up to {LONGEST_S:g} s", "as in --horizons 0.01,0.1,0.5,1"
         )
     return tuple(found)

@@ -126,16 +126,6 @@ def expected_of_information(
     return _expected(model.names, hessian, steps, model, values)
 
 
-def expected_of_plans(
-    plans: Sequence[Plan], model: Model, values: Mapping[str, float], noise: Noise = ASSUMED
-) -> tuple[tuple[tuple[Expected, ...], ...], tuple[Expected, ...]]:
-    """The same for each plan by itself, and for all of them together."""
-    planned = planned_information(plans, model, values, noise)
-    return tuple(expected_of_information([one], model, values) for one in planned), expected_of_information(
-        planned, model, values
-    )
-
-
 def _information(problem: Problem, noise: Noise) -> dict[str, FloatArray]:
     """Fisher information of each segment by the problem's names, (n_segments, p, p), apart for each block it feeds."""
     found = {

@@ -223,7 +223,7 @@ class ArduPilot:
                 return True
             why = ack.sentence if not ack.accepted else why
             if self.session.now_s() >= deadline:
-                raise LinkError(f"the vehicle does not arm ({why})", "mend the reason that it gave, then fly again")
+                raise LinkError(f"the vehicle does not arm ({why})", "remove the reason that it gave, then fly again")
             self.session.advance(self.session.now_s() + 1.0)
         return False
 

@@ -63,7 +63,7 @@ def open_transport(url: str) -> Transport:
         # A serial port's own text repeats its name and the error's number.
         why = os.strerror(error.errno) if error.errno and kind == "serial" else error.strerror or str(error)
         raise LinkError(f"cannot open {url}: {why}", _hint(kind)) from error
-    raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
+    raise InputError(f"{url!r} is not the URL of a link", f"use {URL_FORMS}")
 
 
 def full_url(url: str) -> str:

@@ -68,7 +68,8 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
     claimed = path.suffix.lower()
     if claimed in {".gz", ".xz"} and not file.compressed:
         raise RecordingError(
-            f"{path}: named {claimed}, but not compressed so", "rename it, or copy or download it anew"
+            f"{path}: named {claimed}, but its content is not compressed that way",
+            "rename it, or copy or download it anew",
         )
     if head[:3] == b"\xa3\x95\x80" or (suffix == ".bin" and b"\xa3\x95" in head):
         from flighttest.logs.ardupilot.importer import import_ardupilot_bin
@@ -93,9 +94,9 @@ def _read(path: Path, columns: Path | str | None) -> Recording:
         )
     if suffix in {".yaml", ".yml"}:
         raise RecordingError(
-            f"{path}: this is no recording",
+            f"{path}: this is not a recording",
             "a model is given with --model, a vehicle with --vehicle, a column map with --columns",
         )
     raise RecordingError(
-        f"{path} is no kind of log that can be read", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+        f"{path} is not a kind of log that can be read", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
     )

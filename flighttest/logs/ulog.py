@@ -45,7 +45,7 @@ def import_ulog(path: Path) -> Recording:
     file = LogFile(path)
     data = b"".join(file.pieces())
     if data[:7] != b"ULog\x01\x12\x35":
-        raise RecordingError(f"{path}: this is no ULog file", "give a .ulg log of PX4")
+        raise RecordingError(f"{path}: this is not a ULog file", "give a .ulg log of PX4")
     words = io.StringIO()
     try:
         # pyulog reports damage on standard output; it belongs into the losses.

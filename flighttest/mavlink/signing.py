@@ -35,7 +35,7 @@ def read_key(path: Path) -> bytes:
         key = b""
     if len(key) != KEY_BYTES or not any(key):
         raise InputError(
-            f"{path}: this is no signing key", "a key is 64 hexadecimal digits; `flighttest sign` makes one"
+            f"{path}: this is not a signing key", "a key is 64 hexadecimal digits; `flighttest sign` makes one"
         )
     return key
 

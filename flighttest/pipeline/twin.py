@@ -86,7 +86,7 @@ class Flying:
         """InputError where both are asked for, LinkError where there is no firmware on this machine."""
         if self.offline and self.firmware:
             raise InputError(
-                "offline nothing is flown, under the firmware neither", "leave out --offline or --backend sitl"
+                "--offline flies nothing, so it cannot be combined with --backend sitl", "leave one of them out"
             )
         if self.firmware:
             find_arducopter()

@@ -74,7 +74,7 @@ def run_trials(
     Every seal is announced before its trial starts. An interrupt ends the proof and keeps the trials that are done.
     """
     if asked.trials < 1:
-        raise InputError(f"{asked.trials} trials prove nothing", "ask for 1 or more")
+        raise InputError(f"{asked.trials} trials: at least 1 is needed", "give --trials 1 or more")
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if asked.seed is None else asked.seed
     cases = _cases(asked, seed)
     seals = {case.index: case.sha256() for case in cases}
@@ -157,6 +157,6 @@ def read(folder: Path) -> tuple[int, list[Outcome]] | None:
         return int(data["seed"]), [Outcome.from_json(o) for o in data["outcomes"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{path}: not a proof that could be continued ({type(error).__name__}: {error})",
+            f"{path}: this proof cannot be continued ({type(error).__name__}: {error})",
             "give --output another folder",
         ) from error

@@ -89,7 +89,7 @@ def _flown(case: Case, without: str = "", quiet: bool = False) -> tuple[Segment,
     if all(s.kind == "free" for s in segments):
         # Nothing has a twin in the flight without the effect, which its size is measured by.
         raise RecordingError(
-            "no step of the campaign was flown to its end", "the vehicle does not settle with this in it"
+            "no step of the campaign was flown to its end", "the vehicle does not settle with this effect"
         )
     return segments
 

@@ -62,7 +62,7 @@ def read_manifest(run_dir: Path) -> Manifest:
     path = run_dir / MANIFEST_NAME
     if not path.is_file():
         raise RecordingError(
-            f"{run_dir} is no run folder: it has no {MANIFEST_NAME}",
+            f"{run_dir} is not a run folder: it has no {MANIFEST_NAME}",
             "name a folder that `flighttest run` or `import` wrote",
         )
     manifest = read_yaml(path, RecordingError, "manifest", "rebuild the run from its raw.tlog")
@@ -71,19 +71,19 @@ def read_manifest(run_dir: Path) -> Manifest:
     manifest.pop("format")
     for key in _BLOCKS:
         if not isinstance(manifest.get(key) or {}, dict):
-            raise RecordingError(f"{path}: {key} is no block of keys and values", _REBUILD)
+            raise RecordingError(f"{path}: {key} is not a block of keys and values", _REBUILD)
     for name, declared in (manifest.get("components") or {}).items():
         if not isinstance(declared or {}, dict):
-            raise RecordingError(f"{path}: components.{name} is no block of keys and values", _REBUILD)
+            raise RecordingError(f"{path}: components.{name} is not a block of keys and values", _REBUILD)
     if not isinstance(manifest.get("losses") or [], list):
-        raise RecordingError(f"{path}: losses is no list", _REBUILD)
+        raise RecordingError(f"{path}: losses is not a list", _REBUILD)
     for key in ("parameters", "parameters_changed", "parameters_left", "filters"):
         for name, value in (manifest.get(key) or {}).items():
             _number(value, f"{path}: {key}.{name}")
     for key in ("given", "hardware"):
         block = (manifest.get("parameters_set") or {}).get(key) or {}
         if not isinstance(block, dict):
-            raise RecordingError(f"{path}: parameters_set.{key} is no block of keys and values", _REBUILD)
+            raise RecordingError(f"{path}: parameters_set.{key} is not a block of keys and values", _REBUILD)
         for name, value in block.items() if key == "given" else ():
             _number(value, f"{path}: parameters_set.given.{name}")
     clock = manifest.get("clock") or {}
@@ -95,7 +95,7 @@ def read_manifest(run_dir: Path) -> Manifest:
 
 def _number(value: Any, where: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise RecordingError(f"{where} is no number, but {str(value)[:30]!r}", _REBUILD)
+        raise RecordingError(f"{where} is not a number, but {str(value)[:30]!r}", _REBUILD)
 
 
 def events_header() -> bytes:
@@ -240,7 +240,7 @@ def _read_series(file: Path, group: str) -> Series:
         columns = {name: table.column(name).to_numpy().astype(float) for name in mine}
         return Series(columns.pop("t_s"), {n: np.where(np.isinf(v), np.nan, v) for n, v in columns.items()})
     except (ValueError, TypeError) as error:
-        raise RecordingError(f"{file} holds what is no number: {_first_line(error)}", _REBUILD) from error
+        raise RecordingError(f"{file} holds a value that is not a number: {_first_line(error)}", _REBUILD) from error
     except RecordingError as error:
         raise RecordingError(f"{file}: {error.message}", _REBUILD) from error
 

@@ -135,25 +135,6 @@ def packed_figures(specs: Sequence[FigureSpec], key: str) -> str:
     return packed_json(thin, key) + packed(b"".join(parts), f"{key}-data")
 
 
-def figures_in(page: str, key: str) -> list[FigureSpec]:
-    """The specifications that a page holds, whole again."""
-    data = unpacked(page, f"{key}-data")
-
-    def whole(value: Any) -> Any:
-        if not (isinstance(value, dict) and set(value) >= {"at", "n"}):
-            return value
-        if "low" not in value:
-            return [None if np.isnan(v) else float(v) for v in np.frombuffer(data, "<f4", value["n"], value["at"])]
-        coded = np.frombuffer(data, "<i2", value["n"], value["at"])
-        return [None if c == MISSING else value["low"] + (int(c) + MIDDLE) * value["step"] for c in coded]
-
-    specs: list[FigureSpec] = json.loads(unpacked(page, key))
-    for spec in specs:
-        for panel in spec["panels"]:
-            panel["data"] = [{k: whole(v) for k, v in trace.items()} for trace in panel["data"]]
-    return specs
-
-
 def _coded(values: FloatArray) -> tuple[NDArray[np.int16], float, float]:
     """16-bit numbers, the smallest value and the step: value = low + (number + MIDDLE) * step; what is not finite is MISSING."""
     known = np.isfinite(values)

@@ -272,7 +272,7 @@ class _Reader:
         if field.kind == "points":
             points = [doc.vector(child, 3, low, high, words) for child in doc.items(node, "points")]
             if len(points) == 1:
-                doc.wrong(node, "one point is no path", "write at least two")
+                doc.wrong(node, "one point is not a path", "write at least two")
             return tuple(points)
         return self._duration(node, low, high)
 

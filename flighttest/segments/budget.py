@@ -50,7 +50,7 @@ def budget(recording: Recording, segments: Sequence[Segment]) -> tuple[Stretch, 
     start, end = recording.t_span_s
     own = [s for s in segments if s.t_s.size]
     spans = flights(recording)
-    pauses, known = _pauses(recording, start, end), _known(recording, start, end)
+    pauses, known = _pauses(recording, start, end), _known(recording, end)
     times = [start, end, *(t for pairs in (spans, pauses, known) for pair in pairs for t in pair)]
     times += [float(t) for s in own for t in (s.t_s[0], s.t_s[-1])]
     bounds = np.unique(np.clip(times, start, end))
@@ -106,7 +106,7 @@ def _pauses(recording: Recording, start: float, end: float) -> list[tuple[float,
     return [(float(times[i]), float(times[i + 1])) for i in gaps]
 
 
-def _known(recording: Recording, start: float, end: float) -> list[tuple[float, float]]:
+def _known(recording: Recording, end: float) -> list[tuple[float, float]]:
     """Stretches in which references were recorded: streamed ones only for as long as they came."""
     references = ed.references_of(recording)
     if references is None:

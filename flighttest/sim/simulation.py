@@ -134,7 +134,7 @@ def serve_inherited(protocol: str, descriptor: int, options: SimOptions, peer: s
     try:
         sock = socket.socket(socket.AF_INET, kind, fileno=descriptor)
     except OSError as error:
-        raise LinkError(f"descriptor {descriptor} is no socket: {error.strerror}") from error
+        raise LinkError(f"descriptor {descriptor} is not a socket: {error.strerror}") from error
     name, _, number = peer.rpartition(":")
     server = _server(protocol, sock, options, (name, int(number)) if peer else None)
     server.watch(sys.stdin.fileno())

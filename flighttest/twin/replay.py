@@ -108,7 +108,7 @@ def runnable(segments: Sequence[Segment]) -> list[Segment]:
     usable = [*(s for s in usable if s.kind != "free"), *merged([s for s in usable if s.kind == "free"])]
     if not usable:
         raise FitError(
-            "nothing here can be replayed", "give a recording with the throttle recorded and at least 0.6 s long"
+            "no recording can be replayed", "give a recording with the throttle recorded and at least 0.6 s long"
         )
     return usable
 

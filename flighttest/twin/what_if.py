@@ -86,14 +86,18 @@ def _changed(now: WhatIf, stored: ModelFile, name: str, text: str, word: str) ->
                 "write mass_kg into vehicle.yaml and fit again with --vehicle, or change the forces with --set K=-10%",
             )
         if mass + added <= 0.0:
-            raise InputError(f"--set {word}: nothing would be left of {mass:g} kg", "give what is added, in kg")
+            raise InputError(
+                f"--set {word}: the mass of {mass:g} kg would not stay above zero", "give what is added, in kg"
+            )
         ratio = mass / (mass + added)
         said = f"payload {added:+g} kg on {mass:g} kg: thrust and drag per mass x {ratio:.3f}; the attitude loops are kept as identified"
         return _scaled(now, [n for n in _PER_MASS if n in now.values], ratio, said)
     if name == "propeller":
         ratio = 1.0 + _percent(text, word) if text.endswith("%") else _number(text, word)
         if not ratio > 0.0:
-            raise InputError(f"--set {word}: thrust stays above zero", "give the ratio of thrust, as propeller=1.1")
+            raise InputError(
+                f"--set {word}: the ratio of thrust has to be above zero", "give the ratio of thrust, as propeller=1.1"
+            )
         said = (
             f"propeller: thrust at equal throttle x {ratio:.3f}; its lag and the attitude loops are kept as identified"
         )
@@ -104,7 +108,7 @@ def _changed(now: WhatIf, stored: ModelFile, name: str, text: str, word: str) ->
             return replace(now, shift_v=volts, sentences=(*now.sentences, f"battery: voltage {volts:+g} V"))
         if not 1.0 <= volts <= 100.0:
             raise InputError(
-                f"--set {word}: {volts:g} V is no battery of a multirotor",
+                f"--set {word}: {volts:g} V is not the voltage of a multirotor's battery",
                 "give V under load, or +V and -V to shift it",
             )
         return replace(now, held_v=volts, sentences=(*now.sentences, f"battery: {volts:g} V under load"))
@@ -122,7 +126,7 @@ def _changed(now: WhatIf, stored: ModelFile, name: str, text: str, word: str) ->
         known = [*PARTS, *now.model.names, *(p.name for t in catalogue().values() for p in t.params)]
         near = get_close_matches(name, known, 1)
         raise InputError(
-            f"--set {word}: nothing is called {name}",
+            f"--set {word}: there is no change or parameter {name}",
             f"did you mean {near[0]}?"
             if near
             else f"there are {', '.join(PARTS)}, and every parameter of `flighttest terms`",
@@ -172,7 +176,7 @@ def _number(text: str, word: str) -> float:
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):
-        raise InputError(f"--set {word}: {text!r} is no number", "numbers are in SI units, as payload=0.3 (kg)")
+        raise InputError(f"--set {word}: {text!r} is not a number", "numbers are in SI units, as payload=0.3 (kg)")
     return value
 
 

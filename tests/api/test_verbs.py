@@ -181,7 +181,7 @@ def test_the_weather_is_of_all_flights_or_of_those_that_are_named(log):
 
 
 def test_a_list_of_recordings_is_refused_with_what_to_write(log):
-    with pytest.raises(ft.InputError, match=r"a list is no recording; give each .* as \*runs"):
+    with pytest.raises(ft.InputError, match=r"a list is not a recording; give each .* as \*runs"):
         ft.fit([log])
 
 

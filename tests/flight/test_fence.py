@@ -264,7 +264,7 @@ def test_a_real_vehicle_without_set_params_is_given_the_remedy(run_dir: Path) ->
     link.sim.advance(5.0)
     fence = ZoneFence(ArduPilot(session), "run", lambda _data: None)
     state = replace(GOOD, position_m=(0.0, 0.0, 0.0))
-    with pytest.raises(PreflightError, match="does not keep"):
+    with pytest.raises(PreflightError, match="is not on the vehicle"):
         fence.put(with_zone(make_plan()), state, (0.0, 0.0, 0.0), may_set=False, extend=False)
     far = replace(GOOD, position_m=(30.0, 0.0, 0.0))
     with pytest.raises(PreflightError, match="stands outside"):

@@ -57,7 +57,7 @@ def test_a_key_is_made_for_its_owner_and_read_again(tmp_path: Path) -> None:
         make_key(path)
     for text in ("", "abc", "00" * 32, "zz" * 32):
         path.write_text(text)
-        with pytest.raises(InputError, match="no signing key"):
+        with pytest.raises(InputError, match="not a signing key"):
             read_key(path)
 
 

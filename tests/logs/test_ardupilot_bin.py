@@ -120,8 +120,8 @@ def test_compressed_logs_are_read_as_they_are(flight, attempt, tmp_path, suffix,
     [
         ("a.BIN", b"", "empty"),
         ("a.BIN", b"\xa3\x95\x80" + bytes(500), "dataflash"),
-        ("a.BIN", bytes(5000), "no kind of log"),
-        ("a.xyz", b"hello world, this is no log", "no kind of log"),
+        ("a.BIN", bytes(5000), "not a kind of log"),
+        ("a.xyz", b"hello world, this is no log", "not a kind of log"),
     ],
 )
 def test_what_is_no_log_is_refused_with_a_remedy(tmp_path, name, data, words):

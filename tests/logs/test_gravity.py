@@ -16,8 +16,8 @@ def t():
     [
         ("", 1.0, ()),
         ("", 1 / 9.81, ("`unit: g`",)),
-        ("", -1.0, ("say `frame: {body: FRD}`",)),
-        ("", -1 / 9.81, ("`unit: g`", "say `frame: {body: FRD}`")),
+        ("", -1.0, ("write `frame: {body: FRD}`",)),
+        ("", -1 / 9.81, ("`unit: g`", "write `frame: {body: FRD}`")),
         ("frame: {body: FRD}\n", -1.0, ()),
         ("frame: {body: FRD}\n", 1.0, ("leave that out",)),
     ],

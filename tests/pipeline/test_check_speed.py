@@ -8,9 +8,17 @@ import time
 import pytest
 
 from flighttest.identify import expected_information as expected
-from flighttest.identify.expected_information import expected_of_plans
+from flighttest.identify.expected_information import expected_of_information, planned_information
 from flighttest.pipeline.planning.checking import plans, predictor_for
 from flighttest.vehicle.model import DEFAULT_VEHICLE
+
+
+def expected_of_plans(plans, model, values):
+    """What each plan by itself would make known, and all of them together."""
+    planned = planned_information(plans, model, values)
+    return [expected_of_information([one], model, values) for one in planned], expected_of_information(
+        planned, model, values
+    )
 
 
 def test_what_scripts_tell_together_is_what_each_shows_alone():

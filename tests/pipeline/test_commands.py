@@ -56,7 +56,7 @@ def test_import_makes_a_run_that_says_the_same_as_the_table(call, flight_csv, tm
     assert stored["used"] == direct["used"] > 40
     code, _, err = call("import", flight_csv, "-o", flight_csv.parent)
     assert code == 2
-    assert "no run folder" in " ".join(err.split())
+    assert "not a run folder" in " ".join(err.split())
 
 
 def test_a_run_folder_is_not_overwritten_by_another_recording(call, tmp_path):
@@ -255,7 +255,7 @@ def test_a_misspelt_column_is_reported_by_every_command_that_reads_the_table(cal
     names, rows = flight_csv.read_text().split("\n", 1)
     path = tmp_path / "a.csv"
     path.write_text(names.replace(",roll_rad", ",rol_rad") + "\n" + rows)
-    hint = "column 'rol_rad' is no channel and was not read; did you mean roll_rad?"
+    hint = "column 'rol_rad' is not a channel and was not read; did you mean roll_rad?"
     code, out, err = call("segment", path, "--json")
     assert code == 0
     assert json.loads(out)["losses"] == [f"a: {hint}"]

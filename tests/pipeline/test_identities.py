@@ -59,9 +59,9 @@ def test_a_log_is_known_by_its_autopilot_and_else_unknown(tmp_path):
 
 def test_two_vehicles_in_one_call_are_refused(tmp_path):
     a, b = recording("a", "heron"), recording("b", "stork")
-    with pytest.raises(InputError, match="two vehicles in one call: b is of stork, not of heron"):
+    with pytest.raises(InputError, match="recordings of two vehicles: b is of stork, not of heron"):
         whose([a, b], None)
-    with pytest.raises(InputError, match="two vehicles in one call"):
+    with pytest.raises(InputError, match="recordings of two vehicles"):
         whose([a], Vehicle("crow", None, "", 22.2, 0.2))
     assert identity_of([a, b], None).name == "", "a model of both is of neither"
     assert whose([a, recording("c")], None) == "heron"

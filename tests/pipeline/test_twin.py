@@ -26,8 +26,8 @@ def stored(**options):
     [
         ([], "either --verify RUN... or --replay RUN..."),
         (["--verify", "a", "--replay", "b"], "either --verify RUN... or --replay RUN..."),
-        (["--replay", "a", "--backend", "sitl"], "--backend is of --verify"),
-        (["--verify", "a", "--set", "K=1"], "--set changes the vehicle of a --replay"),
+        (["--replay", "a", "--backend", "sitl"], "--backend works with --verify only"),
+        (["--verify", "a", "--set", "K=1"], "--set works with --replay only"),
     ],
 )
 def test_what_is_asked_is_one_thing(tmp_path, capsys, words, said):
@@ -46,7 +46,7 @@ def test_a_model_without_attitude_loops_has_no_twin(monkeypatch, work):
 
 
 def test_under_the_real_firmware_a_model_hides_nothing():
-    with pytest.raises(InputError, match="under the real firmware a model flies as it is"):
+    with pytest.raises(InputError, match="a model under the real firmware flies without further effects"):
         next(simulator.serve(simulator.Served(backend="sitl", hide=("swirl",), model="model.yaml")))
 
 
@@ -97,7 +97,7 @@ def test_the_verdict_is_of_every_channel_and_parameter(monkeypatch, ratio, chang
 
 
 def test_flying_is_offline_or_under_the_firmware():
-    with pytest.raises(InputError, match="offline nothing is flown"):
+    with pytest.raises(InputError, match="--offline flies nothing"):
         twin.Flying(offline=True, firmware=True).check()
 
 

@@ -199,13 +199,13 @@ def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
 
 def test_a_folder_with_something_else_is_not_written_over(tmp_path):
     (tmp_path / "proof.json").write_text('{"seed": 7}')
-    with pytest.raises(InputError, match="could be continued"):
+    with pytest.raises(InputError, match="this proof cannot be continued"):
         proving.prove(ProofRequest(1, 7), output=tmp_path)
     assert (tmp_path / "proof.json").read_text() == '{"seed": 7}'
 
 
 def test_no_trials_prove_nothing():
-    with pytest.raises(InputError, match="prove nothing"):
+    with pytest.raises(InputError, match="at least 1 is needed"):
         run_trials(ProofRequest(0))
 
 

@@ -94,7 +94,7 @@ def test_a_bad_manifest_is_one_clear_error(tmp_path: Path, text: str) -> None:
 
 
 def test_no_run_folder(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no run folder"):
+    with pytest.raises(RecordingError, match="not a run folder"):
         open_run(tmp_path)
     with pytest.raises(RecordingError, match="not a folder"):
         open_run(tmp_path / "nowhere")
@@ -120,14 +120,14 @@ def test_every_parquet_file_names_its_format(tmp_path):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("parameters: [1, 2]", "parameters is no block"),
-        ("parameters: {MOT_SPIN_MIN: low}", r"parameters.MOT_SPIN_MIN is no number, but 'low'"),
-        ("clock: 5", "clock is no block"),
-        ("components: {battery: 5}", "components.battery is no block"),
-        ("clock: {error_s: much}", "clock.error_s is no number"),
-        ("filters: {specific_force: [20]}", "filters.specific_force is no number"),
-        ("derived: yes", "derived is no block"),
-        ("losses: 3", "losses is no list"),
+        ("parameters: [1, 2]", "parameters is not a block"),
+        ("parameters: {MOT_SPIN_MIN: low}", r"parameters.MOT_SPIN_MIN is not a number, but 'low'"),
+        ("clock: 5", "clock is not a block"),
+        ("components: {battery: 5}", "components.battery is not a block"),
+        ("clock: {error_s: much}", "clock.error_s is not a number"),
+        ("filters: {specific_force: [20]}", "filters.specific_force is not a number"),
+        ("derived: yes", "derived is not a block"),
+        ("losses: 3", "losses is not a list"),
     ],
 )
 def test_a_manifest_of_the_wrong_shape_is_refused(tmp_path: Path, line: str, words: str) -> None:
@@ -158,8 +158,8 @@ def test_a_line_that_is_no_event_is_left_out_and_reported(tmp_path: Path, line: 
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({"t_s": [0.0, 1.0], "roll_rad": ["a", "b"]}, "holds what is no number"),
-        ({"t_s": ["a", "b"], "roll_rad": [0.0, 1.0]}, "holds what is no number"),
+        ({"t_s": [0.0, 1.0], "roll_rad": ["a", "b"]}, "holds a value that is not a number"),
+        ({"t_s": ["a", "b"], "roll_rad": [0.0, 1.0]}, "holds a value that is not a number"),
         ({"t_s": [1.0, 0.0], "roll_rad": [0.0, 1.0]}, "time does not increase"),
     ],
 )

@@ -34,7 +34,7 @@ from flighttest.report.document import (
     Table,
     Trace,
 )
-from flighttest.report.packing import figures_in, plotly_without_maps, unpacked
+from flighttest.report.packing import MIDDLE, MISSING, plotly_without_maps, unpacked
 from flighttest.report.render import figures, html, terminal
 from flighttest.report.render.figure_files import write_figures
 from flighttest.report.render.plain import plain
@@ -119,6 +119,25 @@ def test_without_what_draws_png_the_rest_is_written_and_said(tmp_path, monkeypat
     written = write_figures(document(), tmp_path)
     assert [p.suffix for p in written.files] == [".svg", ".csv"]
     assert "pip install 'flighttest[png]'" in written.sentence(tmp_path)
+
+
+def figures_in(page, key):
+    """The specifications that a page holds, whole again."""
+    data = unpacked(page, f"{key}-data")
+
+    def whole(value):
+        if not (isinstance(value, dict) and set(value) >= {"at", "n"}):
+            return value
+        if "low" not in value:
+            return [None if np.isnan(v) else float(v) for v in np.frombuffer(data, "<f4", value["n"], value["at"])]
+        coded = np.frombuffer(data, "<i2", value["n"], value["at"])
+        return [None if c == MISSING else value["low"] + (int(c) + MIDDLE) * value["step"] for c in coded]
+
+    specs = json.loads(unpacked(page, key))
+    for spec in specs:
+        for panel in spec["panels"]:
+            panel["data"] = [{k: whole(v) for k, v in trace.items()} for trace in panel["data"]]
+    return specs
 
 
 def test_text_is_escaped_and_specs_survive_the_script_element():

@@ -104,7 +104,7 @@ class TestCommand:
             taken.bind(("127.0.0.1", 0))
             taken.listen()
             busy = taken.getsockname()[1]
-            with pytest.raises(LinkError, match=f"port {busy} cannot be had; a SITL at {busy - 3} needs"):
+            with pytest.raises(LinkError, match=f"port {busy} is in use; a SITL at {busy - 3} needs"):
                 launch(SitlOptions(port=busy - 3), binary=fake, wait_s=0.0)
         with pytest.raises(LinkError, match="port 65536 cannot be had"):
             launch(SitlOptions(port=65530), binary=fake, wait_s=0.0)

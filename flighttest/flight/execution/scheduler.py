@@ -113,7 +113,7 @@ class Scheduler:
             return FlightOutcome.CLIMB_ENDED
         if not answer.accepted and not climbs:
             raise LinkError(
-                f"take-off was refused ({answer.sentence})", "mend the reason that the vehicle gave, then fly again"
+                f"take-off was refused ({answer.sentence})", "remove the reason that the vehicle gave, then fly again"
             )
         return self._climb(height)
 

@@ -1,4 +1,4 @@
-"""The fence polygon along the flight zone: added to what the vehicle keeps, verified, and taken away again after the flight."""
+"""The fence (geofence) polygon along the flight zone: added to what the vehicle keeps, verified, and taken away again after the flight."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class ZoneFence:
             return "the vehicle keeps a fence polygon along the zone: it was read and is used as it is"
         if not may_set:
             raise _refused(
-                "the zone asks for a polygon that the vehicle does not keep",
+                "the zone needs a fence polygon that is not on the vehicle",
                 "use --set-params to have it uploaded for the flight, or draw it with a ground station",
             )
         if before and not extend:
@@ -181,7 +181,9 @@ class ZoneFence:
         """
         answer = self._vehicle.command(book.MAV_CMD_DO_FENCE_ENABLE, 1.0, float(_KINDS))
         if not answer.accepted:
-            raise _refused(f"the vehicle does not switch its fence on ({answer.sentence})", "look at its fence")
+            raise _refused(
+                f"the vehicle does not switch its fence on ({answer.sentence})", "check its fence with a ground station"
+            )
 
     @staticmethod
     def _require_inside(plan: Plan, state: VehicleState) -> None:

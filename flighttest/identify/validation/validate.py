@@ -127,7 +127,7 @@ def validate(
     chosen = merged([s for s in usable if s.kind == "free"]) or usable
     if not chosen:
         raise FitError(
-            "nothing here can be simulated", "give a flight with the throttle recorded and at least 0.6 s long"
+            "no recording can be simulated", "give a flight with the throttle recorded and at least 0.6 s long"
         )
     starts = _starts(chosen, horizons_s[-1])
     measured = [measured_channels(s) for s in chosen]

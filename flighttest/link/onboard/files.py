@@ -175,7 +175,7 @@ class VehicleFiles:
             if have > before:
                 progress_s = self._session.now_s()
             elif self._session.now_s() - progress_s > SILENCE_S:
-                raise LinkError(f"{path} stopped coming", "move closer, and give the same command again")
+                raise LinkError(f"{path} stopped arriving", "move closer, and give the same command again")
 
     def _close(self) -> None:
         self._ask(Operation.TERMINATE_SESSION, b"", tries=2)

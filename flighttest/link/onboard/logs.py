@@ -61,7 +61,7 @@ def mavsdk_url(url: str) -> str:
     where, _, last = rest.rpartition(":")
     known = kind in _SCHEMES and bool(where) and last.isdecimal()
     if not known or (kind != "serial" and not 0 < int(last) < 65536):
-        raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
+        raise InputError(f"{url!r} is not the URL of a link", f"use {URL_FORMS}")
     return f"{_SCHEMES[kind]}://{rest}"
 
 

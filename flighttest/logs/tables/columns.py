@@ -147,7 +147,7 @@ def _quaternion(document: YamlDocument, entry: Node, keys: Mapping[str, Node]) -
 
 def _source(document: YamlDocument, name: str, entry: Node, keys: Mapping[str, Node]) -> ColumnSource | None:
     if "quaternion" in keys:
-        document.wrong(keys["quaternion"], f"{name} is no quaternion", "use the channel `attitude` or `reference`")
+        document.wrong(keys["quaternion"], f"{name} is not a quaternion", "use the channel `attitude` or `reference`")
         return None
     if ("from" in keys) == ("mean" in keys):
         document.wrong(entry, "give either `from: column` or `mean: [columns]`")
@@ -171,7 +171,7 @@ def _source(document: YamlDocument, name: str, entry: Node, keys: Mapping[str, N
         if factor is None:
             guess = nearest(written or "", known)
             hint = f"did you mean `{guess}`?" if guess else f"known: {', '.join(known)}"
-            document.wrong(keys["unit"], f"{written!r} is no unit of {name} ({unit})", hint)
+            document.wrong(keys["unit"], f"{written!r} is not a unit of {name} ({unit})", hint)
     if not columns or scale is None or offset is None or factor is None:
         return None
     power = document.number(keys["power"], 0.1, 4.0) if "power" in keys else 1.0

@@ -21,7 +21,7 @@ from flighttest.logs.tables.matlab_elements import check_elements
 from flighttest.logs.tables.sheet import TIME, Sheet, joined
 
 FloatArray = NDArray[np.float64]
-HEAD, HDF5 = b"MATLAB 5.0", b"MATLAB 7.3"
+HDF5 = b"MATLAB 7.3"
 TIMES = (
     TIME,
     "t",

@@ -78,7 +78,7 @@ def _text(file: LogFile, data: bytes) -> Sheet:
         skipped = [int(n) for one in caught for n in re.findall(r"Skipping line (\d+)", str(one.message))]
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
         raise RecordingError(
-            f"{file.path}: this is no table: {error}", "see docs/formats.md for plain tables"
+            f"{file.path}: this is not a table: {error}", "see docs/formats.md for plain tables"
         ) from error
     sheet = _sheet(file, frame)
     if zeroed:
@@ -98,7 +98,7 @@ def _without_zeros(file: LogFile, text: str) -> tuple[str, int]:
     good = [line for line in lines if "\0" not in line]
     if len(good) < 0.5 * len(lines) or "\0" in lines[0]:
         raise RecordingError(
-            f"{file.path}: this is no text table", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
+            f"{file.path}: this is not a text table", "give a .BIN, .tlog, .ulg, .csv, .parquet, .mat or .mcap file"
         )
     return "\n".join(good), len(lines) - len(good)
 

@@ -81,7 +81,7 @@ def import_table(path: Path, columns: Path | str | ColumnMap | None = None) -> R
     series = _grouped(t_s, found, losses)
     if not {"attitude", "specific_force", "acceleration", "velocity"} & set(series):
         have = ", ".join(found) or "nothing"
-        remedy = "a thrust stand is no flight; name the columns of motion in the column map"
+        remedy = "measurements of a thrust stand are not a flight; name the columns of motion in the column map"
         raise RecordingError(
             f"{path}: neither attitude nor acceleration nor velocity nor position is in the table (found {have})",
             "; ".join([*guesses, remedy]),
@@ -117,7 +117,7 @@ def _unread(columns: Sequence[str], plan: ColumnMap) -> dict[str, str]:
 
 
 def _not_read(name: str, guess: str) -> str:
-    return f"column {name!r} is no channel and was not read" + (f"; did you mean {guess}?" if guess else "")
+    return f"column {name!r} is not a channel and was not read" + (f"; did you mean {guess}?" if guess else "")
 
 
 def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
@@ -137,12 +137,12 @@ def _time(path: Path, sheet: Sheet, plan: ColumnMap) -> FloatArray:
     finite = t_s[np.isfinite(t_s)]
     if finite.size < 2 or float(np.ptp(finite)) <= 0:
         raise RecordingError(
-            f"{path}: time does not pass: column t_s has {finite.size} usable values", "check the column map"
+            f"{path}: column t_s has {finite.size} usable values, too few for a recording", "check the column map"
         )
     usual = float(np.median(np.diff(np.unique(finite))))
     if usual > _SLOWEST_S:
         raise RecordingError(
-            f"{path}: the rows lie {usual:g} s apart: no step shows in that",
+            f"{path}: the rows are {usual:g} s apart, too far to show a step",
             "t_s is in seconds; name the unit of another one in the column map, as in t_s: {from: time, unit: us}",
         )
     return t_s
@@ -249,7 +249,7 @@ def _from_quaternion(sheet: Sheet, plan: ColumnMap, columns: tuple[str, ...], pa
         q = np.where(np.abs(length - 1.0) < 0.2, q / length, np.nan)
     if not np.isfinite(q).any():
         raise RecordingError(
-            f"{path}: {', '.join(columns)} are no unit quaternion (median length {float(np.nanmedian(length)):.3g})",
+            f"{path}: {', '.join(columns)} are not a unit quaternion (median length {float(np.nanmedian(length)):.3g})",
             "list the columns in the order w, x, y, z",
         )
     if plan.body == "FRD":

@@ -97,7 +97,7 @@ def of_one_vehicle(recordings: Sequence[Recording]) -> None:
         if one.key == two.key or (not (one.name and two.name) and one.same_board(two)):
             continue
         raise InputError(
-            f"{here} is of vehicle {one.key} and {there} of {two.key}: one model of both would be of neither",
+            f"{here} is of vehicle {one.key} and {there} of {two.key}: they cannot share a model",
             "give the recordings of one vehicle",
         )
 

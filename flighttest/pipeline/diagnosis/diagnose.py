@@ -139,9 +139,7 @@ def _base_terms(found: Diagnosis) -> list[str]:
     return [t for t in found.model.terms if t not in found.accepted]
 
 
-def refit(
-    found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None, progress: Progress = SILENT
-) -> tuple[Fit, tuple[str, ...]]:
+def refit(found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None) -> tuple[Fit, tuple[str, ...]]:
     """The diagnosis' own fit of the accepted model; fitted anew where parameters are held as in the base model, and which."""
     assert found.fit is not None
     fitted = found.fit
@@ -175,7 +173,7 @@ def write_diagnosis(
         (folder / NEXT_NAME).write_text(script, encoding="utf-8")
         data["next_flight"] = NEXT_NAME
     (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
-    fitted, kept = refit(found, segments, base, progress)
+    fitted, kept = refit(found, segments, base)
     model = model_data(fitted, recordings, vehicle) | {"diagnosed": looked_for(found)}
     if base is not None and kept:
         model = carry_over(model, base, kept)

@@ -299,7 +299,7 @@ def _known_waivers(names: Sequence[str]) -> None:
         if name not in preflight.NAMES:
             guess = nearest(name, preflight.NAMES)
             raise InputError(
-                f"--waive {name}: no preflight check is called so",
+                f"--waive {name}: there is no preflight check of this name",
                 f"did you mean {guess}?" if guess else f"there are {', '.join(preflight.NAMES)}",
             )
 

@@ -168,7 +168,8 @@ def fit_segments(
         units = {model.param[n].unit for n in (name, source) if n in model.param}
         if len(units) > 1:
             raise InputError(
-                f"--tie {name}={source}: {' and '.join(sorted(units))} are not the same unit", "tie like to like"
+                f"--tie {name}={source}: {' and '.join(sorted(units))} are not the same unit",
+                "tie parameters of the same unit",
             )
     found = identify(usable, model, frozen=held, ties=ties)
     return cross_checked(found)

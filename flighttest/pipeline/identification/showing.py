@@ -78,7 +78,7 @@ def looked(recording: Recording, segments: Sequence[Segment], named: str, column
     said = resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
     return Look(
         recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery(recording), said, modes(recording),
-        flights(recording), _figures(recording), outlook, why, _commands(segments, outlook, named, columns),
+        flights(recording), _figures(recording), outlook, why, _commands(outlook, named, columns),
     )  # fmt: skip
 
 
@@ -153,9 +153,7 @@ def _figures(recording: Recording) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def _commands(
-    segments: Sequence[Segment], outlook: Sequence[ParameterOutlook], named: str, columns: Path | None
-) -> tuple[tuple[str, str], ...]:
+def _commands(outlook: Sequence[ParameterOutlook], named: str, columns: Path | None) -> tuple[tuple[str, str], ...]:
     more = "" if columns is None else f" --columns {shlex.quote(str(columns))}"
     found = []
     if any(one.expected.std is not None for one in outlook):

@@ -125,7 +125,7 @@ def _parted(paths: Sequence[RecordingSource]) -> tuple[Path | None, Sequence[Rec
         return None, paths
     if first.suffix in (".yaml", ".yml"):
         if not others:
-            raise InputError(f"nothing to hold {first} against", "name a recording: flighttest validate MODEL RUN")
+            raise InputError(f"no recording to compare {first} with", "name a recording: flighttest validate MODEL RUN")
         return first, others
     holds = first.is_dir() and any((first / name).is_file() for name in model_file.NAMES)
     return (first, others) if holds and others else (None, paths)

@@ -162,7 +162,7 @@ def import_log(
         raise InputError(f"{log} is a folder", "name the log file; a run folder needs no import")
     rebuilding = (output / MANIFEST_NAME).exists()
     if output.exists() and not rebuilding and (not output.is_dir() or any(output.iterdir())):
-        raise InputError(f"{output} exists and is no run folder", "name a folder that does not exist yet")
+        raise InputError(f"{output} exists and is not a run folder", "name a folder that does not exist yet")
     declared = load_vehicle(vehicle, to_fly=False) if vehicle is not None else None
     progress.stage(f"reading {log}")
     same = rebuilding and log.resolve() == (output / RAW_NAME).resolve()

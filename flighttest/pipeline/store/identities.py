@@ -93,7 +93,7 @@ def whose(recordings: Sequence[Recording], vehicle: Vehicle | None, folder: Path
         other = vehicle.name if vehicle is not None else next((n for n in named if n), "")
         if name and name != other and (recording.provenance.vehicle.get("name") or vehicle is None):
             raise InputError(
-                f"two vehicles in one call: {recording.name} is of {name}, not of {other}",
+                f"recordings of two vehicles: {recording.name} is of {name}, not of {other}",
                 "give the recordings of one vehicle, with its own vehicle file",
             )
     return vehicle.name if vehicle is not None else next((n for n in named if n), "")

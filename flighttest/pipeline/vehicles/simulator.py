@@ -102,7 +102,7 @@ def serve(asked: Served) -> Iterator[str | Serving]:
     port, speed, lockstep, model, frame = asked.port, asked.speed, asked.lockstep, asked.model, asked.frame
     if frame is not None and (backend != "sitl" or model is not None):
         raise InputError(
-            "a frame is flown by ArduPilot's own physics", "give --frame DIR with --backend sitl, without --model"
+            "--frame works with ArduPilot's own physics only", "give --frame DIR with --backend sitl, without --model"
         )
     if frame is not None and not (frame / "vehicle.json").is_file():
         raise InputError(
@@ -110,7 +110,9 @@ def serve(asked: Served) -> Iterator[str | Serving]:
         )
     if backend == "sitl":
         if lockstep:
-            raise InputError("a SITL keeps its own clock: --lockstep is of the built-in vehicle", "leave it out")
+            raise InputError(
+                "--lockstep works with the built-in vehicle only: a SITL has its own clock", "leave it out"
+            )
         yield from _serve_sitl(airframe, hide, seed, port, speed, model, frame)
         return
     made = options(airframe, hide, seed, speed, lockstep)
@@ -131,9 +133,9 @@ def _serve_sitl(
 ) -> Iterator[str | Serving]:
     if hide and (airframe != "rotor" or model is not None or frame is not None):
         raise InputError(
-            "ArduPilot's own physics hides nothing"
+            "ArduPilot's own physics conceals no effects"
             if model is None
-            else "under the real firmware a model flies as it is",
+            else "a model under the real firmware flies without further effects",
             "use --airframe rotor, which flies the firmware on our physics",
         )
     physics = None

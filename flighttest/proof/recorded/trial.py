@@ -109,7 +109,7 @@ class FlownTrial:
             left = oracle.left(segments, noise, nominal_voltage_v, free=True)
             noise = noise.of_residual(left)
         if "translation" not in left.parameters:
-            raise RecordingError("nothing in these flights moves the throttle", "list recordings of flights")
+            raise RecordingError("the throttle never changes in these flights", "list recordings of flights")
         steps = {
             r.name: [(s.t_s[0] - STEP_MARGIN_S, s.t_s[-1]) for s in segments if s.run == r.name and s.kind != "free"]
             for r in recordings

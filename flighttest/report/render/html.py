@@ -91,11 +91,11 @@ def _verdict(text: str) -> str:
 def _section(section: Section) -> str:
     title = f"<h2>{escape(section.title)}</h2>" if section.title else ""
     lead = f'<p class="lead">{escape(section.lead)}</p>' if section.lead else ""
-    blocks = "\n".join(_block(block, f"{section.id}-{index}") for index, block in enumerate(section.blocks))
+    blocks = "\n".join(map(_block, section.blocks))
     return f'<section id="{escape(section.id)}">{title}{lead}{blocks}</section>'
 
 
-def _block(block: PageBlock, key: str) -> str:
+def _block(block: PageBlock) -> str:
     if isinstance(block, Paragraph):
         return f'<p class="{block.tone}">{_prose(block.text)}</p>'
     if isinstance(block, Bullets):

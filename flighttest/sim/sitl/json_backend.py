@@ -228,7 +228,7 @@ class JsonBackend:
 def bind_physics(host: str, port: int) -> socket.socket:
     """A UDP socket for the firmware to talk to; LinkError when the port is taken."""
     if not 0 <= port <= 65535:
-        raise InputError(f"{port} is no port", "0 takes a free one")
+        raise InputError(f"{port} is not a port", "0 takes a free one")
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         sock.bind((host, port))

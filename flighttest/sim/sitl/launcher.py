@@ -214,7 +214,7 @@ def launch(
     program = binary or find_arducopter()
     if chosen.scripts and _SCRIPTING not in program.read_bytes():
         raise LinkError(
-            f"{program} was built without scripting, by which it is given the battery of an outside physics: it could not arm",
+            f"{program} was built without scripting, which gives it the battery of an external physics: it cannot arm without",
             "build it without --disable-scripting",
         )
     temporary = chosen.folder is None
@@ -298,8 +298,8 @@ def _asked_for(base: int) -> int:
     taken = [base + i for i in range(_PORTS_EACH) if base + i > _LAST_PORT or not _is_free(base + i)]
     if taken:
         raise LinkError(
-            f"port {taken[0]} cannot be had; a SITL at {base} needs {base} to {base + _PORTS_EACH - 1}",
-            "stop what listens there, or give another port (0 takes free ones)",
+            f"port {taken[0]} is in use; a SITL at {base} needs {base} to {base + _PORTS_EACH - 1}",
+            "stop the program that uses it, or give another port (0 takes free ones)",
         )
     return base
 
