@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from flighttest.diagnose import diagnose
-from flighttest.diagnose.against import compare
+from flighttest.diagnose.against import compare_sides
 from flighttest.errors import FlighttestError
 from flighttest.frames import G_M_S2
 from flighttest.physics.model import Model
 from flighttest.proof.cases import draw
-from flighttest.proof.flying import fly_campaign, options_of
+from flighttest.proof.flying import case_options, fly_campaign
 from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 # Constant of the rotor vehicle to the parameters of the model that it is.
@@ -41,7 +41,7 @@ def pair(seed: int, index: int) -> str:
     kind = ("clean", "parameter", "effect")[index % 3]
     case = draw(seed, index, "rotor")
     effect = next(c for k in range(200) if (c := draw(seed, 1000 * (index + 1) + k)).kind == "single")
-    base = replace(options_of(replace(case, hide={})), vehicle_seed=case.vehicle_seed)
+    base = replace(case_options(replace(case, hide={})), vehicle_seed=case.vehicle_seed)
     real, truth, expected, change = replace(base, seed=base.seed + 1), "nothing", (), np.inf
     if kind == "parameter":
         name = str(rng.choice(list(CONSTANTS)))
@@ -59,7 +59,7 @@ def pair(seed: int, index: int) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         sides = [fly_campaign(o, Path(scratch) / n) for o, n in ((real, "real"), (base, "simulated"))]
     model = Model(nominal_voltage_v=random_rotor(case.vehicle_seed).nominal_voltage_v)
-    found = compare(sides[0], sides[1], *(diagnose(s, model) for s in sides))
+    found = compare_sides(sides[0], sides[1], *(diagnose(s, model) for s in sides))
     names = {d.name for d in found.differing} | {
         d.term for d in found.differing if d.term not in ("body", "linear_drag")
     }

@@ -36,7 +36,7 @@ def main() -> None:
     cache.mkdir(parents=True, exist_ok=True)
     voltage = random_rotor(VEHICLE).nominal_voltage_v
     quiet = flight(cache, "nothing")
-    noise = oracle.noise_of(flight(cache, "noisy"), quiet, voltage)
+    noise = oracle.oracle_noise(flight(cache, "noisy"), quiet, voltage)
     usual = oracle.left(quiet, noise, voltage)
     effects = {}
     for name in (k for k, e in EFFECTS.items() if e.known and k not in NOT_HIDDEN):

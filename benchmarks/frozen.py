@@ -31,7 +31,7 @@ from flighttest.diagnose import diagnose
 from flighttest.pipeline.identification.fitting import base_model
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.proof.cases import Case, draw
-from flighttest.proof.flying import fly_campaign, options_of
+from flighttest.proof.flying import case_options, fly_campaign
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.scoreboard import rates, right, score, wrong
 from flighttest.proof.trial import OracleAnswer, opened
@@ -84,7 +84,7 @@ def code() -> str:
 
 def fly(case: Case, run: Path) -> None:
     """The run folder of a case."""
-    fly_to(run, options_of(case))
+    fly_to(run, case_options(case))
 
 
 def fly_to(run: Path, options: SimOptions) -> None:

@@ -34,14 +34,14 @@ from flighttest.pipeline.identification.fitting import for_later_flights
 from flighttest.pipeline.recordings.batteries import battery_of
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.store.history import watched
-from flighttest.pipeline.validity.status import allowance, matched_pairs, reestimate_segments
+from flighttest.pipeline.validity.status import discrepancy_allowed, matched_pairs, reestimate_segments
 from flighttest.proof.flying import fly_campaign
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.script.shipped import resolve
 from flighttest.segments import Segment
 from flighttest.sim import SimOptions
 from flighttest.sim.plants.rotor_vehicle import random_rotor
-from flighttest.validity.battery import check
+from flighttest.validity.battery import check_resistance
 from flighttest.validity.compare import subset_tests
 
 # What changes, as factors on constants of the rotor vehicle. A payload divides the drag per mass and keeps the current for a thrust.
@@ -157,9 +157,13 @@ def judged(stored: ModelFile, own: Flown, new: Flown) -> dict[str, Any]:
     base = watched(stored, "model")
     usable = [s for s in new.segments if s.usable]
     found, _ = reestimate_segments(stored, usable, "new")
-    tests = subset_tests(base, found, spread=allowance(stored, base, ()), matched=matched_pairs(stored, base, usable))
+    tests = subset_tests(
+        base, found, spread=discrepancy_allowed(stored, base, ()), matched=matched_pairs(stored, base, usable)
+    )
     before = battery_of([recorded(b) for b in own.batteries])
-    battery = check(battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before)
+    battery = check_resistance(
+        battery_of([recorded(b) for b in new.batteries]), None if isinstance(before, str) else before
+    )
     return {
         "alarms": [t.subset for t in tests if t.alarm],
         "battery": battery.alarm,

@@ -72,7 +72,7 @@ class Answer:
         """Write it as one self-contained HTML page and give its path."""
         from flighttest.report.render import html
 
-        return html.write(self.document, Path(path))
+        return html.write_html(self.document, Path(path))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -185,8 +185,7 @@ def check_validity(
     from flighttest.api.answers import Validity
     from flighttest.pipeline.recordings.sources import Reading, open_recordings
     from flighttest.pipeline.validity.status import status
-    from flighttest.pipeline.vehicles.live import key_for
-    from flighttest.pipeline.vehicles.live import read as read_vehicle
+    from flighttest.pipeline.vehicles.live import key_for, read_vehicle
 
     words = as_progress(progress)
     present = None
@@ -271,9 +270,11 @@ def simulate(
     hidden = parse_hide(as_hidden(hide))
     if model is not None:
         from flighttest.api.fitted_model import fitted_model
-        from flighttest.twin.vehicle import options_of
+        from flighttest.twin.vehicle import simulator_options
 
-        twin = options_of(fitted_model(model).stored, hidden, seed=seed, speed=speed, lockstep=lockstep, **options)
+        twin = simulator_options(
+            fitted_model(model).stored, hidden, seed=seed, speed=speed, lockstep=lockstep, **options
+        )
         return start_simulator(twin, port=port)
     made = SimOptions(airframe=airframe, hide=hidden, seed=seed, speed=speed, lockstep=lockstep, **options)
     return start_simulator(made, port=port)

@@ -112,12 +112,12 @@ def run(
 )
 def sim(context: Context, **options: Unpack[ServeOptions]) -> int:
     """A MAVLink copter on this machine, for any ground station. Ctrl-C stops it."""
-    for said in ft.serve(**options):
-        if isinstance(said, str):
-            context.show.say(said)
+    for step in ft.serve(**options):
+        if isinstance(step, str):
+            context.show.say(step)
             continue
-        context.show.line(said.data())
-        for sentence in said.sentences:
+        context.show.line(step.data())
+        for sentence in step.sentences:
             context.show.say(sentence)
     return 0
 

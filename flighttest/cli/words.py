@@ -47,7 +47,7 @@ def weather_by_part(words: Sequence[str]) -> dict[str, str]:
 
 
 def seconds(word: str | None) -> tuple[float, ...]:
-    """--horizons S,S,...: increasing, each once; none where nothing was said. InputError where a part is no time above 0."""
+    """--horizons S,S,...: increasing, each once; none where nothing was given. InputError where a part is no time above 0."""
     if word is None:
         return ()
     try:

@@ -114,7 +114,7 @@ class Against:
         return tuple(d for d in self.differences if d.differs)
 
 
-def compare(
+def compare_sides(
     real: Sequence[Segment], simulated: Sequence[Segment], of_real: Diagnosis, of_simulated: Diagnosis
 ) -> Against:
     """Compare the usable responses of both sides, each already diagnosed from the same base. FitError where either cannot be fitted."""

@@ -113,7 +113,7 @@ def _proposal(
     return reason, script
 
 
-def cells_of(script: Script, throttle_unit: float) -> list[StepCell]:
+def distinct_cells(script: Script, throttle_unit: float) -> list[StepCell]:
     """Distinct steps of a script, at most a dozen, spread over it."""
     found = [
         c
@@ -137,7 +137,7 @@ def rehearsed(
     unit = hover if script.throttle_unit == "hover" else 1.0
     planned = []
     for repeat in range(min(script.repeat.each, MOST_REPEATS)):
-        for k, cell in enumerate(cells_of(script, unit)):
+        for k, cell in enumerate(distinct_cells(script, unit)):
             voltage = float(np.quantile(volts, (repeat + 0.5) / max(script.repeat.each, 1)))
             step = _Step(script, cell, k, repeat, headings[repeat % len(headings)], voltage)
             planned.append(_planned(step, model, values))

@@ -23,9 +23,9 @@ from flighttest.flight.preparation.changes import (
     ExternalChanges,
     LeftParameter,
     ParameterChanges,
+    changed_values,
     record_of,
     still_left,
-    values_of,
 )
 from flighttest.flight.preparation.fence import ZoneFence
 from flighttest.flight.preparation.fence_limits import fence_words
@@ -98,7 +98,7 @@ class _Flight:
         self._changes: ParameterChanges | None = None
         self._fence: ZoneFence | None = None
         self._checklist = ""
-        self._unrestored = values_of(options.left_behind)  # also where the vehicle is never reached
+        self._unrestored = changed_values(options.left_behind)  # also where the vehicle is never reached
         recorder.manifest["parameters_set"] = record_of(recorder.run_dir.name, options.left_behind)
         self._external_changes = ExternalChanges({})
 
@@ -268,7 +268,8 @@ class _Flight:
 
     def _enter_lock_step(self, offered: float) -> None:
         if offered != 1.0:
-            params.write(self.session, lockstep.PARAMETER, 1.0, {lockstep.PARAMETER: offered}, stops_time=True)
+            known = {lockstep.PARAMETER: offered}
+            params.write_parameter(self.session, lockstep.PARAMETER, 1.0, known, stops_time=True)
         self._parameters[lockstep.PARAMETER] = 1.0
         self.session.enter_lock_step()
         self.recorder.use_clock(self.session.clock.ground_s)
@@ -283,7 +284,7 @@ class _Flight:
         return [check for check in found if check not in mended]
 
     def _keep_changed(self, pending: Mapping[str, LeftParameter]) -> None:
-        self.recorder.manifest["parameters_changed"] = values_of(pending)
+        self.recorder.manifest["parameters_changed"] = changed_values(pending)
         self.recorder.manifest["parameters_set"] = record_of(self.recorder.run_dir.name, pending)
         self.recorder.save_manifest()
 
@@ -291,10 +292,10 @@ class _Flight:
         """What an earlier flight set and what has not been restored since."""
         known = self._parameters
         left, words = still_left(self.options.left_behind, known, self.vehicle.hardware)
-        self._unrestored = {} if restoring else values_of(left)
+        self._unrestored = {} if restoring else changed_values(left)
         self._changes = ParameterChanges(self.session, known, left if restoring else {}, self.vehicle.hardware)
         after = "it is restored after this flight" if restoring else "set it back by hand, or fly with --set-params"
-        for name, value in values_of(left).items():
+        for name, value in changed_values(left).items():
             is_and_should = f"{preflight.figure(known[name])} instead of {preflight.figure(value)}"
             words.append(f"an earlier flight left {name} at {is_and_should}: {after}")
         self._fence = ZoneFence(self.vehicle, self.recorder.run_dir.name, self._keep_fence)
@@ -319,7 +320,7 @@ class _Flight:
             place = control.state, control.reader.origin_m
             self._note(self._fence.put(self.plan, *place, may_set=may_set, extend=self.options.extend_fence))
             if "FENCE_TOTAL" in self._parameters:
-                self._parameters["FENCE_TOTAL"] = params.read(self.session, "FENCE_TOTAL") or 0.0
+                self._parameters["FENCE_TOTAL"] = params.read_parameter(self.session, "FENCE_TOTAL") or 0.0
         if along or any(name.startswith("FENCE_") for name in self._changes.pending):
             self._fence.switch_on()
 

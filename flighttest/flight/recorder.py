@@ -218,7 +218,7 @@ class Recorder:
                 vehicle=self.manifest.get("vehicle", {}),
                 clock=self.manifest["clock"],
                 losses=(*self.manifest.get("losses", []), *decoded.losses),
-                filters=known_filters(self.manifest.get("parameters", {})),
+                filters=filters_of_parameters(self.manifest.get("parameters", {})),
                 derived=decoded.derived,
                 reference_clock=decoded.reference_clock,
                 autopilot=str(self.manifest.get("autopilot", "")),
@@ -254,7 +254,7 @@ def first_manifest(plan: Plan, url: str, weather: str, resume: Path | None) -> M
     }
 
 
-def known_filters(parameters: Mapping[str, float]) -> dict[str, float]:
+def filters_of_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
     """Measurement filters that the vehicle's parameters name: channel group to cut-off, Hz."""
     cutoff = float(parameters.get("INS_ACCEL_FILTER", 0.0))
     return {"specific_force": cutoff} if cutoff > 0 else {}

@@ -1,4 +1,4 @@
-"""Vehicle parameters under either of their names: Copter 4.7 renamed many, and refuses the old ones in silence."""
+"""Vehicle parameters under either of their names: Copter 4.7 renamed many, and does not answer to the old ones."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _ask(session: Session, name: str, tries: int = _TRIES, answer_s: float = _AN
     return None
 
 
-def read(session: Session, name: str) -> float | None:
+def read_parameter(session: Session, name: str) -> float | None:
     """One parameter by either name, in the unit of the name asked for; None where the vehicle has neither (it never answers then)."""
     answer = _ask(session, name)
     if answer is not None:
@@ -160,7 +160,9 @@ def read(session: Session, name: str) -> float | None:
     return back[1] if back else None
 
 
-def write(session: Session, name: str, value: float, known: dict[str, float], *, stops_time: bool = False) -> None:
+def write_parameter(
+    session: Session, name: str, value: float, known: dict[str, float], *, stops_time: bool = False
+) -> None:
     """Set one parameter (by the name that the vehicle has for it) and read it back. LinkError where it does not hold the value.
 
     known: the vehicle's parameters; updated. stops_time: the echo of the setting is taken as its read-back, since after it the
@@ -189,14 +191,14 @@ def write(session: Session, name: str, value: float, known: dict[str, float], *,
         if answer is not None:
             seen = float(answer.param_value)
             known[name] = seen
-            if same(seen, value):
+            if same_single(seen, value):
                 return
     raise LinkError(
         f"{name} does not take {value:g}: it reads {'nothing' if seen is None else f'{seen:g}'}", "set it by hand"
     )
 
 
-def same(seen: float, wanted: float) -> bool:
+def same_single(seen: float, wanted: float) -> bool:
     """Whether a value read back is the one that was set, in single precision."""
     single = struct.unpack("<f", struct.pack("<f", wanted))[0]
     return bool(abs(seen - single) <= 1e-6 * max(abs(single), 1.0))

@@ -1,4 +1,4 @@
-"""`import_log`: one entrance for all kinds of logs."""
+"""`import_log`: a log of any kind to a Recording, by its content."""
 
 from __future__ import annotations
 

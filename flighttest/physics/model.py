@@ -29,7 +29,7 @@ from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.core import Param, Term
 from flighttest.physics.equations import ModelEquations, citations_of, equations_of
-from flighttest.physics.simulated import Simulated, run
+from flighttest.physics.simulated import Simulated, run_open_loop
 from flighttest.physics.system import System, build_system
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ class Model:
         one, other missing inputs are 0. values: parameters by name, `start()` for the rest. start: states by name at t_s[0], 0 for the rest
         (thrust: hover). InputError names what cannot be used.
         """
-        return run(self, inputs, values, start)
+        return run_open_loop(self, inputs, values, start)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:

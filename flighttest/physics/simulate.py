@@ -129,7 +129,7 @@ class Grid:
     sample: NDArray[np.intp]
 
 
-def grid(
+def edge_grid(
     system: System,
     delays_s: Mapping[str, float],
     t_s: FloatArray,
@@ -166,7 +166,8 @@ def grid(
 
 @dataclass(frozen=True)
 class Run:
-    """One run to be simulated. t_s: output times (n,); start: states by name, 0 where not given (a_t_m_s2: g); the rest: see `grid`."""
+    """One run to be simulated. t_s: output times (n,); start: states by name, 0 where not given (a_t_m_s2: g); the rest: see
+    `edge_grid`."""
 
     t_s: FloatArray
     start: Mapping[str, float]
@@ -195,7 +196,7 @@ def simulate_many(
     system = model.system
     p = np.array([values[n] for n in system.params])
     delays = dict(zip(system.delay_channels, np.asarray(system.delays_s(p)).ravel().tolist(), strict=True))
-    made = [grid(system, delays, run.t_s, run.references, run.signals, max_step_s) for run in runs]
+    made = [edge_grid(system, delays, run.t_s, run.references, run.signals, max_step_s) for run in runs]
     begun = np.array([[_begin(model, run).get(n, 0.0) for n in system.states] for run in runs])
     flown = _together(system, p, begun, made) if len(runs) >= TOGETHER else _one_by_one(system, p, begun, made)
     at = [np.concatenate([x0[None], states])[g.sample + 1] for x0, states, g in zip(begun, flown, made, strict=True)]

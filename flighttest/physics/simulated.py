@@ -62,7 +62,7 @@ class Runnable(Simulable, Protocol):
         """Throttle that holds height at these voltages, V, of their shape."""
 
 
-def run(
+def run_open_loop(
     model: Runnable,
     inputs: Mapping[str, ArrayLike] | pd.DataFrame,
     values: Mapping[str, float] | None = None,

@@ -47,7 +47,7 @@ _HORIZON_S = 3.0  # of the runs drawn
 
 @dataclass(frozen=True)
 class DemoRequest:
-    """What the command line asks for. hide: what the vehicle conceals; campaign: scripts to identify from; unused: the script of the flight
+    """A demonstration. hide: what the vehicle conceals; campaign: scripts to identify from; unused: the script of the flight
     that is predicted only."""
 
     out: Path = Path("demo")
@@ -61,7 +61,7 @@ class DemoRequest:
 def demo(request: DemoRequest, progress: Progress = SILENT) -> Result:
     """Fly, diagnose, predict, verify; report.html, figure.svg and all runs go into a new folder."""
     hidden = parse_hide(request.hide)
-    # Where the vehicle has no such effect it is said before anything is written.
+    # Where the vehicle has no such effect that is reported before anything is written.
     build_plant(options(request.airframe, request.hide, request.seed))
     check_writable(request.out)
     out = _new_folder(request.out)
@@ -130,7 +130,7 @@ def composed(
     figure = figure_of(data)
     if figure is not None:
         (out / FIGURE_NAME).write_text(as_svg(figure), encoding="utf-8")
-    html.write(document, out / REPORT_NAME)
+    html.write_html(document, out / REPORT_NAME)
     return Result(document, data, value=verified.value)
 
 

@@ -1,4 +1,4 @@
-"""Work divided over the cores of this machine, while somebody waits for it at a terminal."""
+"""Work divided over the cores of this machine, where its duration matters to a person at a terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def in_parallel(work: Callable[[Sequence[A]], list[B]], items: Sequence[A], size
     sizes: what share of the work each item is, roughly. What fails there is done again here, and fails here with its own words. Where a
     process cannot be copied (no fork on this system, or other threads that may hold locks) all of it is done here.
     """
-    parts = _dealt(sizes, min(len(items), usable_cores()))
+    parts = _dealt(sizes, min(len(items), usable_processes()))
     if len(parts) < 2:
         return work(items)
     mine, *others = parts
@@ -49,7 +49,7 @@ def _dealt(sizes: Sequence[float], count: int) -> list[list[int]]:
     return [sorted(part) for part in parts]
 
 
-def usable_cores() -> int:
+def usable_processes() -> int:
     """Processes that may work at once; 1 where this one cannot be copied, or where a thread of ours may hold a lock just now."""
     if "fork" not in get_all_start_methods() or threading.active_count() > 1:
         return 1

@@ -60,7 +60,7 @@ from flighttest.twin.firmware import firmware_options
 from flighttest.twin.flown import flown_errors
 from flighttest.twin.replay import HORIZON_S
 from flighttest.twin.replay import replay as run_commands
-from flighttest.twin.vehicle import assumed, fly_able, options_of
+from flighttest.twin.vehicle import assumed, fly_able, simulator_options
 from flighttest.twin.what_if import outside, what_if
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
@@ -147,7 +147,7 @@ def verify(
     document = Document("twin", verify_sentence(data), "good" if good else "warn", verify_sections(data), facts)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        html.write(document, output / REPORT_NAME)
+        html.write_html(document, output / REPORT_NAME)
         facts["written to"] = str(output)
     return Result(document, data, Status.DONE if good else Status.UNEXPLAINED, found)
 
@@ -193,7 +193,7 @@ def replay(
     document = Document("what if", replay_sentence(data), "plain", sections, facts)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        html.write(document, output / REPORT_NAME)
+        html.write_html(document, output / REPORT_NAME)
         facts["written to"] = str(output)
     return Result(document, data, Status.DONE, found)
 
@@ -210,7 +210,7 @@ def vehicle_of(run: Path) -> Vehicle:
 def _sides(stored: ModelFile, flying: Flying, progress: Progress) -> Callable[[int], _Launched]:
     """What starts the twin with a seed: behind the built-in autopilot, or under the real firmware, whose frame is fitted once."""
     if not flying.firmware:
-        return lambda seed: start_simulator(options_of(stored, seed=seed, speed=_SPEED, lockstep=True))
+        return lambda seed: start_simulator(simulator_options(stored, seed=seed, speed=_SPEED, lockstep=True))
     progress.stage("fitting a frame whose attitude loops under the firmware are the identified ones")
     made, _ = firmware_options(stored, speed=_FIRMWARE_SPEED)
     return lambda seed: launch_on_physics(replace(made, seed=seed))

@@ -116,7 +116,7 @@ def check(plan: Plan) -> CheckResult:
         notes=plan.notes,
         flying_s=plan.duration_s,
         duration_s=total,
-        battery=battery(plan.vehicle, total - on_ground),
+        battery=battery_need(plan.vehicle, total - on_ground),
     )
 
 
@@ -156,7 +156,7 @@ def _envelope(cell: CellPlan) -> EnvelopeRow:
     )
 
 
-def battery(vehicle: Vehicle, air_s: float) -> BatteryNeed:
+def battery_need(vehicle: Vehicle, air_s: float) -> BatteryNeed:
     """Energy for this time in the air, and how many of the declared packs that is."""
     energy = None if vehicle.mass_kg is None else HOVER_POWER_W_KG * vehicle.mass_kg * air_s / 3600.0
     capacity = _capacity_ah(vehicle.components.get("battery", {}))

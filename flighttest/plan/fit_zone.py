@@ -15,7 +15,7 @@ import numpy as np
 from flighttest.plan.batched import Request, fly_rows
 from flighttest.plan.clearance import GATE_SLACK_M, Clearance, Track, box
 from flighttest.plan.model import FloatArray, Predictor
-from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, sample
+from flighttest.plan.rehearse import GRID_S, GUID_TIMEOUT_S, STOP_SHARES, Rehearsal, Row, sampled_targets
 from flighttest.script.profiles import Piece, StepCell
 
 # Six time constants of the paper's thrust lag: less than this after the delay shows nothing.
@@ -339,7 +339,7 @@ def _judge(fitted: FittedCell, setting: Setting) -> FittedCell:
         )
     t = np.arange(0.0, _length(fitted.lead), GRID_S)
     hovers = setting.predictor.hover_throttle(np.array(setting.voltages_v)).tolist()
-    asked = np.concatenate([sample(fitted.lead, hover, t)[:, 3] for hover in hovers])
+    asked = np.concatenate([sampled_targets(fitted.lead, hover, t)[:, 3] for hover in hovers])
     low, high = setting.throttle
     if asked.size and (asked.min() < low - 1e-9 or asked.max() > high + 1e-9):
         value = asked.min() if asked.min() < low - 1e-9 else asked.max()

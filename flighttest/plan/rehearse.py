@@ -90,7 +90,7 @@ class Rehearsal:
     vertical_throttle: FloatArray
 
 
-def sample(pieces: Sequence[Piece], hover_throttle: float, t_s: FloatArray) -> FloatArray:
+def sampled_targets(pieces: Sequence[Piece], hover_throttle: float, t_s: FloatArray) -> FloatArray:
     """Targets (m, 4) of a row of pieces at rising times, level flight after the last."""
     return Timeline(tuple(pieces), hover_throttle).table(t_s)
 
@@ -104,7 +104,7 @@ def sample_all(rows: Sequence[Row], hover_throttle: FloatArray, t_s: FloatArray)
         if all(isinstance(wave, (int, float)) for wave in waves):
             plain.setdefault(len(row.lead), []).append(i)
         else:
-            table[:, i] = sample(row.lead, float(hover_throttle[i]), t_s)
+            table[:, i] = sampled_targets(row.lead, float(hover_throttle[i]), t_s)
     for pieces, members in plain.items():
         leads = [rows[i].lead for i in members]
         ends = np.cumsum([[p.duration_s for p in lead] for lead in leads], axis=1).reshape(len(members), pieces)

@@ -13,7 +13,7 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 
 from flighttest.sim.plants.plant_motors import NOT_THE_PLANTS
-from flighttest.sim.plants.rotor_effects import EFFECTS, resolve
+from flighttest.sim.plants.rotor_effects import EFFECTS, effects_on
 from flighttest.sim.plants.rotor_vehicle import random_rotor
 
 
@@ -84,7 +84,7 @@ def draw(seed: int, index: int, generator: Generator = "rotor") -> Case:
     number = {"clean": 0, "single": 1, "pair": 2, "outside": 1}[kind]
     chosen = rng.choice(outside if kind == "outside" else inside, size=number, replace=False)
     vehicle_seed = int(rng.integers(1, 2**31))
-    usual = resolve({str(k): {} for k in chosen}, random_rotor(vehicle_seed))
+    usual = effects_on({str(k): {} for k in chosen}, random_rotor(vehicle_seed))
     hide = {name: _sized(name, usual[name], rng) for name in map(str, chosen)}
     return Case(
         index=index,

@@ -68,7 +68,7 @@ class InProcessTransport:
         """Nothing to close."""
 
 
-def options_of(case: Case, without: str = "", quiet: bool = False) -> SimOptions:
+def case_options(case: Case, without: str = "", quiet: bool = False) -> SimOptions:
     """The sealed vehicle of a case, or its twin without one of its effects, or without noise and gusts."""
     return SimOptions(
         airframe="rotor",

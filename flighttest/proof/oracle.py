@@ -108,7 +108,7 @@ def cosine(one: Left, other: Left, noise: OracleNoise) -> float:
     return float(abs(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12))
 
 
-def noise_of(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_voltage_v: float) -> OracleNoise:
+def oracle_noise(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_voltage_v: float) -> OracleNoise:
     """From a recorded flight and the same without noise and gusts."""
     noise = OracleNoise(FIRST, FIRST_DISTURBANCE)
     for _ in range(2):

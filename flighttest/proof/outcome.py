@@ -26,7 +26,7 @@ class Outcome:
     hidden effect to (true, found) RMS specific force that the base model leaves because of it, m/s^2; values: hidden effect that was
     named, and `BASE` where nothing is hidden, to the parameters that vehicle and catalogue share, name to (true, found, lower, upper
     end of the 95 % interval), SI; base_r2: of the base fit alone; gain: share of the mean square above the floor that is gone on held-out
-    data; coverage: of the diagnosed model's 95 % intervals on repeats it was not fitted to; located: whether something was said to
+    data; coverage: of the diagnosed model's 95 % intervals on repeats it was not fitted to; located: whether something was found to
     be missing somewhere, None where unknown; own: what was named of the firmware itself (shaping, angle boost), which was not hidden
     and is no false alarm; cpu_s, wall_s: of the diagnosis, 0 where unknown."""
 
@@ -88,7 +88,7 @@ class Sealed(Protocol):
         ...
 
 
-def judged(
+def judged_outcome(
     case: Sealed,
     hide: Mapping[str, Mapping[str, float]],
     found: DiagnosisData,

@@ -17,7 +17,7 @@ from flighttest.errors import InputError
 from flighttest.proof import trial
 from flighttest.proof.cases import Case, CaseKind, Generator, cases_of, first_of
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.recorded.cases import RecordedCase, drawn
+from flighttest.proof.recorded.cases import RecordedCase, drawn_cases
 from flighttest.proof.recorded.sets import read_sets
 from flighttest.proof.recorded.trial import run_recorded
 
@@ -55,7 +55,7 @@ def _cases(asked: ProofRequest, seed: int) -> Sequence[AnyCase]:
             "the generator 'recorded' needs recordings",
             "name their list with --recordings FILE and their folder with --data DIR",
         )
-    every = drawn(seed, read_sets(asked.recordings), asked.data.resolve())
+    every = drawn_cases(seed, read_sets(asked.recordings), asked.data.resolve())
     return first_of(every, asked.trials, asked.kind, asked.clean)
 
 
@@ -91,18 +91,18 @@ def run_trials(
     try:
         for outcome in _outcomes(left, asked.workers, asked.scheduler):
             done.append(replace(outcome, code=code))
-            keep(in_order(done), seed)
+            keep(sorted_outcomes(done), seed)
             report(f"trial {outcome.index} opened ({len(done)} of {len(cases)})")
     except KeyboardInterrupt:
         report(f"interrupted: {len(done)} trials are done")
-    return in_order(done), seed
+    return sorted_outcomes(done), seed
 
 
 def _run(case: AnyCase) -> Outcome:
-    return run_recorded(case) if isinstance(case, RecordedCase) else trial.run(case)
+    return run_recorded(case) if isinstance(case, RecordedCase) else trial.run_trial(case)
 
 
-def in_order(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def sorted_outcomes(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """As the trials were drawn."""
     return sorted(outcomes, key=lambda o: o.index)
 
@@ -140,15 +140,15 @@ def commit_of(folder: Path) -> str:
     return f"commit {made.stdout.strip()}"
 
 
-def write(outcomes: Sequence[Outcome], seed: int, folder: Path) -> None:
+def write_proof(outcomes: Sequence[Outcome], seed: int, folder: Path) -> None:
     """proof.json: every outcome with its opened truth."""
     folder.mkdir(parents=True, exist_ok=True)
     data = {"format": "proof/1", "seed": seed, "outcomes": [o.to_json() for o in outcomes]}
     (folder / "proof.json").write_text(json.dumps(data, indent=1, default=float) + "\n", encoding="utf-8")
 
 
-def read(folder: Path) -> tuple[int, list[Outcome]] | None:
-    """Seed and outcomes of the proof that `write` has put into a folder; None where there is none."""
+def read_proof(folder: Path) -> tuple[int, list[Outcome]] | None:
+    """Seed and outcomes of the proof that `write_proof` has put into a folder; None where there is none."""
     path = folder / "proof.json"
     if not path.exists():
         return None

@@ -8,7 +8,7 @@ from pathlib import Path
 from flighttest.errors import InputError
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.proof.outcome import Outcome
-from flighttest.proof.prove import AnyCase, ProofRequest, commit_of, read, run_trials, write
+from flighttest.proof.prove import AnyCase, ProofRequest, commit_of, read_proof, run_trials, write_proof
 from flighttest.proof.scoreboard import SEALS, code_of, markdown, rates, score, seals, share
 from flighttest.report.document import Document, Section, Table
 from flighttest.sim.sitl.launcher import find_arducopter
@@ -22,7 +22,7 @@ def prove(asked: ProofRequest, output: Path | None = None, progress: Progress = 
     """
     if asked.generator == "sitl":
         find_arducopter()  # raises, with what to do, where there is none
-    begun = read(output) if output is not None else None
+    begun = read_proof(output) if output is not None else None
     if begun is not None and begun[0] != asked.seed:
         raise InputError(
             f"{output} holds a proof of seed {begun[0]}",
@@ -31,7 +31,7 @@ def prove(asked: ProofRequest, output: Path | None = None, progress: Progress = 
 
     def keep(done: Sequence[Outcome], drawn_from: int) -> None:
         if output is not None:
-            write(done, drawn_from, output)
+            write_proof(done, drawn_from, output)
             page = markdown(done, drawn_from, asked.generator, asked.kind)
             (output / "proof.md").write_text(page, encoding="utf-8")
             (output / SEALS).write_text(seals(done), encoding="utf-8")

@@ -27,7 +27,7 @@ LEAST_FORCE_M_S2 = 0.02  # a true force below it is no measure of a magnitude
 NONE_FLOWN = "none flown"
 
 
-def interval(k: int, n: int) -> tuple[float, float]:
+def share_interval(k: int, n: int) -> tuple[float, float]:
     """95 % Clopper-Pearson interval of a share."""
     if n == 0:
         return 0.0, 1.0
@@ -40,7 +40,7 @@ def share(k: int, n: int) -> str:
     """'19 of 20, 95 % (75 to 100)'."""
     if n == 0:
         return NONE_FLOWN
-    low, high = interval(k, n)
+    low, high = share_interval(k, n)
     return f"{k} of {n}, {100 * k / n:.0f} % (95 % interval {100 * low:.0f} to {100 * high:.0f})"
 
 

@@ -18,8 +18,8 @@ from flighttest.identify.validation.prediction import coverage
 from flighttest.physics.model import Model
 from flighttest.proof import oracle
 from flighttest.proof.cases import ALIASED, Case
-from flighttest.proof.flying import fly_campaign, options_of
-from flighttest.proof.outcome import Outcome, firmware_terms, judged, shared_truth
+from flighttest.proof.flying import case_options, fly_campaign
+from flighttest.proof.outcome import Outcome, firmware_terms, judged_outcome, shared_truth
 from flighttest.segments import Segment
 from flighttest.sim.plants.rotor_vehicle import random_rotor
 
@@ -34,7 +34,7 @@ class OracleAnswer:
     classes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def run(case: Case) -> Outcome:
+def run_trial(case: Case) -> Outcome:
     """Fly the sealed case, diagnose what was recorded, then open the seal."""
     try:
         segments = _flown(case)
@@ -59,7 +59,7 @@ def opened(case: Case, found: DiagnosisData, measured: OracleAnswer) -> Outcome:
         for effect, true in measured.forces.items()
     }
     return replace(
-        judged(case, case.hide, found, firmware_terms(case), shared_truth(case)),
+        judged_outcome(case, case.hide, found, firmware_terms(case), shared_truth(case)),
         sizes=measured.sizes,
         classes=measured.classes,
         forces=forces,
@@ -72,7 +72,7 @@ def measure(case: Case, recorded: Sequence[Segment]) -> OracleAnswer:
         return OracleAnswer()
     voltage = random_rotor(case.vehicle_seed).nominal_voltage_v
     quiet = _flown(case, quiet=True)
-    noise = oracle.noise_of(recorded, quiet, voltage)
+    noise = oracle.oracle_noise(recorded, quiet, voltage)
     with_all = oracle.left(quiet, noise, voltage)
     effects = {e: with_all.less(oracle.left(_flown(case, without=e, quiet=True), noise, voltage)) for e in case.hide}
     return OracleAnswer(
@@ -84,7 +84,7 @@ def measure(case: Case, recorded: Sequence[Segment]) -> OracleAnswer:
 
 def _flown(case: Case, without: str = "", quiet: bool = False) -> tuple[Segment, ...]:
     with tempfile.TemporaryDirectory() as folder:
-        flown = fly_campaign(options_of(case, without, quiet), Path(folder), case.generator)
+        flown = fly_campaign(case_options(case, without, quiet), Path(folder), case.generator)
     segments = tuple(s for s in flown if s.usable)
     if all(s.kind == "free" for s in segments):
         # Nothing has a twin in the flight without the effect, which its size is measured by.

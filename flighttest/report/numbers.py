@@ -37,10 +37,10 @@ def to_error(value: float | None, std: float | None) -> str:
         return "-"
     if std is None or not math.isfinite(std) or std <= 0:
         return number(value)
-    return f"{value:.{places(std)}f}"
+    return f"{value:.{decimal_places(std)}f}"
 
 
-def places(std: float) -> int:
+def decimal_places(std: float) -> int:
     """Decimal places that show two digits of the standard error."""
     return int(min(max(1 - math.floor(math.log10(std)), 0), 8))
 
@@ -50,7 +50,7 @@ def interval(low: float | None, high: float | None, std: float | None = None) ->
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return "-"
     if std is not None and math.isfinite(std) and std > 0:
-        return f"{low:.{places(std)}f} to {high:.{places(std)}f}"
+        return f"{low:.{decimal_places(std)}f} to {high:.{decimal_places(std)}f}"
     return f"{number(low, 3)} to {number(high, 3)}"
 
 

@@ -45,7 +45,7 @@ class Aligned:
     compatibility: Compatibility | None = None
 
 
-def prepare(recording: Recording) -> Aligned | None:
+def prepare_motion(recording: Recording) -> Aligned | None:
     """Average and choose the time base; None where the recording has no motion at all."""
     moving = [
         g

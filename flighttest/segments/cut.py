@@ -18,7 +18,7 @@ from flighttest.channels import INPUTS
 from flighttest.recording import Recording
 from flighttest.segments import edges as ed
 from flighttest.segments.airborne import flights
-from flighttest.segments.align import Aligned, prepare, sample
+from flighttest.segments.align import Aligned, prepare_motion, sample
 from flighttest.segments.edges import BY_HAND, EXACT, IN_PIECE, FoundStep, References, Tolerance
 from flighttest.segments.marks import Marked, marked
 from flighttest.segments.model import Flaw, Segment, SegmentContext
@@ -45,7 +45,7 @@ _FEW_STEPS = 3  # a flight with fewer steps than this is a free flight that happ
 
 def cut(recording: Recording) -> tuple[Segment, ...]:
     """All segments of a recording in order of time, usable or not (see `Segment.flaws`)."""
-    aligned = prepare(recording)
+    aligned = prepare_motion(recording)
     if aligned is None or aligned.t_s.size < 5:
         return ()
     references = ed.references_of(recording)
@@ -166,7 +166,7 @@ def _by_references(
         for a, b in whole
         for piece in _recorded(aligned, references, a, b)
         for window in windows(*piece)
-        if b - a >= _FREE_STRETCH_S or not (marks or steps) or ed.moves(references, window)
+        if b - a >= _FREE_STRETCH_S or not (marks or steps) or ed.reference_moves(references, window)
     ]
     return [(r, None) for r in (*steps, *free)]
 

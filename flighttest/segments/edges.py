@@ -105,7 +105,7 @@ def references_of(recording: Recording) -> References | None:
     return References(series.t_s, values, period, period < 0.2)
 
 
-def moves(references: References | None, response: FoundStep) -> bool:
+def reference_moves(references: References | None, response: FoundStep) -> bool:
     """Whether any reference changes by as much as a step in a stretch."""
     if references is None:
         return False

@@ -165,7 +165,7 @@ def spectra(recording: Recording, names: Sequence[str] = SENSORS) -> tuple[Spect
     return tuple(found)
 
 
-def battery(recording: Recording) -> BatteryCourse | None:
+def battery_course(recording: Recording) -> BatteryCourse | None:
     """None where no voltage was recorded."""
     if not recording.has("voltage_v"):
         return None

@@ -72,7 +72,7 @@ def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:
     words = leg.label.split("/")
     repeat = _REPEAT.match(words[-1])
     kind = str(leg.data.get("kind", ""))
-    said = leg.data.get("repeat")
+    stated = leg.data.get("repeat")
     rest = kind == "rest" or any(word.startswith("rest") for word in words)
     return Marked(
         name=leg.label,
@@ -85,7 +85,7 @@ def _leg(recording: Recording, leg: Marker, next_s: float | None) -> Marked:
         maneuver=str(
             leg.data.get("maneuver", words[0] if len(words) > 1 and len(leg.label.encode()) < _ID_MAX else "")
         ),
-        repeat=said if isinstance(said, int) else int(repeat.group(1)) if repeat else 0,
+        repeat=stated if isinstance(stated, int) else int(repeat.group(1)) if repeat else 0,
         numbered="step" in leg.data,
         outcome=outcome,
         data=leg.data,

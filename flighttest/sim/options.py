@@ -66,7 +66,7 @@ class SimOptions:
 
 
 def parse_hide(words: Sequence[str]) -> dict[str, dict[str, float]]:
-    """`ID`, `ID:key=value` or `ID:key=value,key=value` as typed after --hide; repeated ids are merged.
+    """`ID`, `ID:key=value` or `ID:key=value,key=value`: effects to conceal; repeated ids are merged.
 
     InputError where a word cannot be read.
     """
@@ -74,7 +74,7 @@ def parse_hide(words: Sequence[str]) -> dict[str, dict[str, float]]:
     for word in words:
         name, _, rest = word.partition(":")
         if not name:
-            raise InputError(f"--hide {word!r} names no effect", "write ID:key=value, as ground_effect:R2_m2=0.06")
+            raise InputError(f"hide {word!r} names no effect", "write ID:key=value, as ground_effect:R2_m2=0.06")
         values = found.setdefault(name, {})
         for pair in filter(None, rest.split(",")):
             key, equals, text = pair.partition("=")
@@ -84,6 +84,6 @@ def parse_hide(words: Sequence[str]) -> dict[str, dict[str, float]]:
                 equals = ""
             if not equals or not key.strip():
                 raise InputError(
-                    f"--hide {word!r}: {pair!r} is not key=value", "values are numbers in SI units"
+                    f"hide {word!r}: {pair!r} is not key=value", "values are numbers in SI units"
                 ) from None
     return found

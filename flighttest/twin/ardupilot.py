@@ -23,7 +23,7 @@ from flighttest.physics.core import Contribution, Param, Port, Signals, Term
 from flighttest.sim.plants.plant_paper import HOVER_CURRENT_A
 from flighttest.twin.firmware import FirmwareFrame, frame_of
 from flighttest.twin.rotorpy import MASS_KG, test_maneuver
-from flighttest.twin.vehicle import battery_of, fly_able
+from flighttest.twin.vehicle import fly_able, simulated_battery
 
 FRAME_NAME, PARAMETERS_NAME = "vehicle.json", "vehicle.parm"
 KNOWN = ("body", "linear_drag", "quadratic_drag", "steady_wind", "angle_boost", "channel_delay")
@@ -68,7 +68,7 @@ def exported(stored: ModelFile) -> Exported:
     weighed = stored.fingerprint.get("mass_kg")
     mass = float(weighed) if isinstance(weighed, int | float) else MASS_KG
     loops = frame_of(stored, motor_lag=False)
-    battery = battery_of(stored)
+    battery = simulated_battery(stored)
     full_v = FULL_CELL_V * battery["cells"]
     low, high = (float(u) for u in stored.valid.get("voltage_v") or (stored.model.nominal_voltage_v,) * 2)
     middle = 0.5 * (low + high)

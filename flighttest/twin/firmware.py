@@ -4,8 +4,8 @@ A model's attitude loops are closed ones, autopilot included. With the gains tha
 acceleration of a full output and the lag of the motors are fitted, axis by axis, so that `firmware_loops` answers steps as the vehicle
 did: by the mean responses that the model file keeps of its flights, whose form no second-order loop has, else by the model's own answers.
 The moments grow with the voltage as the thrust does, since they are of the same motors. Where an axis' gains are not known, or cannot
-give the identified loop, gains are chosen as well, and that is said. Thrust, drag and every other term of the translation are the model's
-own; the motors' static curve is in them, so the firmware's is off.
+give the identified loop, gains are chosen as well, and the notes state it. Thrust, drag and every other term of the translation are the
+model's own; the motors' static curve is in them, so the firmware's is off.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from flighttest.sim import SimOptions
 from flighttest.sim.plants.plant import IdentifiedVehicle
 from flighttest.twin import firmware_loops
 from flighttest.twin.firmware_loops import AXES, LOOP_S, Loop, loop_of
-from flighttest.twin.vehicle import options_of
+from flighttest.twin.vehicle import simulator_options
 
 FloatArray = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def firmware_options(
     stored: ModelFile, hide: Mapping[str, Mapping[str, float]] | None = None, **others: Any
 ) -> tuple[SimOptions, FirmwareFrame]:
     """`SimOptions` for `launch_on_physics`, and the frame in them. ModelError where the model has no attitude loops."""
-    made = options_of(stored, hide, **others)
+    made = simulator_options(stored, hide, **others)
     frame = frame_of(stored)
     assert made.model is not None
     terms = [t for t in stored.model.terms if t == "body" or not _firmwares(t, frame.not_represented)]
@@ -293,10 +293,12 @@ def _answers(
         count = round((float(w.t_s[-1]) - DELAY_S[0]) / LOOP_S) + 1
         if axis == "yaw":
             angle, rate = _demanded(w.step, loop, count)
-            found.append(firmware_loops.fly(loop, gain * w.gain, lag_s, angle, rate, most)[1])
+            found.append(firmware_loops.simulate_loop(loop, gain * w.gain, lag_s, angle, rate, most)[1])
         else:
             found.append(
-                firmware_loops.fly(loop, gain * w.gain, lag_s, np.full(count, w.step), np.zeros(count), most)[0]
+                firmware_loops.simulate_loop(loop, gain * w.gain, lag_s, np.full(count, w.step), np.zeros(count), most)[
+                    0
+                ]
             )
     return found
 

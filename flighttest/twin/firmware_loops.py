@@ -98,7 +98,7 @@ def square_root(error: float, p: float, accel: float) -> float:
     return min(max(rate, -most), most)
 
 
-def fly(
+def simulate_loop(
     loop: Loop, gain: float, lag_s: float, angle: FloatArray, rate: FloatArray, most: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
     """Angle rad and rate rad/s after every loop, (n,) each, from rest. gain: angular acceleration of a full output, rad/s^2; lag_s: of the

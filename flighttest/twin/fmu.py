@@ -51,7 +51,7 @@ def write_fmu(stored: ModelFile, folder: Path) -> Path:
                 f"the C compiler refused the model: {made.stderr.strip()[-300:]}", "export --to c and build it by hand"
             )
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.writestr("modelDescription.xml", description(stored, guid))
+            archive.writestr("modelDescription.xml", model_description(stored, guid))
             archive.write(here / library, f"binaries/{_platform()}/{library}")
             for name in _SOURCES:
                 archive.write(here / name, f"sources/{name}")
@@ -103,7 +103,7 @@ def start_state(stored: ModelFile) -> list[float]:
     return [float(v) + system.initial.get(n, 0.0) for n, v in zip(system.states, hover_state(stored), strict=True)]
 
 
-def description(stored: ModelFile, guid: str) -> str:
+def model_description(stored: ModelFile, guid: str) -> str:
     """modelDescription.xml."""
     system = stored.model.system
     start_u = dict(zip(system.inputs, hover_input(stored).tolist(), strict=True))

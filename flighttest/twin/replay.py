@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flighttest.errors import FitError
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.identify.validation.ablations import OpenLoopStart, measured_channels, open_loop, voltage_for
-from flighttest.identify.validation.validate import comparable, merged
+from flighttest.identify.validation.validate import comparable, joined_windows
 from flighttest.segments.model import Segment
 from flighttest.twin.what_if import WhatIf
 
@@ -105,7 +105,7 @@ def replay(stored: ModelFile, segments: Sequence[Segment], change: WhatIf, seed:
 def runnable(segments: Sequence[Segment]) -> list[Segment]:
     """Usable segments that can be run open loop, free flight in pieces as long as it was flown. FitError where there is none."""
     usable = [s for s in segments if comparable(s) and not s.between_steps]
-    usable = [*(s for s in usable if s.kind != "free"), *merged([s for s in usable if s.kind == "free"])]
+    usable = [*(s for s in usable if s.kind != "free"), *joined_windows([s for s in usable if s.kind == "free"])]
     if not usable:
         raise FitError(
             "no recording can be replayed", "give a recording with the throttle recorded and at least 0.6 s long"

@@ -22,7 +22,9 @@ _LOOP_RATE_HZ = 200.0  # of the plant
 _WHITE_SHARE = 0.25  # of an estimator's error; the rest wanders slowly, as `SensorNoise` has it
 
 
-def options_of(stored: ModelFile, hide: Mapping[str, Mapping[str, float]] | None = None, **others: Any) -> SimOptions:
+def simulator_options(
+    stored: ModelFile, hide: Mapping[str, Mapping[str, float]] | None = None, **others: Any
+) -> SimOptions:
     """`SimOptions` of the vehicle that a model describes. hide: further terms with their values; others: further fields.
 
     ModelError where the model has no attitude loops.
@@ -44,8 +46,8 @@ def options_of(stored: ModelFile, hide: Mapping[str, Mapping[str, float]] | None
             "channel_delays": model.channel_delays,
             "rotor_height_m": model.rotor_height_m,
         },
-        "battery": battery_of(stored),
-        "noise": noise_of(stored, cutoff),
+        "battery": simulated_battery(stored),
+        "noise": sensor_noise_of(stored, cutoff),
     }
     volts = stored.valid.get("voltage_v")
     start = {"voltage_v": float(volts[1])} if volts else {}
@@ -66,7 +68,7 @@ def assumed(stored: ModelFile) -> tuple[str, ...]:
     return tuple(n for n, p in stored.parameters.items() if p.source == "assumed" and n in stored.model.names)
 
 
-def battery_of(stored: ModelFile) -> BatteryFields:
+def simulated_battery(stored: ModelFile) -> BatteryFields:
     """Cells by the nominal voltage; the resistance where the model's flights determined it."""
     cells = max(round(stored.model.nominal_voltage_v / CELL_V), 1)
     kept = stored.fit_quality.get("battery")
@@ -75,7 +77,7 @@ def battery_of(stored: ModelFile) -> BatteryFields:
     return {"cells": cells, "resistance_ohm": resistance}
 
 
-def noise_of(stored: ModelFile, accel_filter_hz: float) -> dict[str, float]:
+def sensor_noise_of(stored: ModelFile, accel_filter_hz: float) -> dict[str, float]:
     """Sensor noise such that the recorded channels come out with the residuals of the fit; other channels stay as they are."""
     std = {c: float(v) for c, v in (stored.noise.get("channels") or {}).items() if _is_number(v)}
 

@@ -53,7 +53,7 @@ class WhatIf:
             return _with_voltage(segment, np.full(segment.t_s.size, self.held_v))
         if self.shift_v and volts is None:
             raise InputError(
-                "the recording has no battery voltage to shift", "give the voltage itself, as --set battery=22.2"
+                "the recording has no battery voltage to shift", "give the voltage itself, as battery=22.2"
             )
         return (
             _with_voltage(segment, np.asarray(volts) + self.shift_v) if self.shift_v and volts is not None else segment
@@ -71,7 +71,7 @@ def what_if(stored: ModelFile, words: Sequence[str]) -> WhatIf:
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not equals or not name or not text:
-            raise InputError(f"--set {word!r} is not NAME=VALUE", "as in --set payload=0.3 or --set K=+10%")
+            raise InputError(f"set {word!r} is not NAME=VALUE", "as in payload=0.3 or K=+10%")
         found = _changed(found, stored, name, text, word)
     return found
 
@@ -82,40 +82,40 @@ def _changed(now: WhatIf, stored: ModelFile, name: str, text: str, word: str) ->
         mass = stored.fingerprint.get("mass_kg")
         if not isinstance(mass, int | float):
             raise InputError(
-                f"--set {word}: the model does not hold the mass of its vehicle",
-                "write mass_kg into vehicle.yaml and fit again with --vehicle, or change the forces with --set K=-10%",
+                f"set {word}: the model does not hold the mass of its vehicle",
+                "write mass_kg into vehicle.yaml and fit again with --vehicle, or change the forces with K=-10%",
             )
         if mass + added <= 0.0:
             raise InputError(
-                f"--set {word}: the mass of {mass:g} kg would not stay above zero", "give what is added, in kg"
+                f"set {word}: the mass of {mass:g} kg would not stay above zero", "give what is added, in kg"
             )
         ratio = mass / (mass + added)
-        said = f"payload {added:+g} kg on {mass:g} kg: thrust and drag per mass x {ratio:.3f}; the attitude loops are kept as identified"
-        return _scaled(now, [n for n in _PER_MASS if n in now.values], ratio, said)
+        sentence = f"payload {added:+g} kg on {mass:g} kg: thrust and drag per mass x {ratio:.3f}; the attitude loops are as identified"
+        return _scaled(now, [n for n in _PER_MASS if n in now.values], ratio, sentence)
     if name == "propeller":
         ratio = 1.0 + _percent(text, word) if text.endswith("%") else _number(text, word)
         if not ratio > 0.0:
             raise InputError(
-                f"--set {word}: the ratio of thrust has to be above zero", "give the ratio of thrust, as propeller=1.1"
+                f"set {word}: the ratio of thrust has to be above zero", "give the ratio of thrust, as propeller=1.1"
             )
-        said = (
+        sentence = (
             f"propeller: thrust at equal throttle x {ratio:.3f}; its lag and the attitude loops are kept as identified"
         )
-        return _scaled(now, ["K"], ratio, said)
+        return _scaled(now, ["K"], ratio, sentence)
     if name == "battery":
         volts = _number(text.removesuffix("V"), word)
         if text[0] in "+-":
             return replace(now, shift_v=volts, sentences=(*now.sentences, f"battery: voltage {volts:+g} V"))
         if not 1.0 <= volts <= 100.0:
             raise InputError(
-                f"--set {word}: {volts:g} V is not the voltage of a multirotor's battery",
+                f"set {word}: {volts:g} V is not the voltage of a multirotor's battery",
                 "give V under load, or +V and -V to shift it",
             )
         return replace(now, held_v=volts, sentences=(*now.sentences, f"battery: {volts:g} V under load"))
     if _AUTOPILOT.fullmatch(name):
         if name != "ATC_ANGLE_BOOST":
             raise InputError(
-                f"--set {word}: the model holds the closed attitude loops and the throttle path with this setting in them, and cannot "
+                f"set {word}: the model holds the closed attitude loops and the throttle path with this setting in them, and cannot "
                 "take it out",
                 "ATC_ANGLE_BOOST=0 or 1 can be asked; others need a flight, or a simulator that runs the autopilot itself",
             )
@@ -126,21 +126,21 @@ def _changed(now: WhatIf, stored: ModelFile, name: str, text: str, word: str) ->
         known = [*PARTS, *now.model.names, *(p.name for t in catalogue().values() for p in t.params)]
         near = get_close_matches(name, known, 1)
         raise InputError(
-            f"--set {word}: there is no change or parameter {name}",
+            f"set {word}: there is no change or parameter {name}",
             f"did you mean {near[0]}?"
             if near
             else f"there are {', '.join(PARTS)}, and every parameter of `flighttest terms`",
         )
     if text.endswith("%"):
         if name not in now.model.names:
-            raise InputError(f"--set {word}: the model has no {name} that could change by a share", "give its value")
+            raise InputError(f"set {word}: the model has no {name} that could change by a share", "give its value")
         share = _percent(text, word)
         return _scaled(now, [name], 1.0 + share, f"{name} {100 * share:+g} %")
     value = _number(text, word)
     return _set(now, name, value, f"{name} {value:g}")
 
 
-def _set(now: WhatIf, name: str, value: float, said: str) -> WhatIf:
+def _set(now: WhatIf, name: str, value: float, sentence: str) -> WhatIf:
     """A parameter at a value; its term joins where the model has it not, its other parameters at their null value."""
     model = now.model
     if name not in model.names:
@@ -159,15 +159,15 @@ def _set(now: WhatIf, name: str, value: float, said: str) -> WhatIf:
         values=start | {name: value},
         base=base,
         given={**now.given, name: value},
-        sentences=(*now.sentences, said),
+        sentences=(*now.sentences, sentence),
     )
 
 
-def _scaled(now: WhatIf, names: Sequence[str], ratio: float, said: str) -> WhatIf:
+def _scaled(now: WhatIf, names: Sequence[str], ratio: float, sentence: str) -> WhatIf:
     values = now.values | {n: now.values[n] * ratio for n in names}
     factors = now.factors | {n: now.factors.get(n, 1.0) * ratio for n in names}
     given = now.given | {n: now.given[n] * ratio for n in names if n in now.given}
-    return replace(now, values=values, factors=factors, given=given, sentences=(*now.sentences, said))
+    return replace(now, values=values, factors=factors, given=given, sentences=(*now.sentences, sentence))
 
 
 def _number(text: str, word: str) -> float:
@@ -176,7 +176,7 @@ def _number(text: str, word: str) -> float:
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):
-        raise InputError(f"--set {word}: {text!r} is not a number", "numbers are in SI units, as payload=0.3 (kg)")
+        raise InputError(f"set {word}: {text!r} is not a number", "numbers are in SI units, as payload=0.3 (kg)")
     return value
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flighttest.validity.battery import check
-from flighttest.validity.compare import FALSE_ALARM, Estimates, MatchedPairs, subset_tests, thrust_or_mass
+from flighttest.validity.battery import check_resistance
+from flighttest.validity.compare import FALSE_ALARM, Estimates, MatchedPairs, subset_tests, thrust_or_mass_words
 from flighttest.validity.cusum import drifts
 from flighttest.validity.declared import declared_changes, same_parts, scripts_for
 from flighttest.validity.hover import NAME, Hover, hover_test
@@ -69,7 +69,7 @@ def assess(
         cannot_tell += unknown
     tests = _tests(stored, new, subsets)
     drift = drifts(stored, runs, new.spread) if len(runs) > 1 else ()
-    checked = check(new.battery, new.battery_reference) if new.battery is not None else None
+    checked = check_resistance(new.battery, new.battery_reference) if new.battery is not None else None
     alarms = [t for t in tests if t.alarm]
     crossed = [d for d in drift if d.crossed_at]
     compared = _same_parameters(model_fingerprint, vehicle_fingerprint) if vehicle_fingerprint is not None else ""
@@ -209,7 +209,7 @@ def _culprit(alarms: Sequence[SubsetTest], sides: tuple[Estimates, Estimates] | 
             ": what delays the thrust (motors, speed controllers, a throttle filter), and not how much of it there is"
         )
     if "thrust" in moved and "attitude" not in moved:
-        what = thrust_or_mass(*sides) if sides is not None else "thrust or mass"
+        what = thrust_or_mass_words(*sides) if sides is not None else "thrust or mass"
         words = {
             "thrust or mass": "less or more thrust (propellers, motors, battery), or another mass: this flight cannot distinguish them",
             "thrust": "propellers, motors or battery, and not the mass",

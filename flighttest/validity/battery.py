@@ -38,7 +38,7 @@ def resistance(t_s: FloatArray, voltage_v: FloatArray, current_a: FloatArray) ->
     return -slope, error
 
 
-def check(new: tuple[float, float] | str, reference: tuple[float, float] | None) -> BatteryCheck:
+def check_resistance(new: tuple[float, float] | str, reference: tuple[float, float] | None) -> BatteryCheck:
     """Compare with the resistance stored with the model."""
     if isinstance(new, str):
         return BatteryCheck(None, reference, False, new)

@@ -242,7 +242,7 @@ def _sentence(subset: str, alarm: bool, shifts: Mapping[str, tuple[float, float]
     return f"{words} (chance of this without a change: {p_value:.1g})"
 
 
-def thrust_or_mass(stored: Estimates, new: Estimates) -> str:
+def thrust_or_mass_words(stored: Estimates, new: Estimates) -> str:
     """'thrust', 'mass' or 'thrust or mass' (see `identify.mass`)."""
     changes: dict[str, tuple[float, float]] = {}
     for name in (n for n in mass.FORCES if n in stored.names and n in new.names):

@@ -84,7 +84,7 @@ def declared_changes(
         ("voltage", "nominal voltage", before.get("nominal_voltage_v"), after.get("nominal_voltage_v")),
         ("frame", "frame", before.get("frame"), after.get("frame")),
     ):
-        if old is not None and new is not None and not same(old, new):
+        if old is not None and new is not None and not same_value(old, new):
             changes.append(_everything(kind, words, old, new))
     changes += _mass(before.get("mass_kg"), after.get("mass_kg"))
     changes += _parameters(before.get("shaping_parameters") or {}, after.get("shaping_parameters") or {}, unknown)
@@ -105,7 +105,7 @@ def touched(parameter: str) -> tuple[str, ...]:
     return next((subsets for pattern, subsets in _PARAMETERS if fnmatch(parameter, pattern)), EVERYTHING)
 
 
-def same(a: Any, b: Any) -> bool:
+def same_value(a: Any, b: Any) -> bool:
     """Equal as declared; numbers to the single precision a vehicle keeps them in."""
     if (
         isinstance(a, int | float)
@@ -131,7 +131,9 @@ def _components(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
             unknown.append(f"{name} is not declared in {where}")
             continue
         old, new = dict(before[name] or {}), dict(after[name] or {})
-        differing = [k for k in sorted({*old, *new}) if k not in _UNTELLING_FIELDS and not same(old.get(k), new.get(k))]
+        differing = [
+            k for k in sorted({*old, *new}) if k not in _UNTELLING_FIELDS and not same_value(old.get(k), new.get(k))
+        ]
         if not differing:
             continue
         subsets, because = _COMPONENTS.get(name, (EVERYTHING, "nothing is known about what this component touches"))
@@ -190,7 +192,7 @@ def _parameters(before: Mapping[str, Any], after: Mapping[str, Any], unknown: li
     partly = _partly(before, after, unknown)
     for name in sorted({*before, *after}):
         if name in before and name in after:
-            if same(before[name], after[name]):
+            if same_value(before[name], after[name]):
                 continue
             old, new = before[name], after[name]
         else:
@@ -222,7 +224,7 @@ def _partly(before: Mapping[str, Any], after: Mapping[str, Any], unknown: list[s
 
 def _mass(old: Any, new: Any) -> list[DeclaredChange]:
     """Another mass as declared: what goes with force over mass, and what a payload does to the inertia."""
-    if not isinstance(old, int | float) or not isinstance(new, int | float) or same(old, new):
+    if not isinstance(old, int | float) or not isinstance(new, int | float) or same_value(old, new):
         return []
     because = (
         f"K and the drag go with 1/mass: expect them at {old / new:.3f} of what they were; a payload also adds inertia"

@@ -1,4 +1,4 @@
-"""Like with like: a new flight's steps against the same steps of the model's own flights.
+"""Matched pairs: a new flight's steps against the same steps of the model's own flights.
 
 What a model gets wrong about a step it gets wrong again when that step is flown again. So a new flight is not asked for its best
 parameters, but for those at which the model misses each kind of step as it missed it in its own flights. The scores (slopes of the
@@ -67,7 +67,7 @@ def steps_flown(normal: Normal, segments: Sequence[Segment], nominal_voltage_v: 
     return tuple(found)
 
 
-def as_data(steps: Sequence[StepScore]) -> StepsBlock:
+def matched_pair_data(steps: Sequence[StepScore]) -> StepsBlock:
     """For model.yaml: parameters in order, and one line per kind of step."""
     order = list(steps[0].score) if steps else []
     rows: list[dict[str, PlainData]] = [
@@ -83,8 +83,8 @@ def as_data(steps: Sequence[StepScore]) -> StepsBlock:
     return {"order": order, "flown": rows}
 
 
-def from_data(data: object) -> tuple[StepScore, ...]:
-    """What `as_data` wrote; nothing where a model was written without it or by hand."""
+def matched_pairs_from(data: object) -> tuple[StepScore, ...]:
+    """What `matched_pair_data` wrote; nothing where a model was written without it or by hand."""
     try:
         order, rows = list(data["order"]), list(data["flown"])  # type: ignore[index]
         return tuple(_step(order, dict(row)) for row in rows)
@@ -99,7 +99,7 @@ def _step(order: Sequence[str], row: dict[str, Any]) -> StepScore:
     return StepScore(str(kind), cell, int(count), math.nan if volts is None else float(volts), kept)
 
 
-def compare(
+def compare_matched(
     kept: Sequence[StepScore], stored: Estimates, values: Mapping[str, float], noise: Noise, problem: Problem
 ) -> MatchedPairs | None:
     """The new steps of `problem` against those a model kept; None where too few match.

@@ -42,7 +42,7 @@ def test_every_public_name_can_be_had_and_is_described(name):
     assert name == "__version__" or (found.__doc__ or "").strip()
 
 
-def test_a_type_checker_is_reported_the_same_names_from_the_same_modules(repository):
+def test_a_type_checker_sees_the_same_names_from_the_same_modules(repository):
     tree = ast.parse((repository / "flighttest" / "__init__.py").read_text())
     block = next(n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
     typed = {alias.name: node.module for node in block.body for alias in node.names}

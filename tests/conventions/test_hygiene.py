@@ -75,6 +75,24 @@ def test_a_type_has_one_meaning_in_the_whole_program(repository):
     assert {name for name, paths in where.items() if len(paths) > 1} == set(SAME_NAME), "name it by what it is of"
 
 
+# Functions of the same name in more than one package below the verbs, with the reason.
+SAME_FUNCTION = {
+    "size_in_floors": "the oracle shares nothing with the diagnosis that it judges",
+}
+VERBS = ("flighttest/cli/", "flighttest/api/", "flighttest/pipeline/")  # one verb has one name in each of these layers
+
+
+def test_a_function_has_one_meaning_below_the_verbs(repository):
+    where: dict[str, set[str]] = {}
+    for path in modules(repository):
+        if not path.relative_to(repository).as_posix().startswith(VERBS):
+            for node in parsed(path.read_text()).body:
+                if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                    where.setdefault(node.name, set()).add(path.relative_to(repository).as_posix())
+    twice = {name: sorted(paths) for name, paths in where.items() if len(paths) > 1}
+    assert set(twice) == set(SAME_FUNCTION), twice
+
+
 def test_the_search_for_types_sees_classes_and_aliases():
     assert types_of("class A1b: ...\nVerdict = Literal['a']\nSeries: TypeAlias = int\nLEVEL = 1\n_Own = int\nx = 1") == [
         "A1b", "Verdict", "Series",

@@ -199,7 +199,7 @@ def test_every_block_is_searched():
 
 
 def test_blocks_that_are_searched_apart_give_the_same_answer(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.parallel.usable_cores", lambda: 2)
+    monkeypatch.setattr("flighttest.pipeline.parallel.usable_processes", lambda: 2)
     segments = fly(campaign(1), wind=(2.5, 0.0, 0.0))
     only = ("steady_wind", "rate_limit")
     alone, apart = (diagnose(segments, only=only, side_by_side=way) for way in (one_after_the_other, in_parallel))

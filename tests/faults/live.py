@@ -173,10 +173,10 @@ def _bring_down(witness: ArduPilot) -> bool:
 
 def _full_pack(witness: ArduPilot) -> None:
     """What the flights before have taken would end this one."""
-    volt = parameters.read(witness.session, _PACK)
+    volt = parameters.read_parameter(witness.session, _PACK)
     assert volt is not None
     tenths = round(volt, 1)
-    parameters.write(
+    parameters.write_parameter(
         witness.session, _PACK, tenths if abs(volt - tenths) > 0.5 * _OTHER_V else tenths - _OTHER_V, {_PACK: volt}
     )
     witness.session.advance(witness.session.now_s() + 3.0)

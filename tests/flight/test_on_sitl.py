@@ -287,14 +287,14 @@ def test_the_zones_fence_polygon_on_the_real_firmware(sitl, tmp_path):
         fence.write(box)
         known = params.read_all(witness.session)
         for name, value in {"FENCE_TYPE": 4.0, "FENCE_ACTION": 4.0, "FENCE_ENABLE": 1.0}.items():
-            params.write(witness.session, name, value, known)
+            params.write_parameter(witness.session, name, value, known)
         ZoneFence(witness, "", lambda _data: None).switch_on()
         braked = fly(make_plan(make_leg("a", fast_tilt, 2.5), make_leg("b")), sitl.url, tmp_path / "braked")
         assert braked.outcome is FlightOutcome.TAKE_OVER, braked.notes
         assert braked.mode == "BRAKE"
     finally:
         known = params.read_all(witness.session)
-        params.write(witness.session, "FENCE_ENABLE", 0.0, known)
+        params.write_parameter(witness.session, "FENCE_ENABLE", 0.0, known)
         fence.write(())
         witness.set_mode(CopterMode.LAND)
         witness.session.port.close()

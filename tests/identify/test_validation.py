@@ -8,7 +8,7 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.identify.models.model_file import ModelFile, from_fit
 from flighttest.identify.validation.ablations import GROUPS, Variation, voltage_for
-from flighttest.identify.validation.validate import HORIZONS_S, merged, validate
+from flighttest.identify.validation.validate import HORIZONS_S, joined_windows, validate
 from flighttest.physics.simulate import simulate
 from flighttest.segments.model import Segment
 from tests.identify.campaign import TRUTH
@@ -87,7 +87,7 @@ def test_few_starts_are_called_few(table, found, flight):
 
 
 def test_windows_of_one_flight_are_joined(flight):
-    joined = merged(list(reversed(flight)))
+    joined = joined_windows(list(reversed(flight)))
     assert len(joined) == 1
     assert joined[0].t_s.size == 1200
     assert np.all(np.diff(joined[0].t_s) > 0)

@@ -106,14 +106,14 @@ def test_parameters_by_either_name_verified_and_lost_ones_asked_again() -> None:
     known = parameters.read_all(session)
     assert known == {"GUID_OPTIONS": 0.0, "ANGLE_MAX": 3000.0, "STUBBORN": 1.0}
     assert parameters.by_either_name(known, "ATC_ANGLE_MAX") == 30.0
-    assert parameters.read(session, "ATC_ANGLE_MAX") == 30.0
-    assert parameters.read(session, "NO_SUCH") is None
-    parameters.write(session, "ATC_ANGLE_MAX", 45.0, known)
+    assert parameters.read_parameter(session, "ATC_ANGLE_MAX") == 30.0
+    assert parameters.read_parameter(session, "NO_SUCH") is None
+    parameters.write_parameter(session, "ATC_ANGLE_MAX", 45.0, known)
     assert vehicle.values["ANGLE_MAX"] == 4500.0
     with pytest.raises(LinkError, match="STUBBORN does not take 2"):
-        parameters.write(session, "STUBBORN", 2.0, known)
+        parameters.write_parameter(session, "STUBBORN", 2.0, known)
     with pytest.raises(LinkError, match="no parameter NO_SUCH"):
-        parameters.write(session, "NO_SUCH", 2.0, known)
+        parameters.write_parameter(session, "NO_SUCH", 2.0, known)
 
 
 def test_a_vehicle_whose_time_stands_at_zero_has_answered() -> None:
@@ -140,7 +140,7 @@ def test_a_lossy_link_is_asked_again() -> None:
     vehicle = ScriptedVehicle(Host(), lose=lambda _n: chance.random() < 0.33)
     session = session_of(vehicle)
     known = {"GUID_OPTIONS": 0.0}
-    parameters.write(session, "GUID_OPTIONS", 8.0, known)
+    parameters.write_parameter(session, "GUID_OPTIONS", 8.0, known)
     assert vehicle.values["GUID_OPTIONS"] == 8.0
 
 
@@ -322,12 +322,12 @@ def test_a_link_that_is_lost_is_said_instead_of_what_was_asked_for() -> None:
     session.advance(session.now_s() + 1.0)
     vehicle.lose = lambda _n: True
     with pytest.raises(LinkError, match="lost in one direction"):
-        parameters.write(session, "ANGLE_MAX", 4000.0, known)
+        parameters.write_parameter(session, "ANGLE_MAX", 4000.0, known)
     vehicle.say = lambda _message: None  # type: ignore[method-assign]
     began = session.now_s()
     session.advance(began + 6.5)
     with pytest.raises(LinkError, match="nothing has been heard"):
-        parameters.write(session, "ANGLE_MAX", 4000.0, known)
+        parameters.write_parameter(session, "ANGLE_MAX", 4000.0, known)
     assert session.now_s() - began < 8.0
 
 
@@ -373,7 +373,7 @@ def test_a_program_that_did_not_look_for_long_finds_the_link_as_it_is() -> None:
     for _ in range(60):  # the vehicle goes on, and its frames wait
         vehicle.host.now += 1.0
         vehicle.say(book.MAVLink_heartbeat_message(2, 3, 1, 0, 4, 3))
-    parameters.write(session, "ANGLE_MAX", 4000.0, known)
+    parameters.write_parameter(session, "ANGLE_MAX", 4000.0, known)
     assert vehicle.values["ANGLE_MAX"] == 4000.0
 
 

@@ -124,6 +124,6 @@ def test_status_reads_a_vehicle_that_signs_with_its_key_only(tmp_path: Path) -> 
     (tmp_path / "vehicle.yaml").write_text("format: vehicle/1\nname: hexa\nsigning_key: hexa.key\n")
     with start_simulator(SimOptions(signing_key=key.hex(), speed=10.0), in_thread=True) as simulation:
         for named, vehicle in ((path, None), (None, tmp_path / "vehicle.yaml")):
-            assert "GUID_OPTIONS" in live.read(simulation.url, key=live.key_for(named, vehicle)).parameters
+            assert "GUID_OPTIONS" in live.read_vehicle(simulation.url, key=live.key_for(named, vehicle)).parameters
         with pytest.raises(LinkError, match="signs what it sends"):
-            live.read(simulation.url)
+            live.read_vehicle(simulation.url)

@@ -276,7 +276,7 @@ def test_crazyflie_logs_are_known_without_a_map(shared_data):
     )
 
 
-def test_a_thrust_stand_is_reported_that_it_is_no_flight(shared_data, tmp_path):
+def test_a_table_of_a_thrust_stand_is_refused_as_no_flight(shared_data, tmp_path):
     (tmp_path / "m.yaml").write_text("format: columns/1\ncolumns:\n  t_s: Time (s)\n  voltage_v: Voltage (V)\n")
     with pytest.raises(RecordingError, match="measurements of a thrust stand are not a flight"):
         import_log(shared_data / "thrust_stand" / "data" / "single_rotor" / "xNova-SR-ramp.csv", tmp_path / "m.yaml")

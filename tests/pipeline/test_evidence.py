@@ -8,7 +8,7 @@ import pytest
 from flighttest.diagnose import Verdict as Found
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
 from flighttest.physics.model import Model
-from flighttest.pipeline.validity.evidence import appeared, in_words, subsets_of, untested
+from flighttest.pipeline.validity.evidence import appeared, subsets_of, untested, untested_sentences
 from flighttest.report.sections.validity import status_document
 from flighttest.validity.assess import RecordingEvidence, assess
 from flighttest.validity.compare import Estimates, subset_tests
@@ -44,7 +44,7 @@ def test_every_parameter_is_tested_or_listed(reported):
     d_x = next(u for u in missed if u.parameter == "d_x")
     expected = np.hypot(np.hypot(0.1, model.parameters["d_x"].std), 0.02 * model.values["d_x"]) / model.values["d_x"]
     assert 2.5 * expected < d_x.smallest < 4.0 * expected
-    (words,) = [w for w in in_words(missed) if w.startswith("drag: ")]
+    (words,) = [w for w in untested_sentences(missed) if w.startswith("drag: ")]
     assert "d_x would have shown from" in words
     assert "d_y" in words.partition("not at all")[0]
     assert "fly roll_pitch" in words

@@ -154,7 +154,7 @@ def test_a_stopped_flight_is_resumed(call, script, tmp_path):
     assert data["segments"]["used"] == 4
     # Who goes on from the second run goes on from both.
     second = Path(data["runs"][1])
-    assert resuming.chain(second) == [run, second]
+    assert resuming.resumed_runs(second) == [run, second]
     _, _, err = call("run", "--resume", second, "--out", out_dir)
     assert "nothing is missing" in err
     # A report of either run is one of the campaign they were fitted in.
@@ -392,7 +392,7 @@ def test_a_speed_that_is_asked_for_is_kept(tmp_path):
     with flying.connection(request) as url:
         session = Session(MavlinkPort(open_transport(url)))
         session.connect()
-        params.write(session, "SIM_LOCKSTEP", 1.0, {"SIM_LOCKSTEP": 1.0}, stops_time=True)
+        params.write_parameter(session, "SIM_LOCKSTEP", 1.0, {"SIM_LOCKSTEP": 1.0}, stops_time=True)
         session.enter_lock_step()
         began, start_s = time.monotonic(), session.now_s()
         session.advance(start_s + 4.0)

@@ -11,10 +11,10 @@ from flighttest.errors import InputError, ModelError
 from flighttest.identify.models import model_file
 from flighttest.physics.model import Model
 from flighttest.pipeline.flights import after_landing as campaign
-from flighttest.pipeline.planning.checking import prior_of
+from flighttest.pipeline.planning.checking import prior_model
 from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import lineage
-from flighttest.pipeline.store.flown_with import FlownWith, keep, options_of
+from flighttest.pipeline.store.flown_with import FlownWith, keep, rerun_options
 from flighttest.pipeline.store.history import DEFAULT_RUNS
 from flighttest.pipeline.store.models import twin_command
 from flighttest.report.sections.diagnosis import missing_sections
@@ -139,11 +139,11 @@ def test_the_options_are_those_of_the_newest_run_that_says_them(tmp_path):
     keep(tmp_path / "old", FlownWith("udpin:0.0.0.0:14550"))
     keep(tmp_path / "new", FlownWith("tcp:127.0.0.1:5760"))
     runs = [tmp_path / "old", tmp_path / "new", tmp_path / "log.csv"]
-    assert options_of(runs, DEFAULT_RUNS) == " --connect tcp:127.0.0.1:5760"
-    assert options_of(runs, DEFAULT_RUNS, Path("v.yaml")) == " --vehicle v.yaml --connect tcp:127.0.0.1:5760"
-    assert options_of(runs[2:], DEFAULT_RUNS, Path("v.yaml")) == " --vehicle v.yaml"
+    assert rerun_options(runs, DEFAULT_RUNS) == " --connect tcp:127.0.0.1:5760"
+    assert rerun_options(runs, DEFAULT_RUNS, Path("v.yaml")) == " --vehicle v.yaml --connect tcp:127.0.0.1:5760"
+    assert rerun_options(runs[2:], DEFAULT_RUNS, Path("v.yaml")) == " --vehicle v.yaml"
     (tmp_path / "new" / "command.yaml").write_text("no mapping")
-    assert options_of(runs, DEFAULT_RUNS) == " --connect udpin:0.0.0.0:14550"
+    assert rerun_options(runs, DEFAULT_RUNS) == " --connect udpin:0.0.0.0:14550"
 
 
 def test_a_component_change_ends_a_model_by_name(tmp_path):
@@ -189,11 +189,11 @@ def test_a_folder_stands_for_the_improved_model_before_the_first_fit(tmp_path):
 
 
 def test_plans_are_made_with_the_accepted_model_of_this_vehicle_only(tmp_path):
-    assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] is None
+    assert prior_model(None, tmp_path, DEFAULT_VEHICLE)[1] is None
     lineage.take_into_use(write_model(tmp_path / "one"), tmp_path)
-    assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] is None
+    assert prior_model(None, tmp_path, DEFAULT_VEHICLE)[1] is None
     lineage.take_into_use(write_model(tmp_path / "two", vehicle="paper"), tmp_path)
-    assert prior_of(None, tmp_path, DEFAULT_VEHICLE)[1] == tmp_path / "models" / "paper" / "001.yaml"
+    assert prior_model(None, tmp_path, DEFAULT_VEHICLE)[1] == tmp_path / "models" / "paper" / "001.yaml"
 
 
 def test_export_takes_a_folder_and_finds_the_model_in_use(call, tmp_path):

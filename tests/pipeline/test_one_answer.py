@@ -17,7 +17,7 @@ def windy():
 def test_table_findings_and_model_file_hold_the_same(windy, tmp_path, monkeypatch):
     segments, found = windy
     monkeypatch.setattr(diagnosis, "run_document", lambda *_, **_more: None)
-    monkeypatch.setattr(diagnosis.html, "write", lambda *_: None)
+    monkeypatch.setattr(diagnosis.html, "write_html", lambda *_: None)
     written, _ = diagnosis.write_diagnosis(found, segments, [], None, None, tmp_path)
     stored = model_file.read(tmp_path / "model.yaml").parameters
     assert {"K", "d_x", "w_north", "w_west"} <= set(found.after)

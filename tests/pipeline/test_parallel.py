@@ -14,7 +14,7 @@ HERE = os.getpid()
 
 @pytest.fixture
 def two_cores(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.parallel.usable_cores", lambda: 2)
+    monkeypatch.setattr("flighttest.pipeline.parallel.usable_processes", lambda: 2)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -31,7 +31,7 @@ def test_the_parts_are_of_like_size(two_cores):
 
 
 def test_every_core_gets_a_part(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.parallel.usable_cores", lambda: 3)
+    monkeypatch.setattr("flighttest.pipeline.parallel.usable_processes", lambda: 3)
 
     def work(some):
         time.sleep(0.3)
@@ -43,7 +43,7 @@ def test_every_core_gets_a_part(monkeypatch):
 
 
 def test_without_a_second_core_nothing_is_begun(monkeypatch):
-    monkeypatch.setattr("flighttest.pipeline.parallel.usable_cores", lambda: 1)
+    monkeypatch.setattr("flighttest.pipeline.parallel.usable_processes", lambda: 1)
     assert set(in_parallel(lambda some: [os.getpid() for _ in some], range(4), [1] * 4)) == {HERE}
 
 

@@ -23,7 +23,7 @@ def seen():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MavlinkPort, "send", watched)
-        found = present.read("sim")
+        found = present.read_vehicle("sim")
     return found, sent
 
 
@@ -43,7 +43,7 @@ def test_it_asks_and_does_nothing_else(seen):
 
 @pytest.fixture
 def status(seen, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(present, "read", lambda *_: seen[0])
+    monkeypatch.setattr(present, "read_vehicle", lambda *_: seen[0])
 
     def run(change=None, components=None):
         carried = fingerprint(None, seen[0].firmware, {**seen[0].parameters, **(change or {})}).as_data()

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from flighttest.plan import check
-from flighttest.plan.check import battery
+from flighttest.plan.check import battery_need
 from flighttest.script.shipped import shipped_names
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 
@@ -49,12 +49,12 @@ def test_the_envelope_with_the_link_lost_holds_the_planned_one(planned):
     ],
 )
 def test_battery_capacity_in_the_words_people_use(fields, capacity):
-    need = battery(replace(DEFAULT_VEHICLE, components={"battery": fields}), 600.0)
+    need = battery_need(replace(DEFAULT_VEHICLE, components={"battery": fields}), 600.0)
     assert need.capacity_wh == (None if capacity is None else pytest.approx(capacity, abs=0.1))
 
 
 def test_packs_follow_from_energy():
-    need = battery(DEFAULT_VEHICLE, 3600.0)
+    need = battery_need(DEFAULT_VEHICLE, 3600.0)
     assert need.energy_wh == pytest.approx(170.0 * 2.9)
     assert need.packs == 3
-    assert battery(replace(DEFAULT_VEHICLE, mass_kg=None), 600.0).energy_wh is None
+    assert battery_need(replace(DEFAULT_VEHICLE, mass_kg=None), 600.0).energy_wh is None

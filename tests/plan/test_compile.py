@@ -7,7 +7,7 @@ import pytest
 
 from flighttest.errors import ScriptError
 from flighttest.plan import compile_plan
-from flighttest.plan.rehearse import sample
+from flighttest.plan.rehearse import sampled_targets
 from flighttest.script.load import load_script, parse_script
 from flighttest.script.shipped import resolve, shipped_names
 from flighttest.vehicle.model import DEFAULT_VEHICLE, Zone
@@ -43,7 +43,7 @@ def test_thrust_legs_keep_a_useful_record_and_their_heights(planned, predictor):
 def test_stop_phases_leave_the_vehicle_standing(planned, predictor):
     legs = [leg for leg in planned("thrust").legs if leg.repeat == 2]
     t = np.arange(0.0, 6.0, 0.02)
-    tables = np.stack([sample(leg.profile.pieces, leg.profile.hover_throttle, t) for leg in legs])
+    tables = np.stack([sampled_targets(leg.profile.pieces, leg.profile.hover_throttle, t) for leg in legs])
     flown = predictor.fly(
         np.zeros((len(legs), 3)),
         np.zeros(len(legs)),

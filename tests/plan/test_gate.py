@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flighttest.flight.gate import GateLimits, stop_throttles, stopping_heights, zone_clearance_m
-from flighttest.plan.rehearse import sample
+from flighttest.plan.rehearse import sampled_targets
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_the_gate_lets_the_plan_pass(planned, predictor, name):
     t = np.arange(0.0, max(leg.duration_s for leg in legs), 0.02)
     volts = np.array([leg.voltage_v or 23.0 for leg in legs])
     hover = predictor.hover_throttle(volts)
-    table = np.stack([sample(leg.profile.pieces, h, t) for leg, h in zip(legs, hover, strict=True)])
+    table = np.stack([sampled_targets(leg.profile.pieces, h, t) for leg, h in zip(legs, hover, strict=True)])
     flown = predictor.fly(
         np.array([plan.vehicle.zone.to_world(leg.start_m) for leg in legs]),
         np.array([leg.heading_rad for leg in legs]),

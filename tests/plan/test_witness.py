@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flighttest.pipeline.planning.predictor import ModelPredictor
-from flighttest.plan.rehearse import sample
+from flighttest.plan.rehearse import sampled_targets
 from flighttest.script.profiles import Piece
 
 
@@ -20,7 +20,7 @@ def test_both_fly_the_same(predictor, voltage):
     t = np.arange(0.0, 3.0, 0.02)
     hover = float(predictor.hover_throttle(np.array([voltage]))[0])
     assert hover == pytest.approx(float(package.hover_throttle(np.array([voltage]))[0]), rel=3e-3)  # 0.18 of K = 54.55
-    table = sample(pieces, hover, t)
+    table = sampled_targets(pieces, hover, t)
     flights = [
         one.fly(
             np.array([[1.0, 2.0, 5.0]]),

@@ -62,7 +62,7 @@ def test_of_the_papers_own_equations_nothing_is_left():
 
 
 def test_noise_is_what_was_added():
-    noise = oracle.noise_of(flight(noise=1.0), flight(), 22.2)
+    noise = oracle.oracle_noise(flight(noise=1.0), flight(), 22.2)
     # Of white noise at 100 Hz every second sample is compared; what locals and parameters take is small.
     assert noise.std["f_x_m_s2"] == pytest.approx(0.1, rel=0.1)
     assert noise.std["v_z_m_s"] == pytest.approx(0.02, rel=0.15)

@@ -16,7 +16,7 @@ from flighttest.proof.cases import cases_of, draw
 from flighttest.proof.flying import CAMPAIGN, fly_campaign
 from flighttest.proof.outcome import Outcome, closed_loop_pole_s
 from flighttest.proof.prove import ProofRequest, run_trials
-from flighttest.proof.scoreboard import interval, markdown, score
+from flighttest.proof.scoreboard import markdown, score, share_interval
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.rotor_effects import EFFECTS
 from flighttest.sim.plants.rotor_vehicle import random_rotor
@@ -127,8 +127,8 @@ def test_the_real_firmware_flies_a_sealed_campaign(tmp_path, arducopter):
 
 
 def test_binomial_interval_against_the_table():
-    assert interval(19, 20) == pytest.approx((0.7513, 0.9987), abs=2e-4)
-    assert interval(0, 150)[1] == pytest.approx(0.0243, abs=2e-4)
+    assert share_interval(19, 20) == pytest.approx((0.7513, 0.9987), abs=2e-4)
+    assert share_interval(0, 150)[1] == pytest.approx(0.0243, abs=2e-4)
 
 
 def test_trials_of_one_kind_are_the_first_such_of_the_seed():
@@ -153,7 +153,7 @@ def test_what_ends_a_proof_loses_no_trial_that_is_done(tmp_path, monkeypatch):
             raise MemoryError
         return outcome(case.index, "clean")
 
-    monkeypatch.setattr("flighttest.proof.trial.run", flown)
+    monkeypatch.setattr("flighttest.proof.trial.run_trial", flown)
     with pytest.raises(MemoryError):
         proving.prove(ProofRequest(4, 7), output=tmp_path)
     truths = (tmp_path / "truths.jsonl").read_text().splitlines()
@@ -175,7 +175,7 @@ def test_a_proof_that_was_interrupted_is_continued(tmp_path, monkeypatch):
         more = {"base_r2": 0.9, "gain": 0.5, "coverage": 0.95, "forces": {"updraft": (1.0, 0.9)}}
         return replace(outcome(case.index, case.kind, ["updraft"], ["steady_wind"], **more), sha256=case.sha256())
 
-    monkeypatch.setattr("flighttest.proof.trial.run", trial)
+    monkeypatch.setattr("flighttest.proof.trial.run_trial", trial)
     monkeypatch.setattr(proving, "commit_of", lambda _folder: "commit abc")
     proving.prove(ProofRequest(4, 7), output=tmp_path)
     kept = (tmp_path / "proof.json").read_text()
@@ -254,7 +254,7 @@ def test_a_campaign_without_a_step_is_no_trial(monkeypatch):
     """A vehicle that does not settle flies on freely; what was hidden has then no twin to be measured by, and no size of nothing."""
     free = SimpleNamespace(kind="free", usable=True)
     monkeypatch.setattr("flighttest.proof.trial.fly_campaign", lambda *_: (free, free))
-    flown = trial.run(draw(5, 3))
+    flown = trial.run_trial(draw(5, 3))
     assert flown.error.startswith("no step of the campaign was flown")
     assert "1 trials, 0 flown" in markdown([flown], seed=5)
 

@@ -122,7 +122,7 @@ def listed(tmp_path):
 
 
 def test_trials_are_drawn_from_the_seed_alone_and_hide_nothing_that_is_documented(listed):
-    first, again = (list(islice(cases.drawn(5, *listed), 60)) for _ in range(2))
+    first, again = (list(islice(cases.drawn_cases(5, *listed), 60)) for _ in range(2))
     assert [c.sha256() for c in first] == [c.sha256() for c in again]
     assert {c.kind for c in first} == {kind for kind, _ in cases.SHARES}
     assert all(c.order for c in first if c.kind in ("single", "pair"))
@@ -145,7 +145,7 @@ def test_a_list_of_recordings_says_what_is_wrong_with_it(tmp_path):
     assert "source" in str(wrong.value)
     path.write_text("format: recordings/1\nsets:\n  - {name: a, source: b, files: [x]}\n")
     with pytest.raises(InputError, match="none of the recordings"):
-        next(cases.drawn(1, sets.read_sets(path), tmp_path))
+        next(cases.drawn_cases(1, sets.read_sets(path), tmp_path))
 
 
 def test_of_a_long_recording_a_part_is_taken():
@@ -190,7 +190,7 @@ def test_recordings_are_of_the_generator_that_takes_them(tmp_path):
 def test_the_public_list_is_read_and_a_real_hop_is_diagnosed_blind(repository, shared_data):
     listed = sets.read_sets(repository / "examples" / "recordings" / "public.yaml")
     assert all(one.found(shared_data) for one in listed)
-    case = next(c for c in cases.drawn(1, listed, shared_data) if c.kind == "single")
+    case = next(c for c in cases.drawn_cases(1, listed, shared_data) if c.kind == "single")
     hop = next(str(f.relative_to(shared_data)) for f in listed[0].found(shared_data))
     case = replace(case, name=listed[0].name, files=(hop,), columns=None, order=("velocity_latency",), sizes=(1.5,))
     found = trial.run_recorded(case)
@@ -227,4 +227,4 @@ def test_an_effect_that_would_have_made_it_another_flight_is_not_added(departure
         recordings=(hovering(),), size=lambda _effects: 4.0, departure_m_s=lambda _effects: departure_m_s
     )
     case = SimpleNamespace(order=("thrust_fade",), sizes=(4.0,), signs=(1.0, 1.0, 1.0))
-    assert bool(trial.sized(case, flown)) is taken
+    assert bool(trial.sized_effects(case, flown)) is taken

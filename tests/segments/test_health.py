@@ -53,9 +53,9 @@ def test_a_clipped_sensor_and_a_throttle_at_its_end_are_found():
 def test_modes_have_their_times_and_the_battery_its_numbers():
     r = recording()
     assert [(m[0], m[2]) for m in health.modes(r)] == [(0.0, "STABILIZE"), (10.0, "LOITER")]
-    assert health.battery(r) is None
+    assert health.battery_course(r) is None
     t = np.arange(0.0, 40.0, 0.1)
     battery = Series(t, {"voltage_v": 25.0 - 0.05 * t, "current_a": np.full(t.size, 36.0)})
-    found = health.battery(Recording("r", {**r.series, "battery": battery}, (), r.provenance))
+    found = health.battery_course(Recording("r", {**r.series, "battery": battery}, (), r.provenance))
     assert found.first_v == 25.0
     assert found.drawn_ah == pytest.approx(36.0 * 39.9 / 3600.0)

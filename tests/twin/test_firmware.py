@@ -15,7 +15,7 @@ from flighttest.sim.plant_frame import FramePlant
 from flighttest.sim.sitl.physics import build_motor_plant, firmware_parameters
 from flighttest.twin import firmware
 from flighttest.twin.firmware import firmware_options, frame_of
-from flighttest.twin.firmware_loops import DEFAULTS, LOOP_S, fly, loop_of
+from flighttest.twin.firmware_loops import DEFAULTS, LOOP_S, loop_of, simulate_loop
 
 COUNT = round(firmware.SECONDS / LOOP_S)
 
@@ -36,7 +36,8 @@ def test_with_recorded_gains_gain_and_lag_of_the_frame_are_found(monkeypatch):
     def flown(_stored, axis):
         t = LOOP_S * np.arange(COUNT)
         made = [
-            (step, fly(loop, 300.0, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0]) for step in firmware.STEPS[axis]
+            (step, simulate_loop(loop, 300.0, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0])
+            for step in firmware.STEPS[axis]
         ]
         return [firmware.Wanted(step, t, np.interp(t - 0.06, t, y)) for step, y in made]
 
@@ -54,7 +55,7 @@ def test_a_frame_is_of_the_steps_as_flown_at_the_voltage_they_were_flown_at():
     volts = 1.1 * file.model.nominal_voltage_v
     rows = []
     for step in (0.2, 0.5):
-        y = fly(loop, 300.0 * 1.1**1.5, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0]
+        y = simulate_loop(loop, 300.0 * 1.1**1.5, 0.02, np.full(COUNT, step), np.zeros(COUNT))[0]
         row = {"size": step, "responses": 6, "voltage_v": volts, "period_s": 0.02, "answer": y[:400:8].tolist()}
         rows.append(row)
     file = replace(file, fit_quality={"flown_steps": {"roll": rows}})
@@ -131,7 +132,7 @@ def test_a_model_without_attitude_loops_does_not_fly_under_the_firmware():
 
 def test_a_saturated_mixer_turns_no_faster():
     loop = loop_of("roll", {})
-    free, held = (fly(loop, 400.0, 0.01, np.full(80, 0.5), np.zeros(80), most)[1] for most in (1.0, 0.02))
+    free, held = (simulate_loop(loop, 400.0, 0.01, np.full(80, 0.5), np.zeros(80), most)[1] for most in (1.0, 0.02))
     assert np.abs(held).max() <= 0.02 * 400.0 * 80 * LOOP_S + 1e-9
     assert np.abs(free).max() > np.abs(held).max()
     assert math.isfinite(free[-1])

@@ -12,7 +12,7 @@ from flighttest.physics.simulate import simulate
 from flighttest.sim.build import build_plant, build_vehicle
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.plant import Command
-from flighttest.twin.vehicle import options_of
+from flighttest.twin.vehicle import simulator_options
 
 NOISE = {
     "roll_rad": 0.004,
@@ -35,7 +35,7 @@ def stored(terms=("linear_drag", "quadratic_drag"), **values):
 
 def test_the_plant_moves_as_the_model_is_simulated():
     file = stored(**QUADRATIC)
-    plant = build_plant(SimOptions.from_json(options_of(file).to_json()))
+    plant = build_plant(SimOptions.from_json(simulator_options(file).to_json()))
     hover = plant.hover_throttle
     while plant.motion.on_ground or plant.motion.pz < 2.0:
         plant.advance(0.005, Command(throttle=1.2 * hover, spinning=True))
@@ -58,7 +58,7 @@ def test_the_plant_moves_as_the_model_is_simulated():
 
 
 def test_its_instruments_are_as_noisy_as_the_residuals_of_the_fit():
-    vehicle = build_vehicle(options_of(stored(), seed=4))
+    vehicle = build_vehicle(simulator_options(stored(), seed=4))
     rolls, forces = [], []
     for _ in range(12000):
         vehicle.tick()
@@ -73,4 +73,4 @@ def test_a_model_without_attitude_loops_cannot_fly():
     file = stored()
     blind = replace(file, model=replace(file.model, attitude_loops=False))
     with pytest.raises(ModelError, match=r"model.yaml: the model has no attitude loops"):
-        options_of(blind)
+        simulator_options(blind)

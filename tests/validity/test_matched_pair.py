@@ -47,12 +47,16 @@ def made():
 def stored(made):
     found = fit(made(1, repeats=2))
     kept = matched_pair.steps_flown(found.solution.normal, found.problem.segments, found.model.nominal_voltage_v)
-    return found, from_fit(found), matched_pair.from_data(yaml.safe_load(yaml.safe_dump(matched_pair.as_data(kept))))
+    return (
+        found,
+        from_fit(found),
+        matched_pair.matched_pairs_from(yaml.safe_load(yaml.safe_dump(matched_pair.matched_pair_data(kept)))),
+    )
 
 
 def compared(stored, segments):
     found, model, kept = stored
-    return matched_pair.compare(
+    return matched_pair.compare_matched(
         kept,
         watched(model, "model"),
         found.values,
@@ -107,4 +111,4 @@ def test_no_like_steps_no_comparison(stored, made):
     "data", [None, [], {"order": ["K"]}, {"order": ["K"], "flown": [{"kind": "x"}]}, ["roll_step"]]
 )
 def test_a_model_without_steps_keeps_none(data):
-    assert matched_pair.from_data(data) == ()
+    assert matched_pair.matched_pairs_from(data) == ()

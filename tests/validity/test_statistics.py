@@ -70,19 +70,19 @@ def test_the_sentence_names_what_moved():
 def test_thrust_or_mass_is_one_answer_unless_drag_is_known():
     rng = np.random.default_rng(4)
     stored, new = campaign(rng), campaign(rng, factor=changed(K=0.93))
-    assert compare.thrust_or_mass(stored, new) == "thrust or mass"
+    assert compare.thrust_or_mass_words(stored, new) == "thrust or mass"
     unsure = np.diag((np.array([0.015 if n.startswith("d_") else 0.002 for n in NAMES]) * TRUTH) ** 2)
     little = changed(K=0.975, d_x=0.987, d_y=0.987, d_z=0.987)
     sides = Estimates("a", NAMES, TRUTH, unsure / 2), Estimates("b", NAMES, TRUTH * little, unsure / 2)
-    assert compare.thrust_or_mass(*sides) == "thrust or mass", "drag within its error of both"
+    assert compare.thrust_or_mass_words(*sides) == "thrust or mass", "drag within its error of both"
     sharp = np.diag((0.002 * TRUTH) ** 2)
     lighter = changed(K=0.93, d_x=0.93, d_y=0.93, d_z=0.93)
     assert (
-        compare.thrust_or_mass(Estimates("a", NAMES, TRUTH, sharp), Estimates("b", NAMES, TRUTH * lighter, sharp))
+        compare.thrust_or_mass_words(Estimates("a", NAMES, TRUTH, sharp), Estimates("b", NAMES, TRUTH * lighter, sharp))
         == "mass"
     )
     assert (
-        compare.thrust_or_mass(
+        compare.thrust_or_mass_words(
             Estimates("a", NAMES, TRUTH, sharp), Estimates("b", NAMES, TRUTH * changed(K=0.93), sharp)
         )
         == "thrust"
@@ -118,15 +118,15 @@ def test_battery_resistance_and_its_alarm():
     assert isinstance(fresh, tuple)
     assert fresh[0] == pytest.approx(0.030, abs=4 * fresh[1] + 2e-4)
     aged = battery.resistance(*pack(rng, 0.036))
-    assert battery.check(aged, fresh).alarm
+    assert battery.check_resistance(aged, fresh).alarm
     again = battery.resistance(*pack(rng, 0.030))
-    assert not battery.check(again, fresh).alarm
+    assert not battery.check_resistance(again, fresh).alarm
 
 
 def test_battery_without_current_is_untestable_by_name():
     t = np.arange(0.0, 100.0, 0.1)
     silent = np.full(t.size, np.nan)
-    found = battery.check(battery.resistance(t, np.full(t.size, 23.0), silent), (0.03, 0.001))
+    found = battery.check_resistance(battery.resistance(t, np.full(t.size, 23.0), silent), (0.03, 0.001))
     assert "UNTESTABLE" in found.sentence
     assert not found.alarm
 

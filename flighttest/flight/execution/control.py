@@ -362,6 +362,6 @@ class FlightControl:
         )
 
 
-def sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
+def refusal_sentences(found: Sequence[Refusal]) -> tuple[str, ...]:
     """The refusals as their sentences."""
     return tuple(r.value for r in found)

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from flighttest.flight.execution import supervisor
-from flighttest.flight.execution.control import UNSURE_S, FlightControl, sentences
+from flighttest.flight.execution.control import UNSURE_S, FlightControl, refusal_sentences
 from flighttest.flight.execution.machine import Event
 from flighttest.flight.execution.reset import HoldLoop, LegStart
 from flighttest.flight.execution.response import ThrottleTrace
@@ -157,7 +157,7 @@ def off_grid(leg: Leg) -> float:
 
 
 def _refused(control: FlightControl, leg: Leg, refused: tuple[Refusal, ...]) -> LegResult:
-    why = sentences(refused)
+    why = refusal_sentences(refused)
     reached = supervisor.abort(control, why)
     lost = bool(LINK & set(refused))
     if lost:

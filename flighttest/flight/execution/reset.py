@@ -173,7 +173,7 @@ def guided(control: FlightControl, start: LegStart) -> Arrived:
     return Arrived(Arrival.NOT_SETTLED)
 
 
-def attitude(control: FlightControl, start: LegStart, angle_boost: bool) -> Arrived:
+def reset_by_attitude(control: FlightControl, start: LegStart, angle_boost: bool) -> Arrived:
     """By an outer loop of ours over attitude targets; without horizontal position only height and heading are brought back."""
     if control.state.mode != CopterMode.GUIDED_NOGPS and not enter_nogps(control):
         return Arrived(Arrival.NO_NOGPS)

@@ -10,7 +10,7 @@ from statistics import median
 from flighttest.errors import LinkError
 from flighttest.flight.execution import legs as flying
 from flighttest.flight.execution import reset, supervisor
-from flighttest.flight.execution.control import FlightControl, sentences
+from flighttest.flight.execution.control import FlightControl, refusal_sentences
 from flighttest.flight.execution.leg_order import LegOrder
 from flighttest.flight.execution.legs import AutopilotSettings
 from flighttest.flight.execution.machine import Event, FlightState
@@ -157,8 +157,8 @@ class Scheduler:
                 return None
             found = readiness(state, control.gate)
             if found:
-                supervisor.abort(control, sentences(found))
-                self.notes.append(f"the climb was ended: {'; '.join(sentences(found))}")
+                supervisor.abort(control, refusal_sentences(found))
+                self.notes.append(f"the climb was ended: {'; '.join(refusal_sentences(found))}")
                 return FlightOutcome.CLIMB_ENDED
             ramp = min((control.session.now_s() - began) / 4.0, 1.0)
             low, high = control.gate.stop_throttle
@@ -262,7 +262,7 @@ class Scheduler:
         began = control.session.now_s()
         arrived = self._reset(leg)
         if arrived.how is Arrival.REFUSED:
-            why = sentences(arrived.refused)
+            why = refusal_sentences(arrived.refused)
             supervisor.abort(control, why)
             outcome = LegOutcome.LINK_LOST if LINK & set(arrived.refused) else LegOutcome.REFUSED
             return LegResult(leg.id, outcome, why, arrived.refused)
@@ -328,7 +328,7 @@ class Scheduler:
         if self.plan.reset.by == "guided":
             return reset.guided(self.control, start)
         if self.plan.reset.by == "attitude":
-            return reset.attitude(self.control, start, self.airframe.angle_boost)
+            return reset.reset_by_attitude(self.control, start, self.airframe.angle_boost)
         return reset.by_pilot(self.control)
 
     def _use_hover(self, measured: float | None) -> None:
@@ -375,13 +375,13 @@ class Scheduler:
         self.control.show(
             leg=number + 1,
             legs=len(self.plan.legs),
-            doing=f"{doing}: {describe(leg)}" if doing else describe(leg),
+            doing=f"{doing}: {leg_words(leg)}" if doing else leg_words(leg),
             phase="",
-            next=describe(following) if following is not None else "land",
+            next=leg_words(following) if following is not None else "land",
             time_left_s=self._time_left(remaining),
         )
 
 
-def describe(leg: Leg) -> str:
+def leg_words(leg: Leg) -> str:
     """A leg in an operator's words: its id and where it points."""
     return f"{leg.id}, heading {-math.degrees(leg.heading_rad) % 360.0:.0f} deg"

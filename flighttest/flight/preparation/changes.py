@@ -48,7 +48,7 @@ class ExternalChanges:
     def look(self, name: str, value: float) -> str:
         """A sentence where the vehicle states a value that it did not have; else ''."""
         before = self.known.get(name)
-        if before is None or params.same(value, before) or name.startswith(_THEIR_OWN):
+        if before is None or params.same_single(value, before) or name.startswith(_THEIR_OWN):
             return ""
         self.known[name] = value
         text = f"{name} was changed from {figure(before)} to {figure(value)} during the flight, not by this program"
@@ -77,7 +77,7 @@ def record_of(run: str, entries: Mapping[str, LeftParameter]) -> ParametersSet:
     }
 
 
-def values_of(entries: Mapping[str, LeftParameter]) -> dict[str, float]:
+def changed_values(entries: Mapping[str, LeftParameter]) -> dict[str, float]:
     """Name to the value it should have."""
     return {name: entry.value for name, entry in entries.items()}
 
@@ -93,7 +93,7 @@ def still_left(
     left: dict[str, LeftParameter] = {}
     doubted: list[str] = []
     for name, entry in behind.items():
-        if name in known and params.same(known[name], entry.value):
+        if name in known and params.same_single(known[name], entry.value):
             continue
         if name not in SETS or not math.isfinite(entry.value):
             why = "no flight sets that by itself"
@@ -101,7 +101,7 @@ def still_left(
             continue
         elif entry.hardware != hardware:
             why = "it was set on another autopilot"
-        elif not params.same(known[name], entry.given):
+        elif not params.same_single(known[name], entry.given):
             why = f"it was set to {figure(entry.given)} and is {figure(known[name])} now"
         else:
             left[name] = entry
@@ -148,13 +148,13 @@ class ParameterChanges:
         keep(self._before)
         for name, value in own.values():
             was = self._known[name]
-            params.write(self._session, name, value, self._known)
+            params.write_parameter(self._session, name, value, self._known)
             note(f"{name} set from {figure(was)} to {figure(self._known[name])}; it is restored after the flight")
 
     @property
     def pending(self) -> dict[str, float]:
         """What still has to be restored: name to value."""
-        return values_of(self._before)
+        return changed_values(self._before)
 
     def restore(self, airborne: bool = False) -> dict[str, float]:
         """Put everything back, verified; what could not be, with the value it should have, stays pending.
@@ -171,6 +171,6 @@ class ParameterChanges:
                 continue
             tried = True
             with contextlib.suppress(LinkError):  # it is reported as left
-                params.write(self._session, name, value, self._known)
+                params.write_parameter(self._session, name, value, self._known)
                 del self._before[name]
         return self.pending

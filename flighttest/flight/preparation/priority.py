@@ -1,4 +1,4 @@
-"""The program comes first while it flies a real vehicle: targets must leave on time, whatever else the computer does."""
+"""Process priority while a real vehicle is flown: targets must leave on time, whatever else the computer does."""
 
 from __future__ import annotations
 

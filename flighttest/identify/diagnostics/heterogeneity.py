@@ -58,7 +58,7 @@ class Heterogeneity:
         return f"no single value fits: {self.low:.3g}{name} in {self.low_in}, {self.high:.3g} in {self.high_in}"
 
 
-def heterogeneity(problem: Problem, solution: Solution, covariance: Covariance) -> Mapping[str, Heterogeneity]:
+def size_heterogeneity(problem: Problem, solution: Solution, covariance: Covariance) -> Mapping[str, Heterogeneity]:
     """Parameters that differ between sizes of steps by more than like steps scatter, by name; one Gauss-Newton step per group."""
     determined = np.abs(solution.normal.hessian).sum(axis=(1, 2)) > 0
     groups: dict[str, list[int]] = {}

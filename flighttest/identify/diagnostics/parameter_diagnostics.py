@@ -10,7 +10,7 @@ import numpy as np
 from flighttest.estimation.problem import Problem
 from flighttest.estimation.solver import Solution
 from flighttest.estimation.uncertainty.covariance import Covariance, cluster_covariance, std_of
-from flighttest.identify.diagnostics.heterogeneity import SETS, heterogeneity
+from flighttest.identify.diagnostics.heterogeneity import SETS, size_heterogeneity
 from flighttest.identify.diagnostics.identifiability import ParameterDiagnostics, allowance
 from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.identify.diagnostics.quality import ChannelQuality
@@ -66,7 +66,7 @@ def parameter_diagnostics(
     closed_loop_bias: Mapping[str, float],
 ) -> dict[str, ParameterDiagnostics]:
     """By name of a free parameter."""
-    differing = heterogeneity(problem, solution, covariance)
+    differing = size_heterogeneity(problem, solution, covariance)
     wide = [n for n, s in differing.items() if s.width > allowance(problem.model.param[n], solution.values[n])]
     loops = _lags_with(wide)
     bounds = {**_leaning_on(solution.at_bound, solution), **_pushed_by_bounds(solution, covariance)}

@@ -253,7 +253,7 @@ def plain_block(document: YamlDocument, node: Node | None) -> dict[str, PlainDat
     return {name: child.plain() for name, child in children_of(document, node).items()}
 
 
-def listed(plain: PlainData) -> Sequence[Any]:
+def list_elements(plain: PlainData) -> Sequence[Any]:
     """The elements of a list; none of anything else."""
     return cast(Sequence[Any], plain) if isinstance(plain, list) else ()
 

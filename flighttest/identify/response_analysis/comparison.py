@@ -111,7 +111,7 @@ def fitted_responses(found: Fit) -> tuple[FittedResponse, ...]:
     return tuple(views)
 
 
-def overlays(found: Fit) -> tuple[ResponseOverlay, ...]:
+def response_overlays(found: Fit) -> tuple[ResponseOverlay, ...]:
     """Measured and simulated responses, at most `MAX_OVERLAYS` per kind, spread over the cells."""
     made: list[ResponseOverlay] = []
     for part, evaluation in zip(found.problem.parts, found.solution.evaluations, strict=True):

@@ -15,7 +15,7 @@ from flighttest.estimation.responses import exogenous, filled, zero_order_hold
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.physics import body
 from flighttest.physics.model import Model
-from flighttest.physics.simulate import Grid, Stepper, grid, rk4, rk4_step
+from flighttest.physics.simulate import Grid, Stepper, edge_grid, rk4, rk4_step
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -112,7 +112,7 @@ def _grid_of(model: Model, values: Mapping[str, float], segment: Segment) -> Gri
         if name not in segment.u and name != "voltage_v":
             signals[name] = (t, exogenous(segment, name, model.nominal_voltage_v, 0.0))
     references = {n: segment.u[n] for n in system.input_delay if n in segment.u}
-    return grid(system, dict(zip(system.delay_channels, delays, strict=True)), t, references, signals)
+    return edge_grid(system, dict(zip(system.delay_channels, delays, strict=True)), t, references, signals)
 
 
 Predicted = list[dict[str, FloatArray]]

@@ -40,7 +40,7 @@ __all__ = [
     "Validation",
     "Variation",
     "comparable",
-    "merged",
+    "joined_windows",
     "validate",
 ]
 
@@ -124,7 +124,7 @@ def validate(
     FitError where none lasts half a second with throttle recorded.
     """
     usable = [s for s in segments if comparable(s)]
-    chosen = merged([s for s in usable if s.kind == "free"]) or usable
+    chosen = joined_windows([s for s in usable if s.kind == "free"]) or usable
     if not chosen:
         raise FitError(
             "no recording can be simulated", "give a flight with the throttle recorded and at least 0.6 s long"
@@ -169,7 +169,7 @@ def _residuals(stored: ModelFile, segments: Sequence[Segment]) -> tuple[Residual
     return residual_tests(problem, solve(problem, free=(), robust=False))
 
 
-def merged(windows: Sequence[Segment]) -> list[Segment]:
+def joined_windows(windows: Sequence[Segment]) -> list[Segment]:
     """Neighbouring windows of one free flight as one segment each, so that long horizons fit."""
     found: list[list[Segment]] = []
     for s in sorted(windows, key=lambda s: (s.run, float(s.t_s[0]))):

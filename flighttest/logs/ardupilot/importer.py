@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flighttest import frames
 from flighttest.errors import RecordingError
 from flighttest.logs.ardupilot.dataflash import Dataflash, MessageTable, read_dataflash, stack
-from flighttest.logs.ardupilot.notes import board, firmware, markers, parameter_changes, parameters, state
+from flighttest.logs.ardupilot.notes import board, firmware, logged_parameters, markers, parameter_changes, state
 from flighttest.logs.ardupilot.targets import Targets
 from flighttest.logs.ardupilot.times import Stamped, Times
 from flighttest.logs.opening import LogFile, name_of
@@ -109,7 +109,7 @@ class _Importer:
                 del self.tables[name]
         self.derived: dict[str, str] = {}
         self.choices: dict[str, str] = {}
-        self.parameters = parameters(self.tables)
+        self.parameters = logged_parameters(self.tables)
 
     def recording(self) -> Recording:
         """All series that the log allows."""
@@ -196,18 +196,18 @@ class _Importer:
         name, table, t_s = angles
         rpy = frames.flip_euler(np.radians(stack(table, "Roll", "Pitch", "Yaw")))
         rpy[:, 2] = frames.wrap_angle(rpy[:, 2])
-        return ordered(t_s, named(rpy, "roll_rad", "pitch_rad", "yaw_rad"), name, self.losses)
+        return ordered(t_s, named_columns(rpy, "roll_rad", "pitch_rad", "yaw_rad"), name, self.losses)
 
     def _rates(self) -> Series | None:
         rate, imu = self.tables.get("RATE"), self._instance("IMU", "I")
         names = ("p_rad_s", "q_rad_s", "r_rad_s")
         if rate is not None and (imu is None or len(rate[0]) >= 0.9 * len(imu[0])):
             values = np.radians(stack(rate[0], "R", "P", "Y"))
-            return ordered(rate[1], named(frames.flip_vector(values), *names), "RATE", self.losses)
+            return ordered(rate[1], named_columns(frames.flip_vector(values), *names), "RATE", self.losses)
         if imu is None:
             return None
         return ordered(
-            imu[1], named(frames.flip_vector(stack(imu[0], "GyrX", "GyrY", "GyrZ")), *names), "IMU", self.losses
+            imu[1], named_columns(frames.flip_vector(stack(imu[0], "GyrX", "GyrY", "GyrZ")), *names), "IMU", self.losses
         )
 
     def _specific_force(self) -> Series | None:
@@ -215,7 +215,7 @@ class _Importer:
         if imu is None:
             return None
         values = frames.flip_vector(stack(imu[0], "AccX", "AccY", "AccZ"))
-        return ordered(imu[1], named(values, "f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), "IMU", self.losses)
+        return ordered(imu[1], named_columns(values, "f_x_m_s2", "f_y_m_s2", "f_z_m_s2"), "IMU", self.losses)
 
     def _motion(self, series: dict[str, Series]) -> None:
         for name in ("XKF1", "NKF1", "EKF1"):
@@ -229,7 +229,7 @@ class _Importer:
             made_up = self._made_up(name, t_s)
             for group, values, names in (("velocity", velocity, _V), ("position", position, _P)):
                 values[made_up, :2] = np.nan
-                columns = named(frames.flip_vector(values), *names)
+                columns = named_columns(frames.flip_vector(values), *names)
                 columns = {n: v for n, v in columns.items() if np.isfinite(v).any()}
                 self._put(series, group, ordered(t_s, columns, name, self.losses if group == "velocity" else []))
             return
@@ -259,7 +259,7 @@ class _Importer:
         table, t_s = gps[0].where(fix), gps[1][fix]
         course = np.radians(table.get("GCrs"))
         ned = np.stack([table.get("Spd") * np.cos(course), table.get("Spd") * np.sin(course), table.get("VZ")], axis=-1)
-        self._put(series, "velocity", ordered(t_s, named(frames.flip_vector(ned), *_V), "GPS", self.losses))
+        self._put(series, "velocity", ordered(t_s, named_columns(frames.flip_vector(ned), *_V), "GPS", self.losses))
         lat, lon, up = table.get("Lat"), table.get("Lng"), table.get("Alt")
         north, west = offset_m(float(lat[0]), float(lon[0]), lat, lon)
         columns = {"p_x_m": north, "p_y_m": west, "p_z_m": up - up[0]}
@@ -335,7 +335,7 @@ def _sound(table: MessageTable) -> MessageTable:
     return MessageTable(table.format, table.at, raw)
 
 
-def named(values: FloatArray, *names: str) -> dict[str, FloatArray]:
+def named_columns(values: FloatArray, *names: str) -> dict[str, FloatArray]:
     """Columns (n,) of values (n, names) by name."""
     return {name: values[:, i] for i, name in enumerate(names)}
 

@@ -21,7 +21,7 @@ _VEHICLE, _GROUND = 1, 255
 _SENDER = re.compile(r"^(GCS:|SRC=\d+/\d+:)")  # how ArduPilot marks a STATUSTEXT that came over the link
 
 
-def parameters(tables: Mapping[str, Stamped]) -> dict[str, float]:
+def logged_parameters(tables: Mapping[str, Stamped]) -> dict[str, float]:
     """Parameter name to the value in force while the vehicle flew."""
     parm = tables.get("PARM")
     if parm is None or "Name" not in parm[0] or "Value" not in parm[0]:

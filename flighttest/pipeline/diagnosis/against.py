@@ -10,7 +10,7 @@ from typing import cast
 
 from flighttest.datafiles import check_writable
 from flighttest.diagnose import Diagnosis, Verdict
-from flighttest.diagnose.against import Against, Difference, Kind, compare, step_by_step
+from flighttest.diagnose.against import Against, Difference, Kind, compare_sides, step_by_step
 from flighttest.errors import InputError
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
@@ -65,8 +65,8 @@ def against(
             run_diagnosis(some, recordings, stored, declared, progress, {r.name: weather[r.name] for r in recordings})
         )
     progress.stage("comparing")
-    found = compare(segments[0], segments[1], *diagnoses)
-    data = as_data(found, *diagnoses)
+    found = compare_sides(segments[0], segments[1], *diagnoses)
+    data = against_data(found, *diagnoses)
     data["steps"] = plain(step_by_step(*segments))
     data["losses"] = losses_of((*sides[0], *sides[1]))
     facts = {
@@ -79,7 +79,7 @@ def against(
         output.mkdir(parents=True, exist_ok=True)
         (output / AGAINST_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
         model_file.write(output / "model.yaml", model_data(found.real, sides[0], declared))
-        html.write(document, output / REPORT_NAME)
+        html.write_html(document, output / REPORT_NAME)
         document.facts["written to"] = str(output)  # type: ignore[index]
     unnamed = any(d.verdict in _UNNAMED for d in diagnoses[:1])
     return Result(document, data, Status.UNEXPLAINED if unnamed else Status.DONE, found)
@@ -107,7 +107,7 @@ def tone(found: Against) -> Tone:
     return "warn" if found.differing else "good"
 
 
-def as_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> AgainstData:
+def against_data(found: Against, of_real: Diagnosis, of_simulated: Diagnosis) -> AgainstData:
     """against/1: plain data."""
     named: dict[str, list[str]] = {
         kind.value: list(dict.fromkeys(d.term for d in found.differences if d.kind is kind and d.term != "body"))

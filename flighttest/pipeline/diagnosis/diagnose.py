@@ -186,9 +186,9 @@ def write_diagnosis(
         segments,
         diagnosis={**data, "next_path": str(folder / NEXT_NAME)},
         next_script=script,
-        said=(found.sentence, verdict_tone(data)),
+        headline=(found.sentence, verdict_tone(data)),
     )
-    html.write(page, folder / REPORT_NAME)
+    html.write_html(page, folder / REPORT_NAME)
     return data, fitted
 
 

@@ -26,7 +26,7 @@ from flighttest.pipeline.store.identities import whose
 from flighttest.pipeline.store.lineage import joint_fit_command, model_of, worse
 from flighttest.pipeline.store.models import NEXT_NAME, accepted, twin_command
 from flighttest.pipeline.validity.reflights import reflights
-from flighttest.pipeline.validity.status import Today, judge
+from flighttest.pipeline.validity.status import Today, gather_evidence
 from flighttest.recording import Recording
 from flighttest.report.document import Bullets, Document, Section, Tone
 from flighttest.report.fit_views import FitView
@@ -92,7 +92,7 @@ def analyse(
     view = fit_view(found.fit, found.segments) if found.fit is not None else None
     page = _page(found, view, landed)
     for folder in folders:
-        html.write(page, folder / REPORT_NAME)
+        html.write_html(page, folder / REPORT_NAME)
     data["report"] = str(folders[-1] / REPORT_NAME)
     data["segments"] = {"used": sum(s.usable for s in found.segments), "of": len(found.segments)}
     if found.validity is not None:
@@ -153,7 +153,7 @@ def _analysis(
             progress.stage(f"no diagnosis: {error.message}")
     validity = None
     if previous is not None and fitted is not None:
-        validity = judge(previous, Today(recordings, vehicle, name, landed.out), progress, diagnosed=result)
+        validity = gather_evidence(previous, Today(recordings, vehicle, name, landed.out), progress, diagnosed=result)
     return Analysis(tuple(recordings), segments, fitted, reason, validity, diagnosis, explained, previous, improved)
 
 
@@ -211,7 +211,7 @@ def _page(found: Analysis, view: FitView | None, landed: Landed) -> Document:
         folder = landed.folders[-1]
         options = f"{words_of(folder)}{out_words(landed.out)}"
         diagnosis = {**diagnosis, "next_path": str(folder / NEXT_NAME), "next_options": options}
-    return run_document(found.recordings, view, found.segments, extra, diagnosis=diagnosis, said=(verdict, tone))
+    return run_document(found.recordings, view, found.segments, extra, diagnosis=diagnosis, headline=(verdict, tone))
 
 
 def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Document, accepting: str) -> Document:
@@ -230,7 +230,7 @@ def _summary(found: Analysis, view: FitView | None, landed: Landed, page: Docume
     elif view is not None:
         better = found.improved is not None and bool((found.diagnosis or {}).get("findings"))
         shown = fit_view(found.improved, found.segments) if found.improved is not None and better else view
-        made = fit_sections.parameters(shown)
+        made = fit_sections.parameter_section(shown)
         sections.append(replace(made, title="Parameters of the improved model") if better else made)
     else:
         sections.append(fit_sections.segments(segment_views(found.segments)))

@@ -18,14 +18,21 @@ from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.flights.after_landing import Landed, analyse
-from flighttest.pipeline.planning.checking import plans, prior_of
+from flighttest.pipeline.planning.checking import plans, prior_model
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import FlownWith, flown_with, keep
 from flighttest.pipeline.store.history import DEFAULT_RUNS
 from flighttest.pipeline.store.lineage import model_of
-from flighttest.pipeline.store.resuming import chain, fence_behind, flown_in, left_behind, script_of, worth_resuming
+from flighttest.pipeline.store.resuming import (
+    fence_behind,
+    flown_in,
+    left_behind,
+    resumed_runs,
+    script_of,
+    worth_resuming,
+)
 from flighttest.pipeline.validity.reflights import SPOT_CHECK
 from flighttest.pipeline.validity.status import flown_until
 from flighttest.pipeline.vehicles.live import BUILTIN, key_for
@@ -49,7 +56,7 @@ MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list
 
 @dataclass(frozen=True)
 class FlightRequest:
-    """What was asked for on the command line."""
+    """What is to be flown, where, and what follows."""
 
     scripts: tuple[str, ...]
     vehicle: Path | None = None
@@ -200,19 +207,19 @@ def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
         previous = model_of(request.out, vehicle.name)
     elif isinstance(previous, Path):
         previous = model_file.read(previous)
-    prior, _ = prior_of(request.model, request.out, vehicle)
+    prior, _ = prior_model(request.model, request.out, vehicle)
     compiled = plans(names, vehicle, prior)
     for plan in compiled:
         _all_flyable(plan)
     notes = worth_resuming(request.resume, compiled) if request.resume is not None else []
     for note in notes:
         progress.stage(note)
-    earlier = chain(request.resume)
-    said: set[str] = set()
+    earlier = resumed_runs(request.resume)
+    reported: set[str] = set()
 
     def compare(firmware: str, parameters: Mapping[str, float]) -> None:
         if previous is not None:
-            _say_changes(previous, of_vehicle(vehicle, firmware, dict(parameters)), said, progress)
+            _report_changes(previous, of_vehicle(vehicle, firmware, dict(parameters)), reported, progress)
 
     compare("", {})
     folders = list(earlier)
@@ -299,7 +306,7 @@ def _known_waivers(names: Sequence[str]) -> None:
         if name not in preflight.NAMES:
             guess = nearest(name, preflight.NAMES)
             raise InputError(
-                f"--waive {name}: there is no preflight check of this name",
+                f"waive {name}: there is no preflight check of this name",
                 f"did you mean {guess}?" if guess else f"there are {', '.join(preflight.NAMES)}",
             )
 
@@ -318,10 +325,10 @@ def _all_flyable(plan: Plan) -> None:
     raise ScriptError(message, f"see `flighttest check {plan.script.path or plan.script.name}`")
 
 
-def _say_changes(previous: ModelFile, today: FingerprintData, said: set[str], progress: Progress) -> None:
+def _report_changes(previous: ModelFile, today: FingerprintData, reported: set[str], progress: Progress) -> None:
     """Before take-off: what differs from the vehicle of the model in use, each change once, and what it touches."""
-    changes = [c for c in declared_changes(previous.fingerprint, today)[0] if c.name not in said]
-    said.update(c.name for c in changes)
+    changes = [c for c in declared_changes(previous.fingerprint, today)[0] if c.name not in reported]
+    reported.update(c.name for c in changes)
     if not changes:
         return
     since = flown_until(previous)

@@ -60,9 +60,9 @@ ExportedFiles = list[tuple[Path, str]]
 def _fmu(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, Any]]:
     from flighttest.twin import fmu
 
-    said = ["every term of the model and its delays are in it; the battery's voltage is an input"]
+    sentences = ["every term of the model and its delays are in it; the battery's voltage is an input"]
     what = "FMI 2.0 co-simulation, compiled for this system, with its C source"
-    return [(fmu.write_fmu(stored, output), what)], {"left_out": [], "left_out_sentences": said}
+    return [(fmu.write_fmu(stored, output), what)], {"left_out": [], "left_out_sentences": sentences}
 
 
 def _rotorpy(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, Any]]:
@@ -70,7 +70,7 @@ def _rotorpy(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, 
 
     path = rotorpy.write_vehicle(stored, output)
     lacking, error = rotorpy.lacking(stored), rotorpy.left_error(stored)
-    said = [
+    sentences = [
         f"RotorPy's vehicle has no {join(list(lacking), 'or')}" if lacking else "no term of the model is left out",
         "drag follows the rotor speed instead of being constant, and is one number for forward and left",
         *(
@@ -82,7 +82,7 @@ def _rotorpy(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str, 
         f"{number(error['attitude_rad'], 2)} rad at most against the model's own simulation, in steps of 2 ms",
         "mass, arm and inertia are not identified: the forces per mass and the attitude loops are what holds",
     ]
-    data = {"left_out": list(lacking), "left_error": error, "left_out_sentences": said}
+    data = {"left_out": list(lacking), "left_error": error, "left_out_sentences": sentences}
     return [(path, "quad_params, and Commands: references and throttle to RotorPy's cmd_ctbm")], data
 
 
@@ -90,7 +90,7 @@ def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str
     from flighttest.twin import ardupilot
 
     (frame, parameters), made = ardupilot.write_frame(stored, output)
-    said = [
+    sentences = [
         f"ArduPilot's frame has no {join(list(made.lacking), 'or')}"
         if made.lacking
         else "no term of the model is left out",
@@ -110,7 +110,7 @@ def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str
             "thrust_share": made.thrust_share,
             "tilt_share": made.attitude_share,
         },
-        "left_out_sentences": said,
+        "left_out_sentences": sentences,
     }
     return [
         (frame, "frame for --model x:vehicle.json"),

@@ -133,15 +133,15 @@ def base_model(
     base = model or Model(nominal_voltage_v=_recorded_pack(recordings) or NOMINAL_VOLTAGE_V)
     stated = [r.provenance.vehicle for r in recordings] if vehicle is None else [cast(VehicleData, asdict(vehicle))]
 
-    def said(key: Literal["nominal_voltage_v", "rotor_height_m"], least: float, otherwise: float) -> float:
+    def value_of(key: Literal["nominal_voltage_v", "rotor_height_m"], least: float, otherwise: float) -> float:
         values = [s.get(key) for s in stated]
         return next((float(v) for v in values if isinstance(v, int | float) and v >= least), otherwise)
 
     return replace(
         base,
         terms=(*base.terms, *terms),
-        nominal_voltage_v=said("nominal_voltage_v", 0.1, base.nominal_voltage_v),
-        rotor_height_m=said("rotor_height_m", 0.0, base.rotor_height_m),
+        nominal_voltage_v=value_of("nominal_voltage_v", 0.1, base.nominal_voltage_v),
+        rotor_height_m=value_of("rotor_height_m", 0.0, base.rotor_height_m),
     )
 
 
@@ -163,12 +163,12 @@ def fit_segments(
     held, ties = _held(options.freeze, model), _ties(options.tie)
     both = sorted(set(held) & set(ties))
     if both:
-        raise InputError(f"{', '.join(both)} is both held and tied", "give either --freeze or --tie")
+        raise InputError(f"{', '.join(both)} is both held and tied", "either freeze it or tie it")
     for name, source in ties.items():
         units = {model.param[n].unit for n in (name, source) if n in model.param}
         if len(units) > 1:
             raise InputError(
-                f"--tie {name}={source}: {' and '.join(sorted(units))} are not the same unit",
+                f"tie {name}={source}: {' and '.join(sorted(units))} are not the same unit",
                 "tie parameters of the same unit",
             )
     found = identify(usable, model, frozen=held, ties=ties)
@@ -194,7 +194,7 @@ def _held(asked: Mapping[str, float], model: Model) -> dict[str, float]:
         both = [name for name in delays if name in found]
         if both:
             raise InputError(
-                f"--freeze {DELAY.name} holds {', '.join(delays)}, and {join(both)} is given too",
+                f"freeze {DELAY.name} holds {', '.join(delays)}, and {join(both)} is given too",
                 "give one or the other",
             )
         value = found.pop(DELAY.name)
@@ -203,7 +203,7 @@ def _held(asked: Mapping[str, float], model: Model) -> dict[str, float]:
         known = model.param.get(name)
         if known is not None and not known.lower <= value <= known.upper:
             raise InputError(
-                f"--freeze {name}={value:g} is outside {known.lower:g} to {known.upper:g} {known.unit}",
+                f"freeze {name}={value:g} is outside {known.lower:g} to {known.upper:g} {known.unit}",
                 "see `flighttest terms`",
             )
     return found
@@ -213,7 +213,7 @@ def _ties(asked: Mapping[str, str]) -> dict[str, str]:
     for name, source in asked.items():
         if source in asked:
             raise InputError(
-                f"--tie {name}={source}: a parameter is tied twice, or to one that is tied itself",
+                f"tie {name}={source}: a parameter is tied twice, or to one that is tied itself",
                 "tie each to one that is free",
             )
     return dict(asked)
@@ -243,7 +243,9 @@ def for_later_flights(found: Fit) -> QualityBlock:
     made = measured(normal, found.covariance.names, found.values, segments)
     return {
         "discrepancy": {name: round(value, 5) for name, value in made.items()},
-        "steps": matched_pair.as_data(matched_pair.steps_flown(normal, segments, found.model.nominal_voltage_v)),
+        "steps": matched_pair.matched_pair_data(
+            matched_pair.steps_flown(normal, segments, found.model.nominal_voltage_v)
+        ),
     }
 
 

@@ -104,10 +104,10 @@ def run_document(
     extra: Sequence[Section] = (),
     diagnosis: DiagnosisData | None = None,
     next_script: str = "",
-    said: tuple[str, Tone | None] = ("", None),
+    headline: tuple[str, Tone | None] = ("", None),
 ) -> Document:
-    """The page of a run or campaign: verdict, provenance, fit, diagnosis, responses. said: verdict and tone, where not the fit's."""
-    verdict, tone = said
+    """The page of a run or campaign: verdict, provenance, fit, diagnosis, responses. headline: verdict and tone, where not the fit's."""
+    verdict, tone = headline
     sections: list[Section] = []
     if view is not None:
         made = fit_sections.fit_sections(view)
@@ -154,7 +154,7 @@ def report(folder: Path, output: Path | None = None, progress: Progress = SILENT
         view,
         segments,
         diagnosis=diagnosis,
-        said=(f"No model could be fitted: {reason}." if reason else _with_diagnosis(view, diagnosis), None),
+        headline=(f"No model could be fitted: {reason}." if reason else _with_diagnosis(view, diagnosis), None),
     )
     target = output or (folder / REPORT_NAME if folder.is_dir() else Path(REPORT_NAME))
     if folder.is_dir() and output is None:
@@ -184,7 +184,7 @@ def campaign_of(folder: Path) -> list[Path]:
 
 def written(document: Document, target: Path, status: Status = Status.DONE) -> Result:
     """Write the page; the terminal gets its verdict and its path."""
-    html.write(document, target)
+    html.write_html(document, target)
     short = Document("report", document.verdict, document.tone, (), {"page": str(target)})
     return Result(short, {"report": str(target), "verdict": document.verdict}, status, document)
 

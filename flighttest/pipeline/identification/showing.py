@@ -33,7 +33,7 @@ from flighttest.report.sections import fit as fit_sections
 from flighttest.report.sections.show import Look, ParameterOutlook, sections
 from flighttest.segments import Segment, cut
 from flighttest.segments.airborne import flights
-from flighttest.segments.health import at_limits, battery, in_flight, modes, sampling, spectra
+from flighttest.segments.health import at_limits, battery_course, in_flight, modes, sampling, spectra
 from flighttest.version import __version__
 
 STEPS_OF_A_MANEUVER = 6  # fewer steps happen in a flight by hand, too
@@ -64,7 +64,7 @@ def show(log: Path, output: Path | None = None, columns: Path | None = None, pro
         f"flighttest: {recording.name}", verdict, tone, tuple(shown), facts, f"flighttest {__version__}."
     )
     progress.stage("writing the page")
-    html.write(document, page)
+    html.write_html(document, page)
     brief = [replace(s, detail=s.id not in ("identify", "next")) for s in shown if s.id != "channels"]
     short = Document("show", verdict, tone, tuple(brief), {"page": str(page), **dict(look.figures)})
     return Result(short, _data(look, page, verdict, unreported(log, recording)), value=document)
@@ -75,10 +75,12 @@ def looked(recording: Recording, segments: Sequence[Segment], named: str, column
     outlook, why = _outlook(recording, segments)
     resistance = battery_of([recording])
     compatible = next((s.context.compatibility for s in segments), None)
-    said = resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
+    resistance_text = (
+        resistance if isinstance(resistance, str) else f"internal resistance {number(1000 * resistance[0], 3)} mΩ"
+    )
     return Look(
-        recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery(recording), said, modes(recording),
-        flights(recording), _figures(recording), outlook, why, _commands(outlook, named, columns),
+        recording, sampling(recording), at_limits(recording), spectra(recording), compatible, battery_course(recording), resistance_text,
+        modes(recording), flights(recording), _figures(recording), outlook, why, _commands(outlook, named, columns),
     )  # fmt: skip
 
 

@@ -86,7 +86,7 @@ def validate(
         data["steps"] = _data(steps_alone)
     document = Document("validation", verdict, tone, sections, facts)
     if output is not None:
-        html.write(document, output)
+        html.write_html(document, output)
     return Result(document, data, Status.DONE, found)
 
 

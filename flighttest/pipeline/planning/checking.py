@@ -50,7 +50,7 @@ def predictor_for(model: Path | ModelFile | None, vehicle: Vehicle) -> ModelPred
     return ModelPredictor(replace(base, nominal_voltage_v=vehicle.nominal_voltage_v), {"K": gain})
 
 
-def prior_of(
+def prior_model(
     model: Path | ModelFile | None, out: Path, vehicle: Vehicle
 ) -> tuple[ModelPredictor, Path | ModelFile | None]:
     """The model given, else the accepted one of this vehicle as far as it has its thrust, else the paper's as `predictor_for` has it; and
@@ -85,7 +85,7 @@ def check(
     """Plan, duration, battery and predicted envelope of every script, against the zone. out: where the vehicle's accepted model may be."""
     check_runs(out)
     declared = load_vehicle(vehicle) if vehicle is not None else DEFAULT_VEHICLE
-    prior, source = prior_of(model, out, declared)
+    prior, source = prior_model(model, out, declared)
     hover = float(prior.hover_throttle(np.array([declared.nominal_voltage_v]))[0])
     if not hovers(prior, declared):
         whose = "the vehicle as declared" if model is None else _source(model)

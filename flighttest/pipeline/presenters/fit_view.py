@@ -10,7 +10,7 @@ from math import isfinite
 from flighttest.channels import CHANNELS, WORDS
 from flighttest.identify.diagnostics.identifiability import correlated_parameters
 from flighttest.identify.fit import Estimate, Fit
-from flighttest.identify.response_analysis.comparison import fitted_responses, overlays, thrust_points
+from flighttest.identify.response_analysis.comparison import fitted_responses, response_overlays, thrust_points
 from flighttest.identify.response_analysis.frequency_response import frequency_responses, residual_correlations
 from flighttest.identify.validation.accumulation import accumulations
 from flighttest.physics.model import Model
@@ -48,7 +48,7 @@ def fit_view(found: Fit, segments: Sequence[Segment]) -> FitView:
         verdict=_verdict(found, unknown),
         good=found.status.good,
         parameters=parameters,
-        overlays=overlays(found),
+        overlays=response_overlays(found),
         thrust_points=thrust_points(found),
         segments=segment_views(segments, {o.segment: o.sentence for o in found.outliers}),
         correlations=correlated_parameters(found.covariance, CORRELATED),
@@ -175,7 +175,7 @@ def _flown(found: Fit) -> str:
 
 
 def _reasons(doubtful: Sequence[Estimate]) -> list[str]:
-    """Parameters by what is said of them, the reason of most first; those with a reason of their own by their errors."""
+    """Parameters by their reason, the reason of most first; those with a reason of their own by their errors."""
     alike: dict[str, list[Estimate]] = {}
     for e in doubtful:
         alike.setdefault("no segment determines them" if e.source == "assumed" else e.why, []).append(e)

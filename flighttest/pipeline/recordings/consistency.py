@@ -17,9 +17,9 @@ def inconsistencies(recordings: Sequence[Recording]) -> tuple[str, ...]:
 def conflicts(recordings: Sequence[Recording]) -> str:
     """Signs that recordings are not of one vehicle in one state, in one sentence; empty where nothing does."""
     for recording in recordings[1:]:
-        said = differences(of_recordings(recordings[:1], None), [recording])
-        if said:
-            return f"{recordings[0].name} and {recording.name} are not of one vehicle: {said}; one model of both is a compromise"
+        different = differences(of_recordings(recordings[:1], None), [recording])
+        if different:
+            return f"{recordings[0].name} and {recording.name} are not of one vehicle: {different}; one model of both is a compromise"
     return ""
 
 

@@ -183,10 +183,10 @@ def import_log(
     progress.stage(f"writing {output}")
     output.mkdir(parents=True, exist_ok=True)
     write_recording(output, recording)
-    return describe(recording, output)
+    return describe_recording(recording, output)
 
 
-def describe(recording: Recording, folder: Path) -> Result:
+def describe_recording(recording: Recording, folder: Path) -> Result:
     """What is in a recording: channels with rate and span, what was lost, what was derived."""
     first, last = recording.t_span_s
     source = recording.provenance
@@ -221,7 +221,7 @@ def describe(recording: Recording, folder: Path) -> Result:
     facts = {
         "run": str(folder),
         "source": source.source,
-        "firmware": source.firmware or "not said",
+        "firmware": source.firmware or "not stated",
         "importer": source.importer,
     }
     verdict = f"{duration(last - first)} of flight imported into {folder}."

@@ -79,7 +79,7 @@ def out_words(out: Path) -> str:
     return f" --out {shlex.quote(str(out))}" if out != DEFAULT_RUNS else ""
 
 
-def options_of(runs: Sequence[Path], out: Path, vehicle: Path | None = None) -> str:
+def rerun_options(runs: Sequence[Path], out: Path, vehicle: Path | None = None) -> str:
     """The options that fly the vehicle of the newest of these runs again, into the same folder of runs. vehicle: its vehicle file of now.
     Where no run holds what flew, the vehicle file alone; '' without one."""
     for run_dir in reversed(runs):

@@ -227,12 +227,12 @@ def _known(stored: ModelFile) -> dict[str, float]:
 
 def _ended(changes: Sequence[Any], made: Generation) -> list[str]:
     """Why a model ended: what changed on the vehicle, else what its successor has that it had not."""
-    said = [f"{c.name} {c.before} is now {c.after}" for c in changes]
+    reasons = [f"{c.name} {c.before} is now {c.after}" for c in changes]
     if made.joined:
-        said.append(f"{join(made.joined)} joined")
+        reasons.append(f"{join(made.joined)} joined")
     if made.left:
-        said.append(f"{join(made.left)} left")
-    return said or ["flown again"]
+        reasons.append(f"{join(made.left)} left")
+    return reasons or ["flown again"]
 
 
 def _write(whole: Lineage, stored: ModelFile, made: Generation) -> None:

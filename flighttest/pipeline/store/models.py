@@ -12,7 +12,7 @@ from pathlib import Path
 from flighttest.errors import FlighttestError, LinkError
 from flighttest.identify.models import model_file
 from flighttest.pipeline.results import Result
-from flighttest.pipeline.store.flown_with import options_of
+from flighttest.pipeline.store.flown_with import rerun_options
 from flighttest.pipeline.store.history import check_runs, when
 from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since, take_into_use
 from flighttest.report.document import Cell, Document, Paragraph, Section, Table
@@ -44,7 +44,7 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
         facts["its twin"] = command
     script = path / NEXT_NAME
     if script.is_file() and _fits_zone(path):
-        flies = options_of([*(out / name for name in made.runs), path], out, vehicle)
+        flies = rerun_options([*(out / name for name in made.runs), path], out, vehicle)
         facts["fly next"] = f"flighttest run {shlex.quote(str(script))}{flies}"
     document = Document("accept", _sentence(whole, made), "good", (), facts)
     return Result(document, {"vehicle": whole.vehicle, "file": str(whole.current), **asdict(made)}, value=whole)

@@ -26,7 +26,7 @@ def script_of(run_dir: Path | None) -> Path:
     return path
 
 
-def chain(run_dir: Path | None) -> list[Path]:
+def resumed_runs(run_dir: Path | None) -> list[Path]:
     """A run and those that it resumed itself, first flown first; those that are not there any more are left out."""
     found: list[Path] = []
     while run_dir is not None and run_dir not in found and (run_dir / MANIFEST_NAME).is_file():
@@ -86,7 +86,7 @@ def worth_resuming(run_dir: Path, compiled: Sequence[Plan]) -> list[str]:
         raise InputError(
             f"{run_dir} is a flight of the vehicle {flew}, not of {flies}", "give the --vehicle it was flown with"
         )
-    flown = flown_in(chain(run_dir))
+    flown = flown_in(resumed_runs(run_dir))
     if all(leg.id in flown for plan in compiled for leg in plan.legs):
         raise InputError(
             f"{run_dir}: nothing is missing, all its steps were flown", "see them with `flighttest report`"

@@ -71,7 +71,7 @@ def _without_manifest(folder: Path) -> list[str]:
 
 
 def _written(document: Document, path: Path) -> Document:
-    html.write(document, path)
+    html.write_html(document, path)
     return replace(document, footer=f"page: {path}")
 
 

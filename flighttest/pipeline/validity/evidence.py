@@ -66,7 +66,7 @@ def untested(
     return tuple(found)
 
 
-def in_words(missed: Sequence[Untested]) -> tuple[str, ...]:
+def untested_sentences(missed: Sequence[Untested]) -> tuple[str, ...]:
     """One sentence for each subset: which of its parameters are not tested, and from which change on they would have shown."""
     found = []
     for subset in dict.fromkeys(u.subset for u in missed):

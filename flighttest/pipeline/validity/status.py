@@ -23,7 +23,7 @@ from flighttest.pipeline.recordings.batteries import battery_of, battery_referen
 from flighttest.pipeline.recordings.fingerprints import of_recordings, of_vehicle
 from flighttest.pipeline.recordings.sources import RecordingSource, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
-from flighttest.pipeline.store.flown_with import options_of
+from flighttest.pipeline.store.flown_with import rerun_options
 from flighttest.pipeline.store.history import campaigns, watched, when
 from flighttest.pipeline.store.identities import NAME_IT, whose
 from flighttest.pipeline.store.lineage import in_use
@@ -31,10 +31,10 @@ from flighttest.pipeline.validity.evidence import (
     NOT_DIAGNOSED,
     appeared,
     effects,
-    in_words,
     not_shown,
     subsets_of,
     untested,
+    untested_sentences,
 )
 from flighttest.pipeline.validity.reflights import reflights
 from flighttest.pipeline.vehicles.live import LiveVehicle
@@ -83,10 +83,10 @@ def status(
     else:
         stored = in_use(out, name)
         name = name or stored.vehicle_name
-    found = judge(stored, Today(recordings, declared, name, out, present), progress)
+    found = gather_evidence(stored, Today(recordings, declared, name, out, present), progress)
     flown = [*(out / r for r in map(str, stored.runs)), *(r for r in runs if isinstance(r, Path))]
-    page = Page(output, options_of(flown, out, vehicle))
-    return finish(found, stored, declared, [named(r) for r in runs], page, present)
+    page = Page(output, rerun_options(flown, out, vehicle))
+    return status_result(found, stored, declared, [named(r) for r in runs], page, present)
 
 
 def _one_vehicle(stored: ModelFile, name: str) -> None:
@@ -107,7 +107,9 @@ class Today:
     present: LiveVehicle | None = None
 
 
-def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed: Diagnosis | None = None) -> Assessment:
+def gather_evidence(
+    stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed: Diagnosis | None = None
+) -> Assessment:
     """All the evidence. diagnosed: the new recordings from this model on, found here where it is not given."""
     recordings, vehicle, name, out, present = now.recordings, now.vehicle, now.name, now.out, now.present
     subsets = subsets_of(stored.model)
@@ -136,7 +138,7 @@ def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed:
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
     battery = battery_of(recordings) if recordings else None
-    spread = allowance(stored, base, earlier)
+    spread = discrepancy_allowed(stored, base, earlier)
     found = assess(
         model_fingerprint=stored.fingerprint,
         vehicle_fingerprint=today,
@@ -159,7 +161,7 @@ def judge(stored: ModelFile, now: Today, progress: Progress = SILENT, diagnosed:
     return replace(
         found,
         changes=tuple(c if c.since else replace(c, since=since) for c in found.changes),
-        cannot_tell=(*in_words(missed), *found.cannot_tell, *unseen),
+        cannot_tell=(*untested_sentences(missed), *found.cannot_tell, *unseen),
         untested=missed,
     )
 
@@ -225,17 +227,17 @@ def reestimate_segments(
     if weak:
         found = identify(segments, stored.model, start=start, frozen=weak)
     estimates = watched(model_file.from_fit(found), name, tested)
-    return replace(estimates, log_voltage=flown_voltage(segments, stored.model.nominal_voltage_v)), stds
+    return replace(estimates, log_voltage=log_voltage_ratio(segments, stored.model.nominal_voltage_v)), stds
 
 
 def matched_pairs(stored: ModelFile, base: Estimates, segments: Sequence[Segment]) -> MatchedPairs | None:
     """The new steps against those that a model's own flights had too; None where it kept none, or too few match."""
-    kept = matched_pair.from_data(stored.fit_quality.get("steps"))
+    kept = matched_pair.matched_pairs_from(stored.fit_quality.get("steps"))
     if not kept:
         return None
     problem = problem_of(segments, stored.model, values=stored.values)
     noise = stored_noise(stored, problem)
-    return matched_pair.compare(kept, base, stored.values, noise, problem) if noise is not None else None
+    return matched_pair.compare_matched(kept, base, stored.values, noise, problem) if noise is not None else None
 
 
 def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
@@ -246,7 +248,7 @@ def stored_noise(stored: ModelFile, problem: Problem) -> Noise | None:
     return noise if channels <= set(noise.channel) and others <= set(noise.disturbance) else None
 
 
-def flown_voltage(segments: Sequence[Segment], nominal_v: float) -> float:
+def log_voltage_ratio(segments: Sequence[Segment], nominal_v: float) -> float:
     """ln(U / U_n) over the throttle steps, else over all that was flown; NaN where no voltage was recorded."""
     known = [s for s in segments if s.usable and np.isfinite(s.y.get("voltage_v", np.full(1, np.nan))).any()]
     chosen = [s for s in known if s.kind in ("throttle_step", "tilt_throttle")] or known
@@ -271,7 +273,7 @@ def _determines_less(found: Fit, stored: ModelFile, name: str) -> bool:
     return name == "alpha" and kept.std is not None and new.std > ALPHA_DETERMINED * kept.std
 
 
-def allowance(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
+def discrepancy_allowed(stored: ModelFile, base: Estimates, earlier: Sequence[Estimates]) -> dict[str, float]:
     """Relative discrepancy to allow for: this vehicle's own campaigns where there are enough, else what the model's campaign measured
     between its conditions. What neither determines keeps the stated prior."""
     kept = stored.fit_quality.get("discrepancy")
@@ -312,7 +314,7 @@ class Page:
     options: str = ""
 
 
-def finish(
+def status_result(
     found: Assessment,
     stored: ModelFile,
     vehicle: Vehicle | None,
@@ -335,7 +337,7 @@ def finish(
     document = status_document(found, facts, rows, brief=True)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        html.write(status_document(found, facts, rows), output / "status.html")
+        html.write_html(status_document(found, facts, rows), output / "status.html")
         document = replace(document, footer=f"page: {output / 'status.html'}")
     data = plain(found)
     data["verdict"] = found.verdict.name

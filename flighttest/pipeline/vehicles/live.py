@@ -39,7 +39,7 @@ class LiveVehicle:
         return f"{self.url}: {self.firmware or 'firmware not stated'}, {len(self.parameters)} parameters read"
 
 
-def read(url: str, progress: Progress = SILENT, key: bytes | None = None) -> LiveVehicle:
+def read_vehicle(url: str, progress: Progress = SILENT, key: bytes | None = None) -> LiveVehicle:
     """Connect, read, disconnect. `sim` is the built-in vehicle; key: of MAVLink 2 signing. LinkError when nothing answers."""
     with _built_in() if url == BUILTIN else nullcontext(url) as where:
         progress.stage(f"reading the vehicle at {url}; nothing is set, nothing arms")

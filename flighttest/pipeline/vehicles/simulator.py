@@ -15,7 +15,7 @@ from flighttest.sim import SimOptions, parse_hide, start_simulator
 from flighttest.sim.sitl.launcher import Sitl, SitlOptions, find_arducopter, launch
 from flighttest.sim.sitl.physics import PhysicsSitl, launch_on_physics
 from flighttest.twin import firmware
-from flighttest.twin.vehicle import assumed, options_of
+from flighttest.twin.vehicle import assumed, simulator_options
 
 _BOOT_S = 45  # until the firmware's position estimate stands
 SYSTEM_ID = 1  # of the built-in vehicle and of ArduPilot alike
@@ -69,7 +69,7 @@ class Serving:
 
 
 def options(airframe: str, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False) -> SimOptions:
-    """The words of the command line as `SimOptions`."""
+    """The built-in vehicle as `SimOptions`. hide: id:key=value words."""
     return SimOptions(airframe=airframe, hide=parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)  # type: ignore[arg-type]
 
 
@@ -77,12 +77,12 @@ def of_model(
     stored: ModelFile, hide: Sequence[str], seed: int, speed: float = 1.0, lockstep: bool = False
 ) -> SimOptions:
     """The vehicle of a model as `SimOptions`."""
-    return options_of(stored, parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)
+    return simulator_options(stored, parse_hide(hide), seed=seed, speed=speed, lockstep=lockstep)
 
 
 @dataclass(frozen=True)
 class Served:
-    """A vehicle to serve, in the words of the command line. model: flies instead of an airframe; frame: folder of an exported ArduPilot
+    """A vehicle to serve. hide: id:key=value words; model: flies instead of an airframe; frame: folder of an exported ArduPilot
     vehicle; port: 0 takes a free one."""
 
     airframe: str = "paper"

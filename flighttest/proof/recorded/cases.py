@@ -110,7 +110,7 @@ class RecordedCase:
         return hashlib.sha256(self.truth().encode()).hexdigest()
 
 
-def drawn(seed: int, sets: Sequence[RecordedSet], data: Path) -> Iterator[RecordedCase]:
+def drawn_cases(seed: int, sets: Sequence[RecordedSet], data: Path) -> Iterator[RecordedCase]:
     """Cases without end. InputError where none of the recordings are here."""
     here = {one: [str(f.relative_to(data)) for f in found] for one in sets if (found := one.found(data))}
     if not here:

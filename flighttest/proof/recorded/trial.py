@@ -18,7 +18,7 @@ from flighttest.pipeline.identification.fitting import base_model
 from flighttest.pipeline.recordings.sources import Reading, open_recordings
 from flighttest.pipeline.validity.status import status
 from flighttest.proof import oracle
-from flighttest.proof.outcome import Outcome, judged
+from flighttest.proof.outcome import Outcome, judged_outcome
 from flighttest.proof.recorded.cases import ADDED, PART_S, Added, RecordedCase
 from flighttest.proof.recorded.injection import inject
 from flighttest.proof.recorded.side_by_side import Effects, OracleVehicle
@@ -51,7 +51,7 @@ def _diagnosed(case: RecordedCase) -> Outcome:
     recordings = tuple(part(r, case.begin) for r in _read(case, case.files))
     voltage = base_model(recordings, None).nominal_voltage_v
     flown = FlownTrial.of(recordings, voltage, case.answer_1_s)
-    hide = sized(case, flown)
+    hide = sized_effects(case, flown)
     added = flown.with_effects(hide)
     wall, used = time.perf_counter(), _processor_s()
     # Blind: the recordings, and nothing of what was added.
@@ -59,7 +59,7 @@ def _diagnosed(case: RecordedCase) -> Outcome:
     found = run_diagnosis(segments, added, None, None)
     wall, used = time.perf_counter() - wall, _processor_s() - used
     sizes = {e: flown.size(hide) if len(hide) == 1 else flown.size(hide, without=e) for e in hide}
-    outcome = judged(case, hide, found.to_json(), case.own, hide)
+    outcome = judged_outcome(case, hide, found.to_json(), case.own, hide)
     kind = ("clean", "single", "pair")[len(hide)]  # these flights may show less than was asked for
     return replace(outcome, kind=kind, sizes=sizes, cpu_s=used, wall_s=wall)
 
@@ -149,7 +149,7 @@ def _segments(recordings: Sequence[Recording]) -> list[Segment]:
     ]
 
 
-def sized(case: RecordedCase, flown: FlownTrial) -> dict[str, dict[str, float]]:
+def sized_effects(case: RecordedCase, flown: FlownTrial) -> dict[str, dict[str, float]]:
     """The effects that are added: the first of the order that these flights show, each scaled to the size asked for as far as may be."""
     found: dict[str, dict[str, float]] = {}
     for effect in case.order:

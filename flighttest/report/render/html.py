@@ -70,7 +70,7 @@ def page_of(document: Document) -> str:
 """
 
 
-def write(document: Document, path: Path) -> Path:
+def write_html(document: Document, path: Path) -> Path:
     """Write the page and give its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page_of(document), encoding="utf-8")
@@ -83,8 +83,8 @@ def _asset(name: str) -> str:
 
 def _verdict(text: str) -> str:
     """The first sentences large, the others smaller below."""
-    said = re.split(r"(?<=[.!?]) +(?=[A-Z0-9])", text)
-    first, rest = " ".join(said[:LEADING]), " ".join(said[LEADING:])
+    sentences = re.split(r"(?<=[.!?]) +(?=[A-Z0-9])", text)
+    first, rest = " ".join(sentences[:LEADING]), " ".join(sentences[LEADING:])
     return escape(first) + (f"<p>{escape(rest)}</p>" if rest else "")
 
 

@@ -79,7 +79,7 @@ class StepRow(TypedDict):
 
 
 class SideData(TypedDict):
-    """What one side's diagnosis said."""
+    """What one side's diagnosis found."""
 
     verdict: str
     sentence: str
@@ -130,7 +130,7 @@ def titled(titles: Mapping[str, str], term: str) -> str:
 
 
 def against_sections(data: AgainstData) -> tuple[Section, ...]:
-    """Parameters, prediction errors, steps, and what each side's diagnosis said."""
+    """Parameters, prediction errors, steps, and what each side's diagnosis found."""
     return tuple(
         s
         for s in (
@@ -196,13 +196,13 @@ def comparison_figure(
 
 
 def _parameters(data: AgainstData) -> Section:
-    blocks: list[PageBlock] = [parameter_table(data["parameters"], "real", "simulated")]
+    blocks: list[PageBlock] = [difference_table(data["parameters"], "real", "simulated")]
     if data["notes"]:
         blocks.insert(0, Bullets(tuple(data["notes"])))
     return Section("parameters", "Parameters of both sides", tuple(blocks))
 
 
-def parameter_table(parameters: Sequence[DifferenceRow], first: str, second: str) -> Table:
+def difference_table(parameters: Sequence[DifferenceRow], first: str, second: str) -> Table:
     """Every parameter on both sides, under these heads; the largest differences come first."""
     rows: list[tuple[Cell | str, ...]] = []
     for r in parameters:

@@ -68,10 +68,10 @@ def demo_document(data: DemoData, commands: Sequence[str], report: str) -> Docum
     found = bool(data["findings"])
     tone: Tone = "good" if found and data["as_hidden"] else "warn"
     sections = [_picture(data), _prediction(data), _twin(data), _truth(data), _go_on(commands, report)]
-    return Document("demo", sentences(data), tone, tuple(s for s in sections if s is not None))
+    return Document("demo", demo_sentences(data), tone, tuple(s for s in sections if s is not None))
 
 
-def sentences(data: DemoData) -> str:
+def demo_sentences(data: DemoData) -> str:
     """What was found; what that is worth on a flight that was not used."""
     if not data["findings"]:
         return (
@@ -181,7 +181,7 @@ def _truth(data: DemoData) -> Section:
             hidden = number(truth, 3) if truth is not None else "nothing" if given is None else "its default"
             value = f"{to_error(p.get('value'), p.get('std'))} {unit(str(p.get('unit', '')))}".strip()
             rows.append((f"{term} {name}", hidden, Cell(value, "good" if inside else "plain"), span, _sure(finding)))
-    said = "; ".join(f"{term} {_given(given)}".strip() for term, given in data["hidden"].items())
+    concealed = "; ".join(f"{term} {_given(given)}".strip() for term, given in data["hidden"].items())
     names = join([_named(f) for f in data["findings"]]) or "nothing"
     blocks: list[PageBlock] = [
         Table(
@@ -189,7 +189,7 @@ def _truth(data: DemoData) -> Section:
             tuple(rows),
             ("left", "right", "right", "left", "left"),
         ),
-        Paragraph(f"hidden: {said}; found: {names}.", "good" if data["as_hidden"] else "warn"),
+        Paragraph(f"hidden: {concealed}; found: {names}.", "good" if data["as_hidden"] else "warn"),
     ]
     lead = "Only the simulator had this; the diagnosis read recordings."
     return Section("truth", "What was hidden, and what was found", tuple(blocks), lead)
@@ -201,8 +201,10 @@ def _given(values: Mapping[str, float]) -> str:
 
 def _sure(finding: FindingRow) -> str:
     p = finding["evidence"].get("probability")
-    said = "-" if p is None else "above 99.9 %" if p > 0.999 else f"{100 * p:.1f} %"
-    return said if finding["verdict"] == "SUPPORTED" else f"{said}, {TERM_WORDS.get(finding['verdict'], '')}"
+    probability = "-" if p is None else "above 99.9 %" if p > 0.999 else f"{100 * p:.1f} %"
+    return (
+        probability if finding["verdict"] == "SUPPORTED" else f"{probability}, {TERM_WORDS.get(finding['verdict'], '')}"
+    )
 
 
 def _go_on(commands: Sequence[str], report: str) -> Section:

@@ -1,4 +1,4 @@
-"""Sections about a diagnosis: the five verbs of the design, from the data of diagnosis.json."""
+"""Sections about a diagnosis: where the mismatch is, what is missing, its evidence, the next flight; from the data of diagnosis.json."""
 
 from __future__ import annotations
 
@@ -76,10 +76,10 @@ def _located(data: DiagnosisData) -> Section:
     if not located:
         blocks.append(Paragraph("Nowhere above the noise floor."))
     else:
-        said = tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))
-        more = len(said) - FEW_PLACES
+        sentences = tuple(_sentence(str(i["sentence"])) for i in located if i.get("sentence"))
+        more = len(sentences) - FEW_PLACES
         places = f"{more} more place{'s' if more > 1 else ''}: --all lists them."
-        blocks.append(Bullets(said, " ".join((*said[:FEW_PLACES], places)) if more > 0 else ""))
+        blocks.append(Bullets(sentences, " ".join((*sentences[:FEW_PLACES], places)) if more > 0 else ""))
     aside = data.get("set_aside") or {}
     if aside.get("sentence"):
         blocks.append(Paragraph(_sentence(str(aside["sentence"])), "warn"))
@@ -107,15 +107,15 @@ def _findings(data: DiagnosisData) -> Section:
         verdict = str(item.get("verdict", ""))
         head = f"{item.get('title') or item['term']} ({item['term']}): {TERM_WORDS.get(verdict, verdict.lower())}."
         blocks.append(Paragraph(head, TERM_TONES.get(verdict, "plain")))
-        said = item.get("sentence") or item.get("plain")
-        if said:
-            blocks.append(Paragraph(_sentence(str(said))))
+        sentence = item.get("sentence") or item.get("plain")
+        if sentence:
+            blocks.append(Paragraph(_sentence(str(sentence))))
         if item.get("equation"):
             blocks.append(Code(str(item["equation"]), brief=OMITTED))
         if item.get("parameters"):
             table = _parameters(item["parameters"])
             blocks.append(
-                replace(table, brief=OMITTED) if said else table
+                replace(table, brief=OMITTED) if sentence else table
             )  # the sentence has the values and their errors
         lines = [_rival(r) for r in item.get("rivals") or ()]
         if item.get("doubt"):
@@ -301,10 +301,10 @@ def _next(data: DiagnosisData, script: str) -> Section | None:
     name = data.get("next_flight")
     if not name:
         return None
-    said = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
+    named = name.get("sentence") or name.get("script") if isinstance(name, Mapping) else None
     reason = data.get("next_reason") or {}
     path = shlex.quote(str(data.get("next_path") or name))
-    command = str(said or f"flighttest run {path}{data.get('next_options', '')}")
+    command = str(named or f"flighttest run {path}{data.get('next_options', '')}")
     # A command that cannot be flown is not shown as one.
     blocks: list[PageBlock] = [] if reason.get("fits_zone") is False else [Code(command)]
     if reason.get("sentence"):

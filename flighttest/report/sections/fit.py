@@ -51,7 +51,7 @@ def cell_words(cell: Mapping[str, float]) -> str:
     return ", ".join(f"{k} {v:g}" for k, v in cell.items())
 
 
-def parameters(view: FitView) -> Section:
+def parameter_section(view: FitView) -> Section:
     """The parameter table."""
     columns = ("parameter", "value", "unit", "95 % interval", "state", "what it is")
     align: tuple[Align, ...] = ("left", "right", "left", "right", "left", "left")
@@ -254,7 +254,7 @@ def fit_sections(view: FitView) -> tuple[Section, ...]:
     """All of them."""
     figure = figure4(view)
     found = [figure] if figure is not None else []
-    found.append(parameters(view))
+    found.append(parameter_section(view))
     if view.quality:
         found.append(quality(view))
     found += response_sections(view)

@@ -272,7 +272,7 @@ def health(look: Look) -> Section:
 
 
 def _compatible(found: Compatibility) -> str:
-    """What kinematics said of stamps and scale."""
+    """What kinematics shows of stamps and scale."""
 
     def late(value_s: float, std_s: float) -> str:
         return f"{number(1000 * abs(value_s), 2)} ± {number(2000 * std_s, 1)} ms {'late' if value_s > 0 else 'early'}"

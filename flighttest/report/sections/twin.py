@@ -14,7 +14,7 @@ from flighttest.report.sections.against import (
     DifferenceRow,
     StepRow,
     comparison_figure,
-    parameter_table,
+    difference_table,
     steps_section,
     titled,
 )
@@ -69,7 +69,7 @@ class TwinData(TypedDict, total=False):
 
 
 class SideVerdict(TypedDict):
-    """What the diagnosis of the recordings said."""
+    """What the diagnosis of the recordings found."""
 
     verdict: str
     sentence: str
@@ -112,10 +112,10 @@ def verify_sentence(data: TwinData) -> str:
     channels = judged(data)
     worst = max(channels, key=lambda c: channels[c]["ratio"], default=None)
     if data["verdict"] == "NOTHING_MISSING":
-        said = f", {number(channels[worst]['ratio'], 3)} of {WORDS.get(worst, worst)}" if worst is not None else ""
+        largest = f", {number(channels[worst]['ratio'], 3)} of {WORDS.get(worst, worst)}" if worst is not None else ""
         return (
             f"The twin flies as recorded (NOTHING_MISSING). Its error is at most {data['near_floor']:g} noise floors in every "
-            f"channel{said and f' (largest{said})'}, and no parameter differs beyond its error."
+            f"channel{largest and f' (largest{largest})'}, and no parameter differs beyond its error."
         )
     parts = []
     if data["lacks"]:
@@ -175,7 +175,7 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
     )
     errors = {"twin": {c: v["ratio"] for c, v in judged(data).items()}}
     picture = comparison_figure(data["parameters"], errors, "recorded", "twin")
-    blocks: list[PageBlock] = [Bullets(tuple(lines)), parameter_table(data["parameters"], "recorded", "twin")]
+    blocks: list[PageBlock] = [Bullets(tuple(lines)), difference_table(data["parameters"], "recorded", "twin")]
     found = [] if picture is None else [Section("picture", "", (picture,))]
     found += [
         Section("channels", "Twin against recordings", tuple(tables), f"Compared: {how}."),

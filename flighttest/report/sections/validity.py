@@ -105,9 +105,9 @@ def _changes(found: Assessment, brief: bool) -> Section:
     since = tuple(dict.fromkeys(c.since for c in ordered if c.since))
     blocks: list[PageBlock] = [Table(("what", "the model's", "today's", "touches"), tuple(rows))]
     reasons = [c for c in ordered if c.kind in _FIRST or not brief]
-    said = tuple(dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in reasons))
-    if said:
-        blocks.append(Bullets(said))
+    sentences = tuple(dict.fromkeys(c.because if c.name in c.because else f"{c.name}: {c.because}" for c in reasons))
+    if sentences:
+        blocks.append(Bullets(sentences))
     one_flight = len(since) == 1 and not any(c.dated for c in ordered)
     title = f"What changed {since[0]}" if one_flight else "What changed"
     if since and not one_flight:
@@ -258,7 +258,7 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str], b
             "Runs on this machine", "There are no runs here yet; `flighttest run thrust` makes one.", "warn"
         )
     marks = changes_between(points)
-    # A run folder's name begins with its date and ends with its script: said once. Numbers are those under the pictures.
+    # A run folder's name begins with its date and ends with its script: shown once. Numbers are those under the pictures.
     dated = all(p.run[:4].isdigit() for p in points)
     vehicles = list(dict.fromkeys(p.vehicle for p in points if p.vehicle))
     several = len({p.vehicle for p in points}) > 1

@@ -76,7 +76,7 @@ class Profile:
     check: Callable[[Settings], str | None] = lambda settings: None
 
 
-def duration(value: Duration) -> float:
+def seconds_field(value: Duration) -> float:
     """Seconds wanted."""
     return value.seconds
 

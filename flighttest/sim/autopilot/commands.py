@@ -23,14 +23,14 @@ def acknowledge(v: CommandedVehicle, message: Any, command: int, result: int) ->
 
 
 def handle(v: CommandedVehicle, m: Any) -> None:
-    """Do what is asked, and acknowledge it. What it causes to be said comes after that, as ArduPilot's queues have it."""
+    """Do what is asked, and acknowledge it. Messages that it causes come after that, as ArduPilot's queues have it."""
     if m.target_component not in (0, v.encoder.component):
         return
     action = _ACTIONS.get(m.command)
-    said = len(v.outbox)
+    before = len(v.outbox)
     result = UNSUPPORTED if action is None else action(v, m)
-    caused = v.outbox[said:]
-    del v.outbox[said:]
+    caused = v.outbox[before:]
+    del v.outbox[before:]
     if m.command == book.MAV_CMD_GET_HOME_POSITION:  # the one that answers first
         v.outbox += caused
         caused = []

@@ -140,7 +140,7 @@ class Autopilot:
 
     def set_mode(self, mode: int) -> bool:
         """Change mode; False, with the reason as STATUSTEXT, where it is refused."""
-        why = modes.refusal(mode, armed=self.armed, has_position=self.has_position)
+        why = modes.mode_refusal(mode, armed=self.armed, has_position=self.has_position)
         if why is not None:
             self.say(why, book.MAV_SEVERITY_WARNING)
             return False

@@ -15,7 +15,7 @@ NO_ARMING = frozenset({RTL, LAND, BRAKE, AUTO})
 ATTITUDE_TARGETS = frozenset({GUIDED, GUIDED_NOGPS})
 
 
-def refusal(mode: int, *, armed: bool, has_position: bool) -> str | None:
+def mode_refusal(mode: int, *, armed: bool, has_position: bool) -> str | None:
     """Why a mode cannot be entered now, in the firmware's words, or None when it can (disarmed, a missing position does not matter)."""
     if mode not in NAMES:
         return f"No such mode {mode}"

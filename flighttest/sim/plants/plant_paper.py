@@ -1,4 +1,4 @@
-"""The paper's vehicle: Eq. 4 with Table 2, written out once more in plain numbers, without a word of `physics`.
+"""The paper's vehicle: Eq. 4 with Table 2, written out once more in plain numbers, independent of `physics`.
 
 Nothing shapes the references and nothing boosts the throttle, so Table 2 can be recovered from what this vehicle sends. All three
 channels answer T_d after a target's arrival. Physics beyond Eq. 4 comes from the catalogue: see `plant_terms`.

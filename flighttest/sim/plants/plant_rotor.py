@@ -17,7 +17,7 @@ from math import cos, exp, sin, sqrt
 from flighttest.frames import G_M_S2
 from flighttest.sim.plants.battery import Battery
 from flighttest.sim.plants.plant import Command, Delays, Hidden, Motion
-from flighttest.sim.plants.rotor_effects import resolve
+from flighttest.sim.plants.rotor_effects import effects_on
 from flighttest.sim.plants.rotor_loops import Loops, Mixer
 from flighttest.sim.plants.rotor_propulsion import Propulsion
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle
@@ -41,7 +41,7 @@ class RotorPlant:
         air: Air | None = None,
     ) -> None:
         self.vehicle = v = vehicle or RotorVehicle()
-        self.on = on = resolve(hide or {}, v)
+        self.on = on = effects_on(hide or {}, v)
         self.battery = battery or Battery(v.cells, v.capacity_ah, v.resistance_ohm)
         self.motion = Motion(voltage=self.battery.voltage)
         late = on.get("channel_delay", {})

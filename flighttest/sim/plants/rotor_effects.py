@@ -121,7 +121,7 @@ EFFECTS: dict[str, Effect] = {
 }
 
 
-def resolve(hide: Hidden, vehicle: RotorVehicle) -> dict[str, dict[str, float]]:
+def effects_on(hide: Hidden, vehicle: RotorVehicle) -> dict[str, dict[str, float]]:
     """Every key of the effects that are on, defaults filled in; InputError for ids and keys that do not exist."""
     found: dict[str, dict[str, float]] = {}
     for name, values in hide.items():

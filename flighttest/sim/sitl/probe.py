@@ -24,7 +24,7 @@ _WANTED = (
 
 @dataclass
 class Readiness:
-    """What the vehicle has said so far. texts: its status texts, oldest first."""
+    """What the vehicle has sent so far. texts: its status texts, oldest first."""
 
     heard: bool = False
     checks_pass: bool = False
