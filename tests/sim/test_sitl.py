@@ -104,9 +104,9 @@ class TestCommand:
             taken.bind(("127.0.0.1", 0))
             taken.listen()
             busy = taken.getsockname()[1]
-            with pytest.raises(LinkError, match=f"port {busy} is in use; a SITL at {busy - 3} needs"):
+            with pytest.raises(LinkError, match=f"port {busy} cannot be used; a SITL at {busy - 3} needs"):
                 launch(SitlOptions(port=busy - 3), binary=fake, wait_s=0.0)
-        with pytest.raises(LinkError, match="port 65536 cannot be had"):
+        with pytest.raises(LinkError, match="port 65536 cannot be used"):
             launch(SitlOptions(port=65530), binary=fake, wait_s=0.0)
         base = free_ports()
         with launch(SitlOptions(port=base), binary=fake, wait_s=0.0) as vehicle:

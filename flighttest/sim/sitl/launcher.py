@@ -298,7 +298,7 @@ def _asked_for(base: int) -> int:
     taken = [base + i for i in range(_PORTS_EACH) if base + i > _LAST_PORT or not _is_free(base + i)]
     if taken:
         raise LinkError(
-            f"port {taken[0]} is in use; a SITL at {base} needs {base} to {base + _PORTS_EACH - 1}",
+            f"port {taken[0]} cannot be used; a SITL at {base} needs {base} to {base + _PORTS_EACH - 1}",
             "stop the program that uses it, or give another port (0 takes free ones)",
         )
     return base
