@@ -90,7 +90,7 @@ def run(
     if not yes and asked.real and not sys.stdin.isatty():
         raise click.UsageError("a real vehicle arms only after a yes: answer at a terminal, or give --yes")
     with LiveProgress(context.show, view=view, keep=True) as progress:
-        answer = asked.fly(yes or context.show.ask, progress)
+        answer = asked.fly(yes or progress.ask, progress)
     return context.finish(answer)
 
 

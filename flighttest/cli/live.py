@@ -84,6 +84,13 @@ class LiveProgress:
                 )
                 self._live.start()
 
+    def ask(self, text: str) -> bool:
+        """Show a text and ask for a yes (`Show.ask`). The stage's bar is taken away before: it would be drawn over the question."""
+        with suppress(*_OUTPUT_CLOSED):
+            self._stop()
+            self._stage = ""  # how long a person thinks is no stage's time
+        return self._show.ask(text)
+
     def part(self, done: float, of: float) -> None:
         """So many pieces of the stage are done."""
         self._part = (done, of)

@@ -187,7 +187,7 @@ def error_text(error: FlighttestError) -> Text:
     """The error for a person: what and where, then the remedy on a line of its own."""
     text = Text()
     if isinstance(error, PreflightError):
-        text.append("not flown: the preflight checks refuse\n", style="bad")
+        text.append("not flown\n", style="bad")
         for what, remedy in error.refusals:
             text.append(f"  - {what}\n")
             if remedy:

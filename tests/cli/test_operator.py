@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from flighttest.cli.live import LiveProgress
+from flighttest.cli.live import SHOWN_FROM_S, LiveProgress
 from flighttest.cli.show import Show
 from flighttest.flight import FlightProgress
 from flighttest.link.transport import full_url
@@ -32,6 +32,28 @@ def test_a_log_file_gets_the_alarm_as_a_line_without_a_bell() -> None:
         progress.flight(FlightProgress(1, 2, "flying", "", "", 1.0, 1.0, alarm="abort", alarms=1))
     assert "abort" in out.getvalue()
     assert "\a" not in out.getvalue()
+
+
+def test_nothing_is_drawn_over_the_question_before_arming(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen: the bar of "checking the vehicle" was drawn again four times a second in the question's place."""
+    out, err = io.StringIO(), io.StringIO()
+    show = Show(out=out, err=err, colour=True, width=80)
+    written: list[int] = []
+
+    class Operator:
+        def readline(self) -> str:
+            written.append(len(out.getvalue()))
+            time.sleep(0.6)  # two pictures of a stage
+            written.append(len(out.getvalue()))
+            return "y\n"
+
+    monkeypatch.setattr("sys.stdin", Operator())
+    with LiveProgress(show) as progress:
+        progress.stage("checking the vehicle")
+        time.sleep(SHOWN_FROM_S)
+        assert progress.ask("the list")
+    assert written[0] == written[1]
+    assert "Arm and take off?" in err.getvalue()
 
 
 def test_ctrl_c_while_a_live_line_begins_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
