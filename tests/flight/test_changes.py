@@ -11,8 +11,10 @@ import pytest
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightResult
-from flighttest.flight.preparation.changes import SETS, LeftParameter, still_left
+from flighttest.flight.preparation.changes import SETS, LeftParameter, ParameterChanges, still_left
 from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
+from flighttest.link.port import Port
+from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.store.resuming import left_behind
 from flighttest.recording.store import MANIFEST_NAME, read_events, write_manifest
@@ -56,6 +58,14 @@ def test_another_parameter_is_reported_and_the_flight_goes_on(run_dir: Path) -> 
     assert sum("was changed" in note for note in result.notes) == 1, (
         "what the flight itself sets and restores is no external change"
     )
+
+
+def test_what_has_the_value_that_is_wanted_is_neither_set_nor_restored() -> None:
+    """Seen: "FENCE_TYPE set from 7 to 7; it is restored after the flight"."""
+    said: list[str] = []
+    changes = ParameterChanges(Session(Port(FaultyLink(options()))), {"FENCE_TYPE": 7.0}, {})
+    changes.apply({"FENCE_TYPE": 7.0}, said.append, lambda _pending: None)
+    assert (said, changes.pending) == ([], {})
 
 
 def killed_before_it_restores(run_dir: Path) -> float:

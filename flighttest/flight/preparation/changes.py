@@ -132,10 +132,9 @@ class ParameterChanges:
         note: Callable[[str], None],
         keep: Callable[[Mapping[str, LeftParameter]], None],
     ) -> None:
-        """Set parameters. keep: called with what has to be restored before anything is set, so that the record exists even where the
-        program is killed.
+        """Set parameters that have another value. LinkError where one does not take.
 
-        LinkError where one does not take.
+        keep: called with what has to be restored before anything is set, so that a program that dies leaves a record of it.
         """
         own: dict[str, tuple[str, float]] = {}  # by the vehicle's name and in its unit
         for name, value in wanted.items():
@@ -143,6 +142,9 @@ class ParameterChanges:
             known = self._known.get(own[name][0])
             if known is None:
                 raise LinkError(f"the vehicle has no parameter {name}", "set it up by hand, or waive its check")
+            if params.same_single(known, own[name][1]):
+                del own[name]
+                continue
             before = self._before.get(own[name][0])
             self._before[own[name][0]] = LeftParameter(before.value if before else known, own[name][1], self._hardware)
         keep(self._before)

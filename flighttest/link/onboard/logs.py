@@ -118,7 +118,10 @@ class LogDownload:
             raise LinkError("the vehicle lists no logs", "it may keep none: see LOG_BACKEND_TYPE")
         found = {n: entry for n, entry in found.items() if entry.size}
         if not found:
-            raise LinkError("the vehicle has no log with anything in it", "fly first; the log begins at arming")
+            raise LinkError(
+                "the vehicle has no log with anything in it",
+                "fly first: the log begins at arming (the built-in vehicle keeps none)",
+            )
         return found
 
     def fetch(self, target: Path, number: int | None, on_progress: Callable[[float], None]) -> OnboardLog:
