@@ -42,7 +42,7 @@ faults-sitl: .venv/installed  ## the dangerous ones on a real ArduCopter (`arduc
 faults-endurance: .venv/installed  ## an hour's flight in flat memory, and 20 flights of ten minutes with faults at random
 	$(BIN)/python -m tests.faults.table --endurance -o docs/faults.md
 
-faults-lines: .venv/installed  ## flights over serial lines of 57600 and 115200 baud, in real time
+faults-lines: .venv/installed  ## every shipped script over serial lines of 57600 and 115200 baud
 	$(BIN)/python -m tests.faults.table --lines -o docs/faults.md
 
 faults-interrupts: .venv/installed  ## how soon Ctrl-C is answered in each state of a flight, at a terminal
