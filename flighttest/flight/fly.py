@@ -77,6 +77,7 @@ def fly(
     finally:
         flight.held.close()
         session.port.close()
+        recorder.close()
 
 
 class _Flight:
@@ -252,11 +253,8 @@ class _Flight:
             self._note(low)
         far = fence_words(replace(situation, parameters=self._parameters))
         if far:
-            self._note(far)
-            self._stage(far)
-        text = place_zone(control, self.plan.vehicle.zone)
-        if text:
-            self.notes.append(text)
+            self._announce(far)
+        self.notes += filter(None, [place_zone(control, self.plan.vehicle.zone)])
         self.recorder.manifest["rates_hz"] = {name: round(rate, 1) for name, rate in rates.items()}
         self.recorder.save_manifest()
         self._bring_fence(control, set_params or simulator)
@@ -301,8 +299,7 @@ class _Flight:
         self._fence = ZoneFence(self.vehicle, self.recorder.run_dir.name, self._keep_fence)
         words += filter(None, [self._fence.inherit(self.options.fence_behind, restoring=restoring)])
         for text in words:
-            self._note(text)
-            self._stage(text)
+            self._announce(text)
         self._keep_changed(left)
 
     def _keep_fence(self, record: FenceData) -> None:
@@ -327,6 +324,11 @@ class _Flight:
     def _note(self, text: str) -> None:
         self.notes.append(text)
         self.recorder.event("note", text, self.session.now_s())
+
+    def _announce(self, text: str) -> None:
+        """Into the record and onto the screen."""
+        self._note(text)
+        self._stage(text)
 
     def _gate(self) -> GateLimits:
         simulator = preflight.is_simulator(self._parameters)
@@ -376,8 +378,7 @@ class _Flight:
         self._external_changes.known.clear()  # what changes from now on is restored
         left: dict[str, float] = {}
         if self._fence is not None and (text := self._fence.restore(airborne=self.vehicle.armed)):
-            self._note(text)
-            self._stage(text)
+            self._announce(text)
         if self._changes is not None and self._changes.pending:
             self._stage("restoring parameters")
             try:
@@ -390,8 +391,7 @@ class _Flight:
         left |= self._unrestored
         if left:
             text = ", ".join(f"{name} {preflight.figure(value)}" for name, value in left.items())
-            self._note(f"not restored, set by hand: {text}")
-            self._stage(f"not restored, set by hand: {text}")
+            self._announce(f"not restored, set by hand: {text}")
         self.recorder.manifest["parameters_left"] = left
         if self.session.port.muted and not self.session.lock_step:
             self.session.advance(self.session.now_s() + _LISTEN_AFTER_TAKE_OVER_S)

@@ -78,11 +78,12 @@ class LineFile:
             del self.waiting[:taken]
 
     def close(self) -> None:
-        """Flush for the last time."""
-        try:
-            self.flush()
-        finally:
-            self._file.close()
+        """Flush for the last time; harmless when done twice."""
+        if not self._file.closed:
+            try:
+                self.flush()
+            finally:
+                self._file.close()
 
 
 class Recorder:
@@ -169,12 +170,16 @@ class Recorder:
         """Write the manifest as it stands."""
         self._written(lambda: write_manifest(self.run_dir, self.manifest))
 
-    def finish(self, session: Session, plan: Plan) -> Recording | None:
-        """Close the files and write the channels; None when too little was recorded to decode."""
+    def close(self) -> None:
+        """Close the files and give back the space that was kept; harmless when done twice."""
         self.reserve.give_back()
         for name, file in ((RAW_NAME, self._tlog), (EVENTS_NAME, self._events)):
             if not self._written(file.close):
                 self._lacks(f"the last {len(file.waiting)} bytes of {name}")
+
+    def finish(self, session: Session, plan: Plan) -> Recording | None:
+        """Close the files and write the channels; None when too little was recorded to decode."""
+        self.close()
         recording = self._recording(session, plan)
         if recording is not None and not self._written(lambda: write_recording(self.run_dir, recording)):
             self._lacks("the channels")

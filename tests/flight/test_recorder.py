@@ -15,10 +15,11 @@ from pathlib import Path
 import pytest
 from pymavlink import mavutil
 
+from flighttest.errors import LinkError
 from flighttest.flight.recorder import RESERVE_BYTES, Recorder, mark_id
 from flighttest.mavlink.dialect import book, parser
 from flighttest.recording.store import read_events, read_manifest
-from tests.flight.faulty import make_plan
+from tests.flight.faulty import FaultyLink, fly, make_plan, options
 
 
 def recorder(run_dir: Path, ground_s=time.time) -> Recorder:
@@ -150,6 +151,14 @@ def test_the_space_kept_back_ends_the_record(run_dir: Path) -> None:
     made.flush(force=True)
     assert made.failure, "the flight ends"
     assert frames_in(run_dir) == list(range(100))
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="shows no open files")
+def test_a_flight_that_is_refused_leaves_no_file_open(run_dir: Path) -> None:
+    with pytest.raises(LinkError):
+        fly(make_plan(), "sim", run_dir, transport=FaultyLink(options(), mute=lambda _t: True))
+    opened = [os.readlink(f) for f in Path("/proc/self/fd").iterdir() if f.is_symlink()]
+    assert not [path for path in opened if path.startswith(str(run_dir))]
 
 
 def test_the_reserve_is_of_its_size_and_leaves_nothing(run_dir: Path) -> None:

@@ -11,6 +11,17 @@ _NICER_BY = 15
 _PRIORITY = 1  # before all that is not real time itself; the thread that sends has 2
 
 
+def granted() -> bool:
+    """Whether the system gives this user's programs a real-time priority."""
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, *before)
+    except (OSError, AttributeError):  # not permitted, or not on this system
+        return False
+    return True
+
+
 @contextlib.contextmanager
 def first() -> Iterator[None]:
     """Before other programs where the system allows it (root, or a limit for `rtprio` or `nice` of the user), and without going through
