@@ -162,6 +162,8 @@ def _term_section(term: Term) -> Section:
 
 def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
     """What is installed and reachable. `connect`: also try this vehicle, with this key."""
+    from flighttest.flight.preparation import priority
+
     key = read_key(signing_key) if signing_key is not None else None
     rows: list[tuple[Cell | str, ...]] = []
     data: list[CheckData] = []
@@ -202,6 +204,12 @@ def doctor(connect: str | None, signing_key: Path | None = None) -> Result:
         note("ArduPilot SITL", "", False, how, needed=False)
     ports = [f"{p.device} ({p.description})" for p in list_ports.comports()]
     note("serial ports", ", ".join(ports), bool(ports), "none is seen: plug in the vehicle or the radio", needed=False)
+    first = priority.granted()
+    found = "targets leave on time beside other programs" if first else ""
+    late = (
+        "targets may leave late beside other programs, and such steps are flown again: allow `rtprio 2` in limits.conf"
+    )
+    note("real-time priority", found, first, late, needed=False)
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 0))

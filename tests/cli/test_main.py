@@ -131,6 +131,20 @@ def test_doctor_says_what_is_here(capsys):
     assert checks["casadi"]["ok"]
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="this system has no real-time priority")
+@pytest.mark.parametrize("allowed", [True, False])
+def test_doctor_shows_whether_targets_come_before_other_programs(capsys, monkeypatch, allowed):
+    def schedule(*_words):
+        if not allowed:
+            raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", schedule)
+    _, out, _ = call(capsys, "doctor", "--json")
+    (check,) = [c for c in json.loads(out)["checks"] if c["what"] == "real-time priority"]
+    assert (check["ok"], check["needed"]) == (allowed, False)
+    assert ("rtprio" in check["remedy"]) is not allowed
+
+
 @pytest.mark.parametrize("error", [BrokenPipeError(), OSError(5, "Input/output error"), SystemExit(1)])
 def test_a_flight_goes_on_where_its_progress_is_not_read(error):
     """`flighttest run | tee log`: Ctrl-C ends tee as well, and the vehicle must still be landed."""
