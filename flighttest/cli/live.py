@@ -54,6 +54,7 @@ class LiveProgress:
         self._started_s = clock()
         self._live: Live | None = None
         self._flying = False
+        self._asking = False
         self._last_line_s = -float("inf")
         self._durations = durations or Durations(default_path())
         self._stage, self._stage_s = "", self._started_s
@@ -75,6 +76,8 @@ class LiveProgress:
         with suppress(*_OUTPUT_CLOSED):
             self._stop()
             self._timed()
+            if self._asking:  # Ctrl-C was the answer: nobody has ended the question's line
+                self._show.say("")
             if self._keep:
                 self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
             self._stage, self._stage_s, self._part = text, self._clock(), None
@@ -89,7 +92,10 @@ class LiveProgress:
         with suppress(*_OUTPUT_CLOSED):
             self._stop()
             self._stage = ""  # how long a person thinks is no stage's time
-        return self._show.ask(text)
+        self._asking = True
+        answer = self._show.ask(text)
+        self._asking = False
+        return answer
 
     def part(self, done: float, of: float) -> None:
         """So many pieces of the stage are done."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import time
 
@@ -14,6 +15,8 @@ from flighttest.cli.show import Show
 from flighttest.flight import FlightProgress
 from flighttest.link.transport import full_url
 from flighttest.pipeline.flights.run import counted_interrupts
+
+_DRAWN_S = 0.3  # a picture is drawn eight times a second
 
 
 @pytest.mark.parametrize("view", ["normal", "large"])
@@ -67,6 +70,52 @@ def test_ctrl_c_while_a_live_line_begins_is_no_traceback(monkeypatch: pytest.Mon
     monkeypatch.setattr(type(show.side), "push_render_hook", interrupted)
     with pytest.raises(KeyboardInterrupt), LiveProgress(show) as progress:
         progress.stage("connecting")
+
+
+class Screen:
+    """What a terminal shows of what is written to it: text, new lines, and the control sequences of a live picture."""
+
+    def __init__(self) -> None:
+        self.rows = [""]
+        self._row, self._column = 0, 0
+
+    def write(self, data: str) -> None:
+        for control, text in re.findall(r"\x1b\[([?\d;]*[A-Za-z])|([^\x1b])", data):
+            if control == "2K":
+                self.rows[self._row] = ""
+            elif control.endswith("A"):
+                self._row = max(self._row - int(control[:-1]), 0)
+            elif text == "\r":
+                self._column = 0
+            elif text == "\n":
+                self._row, self._column = self._row + 1, 0
+                self.rows += [""] * (self._row + 1 - len(self.rows))
+            elif text and text != "\a":
+                row = self.rows[self._row].ljust(self._column)
+                self.rows[self._row] = row[: self._column] + text + row[self._column + 1 :]
+                self._column += 1
+
+
+@pytest.mark.parametrize("view", ["normal", "large"])
+def test_the_answer_to_ctrl_c_leaves_no_line_of_the_picture_before(view: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen in tmux: two lines of the old picture stayed above the new one until the flight's end."""
+    out, screen = io.StringIO(), Screen()
+    monkeypatch.setattr(os, "isatty", lambda _file: True)
+    monkeypatch.setattr(os, "get_terminal_size", lambda *_file: os.terminal_size((60, 24)))
+    monkeypatch.setattr(os, "write", lambda _file, data: out.write(data.decode()))
+    with LiveProgress(Show(out=out, colour=True, width=80), view=view) as progress, counted_interrupts() as presses:
+        progress.flight(FlightProgress(1, 2, "before it", "", "", 1.0, 1.0))
+        time.sleep(_DRAWN_S)
+        os.kill(os.getpid(), signal.SIGINT)
+        while not presses():
+            pass
+        screen.write(answered := out.getvalue())
+        assert sum("Ctrl-C: stopping" in row for row in screen.rows) == 1
+        progress.flight(FlightProgress(1, 2, "after it", "", "", 1.0, 2.0, stopping=True))
+        time.sleep(_DRAWN_S)
+        screen.write(out.getvalue()[len(answered) :])
+        assert sum("after it" in row for row in screen.rows) == 1
+        assert not [row for row in screen.rows if "before it" in row]
 
 
 def test_ctrl_c_is_answered_before_anything_looks_at_it(capfd: pytest.CaptureFixture[str]) -> None:

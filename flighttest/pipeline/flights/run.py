@@ -49,8 +49,9 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 BUILTIN_SPEED = 20.0
-STOPPING = b"\r\nCtrl-C: stopping; a vehicle in the air is made safe and lands (again: stops sending at once)\r\n"
-SENDING_ENDS = b"\r\nCtrl-C again: nothing is sent any more; the pilot has control\r\n"
+STOPPING = "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again: stops sending at once)"
+SENDING_ENDS = "Ctrl-C again: nothing is sent any more; the pilot has control"
+_ANEW = "\r\x1b[2K"  # to the beginning of the terminal's line, and erase it
 MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list them all
 
 
@@ -173,9 +174,7 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
     def count(_signal: int, _frame: object) -> None:
         nonlocal presses
         presses += 1
-        # Past Python's own buffers, which the signal may have interrupted.
-        with suppress(OSError):
-            os.write(2, STOPPING if presses == 1 else SENDING_ENDS)
+        _answer(STOPPING if presses == 1 else SENDING_ENDS)
 
     def end(_signal: int, _frame: object) -> None:
         nonlocal presses
@@ -194,6 +193,17 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _answer(text: str) -> None:
+    """Answer Ctrl-C past Python's own buffers, which the signal may have interrupted. On a terminal in the line where the cursor is, and no
+    other: a live picture is erased upwards from there, and a new line would leave its first ones behind."""
+    with suppress(OSError):
+        if os.isatty(2):
+            text = _ANEW + text[: os.get_terminal_size(2).columns - 1]
+        else:
+            text += "\n"
+        os.write(2, text.encode())
 
 
 def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
