@@ -287,10 +287,11 @@ class ArduPilot:
 
 
 class LaggedYaw:
-    """The heading that goes into the quaternion during a yaw rate step: where the vehicle will be, not where a bare integral runs to.
+    """The heading that goes into the quaternion during a yaw rate step: where the vehicle will be, not the integral of the rate alone.
 
-    The vehicle advances the quaternion by the rate itself, and turns up late; a bare integral of the rate makes it hurry after the
-    difference, half again as fast as asked. So the rate is followed at accel_max_rad_s2 (ATC_ACC_Y_MAX; 0 is unlimited) and with a lag.
+    The vehicle advances the quaternion by the rate itself, and starts late; with the integral of the rate alone it makes up for the
+    difference by turning half again as fast as asked. So the rate is followed at accel_max_rad_s2 (ATC_ACC_Y_MAX; 0 is unlimited) and
+    with a lag.
     """
 
     def __init__(self, yaw_rad: float, accel_max_rad_s2: float, lag_s: float = 0.2) -> None:

@@ -21,7 +21,7 @@ _REAL_TIME_TOLERANCE = 0.05  # a vehicle nearer to real time than this is a real
 _LEAP_S = 5.0  # farther than this no delay of a link moves a stamp against those before
 _LEAP_STAMPS = 5  # that agree: one stamp alone is a damaged frame, or another vehicle's
 _UNANSWERED_MAX = 1000  # questions that are remembered: four minutes of a silent link
-_DRIFT = 2e-4  # two crystals part by less than this
+_DRIFT = 2e-4  # two crystals differ by less than this
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def _request(name: str, index: int, system: int) -> Message:
 
 
 def offered(session: Session, name: str) -> float | None:
-    """A parameter that most vehicles do not have: asked for twice, since an unknown name is answered by silence."""
+    """A parameter that most vehicles do not have: asked for twice, since an unknown name is not answered."""
     answer = _ask(session, name, tries=2, answer_s=0.4)
     return None if answer is None else float(answer.param_value)
 

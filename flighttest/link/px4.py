@@ -13,10 +13,28 @@ from typing import Any
 import numpy as np
 
 from flighttest import frames
-from flighttest.errors import LinkError
-from flighttest.link.onboard import mavsdk_url
+from flighttest.errors import InputError, LinkError
+from flighttest.link.transport import URL_FORMS, full_url
 
 CONNECT_S = 10.0
+_SCHEMES = {
+    "udpin": "udpin",
+    "udp": "udpin",
+    "udpout": "udpout",
+    "tcp": "tcpout",
+    "tcpout": "tcpout",
+    "serial": "serial",
+}
+
+
+def mavsdk_url(url: str) -> str:
+    """MAVSDK's form of one of our URLs. InputError for anything else."""
+    kind, _, rest = full_url(url).partition(":")
+    where, _, last = rest.rpartition(":")
+    known = kind in _SCHEMES and bool(where) and last.isdecimal()
+    if not known or (kind != "serial" and not 0 < int(last) < 65536):
+        raise InputError(f"{url!r} is not a link", f"use {URL_FORMS}")
+    return f"{_SCHEMES[kind]}://{rest}"
 
 
 class Px4:

@@ -224,7 +224,7 @@ class Session:
         if beat and not self.vehicle_system and is_vehicle(message):
             self.vehicle_system = system
         if system and system == self.vehicle_system:
-            return not self._is_twins(message) and not (beat and self._overtaken(message))
+            return not self._is_another_vehicles(message) and not (beat and self._overtaken(message))
         if beat and system != self.vehicle_system and is_vehicle(message):
             self.others.add(system)
         return False
@@ -238,7 +238,7 @@ class Session:
         self.clock.answered(timesync.tc1 * 1e-9, trip)
         return self._answered(timesync.ts1)
 
-    def _is_twins(self, message: Message) -> bool:
+    def _is_another_vehicles(self, message: Message) -> bool:
         """Whether a message is another vehicle's that has the same system id. A simulator in lock-step is alone."""
         if self._grants is not None:
             return False

@@ -240,7 +240,7 @@ class TcpTransport:
 
 
 class SerialTransport:
-    """A serial port through pyserial; a device that was unplugged reads as silence until it is back."""
+    """A serial port through pyserial; a device that was unplugged gives no bytes until it is back."""
 
     def __init__(self, port: Any) -> None:
         self._port = port

@@ -76,7 +76,7 @@ DEFECTS: tuple[Defect, ...] = (
     Defect("D6", "anyone who reaches the UDP port is the vehicle; one false frame ends the flight", (
         Cure("link/port.py", "self._transport.keep_to(peer)", "pass",
              ("tests/link/test_transport.py::test_a_connected_vehicle_is_who_first_spoke_as_it",)),
-        Cure(_CONTROL, "if self._doubt is None or replace(self._doubt, t_s=t_s) != doubt:", "if False:",
+        Cure(_CONTROL, "if self._unconfirmed is None or replace(self._unconfirmed, t_s=t_s) != shown:", "if False:",
              ("tests/faults/test_faults.py::test_a_fault_in_a_state",)),
         Cure("link/clock.py", "_LEAP_STAMPS = 5", "_LEAP_STAMPS = 1",
              ("tests/link/test_link.py::test_one_false_stamp_in_flight_moves_no_clock",)),

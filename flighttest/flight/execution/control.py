@@ -32,7 +32,7 @@ UNSURE_S = (
     0.3  # without an answer: a question in 0.25 s (session.TIMESYNC_EVERY_S), and 50 ms for the way there and back
 )
 AHEAD_SHARE = 0.4  # of a period: 8 ms at 50 Hz; a program that is held up for less delays no target
-DOUBT_S = 2.5  # for which a HEARTBEAT that contradicts those before is waited for to be repeated: it comes once a second at least
+CONFIRMED_WITHIN_S = 2.5  # after a HEARTBEAT that contradicts those before: the next one comes within a second
 GIVE_UP_AFTER_S = 30.0  # without a HEARTBEAT: the vehicle's own failsafes have long acted
 UPLINK_GIVE_UP_S = 60.0  # heard, but without an answer: as long as it may come back it is asked to land
 
@@ -55,7 +55,7 @@ class Stops:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Unconfirmed:
     """What one HEARTBEAT has shown, heard at t_s. overtaken: how many had been: one between two that agree contradicts them."""
 
     event: Event
@@ -96,7 +96,7 @@ class FlightControl:
         self._mode = -1  # as HEARTBEAT showed it last
         self._safe_modes: frozenset[int] = frozenset()
         self._was_armed = False
-        self._doubt: Doubt | None = None
+        self._unconfirmed: Unconfirmed | None = None
         self._boots = self.session.boots
         self._others = set(self.session.others)
         self.streams: StreamRates | None = None
@@ -110,7 +110,7 @@ class FlightControl:
         """Report an event. The mode that is shown when the vehicle becomes ours, or is handed back, is the one to start from."""
         if not self.machine.ours or event is Event.HANDED_BACK:
             self._mode, self._was_armed = self.vehicle.mode, self.vehicle.armed
-            self._doubt, self.session.held = None, False
+            self._unconfirmed, self.session.held = None, False
         self.machine.on(event, why)
 
     @property
@@ -157,33 +157,33 @@ class FlightControl:
             self.on(Event.ASK)  # a mode that was asked for before LAND came after it: it is not landing any more
         if foreign or disarmed:
             event = Event.DROPPED if foreign and disarmed else Event.DISARMED if disarmed else Event.FOREIGN_MODE
-            doubt = Doubt(event, mode, t_s, self.session.overtaken)
+            shown = Unconfirmed(event, mode, t_s, self.session.overtaken)
             # Nothing is sent from the first HEARTBEAT on; the second one decides, since one frame may be damaged or another vehicle's.
-            if self._doubt is None or replace(self._doubt, t_s=t_s) != doubt:
-                self._doubt, self.session.held = doubt, True
+            if self._unconfirmed is None or replace(self._unconfirmed, t_s=t_s) != shown:
+                self._unconfirmed, self.session.held = shown, True
                 return
             self._decide(t_s)
             return
-        self._doubt, self.session.held = None, False
+        self._unconfirmed, self.session.held = None, False
         self._mode, self._was_armed = mode, armed
 
     def _decide(self, t_s: float) -> None:
         """The pilot has the vehicle, or it is disarmed."""
-        assert self._doubt is not None
-        doubt, self._doubt, self.session.held = self._doubt, None, False
+        assert self._unconfirmed is not None
+        shown, self._unconfirmed, self.session.held = self._unconfirmed, None, False
         if self.machine.state is FlightState.ARMING and (self._was_armed or self.vehicle.armed):
             self.on(Event.ARMED)
-        if doubt.event is Event.FOREIGN_MODE and self.machine.state is FlightState.OFFERED:
+        if shown.event is Event.FOREIGN_MODE and self.machine.state is FlightState.OFFERED:
             self.recorder.event(
-                "note", f"the pilot has the vehicle ({mode_name(doubt.mode)})", t_s, {"mode": doubt.mode}
+                "note", f"the pilot has the vehicle ({mode_name(shown.mode)})", t_s, {"mode": shown.mode}
             )
-        elif doubt.event is Event.FOREIGN_MODE:
+        elif shown.event is Event.FOREIGN_MODE:
             self.session.port.mute()
-            self.recorder.event("take_over", mode_name(doubt.mode), t_s, {"mode": doubt.mode})
-            self.alarm(f"the pilot has the vehicle ({mode_name(doubt.mode)}): nothing is sent any more")
+            self.recorder.event("take_over", mode_name(shown.mode), t_s, {"mode": shown.mode})
+            self.alarm(f"the pilot has the vehicle ({mode_name(shown.mode)}): nothing is sent any more")
         elif not self._landing:
             self.recorder.event("note", "disarmed in flight", t_s)
-        self.on(doubt.event)
+        self.on(shown.event)
 
     @property
     def _landing(self) -> bool:
@@ -206,7 +206,7 @@ class FlightControl:
                 "another vehicle is heard on this link; its messages are not taken for those of the vehicle that flies"
             )
             self.recorder.event("note", text, self.state.t_s)
-        if self._doubt is not None and not 0.0 <= self.state.t_s - self._doubt.t_s < DOUBT_S:
+        if self._unconfirmed is not None and not 0.0 <= self.state.t_s - self._unconfirmed.t_s < CONFIRMED_WITHIN_S:
             self._decide(self.state.t_s)
         if self.state.mode_age_s > GIVE_UP_AFTER_S:
             self.on(Event.DOWNLINK_GONE)

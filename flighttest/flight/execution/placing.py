@@ -18,7 +18,7 @@ FAR_M = 500.0
 def place_zone(control: FlightControl, zone: Zone) -> str:
     """Take the zone's origin from home, or from the place that the zone states; a sentence where the vehicle states no home, else ''.
 
-    Nothing happens without a position. LinkError, PreflightError where the place cannot be known or is absurd.
+    Nothing happens without a position. LinkError, PreflightError where the place cannot be known or is far from home.
     """
     if not control.state.position_ok:
         return ""

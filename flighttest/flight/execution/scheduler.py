@@ -75,7 +75,7 @@ class Scheduler:
             except FlightEnded:
                 if outcome.orderly:
                     raise
-                # What ended the flight before the landing did is the greater news.
+                # The outcome is what ended the flight first, not how the landing ended.
         return outcome
 
     @property
@@ -177,7 +177,7 @@ class Scheduler:
         deadline = 0.0
         while not control.machine.state.is_end:
             if control.machine.state is not FlightState.LANDING:  # or not any more: an earlier request came late
-                supervisor.insist(control, (CopterMode.LAND,), self._meanwhile)
+                supervisor.ask_until_shown(control, (CopterMode.LAND,), self._meanwhile)
             deadline = deadline or control.session.now_s() + _LAND_S
             if control.session.now_s() > deadline:
                 control.on(Event.NOT_DOWN)
@@ -336,7 +336,9 @@ class Scheduler:
         if measured is None:
             return
         if not 0.4 * stated <= measured <= 2.5 * stated:
-            self._note(f"measured hover throttle {measured:.3f} is absurd beside the stated {stated:.3f}; not used")
+            self._note(
+                f"measured hover throttle {measured:.3f} is implausible beside the stated {stated:.3f}; not used"
+            )
             return
         nominal = self.plan.vehicle.nominal_voltage_v
         voltage = self.control.state.voltage_v

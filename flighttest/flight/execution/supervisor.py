@@ -18,7 +18,9 @@ NEXT_MODE_AFTER_S = 1.5
 _ENTRY_S = 3.0
 # Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
 UNSEEN_S = 1.5
-UNHEARD_S = 0.7  # a silent link hides what a pilot chooses: asked once when it falls silent, and again when it is heard
+UNHEARD_S = (
+    0.7  # without a message no pilot's change of mode is seen: asked once then, and again when something is heard
+)
 UPLINK_LOST_S = 3.0  # without an answer: then an operator who asked to stop is not kept waiting for it
 STOP_AFTER_S = 20.0  # of asking for LAND over a lost uplink, after the operator asked to stop
 RELEASE_AFTER_S = 5.0  # of asking for the abort mode after the operator asked to stop sending at once
@@ -65,10 +67,10 @@ def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
     }
     control.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
     control.alarm("; ".join(why) or "abort")
-    return insist(control, modes, control.release)
+    return ask_until_shown(control, modes, control.release)
 
 
-def insist(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
+def ask_until_shown(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
     """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
 
     FlightEnded when the pilot takes over, the link stays away (`control`), or the operator asks for an end and the vehicle does not answer.
@@ -107,7 +109,7 @@ def release(control: FlightControl, why: str) -> None:
     if control.owned and control.state.mode == CopterMode.GUIDED_NOGPS:
         abort(control, (why,))
     elif control.owned and control.vehicle.armed and control.state.mode == CopterMode.GUIDED:
-        insist(control, abort_modes(control.state), lambda: None)
+        ask_until_shown(control, abort_modes(control.state), lambda: None)
 
 
 def come_to_rest(control: FlightControl) -> None:

@@ -25,7 +25,7 @@ _LOG_NEEDED = {
     17: "MOTB: battery compensation",
 }
 _FS_CONTINUE_GUIDED = 4
-BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is worth a word
+BEGIN_SHARE = 0.97  # of the voltage at which a script's repeats begin: a pack below it is reported
 _RC_IGNORED = 1
 RATE_SHARE = 0.8
 

@@ -42,7 +42,7 @@ def polygon(corners_e7: Sequence[tuple[int, int]]) -> tuple[FenceItem, ...]:
 
 def same_fence(one: Sequence[FenceItem], other: Sequence[FenceItem]) -> bool:
     """Whether two fences are one: commands, places and the first parameter (number of corners, or radius). A frame may come back as
-    its integer twin, and what an autopilot does not keep (further parameters, height) as 0."""
+    its integer form, and what an autopilot does not keep (further parameters, height) as 0."""
     if len(one) != len(other):
         return False
     return all(

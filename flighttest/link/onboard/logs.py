@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from flighttest.errors import InputError, LinkError
+from flighttest.errors import LinkError
 from flighttest.link.onboard.files import DATA_BYTES, SILENCE_S, VehicleFiles, crc32_of
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
-from flighttest.link.transport import URL_FORMS, full_url, open_transport
+from flighttest.link.transport import full_url, open_transport
 from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
 
 LOG_FOLDERS = ("/APM/LOGS", "logs")  # of ArduPilot on a flight controller, and of its SITL
@@ -25,14 +25,6 @@ _LIST_QUIET_S, _DATA_QUIET_S = 2.0, 0.5  # without one of its messages a request
 _LOOK_EVERY_S = 0.02
 _TRIAL_S = 1.0  # of each way, where there are two
 _OVERLAP_BYTES = 18 * DATA_BYTES
-_SCHEMES = {
-    "udpin": "udpin",
-    "udp": "udpin",
-    "udpout": "udpout",
-    "tcp": "tcpout",
-    "tcpout": "tcpout",
-    "serial": "serial",
-}
 
 
 @dataclass(frozen=True)
@@ -53,16 +45,6 @@ class _Download:
     size: int
     file: IO[bytes]
     on_progress: Callable[[float], None]
-
-
-def mavsdk_url(url: str) -> str:
-    """MAVSDK's form of one of our URLs. InputError for anything else."""
-    kind, _, rest = full_url(url).partition(":")
-    where, _, last = rest.rpartition(":")
-    known = kind in _SCHEMES and bool(where) and last.isdecimal()
-    if not known or (kind != "serial" and not 0 < int(last) < 65536):
-        raise InputError(f"{url!r} is not the URL of a link", f"use {URL_FORMS}")
-    return f"{_SCHEMES[kind]}://{rest}"
 
 
 def fetch(
