@@ -70,3 +70,10 @@ class Terms(Mapping[str, Term]):
 
 
 terms = Terms()
+
+
+def shipped_maneuvers() -> tuple[str, ...]:
+    """Names of the maneuver scripts that come with the program."""
+    from flighttest.script.shipped import shipped_names
+
+    return tuple(shipped_names())

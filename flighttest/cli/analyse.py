@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 import click
 
 import flighttest as ft
+from flighttest.cli import completion
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 from flighttest.cli.words import held, ties, weather_by_part
@@ -76,7 +77,14 @@ def segment(context: Context, runs: tuple[Path, ...], columns: Path | None) -> i
 @click.option("-o", "--output", type=FILE, metavar="MODEL", help="model.yaml to write.")
 @COLUMNS
 @click.option("--vehicle", type=FILE, help="vehicle.yaml: nominal voltage and components.")
-@click.option("--term", "terms", multiple=True, metavar="ID", help="Terms beside body and linear_drag (see `terms`).")
+@click.option(
+    "--term",
+    "terms",
+    multiple=True,
+    metavar="ID",
+    shell_complete=completion.term,
+    help="Terms beside body and linear_drag (see `terms`).",
+)
 @click.option(
     "--freeze", multiple=True, metavar="NAME=VALUE", help="Hold a parameter at a value; T_d holds every delay."
 )

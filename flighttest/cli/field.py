@@ -10,6 +10,7 @@ import click
 
 import flighttest as ft
 from flighttest.api.flights import flight
+from flighttest.cli import completion
 from flighttest.cli.base import ANY, FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @command("check")
-@click.argument("scripts", nargs=-1, required=True, metavar="SCRIPT...")
+@click.argument("scripts", nargs=-1, required=True, metavar="SCRIPT...", shell_complete=completion.maneuver)
 @click.option("--vehicle", type=FILE, help="vehicle.yaml: flight zone, hover throttle, nominal voltage.")
 @click.option("--model", type=ANY, help="Prior model flown through the script; otherwise the vehicle's accepted one.")
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where accepted models are.")
@@ -37,7 +38,7 @@ def check(
 
 
 @command("run")
-@click.argument("scripts", nargs=-1, metavar="SCRIPT...")
+@click.argument("scripts", nargs=-1, metavar="SCRIPT...", shell_complete=completion.maneuver)
 @click.option("--vehicle", type=FILE, help="vehicle.yaml; without it the built-in simulated copter flies.")
 @click.option(
     "--connect",
@@ -56,7 +57,13 @@ def check(
     show_default=True,
     help="The built-in vehicle.",
 )
-@click.option("--hide", multiple=True, metavar="ID:key=value", help="Hide an effect in the built-in vehicle.")
+@click.option(
+    "--hide",
+    multiple=True,
+    metavar="ID:key=value",
+    shell_complete=completion.term,
+    help="Hide an effect in the built-in vehicle.",
+)
 @click.option("--model", type=ANY, help="Model to compare with; otherwise the vehicle's model in use.")
 @click.option("--accept", is_flag=True, help="Make the improved model the vehicle's (see `accept`).")
 @click.option("--only", type=click.Choice(["fly", "fit"]), help="Stop after recording, or after the fit.")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 import click
 
 import flighttest as ft
+from flighttest.cli import completion
 from flighttest.cli.base import FILE, FOLDER, Context, command
 from flighttest.cli.live import LiveProgress
 
@@ -49,7 +50,7 @@ def prove(
 
 
 @command("terms")
-@click.argument("ids", nargs=-1, metavar="[ID...]")
+@click.argument("ids", nargs=-1, metavar="[ID...]", shell_complete=completion.term)
 def terms(context: Context, ids: tuple[str, ...]) -> int:
     """The catalogue of physics: what each term is, what it hides in, and which maneuver shows it."""
     return context.finish(ft.terms.describe(*ids))

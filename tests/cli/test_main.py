@@ -11,6 +11,7 @@ import threading
 
 import click
 import pytest
+from click.shell_completion import ShellComplete
 from pymavlink import mavutil
 
 from flighttest.cli import main as cli_main
@@ -277,3 +278,20 @@ def test_a_damaged_list_of_durations_is_no_error(tmp_path):
         assert kept.expected_s("a") is None
     kept.took("reading /a/b 3", 3.0)
     assert Durations(path).expected_s("reading /c 6") == 6.0
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("flighttest run thrust", ["thrust", "thrust_hover"]),
+        ("flighttest check spot", ["spot_check"]),
+        ("flighttest terms ground", ["ground_effect"]),
+        ("flighttest fit x --term vortex", ["vortex_ring"]),
+        ("flighttest diag", ["diagnose"]),
+        ("flighttest diagnose --ag", ["--against"]),
+    ],
+)
+def test_a_shell_completes_commands_options_maneuvers_and_terms(words, completed):
+    *before, begun = words.split()[1:]
+    complete = ShellComplete(cli_main.cli, {}, "flighttest", "_FLIGHTTEST_COMPLETE")
+    assert [item.value for item in complete.get_completions(before, begun)] == completed
