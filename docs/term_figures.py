@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from flighttest.channels import CHANNELS, WORDS
+from flighttest.diagnose.selection.candidates import null_value
 from flighttest.flight import fly
 from flighttest.identify.fit import Fit, fit
 from flighttest.identify.response_analysis.comparison import FittedChannel, fitted_responses
@@ -75,8 +76,10 @@ def models(term: Term) -> tuple[Model, Model]:
 def most_different(without: Fit, with_term: Fit) -> tuple[str, FittedChannel, FittedChannel]:
     """The response and its channel in which the residuals' root mean squares differ most in noise floors."""
     best, found = -np.inf, None
-    for before, after in zip(fitted_responses(without), fitted_responses(with_term), strict=True):
-        fitted = {c.channel: c for c in after.channels}
+    improved = {r.name: r for r in fitted_responses(with_term)}
+    for before in fitted_responses(without):
+        after = improved.get(before.name)  # two fits may take different responses, and in another order
+        fitted = {} if after is None else {c.channel: c for c in after.channels}
         for channel in before.channels:
             other = fitted.get(channel.channel)
             if other is None or not np.isfinite(other.floor) or other.floor <= 0.0:
@@ -129,7 +132,11 @@ def draw(term: Term) -> str:
     with tempfile.TemporaryDirectory() as folder:
         segments = flown(term, Path(folder) / "run")
     start = {p.name: SIZES.get(term.id, {}).get(p.name, p.nominal) for p in term.params}
-    found = fit(segments, without), fit(segments, with_term, start=start)
+    null: dict[str, float] = {}
+    if {b.name for b in without.blocks} != {b.name for b in with_term.blocks}:
+        # A coupling shows in the axis that was not commanded, which the model of one axis does not predict.
+        without, null = with_term, {p.name: null_value(p) for p in term.amplitudes}
+    found = fit(segments, without, frozen=null), fit(segments, with_term, start=start)
     return as_svg(picture(term, *most_different(*found)))
 
 

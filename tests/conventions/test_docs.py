@@ -3,7 +3,9 @@
 import importlib.util
 import re
 import tomllib
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 
@@ -51,6 +53,26 @@ def test_a_figure_is_what_the_program_draws(generate, term_figures):
     kept = generate.figure_caption("heading_hold")
     assert again.partition("residual")[0] == kept.partition("residual")[0]
     assert numbers_of(again) == pytest.approx(numbers_of(kept), rel=0.2)
+
+
+def test_a_figure_compares_both_fits_on_one_response(term_figures, monkeypatch):
+    """A fit with a coupling takes two axes together, so that its responses come in another order than those of the fit without."""
+
+    def responses(*offsets):
+        t = np.arange(5.0)
+        return [
+            SimpleNamespace(
+                name=f"run: {offset}",
+                channels=(SimpleNamespace(channel="v", measured=t + offset, simulated=t + offset - error, floor=0.01),),
+            )
+            for offset, error in offsets
+        ]
+
+    of = {"without": responses((0.0, 0.1), (9.0, 0.2)), "with": responses((9.0, 0.0), (0.0, 0.0))}
+    monkeypatch.setattr(term_figures, "fitted_responses", of.get)
+    name, before, after = term_figures.most_different("without", "with")
+    assert name == "9.0"
+    assert np.array_equal(before.measured, after.measured)
 
 
 def test_the_check_sees_a_stale_page(generate, tmp_path, monkeypatch):
