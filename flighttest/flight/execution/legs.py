@@ -158,7 +158,7 @@ def off_grid(leg: Leg) -> float:
 
 def _refused(control: FlightControl, leg: Leg, refused: tuple[Refusal, ...]) -> LegResult:
     why = refusal_sentences(refused)
-    reached = supervisor.abort(control, why)
+    reached = supervisor.abort(control, why, leg.id)
     lost = bool(LINK & set(refused))
     if lost:
         control.recorder.event("link_lost", leg.id, control.session.now_s(), {"leg": leg.id})

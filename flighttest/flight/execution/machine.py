@@ -210,7 +210,7 @@ def table_as_markdown() -> str:
 
 def words_as_markdown() -> str:
     """What each state and event means."""
-    states = [f"| {s.name} | {'end' if s.is_end else 'state'} | {s.value} |" for s in FlightState]
+    states = [f"| {s.name} | {'end' if s.is_end else 'state'} | {s.value.format(mode='MODE')} |" for s in FlightState]
     events = [f"| {e.name} | event | {e.value} |" for e in Event]
     return "\n".join(["| name | kind | meaning |", "|---|---|---|", *states, *events]) + "\n"
 

@@ -47,8 +47,8 @@ def abort_modes(state: VehicleState) -> tuple[CopterMode, ...]:
     return (*modes, CopterMode.LAND)
 
 
-def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
-    """Bring the vehicle into its abort mode and return it. The first release leaves before anything else.
+def abort(control: FlightControl, why: tuple[str, ...], step: str = "") -> CopterMode:
+    """Bring the vehicle into its abort mode and return it. The first release leaves before anything else. step: the one that ends here.
 
     Level targets go out every cycle until HEARTBEAT shows the mode. FlightEnded when the pilot takes over, or the link stays silent.
     """
@@ -66,7 +66,7 @@ def abort(control: FlightControl, why: tuple[str, ...]) -> CopterMode:
         "silence_s": state.silence_s,
     }
     control.recorder.event("abort", "; ".join(why) or "abort", state.t_s, situation)
-    control.alarm("; ".join(why) or "abort")
+    control.alarm((f"{step} is stopped: " if step else "") + ("; ".join(why) or "abort"))
     return ask_until_shown(control, modes, control.release)
 
 
