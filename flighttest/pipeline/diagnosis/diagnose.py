@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -35,8 +34,8 @@ from flighttest.pipeline.recordings.fingerprints import differences
 from flighttest.pipeline.recordings.sources import Reading, RecordingSource, losses_of, named, open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import words_of
-from flighttest.pipeline.store.history import DEFAULT_RUNS, folder_of_runs
-from flighttest.pipeline.store.models import NEXT_NAME, accepted
+from flighttest.pipeline.store.history import folder_of_runs
+from flighttest.pipeline.store.models import NEXT_NAME, accept_command, accepted
 from flighttest.recording import Recording
 from flighttest.report.document import Document
 from flighttest.report.numbers import join
@@ -67,7 +66,7 @@ def run_diagnosis(
     previous = None
     if stored is not None:
         previous = {name: (p.value, p.scatter) for name, p in stored.parameters.items()}
-    progress.stage("looking for what the model leaves out")
+    progress.stage("searching for what the model lacks")
     air = weather_of({}, recordings, vehicle) if weather is None else weather
     base = stored.model if stored is not None else base_model(recordings, vehicle)
     if is_free_flight(segments):
@@ -120,9 +119,7 @@ def diagnose(
         data, _ = write_diagnosis(found, segments, recordings, declared, stored, output, progress)
         facts["model"] = str(output / MODEL_NAME)
         place = folder_of_runs(runs)
-        words = f"flighttest accept {shlex.quote(str(output))}"
-        words += f" --out {shlex.quote(str(place))}" if place != DEFAULT_RUNS else ""
-        facts["accept it"] = accepted(output, place, vehicle) if keep else words
+        facts["accept it"] = accepted(output, place, vehicle) if keep else accept_command(output, place)
     data |= {"losses": losses_of(recordings), "another_vehicle": facts.get("another vehicle", "")}
     script = write_text(found.next_script) if found.next_script else ""
     if script and output is not None:

@@ -22,7 +22,7 @@ from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result, Status
 from flighttest.pipeline.store.flown_with import out_words, words_of
 from flighttest.pipeline.store.history import FIT_NAME, as_good
-from flighttest.pipeline.store.identities import whose
+from flighttest.pipeline.store.identities import WRITE_NAME_FIRST, whose
 from flighttest.pipeline.store.lineage import joint_fit_command, model_of, worse
 from flighttest.pipeline.store.models import NEXT_NAME, accepted, twin_command
 from flighttest.pipeline.validity.reflights import reflights
@@ -117,13 +117,13 @@ def how_to_accept(found: Analysis, status: Status, folder: Path, name: str, out:
     words = f"flighttest accept {shlex.quote(str(folder))}{out_words(out)}"
     used, own = found.previous, found.improved or found.fit
     if used is not None and not _changed(found) and worse(model_file.from_fit(own), used):
-        return f"with the flights of the model in use, which has more: {joint_fit_command(out, used, folder)}"
+        return f"together with the flights of the model in use, which determines more:\n{joint_fit_command(out, used, folder)}"
     if not name:
-        return f"{words} --vehicle vehicle.yaml (it is not known which vehicle this is)"
+        return f"{WRITE_NAME_FIRST}\n{words} --vehicle vehicle.yaml"
     if not keep:
         return words
     if status is Status.UNUSABLE:
-        return f"not accepted, since the flight did not end as planned: {words}"
+        return f"not accepted, since the flight did not end as planned:\n{words}"
     return accepted(folder, out, None)
 
 

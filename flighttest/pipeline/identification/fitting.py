@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -269,12 +270,21 @@ def fit(
     found = fit_segments(segments, recordings, declared, options, progress)
     found = replace(found, notes=(*found.notes, *doubtful))
     result = finish_fit(found, segments, recordings, declared, output, [named(r) for r in runs])
-    progress.stage("telling the wind of each flight")
+    files = [r for r in runs if isinstance(r, Path)]
+    facts = dict(result.document.facts)
+    if output is not None and found.status.good and len(files) == len(runs):
+        named_by = "".join(
+            f" {option} {shlex.quote(str(path))}"
+            for option, path in (("--columns", columns), ("--vehicle", vehicle), ("--model", output))
+            if path is not None
+        )
+        facts["go on"] = f"flighttest diagnose {' '.join(shlex.quote(str(f)) for f in files)}{named_by} -o diagnosis"
+    progress.stage("estimating the wind of each flight")
     made = [motor_section(segments), wind_section(segments, found.model, weather)]
     sections = tuple(section for section, _ in made if section is not None)
     return replace(
         result,
-        document=replace(result.document, sections=(*result.document.sections, *sections)),
+        document=replace(result.document, sections=(*result.document.sections, *sections), facts=facts),
         data={**result.data, **made[0][1], **made[1][1]},
     )
 

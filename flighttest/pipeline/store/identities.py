@@ -18,6 +18,9 @@ from flighttest.vehicle.model import Vehicle
 MODELS_DIR = "models"  # in a folder of runs: the accepted models of each vehicle (see `lineage`)
 LINEAGE_NAME = "lineage.yaml"
 LINEAGE_REPAIR = "restore the file, or move its folder away and accept a model again"
+WRITE_NAME_FIRST = (
+    "first write the vehicle's name into vehicle.yaml (`format: vehicle/1` and `name: ...` are enough), then"
+)
 NAME_IT = "name it with --vehicle vehicle.yaml (`format: vehicle/1` and `name: ...` are enough)"
 
 

@@ -188,16 +188,18 @@ def take_into_use(path: Path, out: Path, vehicle: Path | None = None) -> tuple[L
     return whole, made
 
 
+def modelled_vehicle(stored: ModelFile, out: Path) -> str:
+    """Name of the vehicle that a model is of, else what its autopilot is called; '' where neither is known."""
+    of = from_data(stored.vehicle)
+    return recognised(of, known_in(out)) or of.key
+
+
 def _whose(stored: ModelFile, path: Path, out: Path, vehicle: Path | None) -> str:
     declared = load_vehicle(vehicle, to_fly=False).name if vehicle is not None else ""
-    of = from_data(stored.vehicle)
-    known = recognised(of, known_in(out))
-    name = (
-        known if of.name or known != of.key else ""
-    )  # what its autopilot is called is no name against that of a vehicle file
-    if declared and name and declared != name:
+    of, name = from_data(stored.vehicle), modelled_vehicle(stored, out)
+    # What its autopilot is called is no name against that of a vehicle file.
+    if declared and name and declared != name and (of.name or name != of.key):
         raise InputError(f"{path} is a model of {name}, not of {declared}", f"give the vehicle file of {name}")
-    name = name or of.key
     if not (declared or name):
         raise InputError(f"{path}: it is not known which vehicle this is a model of", NAME_IT)
     return declared or name

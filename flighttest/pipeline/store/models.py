@@ -12,9 +12,18 @@ from pathlib import Path
 from flighttest.errors import FlighttestError, LinkError
 from flighttest.identify.models import model_file
 from flighttest.pipeline.results import Result
-from flighttest.pipeline.store.flown_with import rerun_options
+from flighttest.pipeline.store.flown_with import out_words, rerun_options
 from flighttest.pipeline.store.history import check_runs, when
-from flighttest.pipeline.store.lineage import Generation, Lineage, in_use, lineages, stale_since, take_into_use
+from flighttest.pipeline.store.identities import WRITE_NAME_FIRST
+from flighttest.pipeline.store.lineage import (
+    Generation,
+    Lineage,
+    in_use,
+    lineages,
+    modelled_vehicle,
+    stale_since,
+    take_into_use,
+)
 from flighttest.report.document import Cell, Document, Paragraph, Section, Table
 from flighttest.report.numbers import join
 from flighttest.sim.sitl.launcher import find_arducopter
@@ -73,6 +82,16 @@ def _fits_zone(folder: Path) -> bool:
     except (OSError, ValueError, AttributeError):
         return True
     return reason.get("fits_zone") is not False
+
+
+def accept_command(folder: Path, out: Path) -> str:
+    """The command that makes a folder's model its vehicle's, behind what has to be stated first where the vehicle is not known."""
+    command = f"flighttest accept {shlex.quote(str(folder))}{out_words(out)}"
+    return (
+        command
+        if modelled_vehicle(model_file.read(folder), out)
+        else f"{WRITE_NAME_FIRST}\n{command} --vehicle vehicle.yaml"
+    )
 
 
 def accepted(path: Path, out: Path, vehicle: Path | None) -> str:
