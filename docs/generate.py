@@ -39,10 +39,10 @@ def commands() -> str:
         "Generated from the program's own help by `make docs`; a test keeps it current.",
         "",
     ]
-    context = click.Context(cli, info_name="flighttest", terminal_width=100, help_option_names=["-h", "--help"])
+    context = click.Context(cli, info_name="flighttest", terminal_width=84, help_option_names=["-h", "--help"])
     parts += ["```", cli.get_help(context), "```", ""]
     for name, command in cli.commands.items():
-        child = click.Context(command, info_name=name, parent=context, terminal_width=100)
+        child = click.Context(command, info_name=name, parent=context, terminal_width=84)
         parts += [f"## flighttest {name}", "", "```", command.get_help(child), "```", ""]
     return "\n".join(parts)
 
@@ -167,7 +167,7 @@ def _signature(function: Callable[..., object]) -> str:
         default = "" if p.default is p.empty else f" = {p.default!r}"
         words.append(f"{stars.get(p.kind, '')}{p.name}: {p.annotation}{default}")
     text = f"({', '.join(words)}) -> {shown.return_annotation}"
-    if len(text) <= 90:
+    if len(f"{function.__name__}{text}") <= 84:
         return text
     return "(\n" + "".join(f"    {word},\n" for word in words) + f") -> {shown.return_annotation}"
 

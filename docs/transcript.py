@@ -16,7 +16,7 @@ from pathlib import Path
 PAGE = Path(__file__).resolve().parent / "look.md"
 PICTURE = PAGE.parent / "demo.svg"  # of the demo whose transcript is shown
 BLOCK = re.compile(r"(<!-- transcript: (.+?) -->\n```\n).*?(```\n<!-- end -->)", re.DOTALL)
-WIDTH = 96
+WIDTH = 80
 
 
 def outputs_of(commands: list[str], folder: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Fly a multirotor's test maneuvers, identify its dynamics, and name the physics the model left out.
+"""Fly a multirotor's test maneuvers, identify its dynamics, and name the physics that the model lacks.
 
     import flighttest as ft
 

@@ -29,7 +29,7 @@ def widest(table: Table) -> Table:
     """The table with the rows alone that decide how wide its columns are: those of the longest cell and the longest word of each."""
 
     def lengths(row: tuple[Cell | str, ...], index: int) -> tuple[int, int]:
-        text = row[index] if isinstance(row[index], str) else f"{row[index].text} {row[index].note}"
+        text = row[index] if isinstance(row[index], str) else f"{row[index].text}: {row[index].note}"
         return cell_len(text), max((cell_len(word) for word in text.split()), default=0)
 
     sized = [[lengths(row, index) for index in range(len(table.columns))] for row in table.rows]

@@ -29,7 +29,7 @@ class InOrder(click.Group):
 @click.group(cls=InOrder, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="flighttest")
 def cli() -> None:
-    """Fly a multirotor's test maneuvers over MAVLink, identify its dynamics, and name the physics the model left out.
+    """Fly a multirotor's test maneuvers over MAVLink, identify its dynamics, and name the physics that the model lacks.
 
     Start with `flighttest run thrust roll_pitch yaw_rate`: it flies the built-in simulated copter.
 

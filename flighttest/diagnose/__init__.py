@@ -1,4 +1,4 @@
-"""Locate a mismatch, name what physics was left out, model it and show the fit improve.
+"""Locate a mismatch, name the missing physics, model it and show the fit improve.
 
 from flighttest.diagnose import diagnose
 found = diagnose(segments)

@@ -29,16 +29,25 @@ def verdict_of(any_named: bool, share: float, located: bool, still: bool) -> Ver
 def sentence_of(verdict: Verdict, findings: Sequence[Any], share: float, located: Sequence[Any], complete: bool) -> str:
     """The answer in one sentence."""
     if not complete and verdict is Verdict.NOTHING_MISSING:
-        return "Interrupted: nothing was found missing until then, and what was not searched may hide something."
+        return "Interrupted: nothing was found missing until then. Effects that were not searched may be missing."
     more = "" if complete else " Interrupted: there may be more."
     names = ", ".join(f.title.lower() for f in findings)
     if verdict is Verdict.EXPLAINED:
-        return f"Left out: {names}. With it {100 * max(0.0, 1 - share):.0f} % of the excess error is gone.{more}"
+        gone = 100 * max(0.0, 1 - share)
+        return (
+            f"The base model lacks: {names}. Adding it removes {gone:.0f} % of the error above the noise floor.{more}"
+        )
     if verdict is Verdict.PARTLY:
-        return f"Left out: {names}; {100 * share:.0f} % of the excess error stays unexplained.{more}"
+        return f"The base model lacks: {names}. {100 * share:.0f} % of the error above the noise floor remains unexplained.{more}"
     if verdict is Verdict.NOTHING_MISSING:
-        return "Nothing is missing above the noise floor; see the smallest effects that would have been noticed."
-    determined = f"Something is missing that has no name here: {located[0].sentence}." if located else verdict.value
+        return (
+            "Nothing is missing above the noise floor. The smallest effects that would have been detected are listed."
+        )
+    determined = (
+        f"Something is missing that no effect of the catalogue explains. Its place: {located[0].sentence}."
+        if located
+        else verdict.value
+    )
     return determined + more
 
 
@@ -56,7 +65,7 @@ def moved_parameters(previous: Mapping[str, tuple[float, float | None]], after: 
     largest = sorted(changes, key=lambda n: -abs(changes[n]))
     words = ", ".join(f"{n} {100 * changes[n]:+.0f} %" for n in largest[:3])
     more = f" and {len(largest) - 3} more" if len(largest) > 3 else ""
-    return f" The model given does not hold as it is ({words}{more}): its parameters were fitted anew."
+    return f" Parameters of the given model changed in the new fit ({words}{more})."
 
 
 def predicted_worse(held: Mapping[str, Mapping[str, HeldOutRow]]) -> str:

@@ -88,8 +88,8 @@ def describe(
                 "channel": short(name),
                 "port": "specific force" if name.startswith(("f_", "a_")) else "attitude loop",
                 "formula": f"{short(name)} residual = {formula}",
-                "sentence": f"{short(name)}: what stays follows this formula but for {100 * left:.0f} % of it, inside the range flown; "
-                "it is a description without a name",
+                "sentence": f"{short(name)}: this formula describes {100 * (1.0 - left):.0f} % of the residual inside the range flown; "
+                "it is a description, not a named effect",
                 "functions": chosen,
                 "coefficients": weights.tolist(),
                 "heldout_share": left,

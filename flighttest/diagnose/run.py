@@ -46,7 +46,7 @@ from flighttest.segments.model import Segment
 LEAST_SEGMENTS = 4
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
-SHAPE_ALONE = "times its usual self"
+SHAPE_ALONE = "times its usual size"
 UNTRIED = "not looked for to the end: the search was interrupted"
 
 SideBySide = Callable[[Callable[[Sequence[str]], list[BlockAnswer]], Sequence[str], Sequence[float]], list[BlockAnswer]]

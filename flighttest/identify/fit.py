@@ -375,8 +375,8 @@ def _notes(problem: Problem, solution: Solution, model: Model) -> tuple[str, ...
     for block in model.blocks:
         if block.name not in fed:
             moved = any(moves(s, block) for s in problem.segments)
-            why = "what answers it was not recorded" if moved else "no segment moves it"
-            notes.append(f"{block.name.replace('_', ' ')} reference: {why}, and its parameters stay as assumed")
+            why = "the channel that responds to it was not recorded" if moved else "no response has one"
+            notes.append(f"{block.name.replace('_', ' ')} command: {why}, and its parameters keep the values assumed")
     return tuple(notes)
 
 

@@ -245,8 +245,8 @@ SEALS = "seals.csv"
 RECORDED = (
     "Each trial takes flights that others made, drawn from a list, and adds to them what an effect would have changed: the difference of "
     "two flights of the vehicle, as an estimator of its own (scipy) fitted it, is simulated along the recording, with a controller that "
-    "answers between steps. Noise, wind and whatever else is in the recordings stay as they are; what their documentation supports is no "
-    "false alarm. Trials share flights."
+    "acts between steps. Noise, wind and everything else in the recordings remain unchanged; a name that their documentation supports is "
+    "no false alarm. Trials share flights."
 )
 
 

@@ -25,7 +25,7 @@ class Use(Enum):
     REJECTED = "cut, and rejected"
     PAUSE = "nothing was recorded"
     GROUND = "before take-off, after landing or on the ground"
-    UNKNOWN = "what the vehicle was asked to do was not recorded"
+    UNKNOWN = "no command was recorded (for example while the autopilot holds a position)"
     BETWEEN = "between steps: held still, interrupted, or too short for a window"
     SHORT = "too short for a window"
 

@@ -207,7 +207,7 @@ def test_an_effect_of_the_smallest_size_reported_is_named_four_times_in_five(rng
 
 
 @pytest.mark.parametrize(
-    ("level", "said"), [(1.9, None), (2.1, "2.1 times what is usual"), (101.0, "would not have shown")]
+    ("level", "said"), [(1.9, None), (2.1, "2.1 times its usual size"), (101.0, "would not have shown")]
 )
 def test_what_shows_only_at_more_than_twice_its_usual_size_could_not_be_seen(level, said):
     term = catalogue()["quadratic_drag"]

@@ -50,7 +50,7 @@ def test_quality_distinguishes_noise_from_misfit(found, flown):
     assert "noise" in found.quality["roll_rad"].sentence
     wrong = fit(flown, Model(("body",)))
     assert wrong.quality["f_x_m_s2"].autocorrelation > 0.3
-    assert "misses" in wrong.quality["v_x_m_s"].sentence
+    assert "lacks" in wrong.quality["v_x_m_s"].sentence
 
 
 def test_missing_samples_and_uneven_times_do_no_harm(flown):

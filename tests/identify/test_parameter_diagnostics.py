@@ -51,7 +51,7 @@ def test_what_leans_on_a_delay_at_its_bound_is_not_known(yaws):
     found = fit(late)
     assert "T_d_yaw_rate" in found.solution.at_bound
     assert not found.estimates["sigma_r"].identifiable
-    assert "T_d_yaw_rate sits at its bound" in found.estimates["sigma_r"].why
+    assert "T_d_yaw_rate is at its bound" in found.estimates["sigma_r"].why
 
 
 def test_a_gain_that_changes_with_throttle_is_no_constant():
@@ -110,7 +110,7 @@ def test_without_attitude_only_level_steps_tell_of_thrust(flown):
     blind = [replace(s, y={c: v for c, v in s.y.items() if c not in ("roll_rad", "pitch_rad")}) for s in flown]
     found = fit(blind)
     assert any("attitude was not recorded" in note for note in found.notes)
-    assert any("roll reference: what answers it was not recorded" in note for note in found.notes)
+    assert any("roll command: the channel that responds to it was not recorded" in note for note in found.notes)
     assert not found.estimates["d_x"].identifiable
     assert abs(found.values["K"] / TRUTH["K"] - 1) < 0.02
     (part,) = (p for p in found.problem.parts if p.block.name == "translation")

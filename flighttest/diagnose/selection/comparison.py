@@ -301,7 +301,7 @@ def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepa
         value, half = fitted.at.values[p.name], interval_factor(dof) * std
         if abs(value - null_value(p)) > half:
             return ""
-        said = f"{p.name} is {value:.2g} +- {half:.1g} {p.unit}, which may be nothing"
+        said = f"{p.name} is {value:.2g} +- {half:.1g}{_unit(p)}, which may be nothing"
     return said
 
 
@@ -331,14 +331,18 @@ def inadmissible(
         at_bound = bound not in ("", p.natural_bound if repeated else "") and value != p.nominal
         # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
-            return f"{p.name} is at its bound, {value:.3g} {p.unit}"
+            return f"{p.name} is at its bound, {value:.3g}{_unit(p)}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
         # One of several may be there by chance.
         if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, fitted, segments)):
-            return f"{p.name} is {value:.3g} {p.unit}, which physics does not allow"
+            return f"{p.name} is {value:.3g}{_unit(p)}, which physics does not allow"
         if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
-            return f"{p.name} is {value:.3g} {p.unit}, and no more than {most:.3g} was flown"
+            return f"{p.name} is {value:.3g}{_unit(p)}, and no more than {most:.3g} was flown"
     return ""
+
+
+def _unit(p: Param) -> str:
+    return "" if p.unit == "1" else f" {p.unit}"
 
 
 def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:

@@ -108,7 +108,7 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
         if not level < NEVER * usual:
             found.append(Untestable(term.id, UNSEEN, term.reveals))
         elif level > PLAUSIBLE * usual:
-            unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "of itself")
-            why = f"only {level:.2g} {unit} or more would have shown, {level / usual:.1f} times what is usual"
+            unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "times itself")
+            why = f"would be detected from {level:.2g}{f' {unit}' if unit else ''} on, {level / usual:.1f} times its usual size"
             found.append(Untestable(term.id, why, term.reveals))
     return found

@@ -120,7 +120,7 @@ def _not_determined(param: Param, found: Estimated, diagnostics: ParameterDiagno
     if found.insensitive:
         return _WHY_INSENSITIVE.get(param.name, f"nothing in this data depends on {param.name}")
     if found.at_bound:
-        return f"the estimate sits at its bound {value:g} {param.unit}"
+        return f"the estimate is at its bound {value:g}{'' if param.unit == '1' else f' {param.unit}'}"
     if found.std is None:
         return "no error could be estimated for it"
     if diagnostics.explained < EXPLAINS_NOTHING:
@@ -133,7 +133,7 @@ def _not_determined(param: Param, found: Estimated, diagnostics: ParameterDiagno
         few = "one response holds information" if one else f"{diagnostics.responses} responses hold information"
         return f"only {few} on it: without repeats its error is not known"
     if diagnostics.bound is not None:
-        return f"{diagnostics.bound} sits at its bound, and the two cannot be distinguished here"
+        return f"{diagnostics.bound} is at its bound, and the two cannot be distinguished here"
     if diagnostics.other_optimum is not None:
         return diagnostics.other_optimum.sentence(param.unit)
     if diagnostics.spread is not None and diagnostics.spread.width > allowance(param, value):

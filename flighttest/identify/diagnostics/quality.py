@@ -33,11 +33,11 @@ class ChannelQuality:
     def sentence(self) -> str:
         """Whiteness in words."""
         if self.autocorrelation < 0.2:
-            return "what is left looks like noise"
+            return "the residual looks like noise"
         if self.rmse < 1.5 * self.floor:
-            return "what is left changes slowly, but is hardly larger than the noise"
+            return "the residual changes slowly, but is hardly larger than the noise"
         ratio = self.rmse / max(self.floor, 1e-12)
-        return f"what is left changes slowly and is {ratio:.1f} times the noise: that is slow noise, or something the model misses here"
+        return f"the residual changes slowly and is {ratio:.1f} times the noise: slow noise, or something that the model lacks"
 
 
 @dataclass(frozen=True)

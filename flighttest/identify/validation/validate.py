@@ -276,20 +276,16 @@ def _verdicts(errors: Sequence[HorizonError]) -> list[str]:
             continue
         h = horizons[-1]
         full = table[Variation.FULL, group, h]
-        little = f", {few[group, h]}: little is known of it, or of what follows" if few[group, h] else ""
-        sentences.append(f"after {h:g} s the full model's {group} is off by {full:.2f} {UNITS[group]} (RMS){little}")
+        little = f", {few[group, h]}: uncertain, as are the ratios below" if few[group, h] else ""
+        sentences.append(
+            f"after {h:g} s the {group} error of the full model is {full:.2f} {UNITS[group]} (RMS){little}"
+        )
         for variation in Variation:
             other = table.get((variation, group, h))
             if variation is Variation.FULL or other is None:
                 continue
             ratio = other / full if full > 0 else float("inf")
-            word = (
-                f"{ratio:.1f} times as far"
-                if ratio >= 1.05
-                else "no further"
-                if ratio > 0.95
-                else f"less far ({ratio:.2f} times)"
-            )
-            sentences.append(f"{variation.value}: {group} off {word} after {h:g} s")
+            size = "as large" if 0.95 < ratio < 1.05 else f"{ratio:.{1 if ratio > 1.0 else 2}f} times as large"
+            sentences.append(f"{variation.value}: {group} error {size} after {h:g} s")
         break
     return sentences

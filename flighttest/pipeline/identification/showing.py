@@ -36,6 +36,7 @@ from flighttest.segments.airborne import flights
 from flighttest.segments.health import at_limits, battery_course, in_flight, modes, sampling, spectra
 from flighttest.version import __version__
 
+GROUP_WORDS = {"reference": "command"}
 STEPS_OF_A_MANEUVER = 6  # fewer steps happen in a flight by hand, too
 SLOW_M_S, LEVEL_RAD = 0.3, 0.1  # of hovering
 MOST_WINDOWS = 24  # of free flight, that the outlook rests on: more would take longer and show the same
@@ -160,7 +161,7 @@ def _commands(outlook: Sequence[ParameterOutlook], named: str, columns: Path | N
     found = []
     if any(one.expected.std is not None for one in outlook):
         found.append(("The model's parameters from this recording:", f"flighttest fit {named}{more} -o model.yaml"))
-        found.append(("What physics such a model leaves out:", f"flighttest diagnose {named}{more} -o diagnosis"))
+        found.append(("What physics the model lacks:", f"flighttest diagnose {named}{more} -o diagnosis"))
     scripts = list(dict.fromkeys(one.fly for one in outlook if one.fly))
     if scripts:
         words = " ".join(scripts)
@@ -192,17 +193,18 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     worst = max(look.sampling, key=lambda s: s.lost, default=None)
     doubts = []
     if worst is not None and worst.lost > 0.02:
-        doubts.append(f"{100 * worst.lost:.0f} % of the time has no {worst.group.replace('_', ' ')}")
+        group = GROUP_WORDS.get(worst.group, worst.group.replace("_", " "))
+        doubts.append(f"no {group} was recorded for {100 * worst.lost:.0f} % of the time")
     if recording.provenance.losses:
         count = len(recording.provenance.losses)
-        doubts.append(f"reading it has {count} remark{'s' if count > 1 else ''} (see its health)")
+        doubts.append(f"reading the log gave {count} remark{'s' if count > 1 else ''} (listed under its health)")
     good = [one.expected.name for one in look.outlook if one.enough]
     if not any(one.expected.std is not None for one in look.outlook):
-        outlook, tone = "Nothing of it can be used for a fit.", "bad"
+        outlook, tone = "Nothing in it can be used for a fit.", "bad"
     elif len(good) == len(look.outlook):
-        outlook, tone = f"All {len(good)} parameters may become known by a fit.", "good"
+        outlook, tone = f"A fit can determine all {len(good)} parameters, if the model fits the vehicle.", "good"
     else:
-        outlook = f"At best {len(good)} of {len(look.outlook)} parameters become known by a fit."
+        outlook = f"A fit can determine at most {len(good)} of {len(look.outlook)} parameters."
         tone = "warn"
     return f"{kind}{'; ' + join(doubts) if doubts else ''}. {outlook}", tone  # type: ignore[return-value]
 

@@ -157,14 +157,14 @@ def _verdict(found: Validation) -> tuple[str, Tone]:
     units = {"velocity": "m/s", "position": "m", "roll": "rad"}[group]
     few = full[group].few
     tone: Tone = "warn" if few else "good"
-    head = f"After {at:g} s the model's {group} is off by {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
+    head = f"After {at:g} s the {group} error of the model is {mine:.3g} {units} (RMS{', ' if few else ''}{few})"
     if worse:
-        return f"{head}; {join(worse)} would have been better on this flight.", "warn"
+        return f"{head}; that of the simplification {join(worse)} is smaller on this flight.", "warn"
     if not better:
         return f"{head}.", tone
     if len(better) <= 2:
-        return f"{head}, less than with {join(better, 'or')}.", tone
-    return f"{head}, less than with any of the {len(better)} simplifications that matter here.", tone
+        return f"{head}, smaller than with {join(better, 'or')}.", tone
+    return f"{head}, smaller than with any of the {len(better)} simplifications that differ from it.", tone
 
 
 def _data(found: Validation) -> dict[str, Any]:

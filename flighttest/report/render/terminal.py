@@ -254,5 +254,5 @@ def _cell(cell: Cell | str) -> Text:
         return Text(cell)
     text = Text(cell.text, style=STYLE[cell.tone])
     if cell.note:
-        text.append(f" {cell.note}", style="dim")
+        text.append(f"{' ' if cell.text == '-' else ': '}{cell.note}", style="dim")
     return text

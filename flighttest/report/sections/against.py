@@ -113,13 +113,19 @@ def sentence(data: AgainstData) -> str:
     if data["lacks"]:
         parts.append(f"lacks {join([titled(titles, t) for t in data['lacks']])}")
     if data["too_much"]:
-        parts.append(f"has {join([titled(titles, t) for t in data['too_much']])}, which reality has not")
+        parts.append(f"has {join([titled(titles, t) for t in data['too_much']])}, which reality does not have")
     if data["other_value"]:
         parts.append(f"has {join(list(data['other_value']))} with another value")
     rows = data["parameters"]
     tested = sum(r["p_value"] is not None for r in rows)
     if not parts:
-        return f"No difference between simulator and reality is beyond its error ({tested} parameters compared)."
+        floors = [p["before"] / p["floor"] for p in data["prediction"].values() if p["floor"]]
+        worst = (
+            f" Its prediction error is at most {number(max(floors), 3)} noise floors in every channel."
+            if floors
+            else ""
+        )
+        return f"No difference between simulator and reality is beyond its error ({tested} parameters compared).{worst}"
     return f"The simulator {'; it '.join(parts)}."
 
 
@@ -189,8 +195,8 @@ def comparison_figure(
     if not panels:
         return None
     caption = (
-        "Left: what is left of each channel, in what its noise alone would leave. Right: how far each parameter differs, in standard "
-        "errors of the difference; of many parameters, one of twenty is beyond the dashed lines by chance."
+        "Left: RMS prediction error of each channel, in noise floors. Right: difference of each parameter in its standard errors; of "
+        "twenty parameters that are the same, one is beyond the dashed lines by chance."
     )
     return Figure("comparison", tuple(panels), caption, 2, 340)
 
@@ -223,7 +229,7 @@ def difference_table(parameters: Sequence[DifferenceRow], first: str, second: st
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "right", "left")
     caption = (
         f"Both sides fitted in one model; difference: {first} minus {second}, 95 % interval. It differs where it is beyond "
-        "chance at 1 % over all parameters together; 'same to': the difference that four of five such pairs would show."
+        "chance at 1 % over all parameters together; 'same to': the difference that would be detected with a probability of 80 %."
     )
     return Table(
         ("parameter", first, second, "unit", "difference", "change", "verdict"),
@@ -240,7 +246,7 @@ def _to(r: DifferenceRow) -> str:
     least, size = r.get("detectable"), abs(r["simulated"] or 0.0)
     if r["kind"] != "SAME" or not least:
         return ""
-    return f" to {percent(least / size)}" if size > least else f" to {number(least, 2)}"
+    return f" to {percent(least / size)}" if size > least / 10.0 else f" to {number(least, 2)}"
 
 
 def _prediction(data: AgainstData) -> Section | None:
@@ -284,8 +290,8 @@ def steps_section(steps: Sequence[StepRow]) -> Section | None:
     if not rows:
         return None
     caption = (
-        "Mean response of each step that both sides flew: RMS of the difference, and over the scatter of its repeats. No model is in "
-        "it; nor is what the repeats differ by, such as the battery's voltage."
+        "Mean response of each step that both sides flew: RMS of the difference, and its ratio to the scatter of the repeats. No model "
+        "is used, and differences of voltage between repeats are not corrected."
     )
     columns = ("step", "repeats", "difference", "unit", "over scatter")
     table = Table(columns, tuple(rows), ("left", "right", "right", "left", "right"), caption, True, (), OMITTED)
@@ -294,4 +300,4 @@ def steps_section(steps: Sequence[StepRow]) -> Section | None:
 
 def _sides(data: AgainstData) -> Section:
     lines = (f"real: {data['real']['sentence']}", f"simulated: {data['simulated']['sentence']}")
-    return Section("sides", "Each side by itself", (Bullets(lines),), "What the base model misses in each.")
+    return Section("sides", "Each side by itself", (Bullets(lines),), "What the base model lacks in each.")

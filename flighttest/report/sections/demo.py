@@ -191,7 +191,7 @@ def _truth(data: DemoData) -> Section:
         ),
         Paragraph(f"hidden: {concealed}; found: {names}.", "good" if data["as_hidden"] else "warn"),
     ]
-    lead = "Only the simulator had this; the diagnosis read recordings."
+    lead = "The hidden values were given to the simulator only; the diagnosis had only the recordings."
     return Section("truth", "What was hidden, and what was found", tuple(blocks), lead)
 
 
@@ -208,5 +208,8 @@ def _sure(finding: FindingRow) -> str:
 
 
 def _go_on(commands: Sequence[str], report: str) -> Section:
-    lead = f"The page with the picture is {report}. To make the model this vehicle's, to ask whether it still holds, and to ask what if:"
+    lead = (
+        f"The page with the picture is {report}. Next commands: make the model this vehicle's; test whether it is still valid; predict a "
+        "change."
+    )
     return Section("next", "Go on", tuple(Code(c) for c in commands), lead)

@@ -14,6 +14,7 @@ from flighttest.report.document import OMITTED, Align, Bullets, Cell, Code, Page
 from flighttest.report.numbers import number, percent, to_error, unit
 from flighttest.report.sections.diagnosis_figures import before_after, channel_words, heat_map, regimes
 
+BASELINE_WORDS = {"with what was left out": "improved model"}  # a key of diagnosis.json
 FEW_PLACES = 2  # where a mismatch is, which a terminal names without being asked
 _VERDICT_TONES: dict[str, Tone] = {
     "EXPLAINED": "good",
@@ -64,7 +65,7 @@ def missing_sections(data: DiagnosisData) -> tuple[Section, ...]:
     blocks: list[PageBlock] = [Table(("term", "parameter", "value", "unit", "95 % interval"), tuple(rows), align)]
     held = _heldout_rows(data)
     if held:
-        caption = "RMSE on responses that were not used for the choice, without and with what is missing."
+        caption = "RMSE on responses that were not used for the choice, before and after adding what is missing."
         heads = ("channel", "before", "after", "noise floor", "drop")
         blocks.append(Table(heads, tuple(held), ("left", "right", "right", "right", "right"), caption))
     return (Section("missing", "What the model lacked", tuple(blocks)),)
@@ -131,7 +132,7 @@ def _findings(data: DiagnosisData) -> Section:
     if not blocks:
         searched = "of what was searched before the interruption " if data.get("complete") is False else ""
         blocks.append(Paragraph(f"No physics of the catalogue {searched}is needed to explain these recordings."))
-    return Section("findings", "What physics was left out", tuple(blocks))
+    return Section("findings", "What physics is missing", tuple(blocks))
 
 
 def winds_table(winds: Sequence[FlightWindRow]) -> Section | None:
@@ -183,7 +184,7 @@ def _improvement(data: DiagnosisData) -> Section | None:
     rows = _heldout_rows(data)
     if rows:
         align: tuple[Align, ...] = ("left", "right", "right", "right", "right")
-        caption = "RMSE on responses that were not used for the choice; drop: how much of it went away, 95 % interval."
+        caption = "RMSE on responses that were not used for the choice; drop: before minus after, 95 % interval."
         blocks.append(Table(("channel", "before", "after", "noise floor", "drop"), tuple(rows), align, caption))
     figure = before_after(data)
     if figure is not None:
@@ -223,7 +224,7 @@ def _moved(data: DiagnosisData) -> Table | None:
         rows.append((name, old, to_error(a.get("value"), a.get("std")), unit(str(a.get("unit", "")))))
     if not rows:
         return None
-    caption = "Parameters by the base model, and with what was left out."
+    caption = "Parameters of the base model, and of the improved model."
     return Table(
         ("parameter", "before", "after", "unit"), tuple(rows), ("left", "right", "right", "left"), caption, fold=True
     )
@@ -238,7 +239,8 @@ def _baselines(data: DiagnosisData) -> Table | None:
         (channel_words(channel), *(number(entry.get(n), 3) for n in names)) for channel, entry in table.items()
     )
     numbers: list[Align] = ["right" for _ in names]
-    return Table(("channel", *names), rows, ("left", *numbers), "RMSE of simpler predictions beside it.", fold=True)
+    heads = ("channel", *(BASELINE_WORDS.get(n, n) for n in names))
+    return Table(heads, rows, ("left", *numbers), "RMSE of simpler predictions beside it.", fold=True)
 
 
 def _limits(data: DiagnosisData) -> Section:
@@ -270,10 +272,8 @@ def _limits(data: DiagnosisData) -> Section:
         for u in data.get("untestable") or ()
     )
     if unseen:
-        caption = "This data could not have shown them: not seen is not the same as absent."
-        brief = (
-            f"Could not be seen in these flights, which is not the same as absent: {', '.join(u[0] for u in unseen)}."
-        )
+        caption = "These flights could not have shown them; that does not mean that they are absent."
+        brief = f"Could not be seen in these flights (they may be present): {', '.join(u[0] for u in unseen)}."
         blocks.append(Table(("could not be seen", "why", "fly"), unseen, caption=caption, brief=brief))
     smallest = data.get("smallest_detectable") or {}
     if smallest:
@@ -282,15 +282,13 @@ def _limits(data: DiagnosisData) -> Section:
             (str(k), number(v, 2) if isinstance(v, int | float) else str(v), unit(str(units.get(k, ""))))
             for k, v in smallest.items()
         )
-        caption = "The smallest effect that would have been noticed."
+        caption = "The smallest effect that would have been detected."
         blocks.append(
             Table(("effect", "smallest", ""), lines, ("left", "right", "left"), caption, fold=True, brief=OMITTED)
         )
     left = data.get("unexplained")
     if left:
-        blocks.append(
-            Paragraph(f"Left unexplained: {percent(left['excess_share'])} of the error above the noise floor.")
-        )
+        blocks.append(Paragraph(f"Unexplained: {percent(left['excess_share'])} of the error above the noise floor."))
     notes = tuple(_sentence(str(n)) for n in data.get("notes") or ())
     if notes:
         blocks.append(Bullets(notes))

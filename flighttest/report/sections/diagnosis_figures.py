@@ -31,7 +31,7 @@ def heat_map(data: DiagnosisData) -> Figure | None:
     channels = list(dict.fromkeys(str(c["channel"]) for c in cells))
     columns = list(dict.fromkeys(_column(c) for c in cells))
     panels, words = [], [channel_words(c) for c in channels]
-    for key, title in (("before_floors", "base model"), ("after_floors", "with what was left out")):
+    for key, title in (("before_floors", "base model"), ("after_floors", "improved model")):
         if key == "after_floors" and not data.get("findings"):
             continue
         worst: dict[tuple[str, str], float] = {}

@@ -62,7 +62,7 @@ def parameter_section(view: FitView) -> Section:
     if strong:
         words = "; ".join(f"{a} and {b} ({c:+.2f})" for a, b, c in strong[:MAX_CORRELATIONS])
         words += f"; and {len(strong) - MAX_CORRELATIONS} more pairs" if len(strong) > MAX_CORRELATIONS else ""
-        remarks.append(f"estimates that move together (correlation above {view.correlation_above:g}): {words}")
+        remarks.append(f"correlated estimates (above {view.correlation_above:g}): {words}")
     remarks += [*view.warnings, *view.notes]
     if remarks:
         # Where nothing is known the reasons are the answer.
@@ -72,7 +72,7 @@ def parameter_section(view: FitView) -> Section:
 
 
 def quality(view: FitView) -> Section:
-    """What the model leaves of each channel, against the noise."""
+    """The residual of each channel against the noise."""
     rows = tuple(
         (
             q.channel,
@@ -85,17 +85,17 @@ def quality(view: FitView) -> Section:
         for q in view.quality
     )
     align: tuple[Align, ...] = ("left", "right", "right", "left", "right", "left")
-    table = Table(("channel", "RMSE", "noise", "unit", "R2", "what is left"), rows, align)
+    table = Table(("channel", "RMSE", "noise", "unit", "R2", "residual"), rows, align)
     blocks: list[PageBlock] = [table]
     if any(not q.clean for q in view.quality):
         blocks.append(
             Paragraph(
-                "Where more is left, it is slow noise or something that the model misses: `flighttest diagnose` finds it, as far as the "
-                "recordings can show it.",
+                "A residual above the noise is slow noise or physics that the model lacks. `flighttest diagnose` distinguishes them as far "
+                "as the recordings allow.",
                 "quiet",
             )
         )
-    return Section("quality", "What the model leaves", tuple(blocks), detail=True)
+    return Section("quality", "Residuals", tuple(blocks), detail=True)
 
 
 def _parameter_row(p: ParameterView) -> tuple[Cell | str, ...]:
@@ -211,8 +211,8 @@ def segments(views: Sequence[SegmentView]) -> Section:
     blocks: list[PageBlock] = []
     reasons: dict[str, int] = {}
     for s in rejected:
-        for flaw in s.flaws:
-            reasons[flaw] = reasons.get(flaw, 0) + 1
+        why = "; ".join(s.flaws)
+        reasons[why] = reasons.get(why, 0) + 1
     if reasons:
         blocks.append(
             Bullets(tuple(f"{n} rejected: {reason}" for reason, n in sorted(reasons.items(), key=lambda r: -r[1])))

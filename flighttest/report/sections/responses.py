@@ -1,4 +1,4 @@
-"""Sections about single responses and about what is left of all: one response, correlations, frequency responses, trajectories."""
+"""Sections about single responses and about the residuals of all: one response, correlations, frequency responses, trajectories."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ from flighttest.report.sections.show import word
 POINTS = 80  # of a trace
 MOST_CORRELATED = 9
 TRAJECTORY_POINTS = 40
+RESIDUAL_ROLES: tuple[Role, ...] = (
+    "other", "model", "no_battery", "linearised", "only_delay", "after", "before", "limit", "no_drag",
+)  # fmt: skip
 
 FloatArray = NDArray[np.float64]
 
 
 def one_by_one(view: FitView) -> Section | None:
-    """A response picked by its name: command, measured, model, and what is left, together."""
+    """A response picked by its name: command, measured, model and residual together."""
     figures = tuple((r.name, _one(r)) for r in view.responses)
     if not figures:
         return None
     choice = Choice("response", "response", figures)
-    lead = (
-        "Pick a response: its command, what was measured, what the model does, and what is left in units of the noise."
-    )
+    lead = "Choose a response: its command, the measured and the modelled channels, and the residuals in units of the noise."
     return Section("one", "One response", (choice,), lead, detail=True)
 
 
@@ -51,12 +52,11 @@ def _one(r: FittedResponse) -> Figure:
         label = f"{name}, {unit(CHANNELS[c.channel].unit)}"
         panels.append(Panel(name.capitalize(), "time since the step, s", label, (simulated, measured)))
         if np.isfinite(c.floor) and c.floor > 0.0:
-            role = ("other", "model", "no_battery", "linearised", "only_delay", "after", "before", "limit", "no_drag")[
-                len(left) % 9
-            ]
-            left.append(Trace(*coarse(c.t_s, (c.measured - c.simulated) / c.floor, POINTS), f"left of {name}", role))  # type: ignore[arg-type]
+            role = RESIDUAL_ROLES[len(left) % len(RESIDUAL_ROLES)]
+            residual = coarse(c.t_s, (c.measured - c.simulated) / c.floor, POINTS)
+            left.append(Trace(*residual, f"residual of {name}", role))
     if left:
-        panels.append(Panel("What is left", "time since the step, s", "residual, noise floors", tuple(left)))
+        panels.append(Panel("Residuals", "time since the step, s", "residual, noise floors", tuple(left)))
     return Figure("response", tuple(panels), r.name, 2, 240)
 
 
@@ -68,11 +68,11 @@ def correlation(view: FitView) -> Section | None:
     panels = [panel for c in chosen for panel in _correlation(c)]
     caption = (
         "Left: autocorrelation of the residual. Right: its cross-correlation with the command. White noise that no command drives stays "
-        "between the dashed lines in 95 % of the lags; a constant or slow disturbance of a response, which the fit leaves to it, does not."
+        "between the dashed lines in 95 % of the lags; a constant or slow disturbance of a response does not."
     )
     return Section(
         "correlations",
-        "Correlation of what is left",
+        "Correlation of the residuals",
         (Figure("correlations", tuple(panels), caption, 2, 230),),
         detail=True,
     )
@@ -85,10 +85,10 @@ def _correlation(c: ResidualCorrelation) -> tuple[Panel, ...]:
     )
     name = WORDS.get(c.channel, c.channel)
     auto = Trace(c.lag_s, c.auto, name, "other", group="correlation")
-    panels = [Panel(f"{name} with itself", "lag, s", "correlation", (auto, *limits))]
+    panels = [Panel(f"{name}: autocorrelation", "lag, s", "correlation", (auto, *limits))]
     if np.isfinite(c.cross).all():
         cross = Trace(c.lag_s, c.cross, name, "other", group="correlation")
-        panels.append(Panel(f"{name} with the command", "lag, s", "correlation", (cross, *limits)))
+        panels.append(Panel(f"{name}: cross-correlation with the command", "lag, s", "correlation", (cross, *limits)))
     return tuple(panels)
 
 
@@ -98,8 +98,8 @@ def bode(view: FitView) -> Section | None:
         return None
     panels = [panel for loop in view.loops for panel in _bode(loop)]
     caption = (
-        "From the command to its answer over all steps of a kind, measured and by the model from the same commands. Coherence is the "
-        "share of the measured answer that the command explains: where it is low, the measured curve is noise."
+        "From the command to the response over all steps of a kind, measured and by the model from the same commands. Coherence is the "
+        "share of the measured response that the command explains: where it is low, the measured curve is noise."
     )
     return Section("bode", "Frequency responses", (Figure("bode", tuple(panels), caption, 3, 250),), detail=True)
 
@@ -139,7 +139,7 @@ def trajectories(view: FitView) -> Section | None:
     caption = (
         "Estimate and 95 % interval by the responses flown so far, by one linear step from the final estimate (no refit); a curve "
         "begins where the responses determine the parameter. An estimate that leaves its earlier interval, or drifts on while the "
-        "interval narrows, changed in flight or stands for something that the model lacks."
+        "interval narrows, means that the vehicle changed in flight or that the model lacks something."
     )
     figure = Figure("trajectories", panels, caption, 3, 220)
     return Section("trajectories", "Estimates as responses are added", (figure,), detail=True)

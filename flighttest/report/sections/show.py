@@ -143,20 +143,20 @@ def what(look: Look) -> Section:
             share = e.std / abs(e.value) if e.std is not None and e.value else None
             state = Cell("yes", "good") if one.enough else Cell("no", "bad" if e.std is None else "warn", one.why)
             rows.append(
-                (e.name, "-" if e.std is None else number(e.std, 2), unit(e.unit), percent(share, 0), state, one.fly)
+                (e.name, "-" if e.std is None else number(e.std, 2), unit(e.unit), percent(share, 1), state, one.fly)
             )
         blocks.append(
             Table(
                 ("parameter", "expected error", "unit", "of its value", "can be determined", "fly"), tuple(rows),
                 ("left", "right", "left", "right", "left", "left"),
                 "Before any fit: Fisher information of the recorded commands at nominal parameters, with the noise of a usual outdoor "
-                "vehicle. A fit determines less where repeats are few or differ, or where the model misses something.",
+                "vehicle. A fit determines less where repeats are few or differ, or where the model lacks something that the vehicle does.",
             )
         )  # fmt: skip
     if look.outlook_why:
         blocks.append(Paragraph(look.outlook_why, "warn"))
     good = [one.expected.name for one in look.outlook if one.enough]
-    lead = f"At best {len(good)} of {len(look.outlook)} parameters become known by a fit." if look.outlook else ""
+    lead = f"A fit can determine at most {len(good)} of {len(look.outlook)} parameters." if look.outlook else ""
     return Section("identify", "What can be identified from it", tuple(blocks), lead)
 
 

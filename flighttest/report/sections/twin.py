@@ -114,7 +114,7 @@ def verify_sentence(data: TwinData) -> str:
     if data["verdict"] == "NOTHING_MISSING":
         largest = f", {number(channels[worst]['ratio'], 3)} of {WORDS.get(worst, worst)}" if worst is not None else ""
         return (
-            f"The twin flies as recorded (NOTHING_MISSING). Its error is at most {data['near_floor']:g} noise floors in every "
+            f"The twin flies as recorded. Its error is at most {data['near_floor']:g} noise floors in every "
             f"channel{largest and f' (largest{largest})'}, and no parameter differs beyond its error."
         )
     parts = []
@@ -149,8 +149,8 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
     )
     caption = (
         "RMS error of the model on the recorded commands, each response from its own measured start with a constant disturbance of its "
-        "own; in noise floors, beside what fitting these very recordings would leave. Noise floor: what the repeats of one step differ by; "
-        "where no step was repeated and nothing is seen to be missing, what the fit leaves."
+        "own; also in noise floors, and for comparison after a fit to these recordings. Noise floor: the difference between repeats of one "
+        "step; where no step was repeated and nothing is missing, the residual of the fit."
     )
     table = Table(
         ("channel", "noise floor", "twin", "in floors", "refitted"),
@@ -164,7 +164,7 @@ def verify_sections(data: TwinData) -> tuple[Section, ...]:
         tables.append(_flown_table(data, flown))
     lines = [*data["notes"]]
     if data["assumed"]:
-        lines.append(f"no flight of the model determined {join(data['assumed'])}: the twin flies with what was assumed")
+        lines.append(f"no flight of the model determined {join(data['assumed'])}: the twin uses assumed values")
     lines.append(f"the recordings by themselves: {data['diagnosis']['sentence']}")
     flights = data["flights"]
     where = " under the real firmware" if data.get("backend") == "sitl" else ""
@@ -201,7 +201,7 @@ def _flown_table(data: TwinData, flown: Mapping[str, FlownRow]) -> Table:
     caption = (
         "Steps as flown, no model between: RMS of each recorded response less the mean of the twin's of the same step, each from its own "
         "state before it and moved in time to where it fits best (recorded later by: the mean of that, with its standard error); "
-        "in what the repeats of the recording alone would give."
+        "also in units of the scatter between repeats of the recording."
     )
     return Table(
         ("flown steps", "repeats", "twin", "in floors", "recorded later by, ms", "steps"),
@@ -225,7 +225,8 @@ def replay_sentence(data: ReplayData) -> str:
     if e["size"] <= max(e["error"], e["uncertainty"]):
         return f"{head} no difference above the twin's own error against this recording."
     plus_minus = f"{_value(most, e['size'])} (RMS), ± {_value(most, e['uncertainty'])} by the model's uncertainty"
-    return f"{head} after {data['horizon_s']:g} s the {_WORDS.get(most, most)} differs by {plus_minus}."
+    own = f"Without the change the twin's error is {_value(most, e['error'])}."
+    return f"{head} after {data['horizon_s']:g} s the {_WORDS.get(most, most)} differs by {plus_minus}. {own}"
 
 
 def _value(channel: str, value: float) -> str:

@@ -29,6 +29,7 @@ NAMES = {  # of a table's rows, each in one line
     Variation.HOLD: "last value",
 }
 ROLL = (("roll rate", "p_rad_s", "roll rate, rad/s"), ("roll", "roll_rad", "roll, rad"))
+HEIGHT = ("height", "p_z_m", "height, m")
 PITCH = (("pitch rate", "q_rad_s", "pitch rate, rad/s"), ("pitch", "pitch_rad", "pitch, rad"))
 PANELS = (
     ("yaw rate", "r_rad_s", "yaw rate, rad/s"),
@@ -58,15 +59,14 @@ def _figure5(found: Validation, name: str) -> Figure:
     panels = []
     places = ("p_x_m", "p_y_m", "p_z_m")
     if all(c in f.measured for c in places):
-        x, y, z = (f.measured[c] for c in places)
-        traces = [Trace(x, y, "measured", "measured", "lines3d", z=z)]
-        for variation, made in f.simulated.items():
-            if all(c in made for c in places) and variation is not Variation.HOLD:
-                traces.append(
-                    Trace(made["p_x_m"], made["p_y_m"], variation.value, ROLES[variation], "lines3d", z=made["p_z_m"])
-                )
-        panels.append(Panel("position", "north, m", "west, m", tuple(traces), "up, m"))
-    for title, channel, label in (*(PITCH if _pitches(f.measured) else ROLL), *PANELS):
+        above = [Trace(-f.measured["p_y_m"], f.measured["p_x_m"], "measured", "measured")]
+        above += [
+            Trace(-made["p_y_m"], made["p_x_m"], variation.value, ROLES[variation])
+            for variation, made in f.simulated.items()
+            if all(c in made for c in places) and variation is not Variation.HOLD
+        ]
+        panels.append(Panel("position seen from above", "east, m", "north, m", tuple(above), equal=True))
+    for title, channel, label in (HEIGHT, *(PITCH if _pitches(f.measured) else ROLL), *PANELS):
         if channel not in f.measured:
             continue
         lines = [Trace(f.t_s, f.measured[channel], "measured", "measured")]
@@ -76,7 +76,10 @@ def _figure5(found: Validation, name: str) -> Figure:
                 n = min(len(f.t_s), len(made[channel]))
                 lines.append(Trace(f.t_s[:n], made[channel][:n], variation.value, ROLES[variation], shown=shown))
         panels.append(Panel(title, "time, s", label, tuple(lines)))
-    caption = f"The liveliest {f.t_s[-1]:.1f} s of the flight ({f.segment}): measured, and each model run open loop from the same start."
+    caption = (
+        f"The {f.t_s[-1]:.1f} s of the flight with the most motion ({f.segment}): measured, and each model run open loop from the same "
+        "start."
+    )
     return Figure(name, tuple(panels), caption, 2, 270)
 
 
@@ -116,5 +119,5 @@ def _table(found: Validation, groups: Sequence[str]) -> Table:
     full = [e for e in found.errors if e.variation is Variation.FULL and e.few]
     few = {e.horizon_s: e.few for e in sorted(full, key=lambda e: -e.count)}
     if few:
-        caption += " Little is known " + "; ".join(f"after {h:g} s, {words}" for h, words in sorted(few.items())) + "."
+        caption += " Uncertain: " + "; ".join(f"after {h:g} s, {words}" for h, words in sorted(few.items())) + "."
     return Table(("", "model", *(f"{h:g} s" for h in horizons)), tuple(rows), ("left", "left", *numbers), caption)

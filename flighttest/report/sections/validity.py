@@ -76,7 +76,19 @@ def status_document(
         sections.append(_listed("rivals", "It could also be", found.could_also_be, brief))
     if found.cannot_tell:
         sections.append(_not_compared(found.cannot_tell, brief))
-    return Document("Is the model current?", found.sentence, TONES[found.verdict], tuple(sections), dict(facts))
+    return Document(
+        "Is the model current?",
+        found.sentence + ("" if brief else _detectable(found)),
+        TONES[found.verdict],
+        tuple(sections),
+        dict(facts),
+    )
+
+
+def _detectable(found: Assessment) -> str:
+    """The change of the thrust gain that would have been detected, in a sentence; '' where that was not tested, or changed."""
+    least = next((t.detectable["K"] for t in found.tests if "K" in t.detectable and not t.alarm), None)
+    return "" if least is None else f" A change of {WORDS['K']} would have been detected from {percent(least)} on."
 
 
 def _listed(name: str, title: str, items: tuple[str, ...], brief: bool) -> Section:
@@ -140,7 +152,7 @@ def _tests(found: Assessment) -> Section:
         last = Cell(word, "bad" if found.battery.alarm else "good" if before else "quiet")
         rows.append(("battery", "internal resistance", Cell(moved, bad), "-", "-", last))
     align: tuple[Align, ...] = ("left", "left", "right", "right", "right", "left")
-    heads = ("subset", "what moved most", "change", "shows from", "p-value", "")
+    heads = ("subset", "largest change in", "change", "shows from", "p-value", "")
     return Section("tests", "", (Table(heads, tuple(rows), align, _caption(found, brief=True)),))
 
 
@@ -148,10 +160,10 @@ def _caption(found: Assessment, *, brief: bool = False) -> str:
     level, matched = found.tests[0].level, max(t.matched for t in found.tests)
     rate = f"{level * len(found.tests) * 100:.0f} %"
     if brief:
-        return f"A change below 'shows from' may go unseen. False alarms: {rate} of campaigns."
-    how = f"like steps with like, {matched} kinds of step; " if matched else ""
+        return f"A change below 'shows from' may not be detected. False alarms: {rate} of campaigns."
+    how = f"matched steps: {matched} kinds; " if matched else ""
     return (
-        f"shows from: a smaller change may have happened unseen; {how}p-value: chance of such a difference without a change, alarm below "
+        f"shows from: a smaller change may not have been detected; {how}p-value: chance of this difference without change; alarm below "
         f"{level:.2g}, which an unchanged vehicle raises in {rate} of campaigns."
     )
 
@@ -186,7 +198,7 @@ def _tests_in_full(found: Assessment) -> Section:
 
 
 def _shifts(found: Assessment) -> Figure:
-    """By parameter how far it moved, with the change that would show as its bar."""
+    """The change of each parameter, with the smallest detectable change as its bar."""
     traces = []
     sides: tuple[tuple[str, bool, Role], ...] = (("changed", True, "limit"), ("as before", False, "other"))
     for name, alarm, role in sides:
@@ -200,8 +212,8 @@ def _shifts(found: Assessment) -> Figure:
             names, changes, least = ([m[k] for m in moved] for k in range(3))
             traces.append(Trace(names, changes, name, role, "errorbars", spread=np.asarray(least, dtype=float)))
     caption = (
-        "Point: how far the new flight's estimate is from the model's. Bar: the change that would show; a smaller one may have "
-        "happened unseen."
+        "Point: change of the new flight's estimate from the model's. Bar: the change that would be detected; a smaller one may not "
+        "have been."
     )
     return Figure("shifts", (Panel("change of each parameter", "", "change, %", tuple(traces)),), caption, 1, 340)
 
@@ -276,19 +288,45 @@ def history_document(points: Sequence[HistoryPoint], units: Mapping[str, str], b
         )
         for i, p in enumerate(points, 1)
     )
-    sections = [Section("runs", "Runs", (Table(heads, rows, ("right",)),))]
+    pictures, latest, moved = [], [], []
     numbered = list(enumerate(points, 1))
     for vehicle in vehicles:
         mine = [(i, p) for i, p in numbered if p.vehicle == vehicle]
-        sections += _over_runs(mine, units, marks, vehicle if several else "")
+        pictures += _over_runs(mine, units, marks, vehicle if several else "")
+        latest += _latest_of(mine, units, vehicle if several else "")
+        moved += [f"{n} of {vehicle}" if several else n for n in _moved(mine)]
     fitted = sum(1 for p in points if p.parameters)
     of = f" of {vehicles[0]}" if len(vehicles) == 1 and not several else ""
     verdict = f"{len(points)} run{'s' if len(points) != 1 else ''}{of}, {fitted} with a fit."
+    if moved:
+        verdict += f" Since the first run these changed by more than both 95 % intervals: {join(moved)}."
+    elif latest:
+        verdict += " No parameter changed since the first run by more than both 95 % intervals."
     if broken:
         verdict += f" {len(broken)} cannot be read: see below."
+    listed = Section("runs", "Runs", (Table(heads, rows, ("right",)),))
     return Document(
-        "Runs on this machine", verdict, "warn" if broken else "plain", (*sections[:1], *damage, *sections[1:])
+        "Runs on this machine", verdict, "warn" if broken else "plain", (*pictures, listed, *damage, *latest)
     )
+
+
+def _campaigns(mine: Sequence[tuple[int, HistoryPoint]]) -> dict[str, list[tuple[int, HistoryPoint]]]:
+    """Parameter to the numbered runs that have an estimate of it; runs that were fitted together carry the same, and count once."""
+    before = [p.campaign for _, p in mine]
+    own = [(i, p) for k, (i, p) in enumerate(mine) if not p.campaign or p.campaign not in before[:k]]
+    names = list(dict.fromkeys(n for _, p in own for n in p.parameters))
+    return {n: [(i, p) for i, p in own if n in p.parameters] for n in names}
+
+
+def _moved(mine: Sequence[tuple[int, HistoryPoint]]) -> list[str]:
+    """Parameters whose last 95 % interval and the first do not overlap."""
+    ends = {n: (runs[0][1].parameters[n], runs[-1][1].parameters[n]) for n, runs in _campaigns(mine).items()}
+    return [n for n, ((a, half_a), (b, half_b)) in ends.items() if abs(b - a) > half_a + half_b]
+
+
+def _titled(name: str, title: str, mine: Sequence[tuple[int, HistoryPoint]], vehicle: str) -> tuple[str, str]:
+    """Id and heading of a section about one vehicle."""
+    return (f"{name}-{mine[0][0]}", f"{title} of {vehicle}") if vehicle else (name, title)
 
 
 def _over_runs(
@@ -298,22 +336,22 @@ def _over_runs(
     vehicle: str,
 ) -> list[Section]:
     """Each parameter over the runs of one vehicle, by their numbers; of a run of an unknown vehicle nothing is drawn."""
-    # Runs that were fitted together carry the same estimates: shown once.
-    before = [p.campaign for _, p in mine]
-    own = [(i, p) for k, (i, p) in enumerate(mine) if not p.campaign or p.campaign not in before[:k]]
-    names = list(dict.fromkeys(n for _, p in own for n in p.parameters))
-    numbered = {n: [(i, p) for i, p in own if n in p.parameters] for n in names}
-    panels = tuple(_history_panel(name, numbered[name], units.get(name, ""), marks) for name in names)
+    panels = tuple(_history_panel(n, runs, units.get(n, ""), marks) for n, runs in _campaigns(mine).items())
     if not panels:
         return []
-    table = Table(
-        ("parameter", "latest", "unit", "run", "since the first"),
-        tuple(_latest(n, numbered[n], units.get(n, "")) for n in names),
-        ("left", "right", "left", "right", "right"),
-    )
     caption = "Each campaign's estimate with its 95 % interval; dashed: a component changed before this run."
-    tail, title = (f"-{mine[0][0]}", f"Parameters over runs of {vehicle}") if vehicle else ("", "Parameters over runs")
-    return [Section(f"history{tail}", title, (Figure(f"history{tail}", panels, caption, 3, 230), table))]
+    name, title = _titled("history", "Parameters over runs", mine, vehicle)
+    return [Section(name, title, (Figure(name, panels, caption, 3, 230),))]
+
+
+def _latest_of(mine: Sequence[tuple[int, HistoryPoint]], units: Mapping[str, str], vehicle: str) -> list[Section]:
+    """The latest estimate of each parameter of one vehicle."""
+    rows = tuple(_latest(n, runs, units.get(n, "")) for n, runs in _campaigns(mine).items())
+    if not rows:
+        return []
+    heads = ("parameter", "latest", "unit", "run", "since the first")
+    name, title = _titled("latest", "Latest estimates", mine, vehicle)
+    return [Section(name, title, (Table(heads, rows, ("left", "right", "left", "right", "right")),))]
 
 
 def _latest(name: str, numbered: Sequence[tuple[int, HistoryPoint]], unit_text: str) -> tuple[Cell | str, ...]:
