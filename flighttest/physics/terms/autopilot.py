@@ -36,7 +36,7 @@ angle_boost = Term(
     plain="the autopilot raises the throttle when it tilts, to hold the vertical part of the thrust; this is no physics of the vehicle",
     source="ArduPilot AC_AttitudeControl_Multi::get_throttle_boosted; its angle is that of the vehicle, not of the target, by "
     "AC_AttitudeControl::thrust_vector_rotation_angles",
-    doubt="before the thrust's delay, with the tilt of the same time; where the shaped target is not recorded, the reference stands for it",
+    doubt="before the thrust's delay, with the tilt of the same time; where no shaped target is recorded, the reference is used",
     hides_in=("K", "d_z"),
     told_apart_by="tilt steps at rest and at speed",
     reveals="roll_pitch",
@@ -140,7 +140,7 @@ reference_shaping = Term(
     build=_shaping,
     equation="target rate -> sqrt_controller(phi_r - target, 1 / t_c, a_s), |target acceleration| <= a_s; "
     "phi_r <- target + k_ff (2 zeta / w) target rate",
-    plain="the autopilot rounds off the reference before it follows it: large steps answer in another shape than small ones; this is "
+    plain="the autopilot smooths the reference before it follows it: responses to large and to small steps differ in shape; this is "
     "no physics of the vehicle",
     source="ArduPilot AC_AttitudeControl::input_shaping_angle, sqrt_controller",
     doubt="the rate catches up over 15 ms instead of one cycle; the target starts where the vehicle is",
@@ -329,7 +329,7 @@ attitude_extra_pole = Term(
     ),
     build=_extra_pole,
     equation="reference <- (1 - b) reference + b x, x_dot = (reference - x) / tau_3",
-    plain="the attitude loop has more inside than a second order: filters and motors add a pole or a zero",
+    plain="the attitude loop is of more than second order: filters and motors add a pole or a zero",
     source="ArduPilot rate PID filters, INS_GYRO_FILTER, motor lag",
     doubt="close to a longer attitude delay (cosine 0.90 after the base refit); tau_3 is a pole of the closed loop: a pure lag within the "
     "loop has the time constant 1 / (2 zeta omega + 1 / tau_3)",
@@ -368,7 +368,7 @@ roll_pitch_coupling = Term(
     ),
     build=_coupling,
     equation="roll_ref <- roll_ref + c_pr pitch_ref;  pitch_ref <- pitch_ref + c_rp roll_ref",
-    plain="a roll command also moves pitch, or the other way round: the autopilot is turned against the frame, or the mixer is off",
+    plain="a roll command also moves pitch, or the other way round: the autopilot is rotated in the frame, or the mixer is not exact",
     source="rotation of the autopilot about the vertical: c_pr = -c_rp",
     doubt="static coupling only",
     hides_in=(),

@@ -39,7 +39,7 @@ linear_drag = Term(
     equation="f = -diag(d_x, d_y, d_z) v_air_body",
     plain="air drags on the vehicle in proportion to its speed through the air",
     source="paper, section 2; Faessler et al., RA-L 2018",
-    doubt="grows faster than linearly at high speed; scales with thrust in truth",
+    doubt="grows faster than linearly at high speed; really scales with thrust",
     hides_in=("K",),
     told_apart_by="speed at steady tilt",
     reveals="roll_pitch",

@@ -26,7 +26,7 @@ channel_delay = Term(
     params=(_param("attitude", "attitude"), _param("yaw_rate", "yaw rate")),
     build=_delay,
     equation="T_d(attitude) = T_d + dT_att, T_d(yaw rate) = T_d + dT_r, T_d(throttle) = T_d",
-    plain="attitude, yaw rate and throttle commands do not arrive equally late",
+    plain="attitude, yaw rate and throttle commands have different delays",
     source="paths through the autopilot: shaping, filters, motor output",
     doubt="shaping and filters inside the loops look like delay; a model that gives each channel its own delay already contains it",
     hides_in=("T_d", "omega_phi", "sigma_r", "sigma_t"),

@@ -61,10 +61,10 @@ slung_payload = Term(
     ),
     build=_payload,
     equation="f_world = mu t n,  t = (l |n_dot|^2 + n (d - f)) / (1 + mu),  l n_ddot = d - f - (1 + mu) t n,  d = -2 zeta sqrt(g l) n_dot",
-    plain="a load swings on a cable below the vehicle and pulls it to and fro after every lateral move",
+    plain="a load swings on a cable below the vehicle and pulls it back and forth after every lateral motion",
     source="pendulum below an accelerated pivot; Palunko, Fierro, Cruz, ICRA 2012",
     doubt="massless cable that a slack moment leaves at its length, no downwash on the load; its "
-    "weight is in K's thrust-to-mass ratio unless a former model has it otherwise",
+    "weight is in K's thrust-to-mass ratio unless an earlier model states another value",
     hides_in=("a_d", "d_x", "d_y", "K"),
     told_apart_by="ringing after lateral steps",
     reveals="lateral_stop",
