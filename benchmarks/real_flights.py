@@ -154,8 +154,9 @@ def row(one: Recordings, data: Path) -> str:
     winds = ", ".join(f"{w['speed_m_s']:.1f} ± {w['speed_std']:.1f}" for w in found.get("winds", []))
     said = f"{found['verdict']}: {named}" if "verdict" in found else "refused"
     said += f" (m/s: {winds})" if winds else ""
+    seconds = f"{flown:.0f}" if flown > 0 else "-"
     time_of = f"{100 * wall / flown:.0f} / {100 * used / flown:.0f}" if flown > 0 else f"({wall:.0f} / {used:.0f})"
-    return f"| {one.name} | {len(files)} | {flown:.0f} | {one.supports} | {said} | {judged(one, found)} | {time_of} |"
+    return f"| {one.name} | {len(files)} | {seconds} | {one.supports} | {said} | {judged(one, found)} | {time_of} |"
 
 
 def main() -> None:
