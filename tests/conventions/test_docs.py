@@ -135,6 +135,21 @@ def test_every_page_is_in_the_site_and_says_the_version_that_is(repository):
         assert re.split(r"[<>=]", dependency)[0] in install, "docs/install.md explains what each dependency is for"
 
 
+def test_a_page_of_the_site_loads_nothing_from_the_network(repository):
+    hooks = loaded(repository / "docs" / "site_hooks.py")
+    page = f'<script src="{hooks.ASKED}"></script><a href="https://ardupilot.org">ArduPilot</a><img src="demo.svg">'
+    assert hooks.without_network(page, "page") == page.replace(hooks.ASKED, "search_worker.js")
+    assert (repository / "docs" / "search_worker.js").is_file()
+    for tag in (
+        '<script src="https://x.org/a.js">',
+        "<script async src=https://x.org/a.js>",
+        '<link rel="stylesheet" href="//x.org/a.css">',
+        '<img alt="" src="http://x.org/a.png">',
+    ):
+        assert hooks.LOADS.search(page.replace(hooks.ASKED, "a.js") + tag)[0] == tag
+    assert "docs/site_hooks.py" in yaml.safe_load((repository / "mkdocs.yml").read_text())["hooks"]
+
+
 def test_modules_that_the_docs_name_exist(repository):
     package = repository / "flighttest"
     packages = {folder.name for folder in package.iterdir() if folder.is_dir()}
