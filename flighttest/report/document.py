@@ -86,13 +86,14 @@ class Code:
 
 @dataclass(frozen=True)
 class Trace:
-    """One line or cloud of points of a panel. x, y (and z for a map or three dimensions): (n,) arrays; role gives its colour."""
+    """One line or cloud of points of a panel. x, y: (n,) arrays; z: colour of a track's points (n,), or cells of a heat map (y, x); role
+    gives its colour."""
 
     x: NDArray[np.float64] | Sequence[Any]
     y: NDArray[np.float64] | Sequence[Any]
     name: str
     role: Role = "other"
-    mode: Literal["lines", "markers", "steps", "heat", "lines3d", "markers3d", "errorbars", "track", "bars"] = "lines"
+    mode: Literal["lines", "markers", "steps", "heat", "errorbars", "track", "bars"] = "lines"
     z: Any = None
     spread: NDArray[np.float64] | None = None  # error bar half width, unit of y
     group: str = ""  # traces of one group are switched together and listed once
@@ -107,7 +108,6 @@ class Panel:
     x_label: str
     y_label: str
     traces: tuple[Trace, ...]
-    z_label: str = ""
     log: str = ""  # axes with a logarithmic scale: "x", "y" or "xy"
     equal: bool = False  # one metre is as long across as upwards
 

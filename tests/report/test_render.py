@@ -62,13 +62,13 @@ def traces():
 
 def document():
     heat = Trace([1.0, 2.0], ["a_x", "a_z"], "share", "other", "heat", z=[[0.1, np.nan], [0.4, 0.2]])
-    path = Trace(T, T, "path", "model", "lines3d", z=T)
+    path = Trace(T, T, "height, m", "model", "track", z=T)
     figure = Figure(
         "f",
         (
             Panel("roll </script>", "s", "rad", traces()),
             Panel("map", "m", "", (heat,)),
-            Panel("path", "x", "y", (path,), "z"),
+            Panel("path", "east, m", "north, m", (path,), equal=True),
         ),
         "caption",
     )
@@ -463,12 +463,24 @@ def test_a_logarithmic_axis_writes_its_numbers_in_full():
     assert "100" in ticks(1e5)["ticktext"]
 
 
-def test_a_box_in_space_keeps_its_proportions_and_stays_in_sight():
-    path = Trace([0.0, 10.0], [0.0, 5.0], "p", "model", "lines3d", z=[0.0, 0.01])
-    scene = figures.specification(Figure("f", (Panel("p", "x", "y", (path,), "z"),), "c"))["panels"][0]["layout"][
-        "scene"
+def test_a_tooltip_names_every_variable_with_its_unit():
+    heat = Trace(["roll step"], ["velocity up"], "noise floors", "other", "heat", z=[[2.0]])
+    track = Trace([0.0], [1.0], "height, m", "model", "track", z=[5.0])
+    line = Trace([0.0], [1.0], "measured", "measured")
+    bars = Trace(["roll"], [1.0], "twin", "before", "bars")
+    panels = (
+        Panel("where", "", "", (heat,)),
+        Panel("map", "east, m", "north, m", (track,)),
+        Panel("roll", "time, s", "roll, rad", (line,)),
+        Panel("error", "", "noise floors", (bars,)),
+    )
+    shown = [p["data"][0]["hovertemplate"] for p in figures.specification(Figure("f", panels, "c"))["panels"]]
+    assert [text.removesuffix("<extra></extra>") for text in shown] == [
+        "%{y}, %{x}<br><b>%{z:.3g}</b> %{fullData.name}",
+        "east %{x:.4g} m<br>north %{y:.4g} m<br>height %{marker.color:.4g} m",
+        "<b>%{fullData.name}</b><br>time %{x:.4g} s<br>roll %{y:.4g} rad",
+        "<b>%{fullData.name}</b><br>%{x}<br>noise floors %{y:.4g}",
     ]
-    assert scene["aspectratio"] == {"x": 1.0, "y": 0.5, "z": figures.LEAST_EDGE}
 
 
 def test_a_terminal_shows_the_first_rows_and_all_of_them_where_asked():

@@ -29,7 +29,6 @@ _WIDTH: dict[Role, float] = {
     "limit": 1.0,
 }
 SIGNIFICANT_DIGITS = 5  # more than a screen can show; keeps the file small
-LEAST_EDGE = 0.25  # of the longest edge of a box in space
 FINE_DECADES = 2.5  # up to so many powers of ten a logarithmic axis names 2 and 5 of each, too
 LEAST_HEAT = 4.0  # noise floors: the deepest colour means no less, so that noise alone, a quarter of it, is pale
 
@@ -82,44 +81,21 @@ def _panel(panel: Panel, heat_top: float | None = None) -> PanelSpec:
         "plot_bgcolor": "rgba(0,0,0,0)",
         "font": {"color": "@ink", "size": 11},
     }
-    if any(trace.mode.endswith("3d") for trace in panel.traces):
-        scene_axis = {"gridcolor": "@grid", "backgroundcolor": "rgba(0,0,0,0)", "color": "@ink"}
-        layout["scene"] = {
-            "xaxis": {**scene_axis, "title": {"text": panel.x_label}},
-            "yaxis": {**scene_axis, "title": {"text": panel.y_label}},
-            "zaxis": {**scene_axis, "title": {"text": panel.z_label}},
-            "aspectmode": "manual",
-            "aspectratio": _proportions(panel),
-            "camera": {"eye": {"x": 1.05, "y": 1.05, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}},
-        }
-        layout["margin"] = {"l": 0, "r": 0, "t": 34, "b": 0}
-    else:
-        layout["xaxis"] = {**axis, "title": {"text": panel.x_label, "standoff": 6}}
-        counted = [x for trace in panel.traces for x in trace.x] if panel.x_label == "run" else []
-        if counted and max(counted) <= 12:
-            layout["xaxis"]["dtick"] = 1  # runs are counted: there is none between two
-        layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
-        for name in panel.log:
-            values = _log_ticks(np.concatenate([np.asarray(getattr(t, name), dtype=float) for t in panel.traces]))
-            layout[f"{name}axis"] |= {"type": "log", "tickvals": values, "ticktext": [f"{v:g}" for v in values]}
-        if panel.equal:
-            layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
-        if any(trace.mode == "bars" for trace in panel.traces):
-            layout["barmode"] = "group" if _side_by_side(panel) else "overlay"
+    layout["xaxis"] = {**axis, "title": {"text": panel.x_label, "standoff": 6}}
+    counted = [x for trace in panel.traces for x in trace.x] if panel.x_label == "run" else []
+    if counted and max(counted) <= 12:
+        layout["xaxis"]["dtick"] = 1  # runs are counted: there is none between two
+    layout["yaxis"] = {**axis, "title": {"text": panel.y_label, "standoff": 6}}
+    for name in panel.log:
+        values = _log_ticks(np.concatenate([np.asarray(getattr(t, name), dtype=float) for t in panel.traces]))
+        layout[f"{name}axis"] |= {"type": "log", "tickvals": values, "ticktext": [f"{v:g}" for v in values]}
+    if panel.equal:
+        layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
+    if any(trace.mode == "bars" for trace in panel.traces):
+        layout["barmode"] = "group" if _side_by_side(panel) else "overlay"
     hover = _hover(panel)
     data = [{**_trace(trace, heat_top), "hovertemplate": hover} for trace in panel.traces]
     return {"data": data, "layout": layout, "title": panel.title}
-
-
-def _proportions(panel: Panel) -> dict[str, float]:
-    """Edges of the box in space, metres as long along all three, the longest 1; none so short that it cannot be seen."""
-    reach = {}
-    for axis in "xyz":
-        values = np.concatenate([np.asarray(getattr(t, axis), dtype=float) for t in panel.traces])
-        known = values[np.isfinite(values)]
-        reach[axis] = float(np.ptp(known)) if known.size else 0.0
-    longest = max(reach.values()) or 1.0
-    return {axis: max(length / longest, LEAST_EDGE) for axis, length in reach.items()}
 
 
 def _side_by_side(panel: Panel) -> bool:
@@ -147,14 +123,22 @@ def _log_ticks(values: np.ndarray) -> list[float]:
 
 def _hover(panel: Panel) -> str:
     """What a pointer shows: the trace's name, then each variable with its number and unit."""
-    axes = [("x", panel.x_label), ("y", panel.y_label)]
-    if panel.z_label:
-        axes.append(("z", panel.z_label))
-    lines = []
-    for axis, label in axes:
-        name, comma, unit = label.rpartition(", ")
-        lines.append(f"{name if comma else label} %{{{axis}}}{' ' + unit if comma else ''}".strip())
-    return "<b>%{fullData.name}</b><br>" + "<br>".join(lines) + "<extra></extra>"
+    if any(trace.mode == "heat" for trace in panel.traces):
+        return "%{y}, %{x}<br><b>%{z:.3g}</b> %{fullData.name}<extra></extra>"
+    track = next((trace for trace in panel.traces if trace.mode == "track"), None)
+    lines = ["<b>%{fullData.name}</b>"] if track is None else []
+    for axis, label in (("x", panel.x_label), ("y", panel.y_label)):
+        words = any(isinstance(v, str) for trace in panel.traces for v in getattr(trace, axis)[:1])
+        lines.append(_named(label, f"%{{{axis}{'' if words else ':.4g'}}}"))
+    if track is not None:
+        lines.append(_named(track.name, "%{marker.color:.4g}"))
+    return "<br>".join(lines) + "<extra></extra>"
+
+
+def _named(label: str, number: str) -> str:
+    """A number between the name and the unit of a label 'name, unit'."""
+    name, comma, unit = label.rpartition(", ")
+    return f"{name if comma else label} {number}{' ' + unit if comma else ''}".strip()
 
 
 def _trace(trace: Trace, heat_top: float | None = None) -> dict[str, Any]:
@@ -184,16 +168,6 @@ def _trace(trace: Trace, heat_top: float | None = None) -> dict[str, Any]:
             "mode": "markers",
             "marker": {"color": colour, "size": 7},
             "error_y": {"type": "data", "array": spread, "color": colour, "thickness": 1.2},
-        }
-    if trace.mode.endswith("3d"):
-        mode = "lines" if trace.mode == "lines3d" else "markers"
-        return {
-            **spec,
-            "type": "scatter3d",
-            "z": _numbers(trace.z),
-            "mode": mode,
-            "line": {"color": colour, "width": 4},
-            "marker": {"color": colour, "size": 2},
         }
     if trace.mode == "track":
         colours = {"color": _numbers(trace.z), "colorscale": "Viridis", "size": 4, "showscale": True}

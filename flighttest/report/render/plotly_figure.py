@@ -37,12 +37,9 @@ def drawn(figures: Sequence[Figure]) -> go.Figure:
         return go.Figure()
     columns = min(max(figure.columns for figure in figures), MOST_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
-    kinds = [{"type": "scene" if "scene" in panel["layout"] else "xy"} for _, panel in panels]
-    kinds += [{"type": "xy"}] * (rows * columns - len(panels))
     made = make_subplots(
         rows=rows,
         cols=columns,
-        specs=[kinds[r * columns : (r + 1) * columns] for r in range(rows)],
         subplot_titles=[panel["layout"]["title"]["text"] for _, panel in panels],
     )
     listed: set[str] = set()
@@ -55,9 +52,8 @@ def drawn(figures: Sequence[Figure]) -> go.Figure:
                 painted = {n: v for n, v in painted.items() if n not in ("showlegend", "colorbar")}
             listed.add(group)
             made.add_trace(painted, **where)
-        if "scene" not in panel["layout"]:
-            made.update_xaxes(title_text=panel["layout"]["xaxis"]["title"]["text"], **where)
-            made.update_yaxes(title_text=panel["layout"]["yaxis"]["title"]["text"], **where)
+        made.update_xaxes(title_text=panel["layout"]["xaxis"]["title"]["text"], **where)
+        made.update_yaxes(title_text=panel["layout"]["yaxis"]["title"]["text"], **where)
     made.update_layout(height=80 + max(figure.height_px for figure in figures) * rows, template="plotly_white")
     return made
 

@@ -100,7 +100,7 @@ def _panel(panel: Panel) -> str:
         pairs = [(float(a), float(b)) for a, b in zip(xs, ys, strict=True) if math.isfinite(a) and math.isfinite(b)]
         if trace.mode == "bars":
             parts += _bars(axes, trace, pairs, bars.index(trace), len(bars))
-        elif trace.mode in ("markers", "markers3d", "errorbars"):
+        elif trace.mode in ("markers", "errorbars"):
             parts += _dots(axes, trace, pairs, _spread(trace, xs, ys))
         else:
             parts.append(_line(axes, trace, pairs, _pen(trace, wide)))

@@ -91,7 +91,7 @@
         const [label, unit, held] = words.words[name], cut = windowed(channels.get(name), range[0], range[1]);
         const line = { width: held ? 1.2 : 1.1, shape: held ? "hv" : "linear", dash: held ? "dot" : "solid" };
         if (paintIt) line.color = colours()[COLOURS[i % COLOURS.length]];
-        return { type: "scatter", mode: "lines", ...cut, name: label, line, hovertemplate: `<b>${label}</b> %{y:.4g} ${unit}<br>t %{x:.2f} s<extra></extra>` };
+        return { type: "scatter", mode: "lines", ...cut, name: label, line, hovertemplate: `<b>${label}</b> %{y:.4g}${unit === "1" ? "" : ` ${unit}`}<br>t %{x:.2f} s<extra></extra>` };
       });
     }
     function layout(strip, last, first) {

@@ -123,11 +123,10 @@ def _bode(loop: FrequencyResponse) -> tuple[Panel, ...]:
             "frequency, Hz",
             level,
             gain,
-            "",
-            "x",
+            log="x",
         ),
-        Panel("Phase", "frequency, Hz", "phase, deg", phase, "", "x"),
-        Panel("Coherence", "frequency, Hz", "coherence", seen, "", "x"),
+        Panel("Phase", "frequency, Hz", "phase, deg", phase, log="x"),
+        Panel("Coherence", "frequency, Hz", "coherence", seen, log="x"),
     )
 
 

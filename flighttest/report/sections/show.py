@@ -211,9 +211,7 @@ def track(look: Look) -> Section | None:
         "east, m",
         "north, m",
         (Trace(east, north, "height, m", "model", "track", z=high),),
-        "",
-        "",
-        True,
+        equal=True,
     )
     tall = coarse(t, high, SPECTRUM_POINTS)
     over = Panel("Height over time", "time, s", "height, m", (Trace(*tall, "height", "model"),))
@@ -303,7 +301,7 @@ def spectrum(look: Look) -> Section | None:
                 Trace(s.frequency_hz[::step], s.density[::step], word(s.channel), role, group=word(s.channel))
             )
         if traces:
-            panels.append(Panel(title, "frequency, Hz", label, tuple(traces), "", "xy"))
+            panels.append(Panel(title, "frequency, Hz", label, tuple(traces), log="xy"))
     if not panels:
         return None
     rows = tuple(
