@@ -76,7 +76,7 @@ class LiveProgress:
         with suppress(*_OUTPUT_CLOSED):
             self._stop()
             self._timed()
-            if self._asking:  # Ctrl-C was the answer: nobody has ended the question's line
+            if self._asking:  # Ctrl-C was the answer: the line of the question has not ended
                 self._show.say("")
             if self._keep:
                 self._show.say(f"{self._clock() - self._started_s:6.1f} s  {text}", style="quiet")
@@ -91,7 +91,7 @@ class LiveProgress:
         """Show a text and ask for a yes (`Show.ask`). The stage's bar is taken away before: it would be drawn over the question."""
         with suppress(*_OUTPUT_CLOSED):
             self._stop()
-            self._stage = ""  # how long a person thinks is no stage's time
+            self._stage = ""  # the time that an answer takes belongs to no stage
         self._asking = True
         answer = self._show.ask(text)
         self._asking = False

@@ -21,7 +21,7 @@ from flighttest.cli.show import Show
 from flighttest.errors import FileProblem, FitError, InputError, LinkError, PreflightError
 from flighttest.flight import FlightProgress
 from flighttest.pipeline import info as about
-from flighttest.pipeline.flights.run import counted_interrupts
+from flighttest.pipeline.flights.interrupts import counted_interrupts
 
 
 def call(capsys, *argv):

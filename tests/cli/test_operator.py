@@ -14,7 +14,7 @@ from flighttest.cli.live import SHOWN_FROM_S, LiveProgress
 from flighttest.cli.show import Show
 from flighttest.flight import FlightProgress
 from flighttest.link.transport import full_url
-from flighttest.pipeline.flights.run import counted_interrupts
+from flighttest.pipeline.flights.interrupts import counted_interrupts
 
 _DRAWN_S = 0.3  # a picture is drawn eight times a second
 

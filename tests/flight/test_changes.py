@@ -13,7 +13,7 @@ from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightResult
 from flighttest.flight.preparation.changes import SETS, LeftParameter, ParameterChanges, still_left
 from flighttest.flight.preparation.preflight import THRUST_AS_THRUST
-from flighttest.link.port import Port
+from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.store.resuming import left_behind
@@ -63,7 +63,7 @@ def test_another_parameter_is_reported_and_the_flight_goes_on(run_dir: Path) -> 
 def test_what_has_the_value_that_is_wanted_is_neither_set_nor_restored() -> None:
     """Seen: "FENCE_TYPE set from 7 to 7; it is restored after the flight"."""
     said: list[str] = []
-    changes = ParameterChanges(Session(Port(FaultyLink(options()))), {"FENCE_TYPE": 7.0}, {})
+    changes = ParameterChanges(Session(MavlinkPort(FaultyLink(options()))), {"FENCE_TYPE": 7.0}, {})
     changes.apply({"FENCE_TYPE": 7.0}, said.append, lambda _pending: None)
     assert (said, changes.pending) == ([], {})
 

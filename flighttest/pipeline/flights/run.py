@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import datetime
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +15,7 @@ from flighttest.flight.preparation import preflight
 from flighttest.identify.models import model_file
 from flighttest.identify.models.model_file import ModelFile
 from flighttest.pipeline.flights.after_landing import Landed, analyse
+from flighttest.pipeline.flights.interrupts import counted_interrupts
 from flighttest.pipeline.planning.checking import plans, prior_model
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.pipeline.recordings.fingerprints import of_vehicle
@@ -49,9 +47,6 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import DEFAULT_VEHICLE, Vehicle
 
 BUILTIN_SPEED = 20.0
-STOPPING = "Ctrl-C: stopping; a vehicle in the air is made safe and lands (again: stops sending at once)"
-SENDING_ENDS = "Ctrl-C again: nothing is sent any more; the pilot has control"
-_ANEW = "\r\x1b[2K"  # to the beginning of the terminal's line, and erase it
 MOST_CHANGES_SAID = 3  # in a line before take-off; the report and `status` list them all
 
 
@@ -164,46 +159,6 @@ def new_run(out: Path, script: str, now: datetime.datetime) -> Path:
     while folder.exists():
         folder, count = base.with_name(f"{base.name}-{count}"), count + 1
     return folder
-
-
-@contextmanager
-def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """While this is open, Ctrl-C is counted instead of raised: once lands, twice stops sending. A closed terminal or a shutdown lands."""
-    presses = 0
-
-    def count(_signal: int, _frame: object) -> None:
-        nonlocal presses
-        presses += 1
-        _answer(STOPPING if presses == 1 else SENDING_ENDS)
-
-    def end(_signal: int, _frame: object) -> None:
-        nonlocal presses
-        presses = max(presses, 1)  # often comes twice, and the second is no second request
-
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: 0
-        return
-    before = {signal.SIGINT: signal.signal(signal.SIGINT, count)}
-    for name in ("SIGTERM", "SIGHUP"):  # the latter not on every system
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
-            before[number] = signal.signal(number, end)
-    try:
-        yield lambda: presses
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _answer(text: str) -> None:
-    """Answer Ctrl-C past Python's own buffers, which the signal may have interrupted. On a terminal in the line where the cursor is, and no
-    other: a live picture is erased upwards from there, and a new line would leave its first ones behind."""
-    with suppress(OSError):
-        if os.isatty(2):
-            text = _ANEW + text[: os.get_terminal_size(2).columns - 1]
-        else:
-            text += "\n"
-        os.write(2, text.encode())
 
 
 def run(request: FlightRequest, progress: Progress = SILENT) -> Result:
