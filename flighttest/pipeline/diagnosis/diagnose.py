@@ -133,7 +133,9 @@ def diagnose(
 
 
 def _base_terms(found: Diagnosis) -> list[str]:
-    return [t for t in found.model.terms if t not in found.accepted]
+    """Terms of the model before anything was added to it."""
+    estimated = {found.model.term_of(name) for name in found.before}
+    return [t for t in found.model.terms if t not in found.accepted and t in estimated]
 
 
 def refit(found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None = None) -> tuple[Fit, tuple[str, ...]]:
