@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from flighttest.diagnose.model import Verdict
+from flighttest.diagnose.model import Located, Verdict
 from flighttest.diagnose.records import HeldOutRow, ParameterRow
 from flighttest.physics.body import DELAY_PARAM
 
 EXPLAINED_SHARE = 0.2  # of the excess may stay when the mismatch counts as explained
 DELAYS_DIFFER_S = 0.01
+BY_TIME = "time_since_takeoff_s"
 COMPENSATED = 0.5  # alpha below which thrust does not follow the voltage as motors on a battery do
 # A base parameter that came out so far from the model given (of its value, and of the standard error of the difference) is reported.
 MOVED, MOVED_ERRORS = 0.05, 4.0
@@ -93,6 +94,18 @@ def different_delays(table: Mapping[str, ParameterRow]) -> list[str]:
     return [
         f"channel_delay: {late} is {1000 * (most - least):.0f} ms longer than {early}; the model has a delay for each channel, "
         "so that no further term is needed"
+    ]
+
+
+def unrecorded_battery(located: Sequence[Located], recorded: bool) -> list[str]:
+    """Where the error grows with the time since take-off and no voltage was recorded: a battery that runs down looks like that, and no
+    term can be compared with it."""
+    late = [place.channel for place in located if place.regime.get("variable") == BY_TIME]
+    if recorded or not late:
+        return []
+    return [
+        f"battery: the error of {', '.join(dict.fromkeys(late))} depends on the time since take-off, and no battery voltage was recorded: "
+        "a battery that runs down looks like this; record its voltage"
     ]
 
 

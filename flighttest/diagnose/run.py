@@ -17,6 +17,7 @@ from flighttest.diagnose.conclusion import (
     predicted_worse,
     pushed_once,
     sentence_of,
+    unrecorded_battery,
     verdict_of,
 )
 from flighttest.diagnose.findings import finding, parameter_table
@@ -202,7 +203,13 @@ def _assembled(asked: Asked, answers: Sequence[BlockAnswer], group_name: str, fl
         next_flight="next.yaml" if proposal else None,
         next_script=proposal[1] if proposal else None,
         next_reason=proposal[0] if proposal else {},
-        notes=(*listed(answers, "notes"), *cut_short, *different_delays(after), *compensated_voltage(after)),
+        notes=(
+            *listed(answers, "notes"),
+            *cut_short,
+            *different_delays(after),
+            *compensated_voltage(after),
+            *unrecorded_battery(located, any(np.isfinite(s.y.get("voltage_v", np.nan)).any() for s in segments)),
+        ),
         complete=complete,
         runs=tuple(dict.fromkeys(s.run for s in segments)),
     )

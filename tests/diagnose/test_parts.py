@@ -10,6 +10,7 @@ from scipy import stats
 
 from flighttest.diagnose import conclusion, next_flight
 from flighttest.diagnose.mass import mass_test
+from flighttest.diagnose.model import Located
 from flighttest.diagnose.residuals import locate
 from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency, independent_times, shared_error
 from flighttest.diagnose.residuals.locate import explained_by
@@ -253,6 +254,18 @@ def test_thrust_that_does_not_follow_the_voltage_is_the_autopilots_doing(alpha, 
     assert conclusion.compensated_voltage({}) == []
     if reported:
         assert "MOT_BAT_VOLT_MAX" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("variable", "recorded", "noted"),
+    [("time_since_takeoff_s", False, True), ("time_since_takeoff_s", True, False), ("throttle", False, False)],
+)
+def test_a_battery_that_was_not_recorded_is_named_where_the_error_depends_on_time(variable, recorded, noted):
+    """Hops of a small vehicle without a battery reading ended in an error that depends on the time since take-off, and nothing more."""
+    place = Located("v_z", "hop", "free", {"variable": variable, "above": 6.8}, 0.2, 0.1, "", 1.4, 0.03, "m/s")
+    notes = conclusion.unrecorded_battery([place], recorded)
+    assert bool(notes) is noted
+    assert all("v_z" in n and "record its voltage" in n for n in notes)
 
 
 def test_a_channel_that_is_masked_everywhere_is_not_compared():
