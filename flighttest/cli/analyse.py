@@ -47,7 +47,7 @@ def import_(context: Context, log: Path, columns: Path | None, output: Path, veh
     help="Page to write; otherwise show.html in the run, or LOG-show.html here.",
 )
 def show(context: Context, log: Path, columns: Path | None, output: Path | None) -> int:
-    """One page about a log or run before anything is fitted: health, course, channels, map, what it can determine."""
+    """One page about a log or run before anything is fitted: health, channels, map, and what can be identified from it."""
     with LiveProgress(context.show) as progress:
         answer = ft.show(log, output, columns=columns, progress=progress)
     return context.finish(answer)

@@ -89,7 +89,7 @@ def models(context: Context, folder: Path) -> int:
 @click.option("--out", type=FOLDER, default=Path("runs"), show_default=True, help="Where run folders and models are.")
 @click.option("-o", "--output", type=FOLDER, metavar="DIR", help="Folder for status.html and the scripts to fly.")
 def status(context: Context, runs: tuple[Path, ...], out: Path, **options: Unpack[_StatusOptions]) -> int:
-    """Current, stale or unknown: does the model still hold for this vehicle, and what must be flown again."""
+    """Current, stale or unknown: whether the model is still valid for this vehicle, and what to fly again."""
     with LiveProgress(context.show) as progress:
         answer = ft.check_validity(*runs, runs=out, progress=progress, **options)
     return context.finish(answer)

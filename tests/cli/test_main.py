@@ -295,3 +295,13 @@ def test_a_shell_completes_commands_options_maneuvers_and_terms(words, completed
     *before, begun = words.split()[1:]
     complete = ShellComplete(cli_main.cli, {}, "flighttest", "_FLIGHTTEST_COMPLETE")
     assert [item.value for item in complete.get_completions(before, begun)] == completed
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_list_of_commands_cuts_no_sentence(width):
+    context = click.Context(cli_main.cli, info_name="flighttest", terminal_width=width)
+    shown = cli_main.cli.get_help(context)
+    assert max(map(len, shown.splitlines())) <= width
+    listed = " ".join(shown.partition("Commands:")[2].split())
+    for name, command in cli_main.cli.commands.items():
+        assert f"{name} {' '.join(command.help.split(chr(10) * 2)[0].split())}" in listed
