@@ -16,7 +16,7 @@ from flighttest.pipeline.results import Status
 from flighttest.pipeline.store import lineage
 from flighttest.pipeline.store.flown_with import FlownWith, keep, rerun_options
 from flighttest.pipeline.store.history import DEFAULT_RUNS
-from flighttest.pipeline.store.models import twin_command
+from flighttest.pipeline.store.models import accept_command, twin_command
 from flighttest.report.sections.diagnosis import missing_sections
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 
@@ -133,6 +133,22 @@ def test_what_is_to_fly_after_accept_and_status_flies_the_vehicle_of_the_models_
     assert row["command"] == f"flighttest run spot_check{options}"
     (out / "flown" / "diagnosis.json").write_text('{"next_reason": {"fits_zone": false}}')
     assert "fly next" not in call("accept", out / "flown", "--out", out)[1]
+
+
+def test_commands_of_a_log_that_names_no_vehicle_come_with_what_is_needed_first(call, tmp_path):
+    """`flighttest accept diagnosis` was printed where it is refused, and a flight with a vehicle file that holds no zone."""
+    out, folder = tmp_path / "runs", write_model(tmp_path / "diagnosis", vehicle=None)
+    (folder / "next.yaml").write_text("")
+    first, command = accept_command(folder, out).split("\n")
+    assert "name: ..." in first
+    assert command == f"flighttest accept {folder} --out {out} --vehicle vehicle.yaml"
+    assert call("accept", folder, "--out", out)[0] == 2
+    vehicle = tmp_path / "vehicle.yaml"
+    vehicle.write_text("format: vehicle/1\nname: heron\n")
+    code, text, _ = call("accept", folder, "--out", out, "--vehicle", vehicle)
+    assert code == 0
+    assert "whataflightneeds" in joined(text)
+    assert accept_command(write_model(tmp_path / "named"), out) == f"flighttest accept {tmp_path}/named --out {out}"
 
 
 def test_the_options_are_those_of_the_newest_run_that_says_them(tmp_path):

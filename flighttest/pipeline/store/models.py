@@ -54,7 +54,7 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
     script = path / NEXT_NAME
     if script.is_file() and _fits_zone(path):
         flies = rerun_options([*(out / name for name in made.runs), path], out, vehicle)
-        facts["fly next"] = f"flighttest run {shlex.quote(str(script))}{flies}"
+        facts["fly next"] = f"{_first_to_fly(vehicle)}flighttest run {shlex.quote(str(script))}{flies}"
     document = Document("accept", _sentence(whole, made), "good", (), facts)
     return Result(document, {"vehicle": whole.vehicle, "file": str(whole.current), **asdict(made)}, value=whole)
 
@@ -73,6 +73,16 @@ def twin_command(model: Path, flown: Sequence[Path]) -> str:
             find_arducopter()
             backend = " --backend sitl"
     return f"flighttest twin {shlex.quote(str(model))} --verify {' '.join(scripted)}{backend}"
+
+
+def _first_to_fly(vehicle: Path | None) -> str:
+    """What a vehicle file needs before its vehicle can fly; '' where it can, or none is given."""
+    try:
+        if vehicle is not None:
+            load_vehicle(vehicle)
+    except FlighttestError:  # enough for recordings
+        return f"first add to {vehicle} what a flight needs (zone, hover throttle, firmware, nominal voltage), then\n"
+    return ""
 
 
 def _fits_zone(folder: Path) -> bool:
