@@ -14,6 +14,7 @@ from flighttest.recording.model import Recording
 if TYPE_CHECKING:
     from flighttest.api.fitted_model import FittedModel
     from flighttest.identify.models.model_file import ModelFile
+    from flighttest.physics.model import Model
 
 AnyPath = str | PathLike[str]
 Source = str | PathLike[str] | Recording
@@ -65,8 +66,25 @@ def as_sources(sources: Source | Iterable[Source]) -> list[Path | Recording]:
 
 
 def as_model(model: FittedModel | AnyPath) -> Path | ModelFile:
-    """A model as the pipeline takes it: its file, or what is in it."""
-    return Path(model) if isinstance(model, str | PathLike) else model.stored
+    """A model as the pipeline takes it: its file, or what is in it. InputError for a model without numbers."""
+    if isinstance(model, str | PathLike):
+        return Path(model)
+    if not hasattr(model, "stored"):
+        raise InputError(
+            f"a {type(model).__name__} is not a fitted model", "give `fit(...).model`, `read_model(...)` or a path"
+        )
+    return model.stored
+
+
+def as_physics(model: Model | FittedModel | None) -> Model | None:
+    """The terms of a model, without its numbers. InputError for a path."""
+    if isinstance(model, str | PathLike):
+        raise InputError(
+            f"{str(model)!r} is not a model", "give a `Model`, or `read_model(path)`: its terms are fitted anew"
+        )
+    from flighttest.api.fitted_model import FittedModel
+
+    return model.physics if isinstance(model, FittedModel) else model
 
 
 def as_hidden(hide: HiddenEffects) -> tuple[str, ...]:
@@ -136,6 +154,25 @@ class ProofOptions(TypedDict, total=False):
     scheduler: str | None
     recordings: AnyPath | None
     data: AnyPath | None
+
+
+class SimulateOptions(TypedDict, total=False):
+    """Further options of `simulate`. vehicle_seed: a random rotor vehicle; vehicle: constants of the airframe by name; noise: factor on all
+    sensor noise; gust_rms_m_s: horizontal gusts; paced: in lock-step, no sooner than `speed` allows; ready_s, gps_s: when it can arm and
+    has a position, s after boot; parameters: autopilot parameters; voltage_v: at which the battery rests; capacity_ah: of the battery;
+    signing_key: hexadecimal, of MAVLink 2."""
+
+    vehicle_seed: int | None
+    vehicle: Mapping[str, float]
+    noise: float
+    gust_rms_m_s: float
+    paced: bool
+    ready_s: float
+    gps_s: float
+    parameters: Mapping[str, float]
+    voltage_v: float | None
+    capacity_ah: float | None
+    signing_key: str
 
 
 class ServeOptions(TypedDict, total=False):

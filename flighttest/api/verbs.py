@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
+from typing import TYPE_CHECKING, Literal, Unpack, cast
 
 from flighttest.api.inputs import (
     AnyPath,
@@ -17,10 +17,12 @@ from flighttest.api.inputs import (
     FitOptions,
     HiddenEffects,
     ProgressLike,
+    SimulateOptions,
     Source,
     as_hidden,
     as_model,
     as_path,
+    as_physics,
     as_progress,
     as_sources,
     reading_options,
@@ -58,7 +60,7 @@ def segment(*sources: Source, columns: AnyPath | None = None, progress: Progress
 
 def fit(
     *sources: Source,
-    model: Model | None = None,
+    model: Model | FittedModel | None = None,
     vehicle: AnyPath | None = None,
     freeze: Mapping[str, float] | None = None,
     tie: Mapping[str, str] | None = None,
@@ -68,15 +70,15 @@ def fit(
 ) -> Fitted:
     """Estimate a model's parameters from one or several recordings, jointly.
 
-    model: the paper's where none is given; add terms with `+`. vehicle: vehicle.yaml, for nominal voltage and components. freeze:
-    parameters held at a value (T_d holds every delay); tie: parameter to the one it equals. progress: called with each stage's words.
-    options: `flighttest.api.inputs.FitOptions`. FitError where no response can be used.
+    model: the paper's where none is given; add terms with `+`; of a fitted one the terms count. vehicle: vehicle.yaml, for nominal
+    voltage and components. freeze: parameters held at a value (T_d holds every delay); tie: parameter to the one it equals. progress:
+    called with each stage's words. options: `flighttest.api.inputs.FitOptions`. FitError where no response can be used.
     """
     from flighttest.pipeline.identification import fitting as analysis
 
     further = reading_options(options, "output")
     output = further.pop("output", None)
-    asked = analysis.FitRequest(model=model, freeze=freeze or {}, tie=tie or {}, **further)
+    asked = analysis.FitRequest(model=as_physics(model), freeze=freeze or {}, tie=tie or {}, **further)
     result = analysis.fit(
         as_sources(sources),
         output,
@@ -256,14 +258,14 @@ def simulate(
     speed: float = 20.0,
     port: int = 0,
     lockstep: bool = True,
-    **options: Any,
+    **options: Unpack[SimulateOptions],
 ) -> Simulation:
     """A MAVLink copter on this machine, for tests of whatever talks to one: `with ft.simulate() as vehicle: connect(vehicle.url)`.
 
     airframe: 'paper' (the paper's model) or 'rotor' (rotor-level first principles). model: an identified model flies instead. hide:
     concealed physics, {"ground_effect": {"R2_m2": 0.1}} or ["ground_effect:R2_m2=0.1"]. speed: times real time; port: 0 takes any free
-    one; lockstep: deterministic for a seed, time stands still until the client grants some. options: further fields of `sim.SimOptions`.
-    It ends with the block, or with this process. InputError for options that cannot be.
+    one; lockstep: deterministic for a seed, time stands still until the client grants some. options:
+    `flighttest.api.inputs.SimulateOptions`. It ends with the block, or with this process. InputError for options that cannot be.
     """
     from flighttest.sim import SimOptions, parse_hide, start_simulator
 

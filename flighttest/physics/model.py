@@ -157,7 +157,7 @@ class Model:
 
     def __add__(self, term: str | Term) -> Model:
         """This model with one more term; ModelError where there is none of this id, or where names clash."""
-        return self.with_terms(term)
+        return self.with_terms(term) if isinstance(term, str | Term) else NotImplemented
 
     def __sub__(self, term: str | Term) -> Model:
         """This model without one of its terms; ModelError where it has none of this id."""

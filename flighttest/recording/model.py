@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,19 +119,26 @@ class Recording:
         return f"<Recording {self.name}: {end_s - start_s:.1f} s; {groups}; {len(self.markers)} markers>"
 
     def has(self, *channel_names: str) -> bool:
-        """Whether every named channel is here with at least one finite sample."""
+        """Whether every named channel is here with at least one finite sample; RecordingError for a name that is no channel's."""
         for name in channel_names:
-            series = self.series.get(CHANNELS[name].group)
+            series = self._series_of(name)
             if series is None or name not in series.columns or not bool(np.any(np.isfinite(series.columns[name]))):
                 return False
         return True
 
     def channel(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Time (n,) and values (n,) of one channel; RecordingError where it was not recorded."""
-        series = self.series.get(CHANNELS[name].group)
+        series = self._series_of(name)
         if series is None or name not in series.columns:
             raise RecordingError(f"{self.name} has no channel {name}")
         return series.t_s, series.columns[name]
+
+    def _series_of(self, channel: str) -> Series | None:
+        if channel not in CHANNELS:
+            near = get_close_matches(channel, CHANNELS, 1)
+            hint = f"did you mean {near[0]!r}?" if near else "see the channel table in docs/formats.md"
+            raise RecordingError(f"unknown channel {channel!r}", hint)
+        return self.series.get(CHANNELS[channel].group)
 
     def to_frame(self, group: str | None = None) -> pd.DataFrame:
         """Channels as columns, indexed by t_s: of one group as they were sampled, or of all on the union of their times, NaN where a

@@ -189,3 +189,29 @@ def test_models_are_compared_and_planned_with_as_values(fitted, tmp_path):
     path = fitted.model.write(tmp_path / "model.yaml")
     assert ft.compare(fitted.model, path).differing == ()
     assert ft.plan("yaw_rate", model=fitted.model).to_frame().equals(ft.plan("yaw_rate", model=path).to_frame())
+
+
+def test_wrong_models_channels_and_terms_are_one_clear_error(log, fitted, tmp_path):
+    wrong = {
+        "'model.yaml' is not a model; give": lambda: ft.fit(log, model="model.yaml"),
+        "a Model is not a fitted model; give": lambda: ft.diagnose(log, model=ft.Model()),
+        "unknown channel 'rol_rad'; did you mean 'roll_rad'": lambda: log.channel("rol_rad"),
+        "unknown channel 'nonsense'; see": lambda: log.has("nonsense"),
+    }
+    for message, call in wrong.items():
+        with pytest.raises(ft.FlighttestError, match=message):
+            call()
+    with pytest.raises(TypeError, match="unsupported operand"):
+        ft.Model() + 3
+    assert ft.fit(log, model=fitted.model).parameters.keys() == fitted.parameters.keys()
+
+
+def test_the_options_of_a_simulated_vehicle_are_typed():
+    from dataclasses import fields
+    from inspect import signature
+
+    from flighttest.api.inputs import SimulateOptions
+    from flighttest.sim import SimOptions
+
+    named = set(signature(ft.simulate).parameters) - {"options", "port"}
+    assert named | set(SimulateOptions.__annotations__) == {field.name for field in fields(SimOptions)}
