@@ -139,7 +139,7 @@ def test_frozen_stays_and_tied_moves_together(flown):
     tests = {t.name: t for t in result.ties}
     assert tests["d_y"].p_value > 0.001
     assert tests["omega_theta"].p_value < 1e-6
-    assert "against" in tests["omega_theta"].sentence
+    assert "contradicts" in tests["omega_theta"].sentence
 
 
 def test_a_wrong_name_is_an_error_with_the_names_there_are(flown):
