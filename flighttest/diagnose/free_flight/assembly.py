@@ -280,6 +280,8 @@ class _Assembly:
         scale = {c: named.size[c] / self.found.final.rms[c] for c in named.size if self.found.final.rms.get(c)}
         channel = max(scale, key=lambda c: scale[c]) if scale else "a_z_m_s2"
         words = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
+        if named.term == WIND_TERM and len(self.found.winds) > 1:
+            words = f"up to {max(w.speed for w in self.found.winds):.2g} m/s; each flight has its own"
         sentence = f"{term.plain} ({words}); {named.size.get(channel, 0.0):.2g} m/s^2 RMS of {short(channel)} beside the rest of the model"
         rivals = tuple(Rival(r, TermVerdict.CONFUSABLE, 1.0, what_separates(r, named.term)) for r in named.rivals)
         if rivals:
