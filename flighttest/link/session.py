@@ -282,6 +282,10 @@ class Session:
         heard_s = min(self.clock.now_s(), self.last_heard_s + QUIET_S * pace)
         return max(heard_s - self._answered_s - TIMESYNC_EVERY_S * pace, 0.0)
 
+    def answered_since(self, t_s: float) -> bool:
+        """Whether a TIMESYNC question that left after t_s was answered: the vehicle has received, or never will, what was sent before."""
+        return self._answered_s is not None and self._answered_s >= t_s
+
     @property
     def offset(self) -> ClockOffset | None:
         """Ground minus vehicle time by TIMESYNC, None before the first answer."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from unittest import mock
 
@@ -119,3 +120,21 @@ def test_a_climb_is_not_fed_back_over_a_link_that_takes_too_long(unanswered_s: f
     control.gate, control.hover_throttle = GATE, GATE.hover_throttle
     control.state = replace(GOOD, climb_m_s=0.4, silence_s=0.0, uplink_silence_s=unanswered_s)
     assert (control.release_target().throttle < GATE.hover_throttle) is fed_back
+
+
+def test_a_link_of_lasting_latency_does_not_leave_the_vehicle_level_for_long(tmp_path: Path) -> None:
+    """Seen: answers that are late for as long as they come kept a flown step from its end, and level targets do not hold the height: from
+    5 m the vehicle sank to the ground."""
+    late = Fault("300 ms latency", 300.0, latency_s=0.3)
+    proxy = Proxy(SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0), late, When.FLYING)
+    result = fly(
+        make_plan(make_leg("a"), make_leg("b")), "proxy", tmp_path / "run", transport=proxy, clock=proxy.clock()
+    )
+    assert result.outcome is FlightOutcome.COMPLETED
+    assert [leg.outcome for leg in result.legs][-2:] == [
+        LegOutcome.FLOWN
+    ] * 2  # the one in which it begins is flown again
+    phases = [m for m in read_events(tmp_path / "run")[0] if m.kind == "phase"]
+    for coast, end in ((m, n) for m, n in pairwise(phases) if m.label == "coast"):
+        assert end.label == "end"
+        assert end.t_s - coast.t_s < make_leg().phases[-1].end_s - make_leg().phases[-1].start_s + 2.0

@@ -138,8 +138,10 @@ def fly_leg(
         control.until(start + tick * control.period_s - ahead_s)
     control.until(start + leg.duration_s)
     control.release()
-    while control.state.uplink_silence_s > UNSURE_S * control.pace:
-        # Whether the step's last targets arrived is not known yet; GUID_TIMEOUT ends what did.
+    ended_s = control.session.now_s()
+    while control.state.uplink_silence_s > UNSURE_S * control.pace and not control.session.answered_since(ended_s):
+        # Whether the step's last targets arrived is not known yet; GUID_TIMEOUT ends what did. Level targets do not hold the height: it is
+        # waited for the answer to what was asked after the end, not for a link that is quick again.
         if control.state.uplink_silence_s > control.gate.uplink_silence_max_s:
             return _refused(control, leg, (Refusal.UPLINK,))
         control.cycle()
