@@ -216,7 +216,7 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
     )
     # One that never took off disarms by itself.
     grounded = left is FlightState.DISARMED and vehicle.landed and not vehicle.armed and not proxy.reached(When.FLYING)
-    if reported_unsafe and not (fault.for_good or fault.reboot or grounded):
+    if reported_unsafe and not (fault.for_good or fault.reboot or fault.kill or grounded):
         found.append(f"left {left.name} by a fault that passed")
     if vehicle.armed and not reported_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
         found.append("armed, and not said so")
