@@ -61,7 +61,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         for a in aliases_of(search, term_id)
     )
     confusable = [r for r in rivals if r.verdict == TermVerdict.CONFUSABLE]
-    numbers = ", ".join(_in_words(n, v) for n, v in parameters.items())
+    numbers = ", ".join(parameter_in_words(n, v) for n, v in parameters.items())
     sentence = (
         f"{term.plain} ({numbers}); {brief(evidence.floors)} noise floors in {short(evidence.place[0])} of {flown(evidence.place[1])}; "
         f"probability {_percent(evidence.probability)}"
@@ -110,13 +110,15 @@ def _percent(probability: float) -> str:
     return "above 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"
 
 
-def _in_words(name: str, v: ParameterRow) -> str:
-    """A parameter in words."""
-    unit = "" if v["unit"] == "1" else f" {v['unit']}"
-    if v.get("at_bound"):
-        return f"{name} {v['value']:.3g}{unit}, its bound"
-    half = 0.5 * (v["interval_95"][1] - v["interval_95"][0])
-    return f"{name} {v['value']:.3g} ± {brief(half)}{unit}"
+def parameter_in_words(name: str, row: ParameterRow) -> str:
+    """Name, value and 95 % interval, with the unit: half the interval, or both its ends where a bound of the parameter cuts it."""
+    unit = "" if row["unit"] == "1" else f" {row['unit']}"
+    value, (low, high) = float(row["value"]), row["interval_95"]
+    if row.get("at_bound"):
+        return f"{name} {value:.3g}{unit}, its bound"
+    if not np.isclose(high - value, value - low, rtol=0.01):
+        return f"{name} {value:.3g}{unit}, between {low:.3g} and {high:.3g}"
+    return f"{name} {value:.3g} ± {brief(0.5 * (high - low))}{unit}"
 
 
 def _rms_force(search: Search, effect: FloatArray) -> float | None:

@@ -9,6 +9,7 @@ from made_rows import responses, rows_of
 from scipy import stats
 
 from flighttest.diagnose import conclusion, next_flight
+from flighttest.diagnose.findings import parameter_in_words
 from flighttest.diagnose.mass import mass_test
 from flighttest.diagnose.model import Located
 from flighttest.diagnose.residuals import locate
@@ -266,6 +267,20 @@ def test_a_battery_that_was_not_recorded_is_named_where_the_error_depends_on_tim
     notes = conclusion.unrecorded_battery([place], recorded)
     assert bool(notes) is noted
     assert all("v_z" in n and "record its voltage" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("interval", "more", "words"),
+    [
+        ([0.4, 0.6], {}, "tc 0.5 ± 0.1 s"),
+        ([-2.0, 0.6], {}, "tc 0.5 s, between -2 and 0.6"),
+        ([0.4, 0.6], {"at_bound": True}, "tc 0.5 s, its bound"),
+    ],
+)
+def test_an_interval_that_a_bound_cuts_is_given_by_both_ends(interval, more, words):
+    """A share of a pole was shown as -0.92 ± 1.5, though its interval reached from bound to bound."""
+    row = {"value": 0.5, "std": 0.05, "unit": "s", "interval_95": interval, "scatter": 0.05, **more}
+    assert parameter_in_words("tc", row) == words
 
 
 def test_a_channel_that_is_masked_everywhere_is_not_compared():

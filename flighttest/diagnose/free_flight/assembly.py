@@ -21,13 +21,12 @@ from flighttest.diagnose.conclusion import (
     sentence_of,
     verdict_of,
 )
-from flighttest.diagnose.findings import finding, parameter_table
+from flighttest.diagnose.findings import finding, parameter_in_words, parameter_table
 from flighttest.diagnose.free_flight.equation_search import EquationSearch, NamedByEquations, find_terms
 from flighttest.diagnose.free_flight.prediction import groups_left_out, held_out_table, share_gained
 from flighttest.diagnose.free_flight.tables import (
     free_flight_floor,
     pairs_of_flights,
-    parameter_in_words,
     sampling_rate,
     table_of,
     what_separates,

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from flighttest.diagnose.free_flight.equation_search import OFFSET_TERM, EquationSearch
-from flighttest.diagnose.model import brief
 from flighttest.diagnose.records import ParameterRow
 from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.estimation.linearisation import Linearisation
@@ -52,12 +51,6 @@ def table_of(found: FreeFlight, model: Model | None) -> dict[str, ParameterRow]:
                 "value": value, "std": std, "unit": p.unit, "interval_95": [value - factor * std, value + factor * std], "scatter": std,
             }  # fmt: skip
     return rows
-
-
-def parameter_in_words(name: str, row: ParameterRow) -> str:
-    """Name, value, half of its 95 % interval and unit."""
-    unit = "" if row["unit"] == "1" else f" {row['unit']}"
-    return f"{name} {row['value']:.3g} ± {brief(0.5 * (row['interval_95'][1] - row['interval_95'][0]))}{unit}"
 
 
 def what_separates(rival: str, term: str) -> str:
