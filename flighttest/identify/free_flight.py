@@ -152,10 +152,12 @@ def _with_lag(flown: Sequence[Segment], asked: _Asked, values: Mapping[str, floa
 def mixture(found: Sequence[FreeFlight]) -> FreeFlight:
     """The best of several local optima of one model, with the covariance of their mixture about it: weights by the quasi-likelihood, log
     likelihood over the inflation of its variance (McLachlan and Peel 2000, section 2.2)."""
-    best = max(found, key=lambda one: one.log_likelihood)
-    weights = np.exp([(one.log_likelihood - best.log_likelihood) / best.inflation for one in found])
-    at = np.array([[one.values[n] for n in best.names] for one in found])
-    apart = at - at[found.index(best)]
+    reached = [one for one in found if np.isfinite(one.log_likelihood)]
+    if not reached:
+        return found[0]
+    best = max(reached, key=lambda one: one.log_likelihood)
+    weights = np.exp([(one.log_likelihood - best.log_likelihood) / best.inflation for one in reached])
+    apart = np.array([[one.values[n] - best.values[n] for n in best.names] for one in reached])
     between = (apart * (weights / weights.sum())[:, None]).T @ apart
     return replace(best, covariance=best.covariance + between)
 
@@ -287,7 +289,8 @@ class _PredictionErrors:
         spread, extra = heterogeneity(rows, own, self.std)
         ratio = lack_of_fit(at.streams, self.noise)
         wrong = sum((ratio[c] - 1.0) * _gram(rows.columns[rows.channel == c]) for c in ratio)
-        robust = made.robust + made.covariance @ wrong @ made.covariance
+        known = np.where(np.isfinite(made.covariance), made.covariance, 0.0)  # what is unknown stays so in the sandwich
+        robust = made.robust + known @ wrong @ known
         covariance = robust + extra
         error = np.sqrt(np.diag(covariance))
         leaning = frozenset(

@@ -120,6 +120,18 @@ def test_local_optima_that_serve_as_well_are_in_the_covariance():
     worse = replace(other, log_likelihood=found.log_likelihood - 10.0 * found.inflation)
     assert same == pytest.approx(0.5)  # half the weight, 1 away
     assert mixture([worse, found]).covariance[at, at] - found.covariance[at, at] < 1e-4
+    diverged = replace(other, log_likelihood=-np.inf)
+    assert np.array_equal(mixture([diverged, found]).covariance, found.covariance)
+    assert mixture([diverged]) is diverged
+
+
+def test_a_parameter_without_effect_is_unknown_and_spoils_no_other():
+    """Without sideways velocity nothing depends on its drag."""
+    some = stretches(flight(60.0, 2, accelerometer=False))
+    straight = [replace(s, y=s.y | {n: np.zeros(s.t_s.size) for n in ("v_y_m_s", "roll_rad")}) for s in some]
+    found = estimate(straight, Model(attitude_loops=False), free=NAMES)
+    assert not np.isfinite(found.std["d_y"])
+    assert found.std["K"] < 0.02 * GAIN
 
 
 def test_the_noise_of_the_recording_is_reported():
