@@ -141,6 +141,8 @@ def main(arguments: list[str]) -> int:
     count, first = ([int(a) for a in arguments if a.isdigit()] + [20, 0])[:2] if arguments else (20, 0)
     columns = files[1] if len(files) > 1 else None
     given = pd.read_csv(files[0]) if files else None
+    if given is not None:
+        given = given.astype(dict.fromkeys(given.select_dtypes("number"), float))  # of which defects make any number
     time_column = load_columns(columns).columns["t_s"].columns[0] if columns is not None else "t_s"
     failed, ends = 0, Counter[str]()
     warnings.simplefilter("ignore")
