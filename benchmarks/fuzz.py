@@ -124,7 +124,7 @@ def run(path: Path, columns: Path | None, verbs: tuple[str, ...], folder: Path) 
                 case "fit":
                     analysis.fit([path], folder / "model.yaml", columns)
                 case "diagnose":
-                    diagnosis.diagnose([path], None, folder / "diagnosis", columns)
+                    diagnosis.diagnose([path], output=folder / "diagnosis", reading=sources.Reading(columns))
             ends.append("done")
         except FlighttestError as error:
             ends.append(type(error).__name__)
