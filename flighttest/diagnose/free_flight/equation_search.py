@@ -227,16 +227,13 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     without = [base, *(asked.estimate(base.model.with_terms(*some), base.values) for some in _each_and_all(beside))]
     calm = max(without, key=lambda one: _score(one, tried))
     nats = _score(windy, tried) - _score(calm, tried)
-    confusable = OFFSET_TERM in beside and not found.turned and 0.0 < nats < CHANCE_NATS
-    if probability_of(nats, len(known)) < PROBABILITY and not confusable:
+    if probability_of(nats, len(known)) < PROBABILITY:
         return
     gained = max(windy.log_likelihood - calm.log_likelihood, 0.0) / tried.inflation
     p_value = chi2_beyond(2.0 * gained, len(coefficients_of(tried, known[WIND_TERM])))
     streams = asked.streams(tried)
     found.final = tried
-    found.named[WIND_TERM] = NamedByEquations(
-        WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams), (OFFSET_TERM,) if confusable else ()
-    )
+    found.named[WIND_TERM] = NamedByEquations(WIND_TERM, nats, p_value, effect_sizes(asked.streams(calm), streams))
     for one in beside:
         p = wald(tried, known[one])
         if p >= level:
