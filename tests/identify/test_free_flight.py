@@ -110,6 +110,7 @@ def test_equations_of_the_wrong_form_widen_intervals():
     bent = [replace(s, y=s.y | {"f_x_m_s2": s.y["f_x_m_s2"] - 0.3 * s.y["v_x_m_s"] ** 2}) for s in some]
     wrong = estimate(bent, Model(attitude_loops=False), free=NAMES)
     assert wrong.std["d_x"] > 1.5 * right.std["d_x"]
+    assert wrong.inflation > 1.5  # by the scatter between blocks alone it is 1
 
 
 def test_local_optima_that_serve_as_well_are_in_the_covariance():
