@@ -22,7 +22,7 @@ from flighttest.estimation.linearisation import (
     orthonormal_each,
     project,
 )
-from flighttest.estimation.problem import Problem, prior_std
+from flighttest.estimation.problem import PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution, Start, log_likelihood, solve
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
 from flighttest.estimation.uncertainty.discrepancy import discrepancy_limits
@@ -54,10 +54,11 @@ class Estimator:
     block: str
     select: Callable[[Sequence[Segment], Block], Sequence[int]]
     _problems: dict[Model, Problem] = field(default_factory=dict, repr=False)
+    _last: tuple[Optimum, tuple[str, ...], Sequence[PartEvaluation]] | None = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What goes to another process: not what was compiled here."""
-        return self.__dict__ | {"_problems": {}}
+        """What goes to another process: not what was computed here."""
+        return self.__dict__ | {"_problems": {}, "_last": None}
 
     def problem(self, model: Model) -> Problem:
         """The problem of one model, parts of this block only (none where nothing moves it); kept."""
@@ -144,9 +145,10 @@ class Estimator:
             for k, name in enumerate(part.locals):
                 column = columns.setdefault(name, np.full(len(self.segments), np.nan))
                 column[[r.index for r in part.responses]] = values[:, k]
-        made = Optimum(dict(found.values), columns, found.noise, np.inf)
-        objective = self.objective(model, made)
-        return replace(made, objective=objective, log_likelihood=log_likelihood(problem, found.noise, objective))
+        known = log_likelihood(problem, found.noise, found.cost)
+        made = Optimum(dict(found.values), columns, found.noise, found.cost, known)
+        self._last = made, tuple(names), found.evaluations
+        return made
 
     def covariance(self, model: Model, at: Optimum, names: Sequence[str]) -> Covariance:
         """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
@@ -173,18 +175,18 @@ class Estimator:
         strata = (*channels, *disturbances)
         out: list[tuple[FloatArray, ...]] = []
         projections: list[Projection] = []
-        evaluated = problem.evaluate(at.values, nuisance, list(names))
-        for part, made, l_i in zip(problem.parts, evaluated, nuisance, strict=True):
+        raw: list[FloatArray] = []
+        for part, made, l_i in zip(problem.parts, self._evaluated(problem, at, names), nuisance, strict=True):
             m, n, n_y = part.y.shape
             n_l, n_f = len(part.locals), part.n_free_states
             std = np.array([at.noise.channel[c] for c in part.outputs])
-            jacobian = (made.jacobian / std[:, None]).reshape(m, n * n_y, -1)
-            j_p, j_l = np.zeros((m, n * n_y, len(names))), jacobian[..., jacobian.shape[2] - n_l :]
+            scale = np.tile(std, n)
+            jacobian = made.jacobian.reshape(m, n * n_y, -1)
+            j_p, j_l = np.zeros((m, n * n_y, len(names))), jacobian[..., jacobian.shape[2] - n_l :] / scale[:, None]
             for k, name in enumerate(made.columns[: jacobian.shape[2] - n_l]):
                 j_p[..., list(names).index(name)] = jacobian[..., k]
             precision = 1.0 / prior_std(part, at.noise)
             residual, prior = (made.residual / std).reshape(m, -1), (part.start_local() - l_i) * precision
-            scale = np.tile(std, n)
             basis = orthonormal_each(np.concatenate([j_l, precision[..., None] * np.eye(n_l)], axis=1))
             start = basis[..., :n_f]  # the first columns span what the first columns of the Jacobian do
             projection = Projection(basis, start, scale, part.mask.reshape(m, -1))
@@ -193,7 +195,7 @@ class Estimator:
             given = residual + np.einsum("mij,mj->mi", j_l[..., n_f:], l_i[:, n_f:])
             given = np.concatenate([given, prior], axis=1)
             given[:, n * n_y + n_f :] = 0.0
-            columns, unprofiled = projection.of(j_p * scale[:, None])
+            raw.append(j_p)
             code = np.concatenate(
                 [
                     np.tile([strata.index(c) for c in part.outputs], n),
@@ -208,8 +210,7 @@ class Estimator:
             out.append(
                 (
                     r,
-                    columns,
-                    unprofiled,
+                    projection.profiled(j_p),
                     project(start, given[..., None])[..., 0] * np.concatenate([scale, np.zeros(n_l)]),
                     np.broadcast_to(np.concatenate([scale, np.ones(n_l)]), whole),
                     np.broadcast_to(index[:, None], whole),
@@ -217,13 +218,21 @@ class Estimator:
                     np.broadcast_to(code, whole),
                 )
             )
-        rows = [in_order(projections, [o[k] for o in out]) for k in range(8)]
-        segment, sample_at, stratum = (rows[k].astype(np.intp) for k in (5, 6, 7))
+        rows = [in_order(projections, [o[k] for o in out]) for k in range(7)]
+        segment, sample_at, stratum = (rows[k].astype(np.intp) for k in (4, 5, 6))
         return Linearisation(
-            residual=rows[0], jacobian=rows[1], unprofiled_jacobian=rows[2], unprofiled_residual=rows[3], scale=rows[4],
+            residual=rows[0], jacobian=rows[1], unprofiled_residual=rows[2], derivatives=tuple(raw), scale=rows[3],
             segment=segment, sample=sample_at, stratum=stratum, channels=channels, disturbances=disturbances,
             names=tuple(names), projections=tuple(projections),
         )  # fmt: skip
+
+    def _evaluated(self, problem: Problem, at: Optimum, names: Sequence[str]) -> Sequence[PartEvaluation]:
+        """With derivatives by `names`; not computed again at the optimum that was found last."""
+        if self._last is not None:
+            found, by, made = self._last
+            if found.values is at.values and found.nuisance is at.nuisance and by == tuple(names):
+                return made
+        return problem.evaluate(at.values, self.nuisance(problem, at), list(names))
 
     def derivatives(self, model: Model, at: Optimum, names: Sequence[str]) -> list[FloatArray]:
         """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units."""

@@ -48,12 +48,21 @@ class Projection:
     scale: FloatArray
     keep: NDArray[np.bool_]
 
-    def of(self, raw: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(whitened and profiled, in units and unprofiled), both (m, k, q), of changes (m, k - n_l, q) of the outputs, in their units."""
-        m, n_l, q = raw.shape[0], self.basis.shape[2], raw.shape[2]
-        stacked = np.concatenate([raw / self.scale[:, None], np.zeros((m, n_l, q))], axis=1)
-        unit = np.concatenate([self.scale, np.zeros(n_l)])[:, None]
-        return project(self.basis, stacked), project(self.start, stacked) * unit
+    def profiled(self, raw: FloatArray) -> FloatArray:
+        """(m, k, q) whitened and profiled changes, of changes (m, k - n_l, q) of the outputs in their units."""
+        return project(self.basis, self._whitened(raw))
+
+    def unprofiled(self, raw: FloatArray) -> FloatArray:
+        """(m, k, q) the same in units, with only the initial states profiled out."""
+        unit = np.concatenate([self.scale, np.zeros(self.basis.shape[2])])[:, None]
+        return np.asarray(project(self.start, self._whitened(raw)) * unit)
+
+    def _whitened(self, raw: FloatArray) -> FloatArray:
+        """With a row of zeros for each prior."""
+        m, n, q = raw.shape
+        found = np.zeros((m, n + self.basis.shape[2], q))
+        np.divide(raw, self.scale[:, None], out=found[:, :n])
+        return found
 
 
 def in_order(projections: Sequence[Projection], values: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -68,16 +77,17 @@ class Linearisation:
     """Rows of a model at an optimum: one per sample and channel, then one per prior of a nuisance parameter (sample and channel -1).
 
     residual (n,), jacobian (n, p): whitened and profiled (a step d of the parameters lowers the residual by jacobian @ d);
-    unprofiled_residual, unprofiled_jacobian: in units of the channel, with only initial states projected out: what the model predicts of
-    a response without knowing its disturbance. scale (n,): standard deviations that rows were whitened by; segment, sample (n,): positions
-    in the estimator's segments and in their t_s; channel (n,): index into `channels`, -1 for priors; stratum (n,): rows that share a
-    variance: the channel, then `disturbances`, -1 for priors of initial states. projections: by part.
+    unprofiled_residual: in units of the channel, with only initial states projected out: what the model does not predict of a response
+    without knowing its disturbance; derivatives: per part (m, samples times outputs, p), in the channels' units, of which
+    `unprofiled_jacobian` is made where it is asked for. scale (n,): standard deviations that rows were whitened by;
+    segment, sample (n,): positions in the estimator's segments and in their t_s; channel (n,): index into `channels`, -1 for priors;
+    stratum (n,): rows that share a variance: the channel, then `disturbances`, -1 for priors of initial states. projections: by part.
     """
 
     residual: FloatArray
     jacobian: FloatArray
     unprofiled_residual: FloatArray
-    unprofiled_jacobian: FloatArray
+    derivatives: tuple[FloatArray, ...]
     scale: FloatArray
     segment: IntArray
     sample: IntArray
@@ -105,10 +115,21 @@ class Linearisation:
         """Names of the strata, in the order of their index."""
         return (*self.channels, *self.disturbances)
 
-    def of(self, raw: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """(profiled, unprofiled) columns, both (n, q), of a change given per part, (m, samples times outputs, q) in the channels' units."""
-        both = [part.of(one) for part, one in zip(self.projections, raw, strict=True)]
-        return in_order(self.projections, [b[0] for b in both]), in_order(self.projections, [b[1] for b in both])
+    @property
+    def unprofiled_jacobian(self) -> FloatArray:
+        """(n, p) in units of the channel, with only initial states projected out."""
+        return self.once("unprofiled", lambda: self.unprofiled(self.derivatives))
+
+    def profiled(self, raw: Sequence[FloatArray]) -> FloatArray:
+        """(n, q) columns as in `jacobian`, of a change given per part, (m, samples times outputs, q) in the channels' units."""
+        return self._rows([part.profiled(one) for part, one in zip(self.projections, raw, strict=True)])
+
+    def unprofiled(self, raw: Sequence[FloatArray]) -> FloatArray:
+        """(n, q) columns as in `unprofiled_jacobian`, of such a change."""
+        return self._rows([part.unprofiled(one) for part, one in zip(self.projections, raw, strict=True)])
+
+    def _rows(self, values: Sequence[FloatArray]) -> FloatArray:
+        return np.asarray(in_order(self.projections, values), dtype=float)
 
     def columns(self, names: Sequence[str]) -> FloatArray:
         """(n, k) columns of `jacobian` by name."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flighttest.estimation.linearisation import Linearisation
+from flighttest.estimation.linearisation import Linearisation, Projection
 from flighttest.segments.model import Segment
 
 
@@ -10,10 +10,13 @@ def rows_of(residual, columns, segments=20, channel=None, names=None):
     """Whitened rows without nuisance parameters: each of the responses has as many samples."""
     n = residual.size
     each = n // segments
+    nothing = np.zeros((segments, each, 0))
     return Linearisation(
-        residual=residual, jacobian=columns, unprofiled_residual=residual, unprofiled_jacobian=columns, scale=np.ones(n),
+        residual=residual, jacobian=columns, unprofiled_residual=residual, scale=np.ones(n),
+        derivatives=(columns[: segments * each].reshape(segments, each, -1),),
         segment=np.repeat(np.arange(segments), each), sample=np.tile(np.arange(each), segments),
         stratum=np.zeros(n, dtype=int) if channel is None else channel, channels=("f_z_m_s2", "v_z_m_s"), disturbances=(),
+        projections=(Projection(nothing, nothing, np.ones(each), np.ones((segments, each), dtype=bool)),),
         names=names or tuple(f"p{k}" for k in range(columns.shape[1])),
     )  # fmt: skip
 

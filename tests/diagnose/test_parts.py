@@ -193,7 +193,7 @@ def test_an_effect_of_the_smallest_size_reported_is_named_four_times_in_five(rng
     column = rng.normal(size=(2000, 1))
     rows = rows_of(np.zeros(2000), np.ones((2000, 1)))
     candidate = SimpleNamespace(
-        term=SimpleNamespace(id="a", shapes=()), shape={}, names=("a0",), columns=column, unprofiled=column
+        term=SimpleNamespace(id="a", shapes=()), shape={}, names=("a0",), columns=column, unprofiled=lambda: column
     )
     search = SimpleNamespace(
         now=SimpleNamespace(rows=rows, names=("p0",)), candidates=[candidate], pool=tuple(range(30)),

@@ -20,10 +20,8 @@ from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 
-NUMBERS = SimpleNamespace(residual=np.zeros(1), jacobian=np.zeros((1, 1)), unprofiled_jacobian=np.zeros((1, 1)))
-NO_NUMBERS = SimpleNamespace(
-    residual=np.zeros(1), jacobian=np.full((1, 1), np.nan), unprofiled_jacobian=np.zeros((1, 1))
-)
+NUMBERS = SimpleNamespace(residual=np.zeros(1), jacobian=np.zeros((1, 1)))
+NO_NUMBERS = SimpleNamespace(residual=np.zeros(1), jacobian=np.full((1, 1), np.nan))
 
 QUIET = Noise({}, {})
 
@@ -279,7 +277,7 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
     model = SimpleNamespace(term_of=lambda _name: "body")
     without = Fitted(model, ("p0",), SimpleNamespace(objective=1.0), rows)
     column = (cosine * effect + np.sqrt(1 - cosine**2) * other + 3.0 * base)[:, None]
-    alike = Candidate(SimpleNamespace(id="b"), {}, ("b0",), column, column)
+    alike = Candidate(SimpleNamespace(id="b"), {}, ("b0",), column, lambda: column)
     asked = []
     monkeypatch.setattr(Search, "refitted", lambda _self, _among, members, _s: asked.append(members) or without)
     monkeypatch.setattr(aliases_module, "inadmissible", lambda *_: "")
@@ -346,7 +344,7 @@ def test_a_candidate_whose_simulation_is_not_finite_is_dropped():
     model = Model()
     known = catalogue()
     terms = [known[t] for t in ("steady_wind", "accelerometer_bias", "rate_limit")]
-    rows = SimpleNamespace(of=lambda raw: (raw[0][0], raw[0][0]))
+    rows = SimpleNamespace(profiled=lambda raw: raw[0][0], unprofiled=list)
     at = Optimum(dict(model.start()), {}, Noise({}, {}), 0.0)
     found = candidates_at(Half(("w_north",)), model, at, rows, terms)
     assert {c.term.id for c in found} == {"accelerometer_bias", "rate_limit"}

@@ -26,7 +26,7 @@ def candidate(name, columns, shape=None, family="propulsion", **how):
     columns = np.asarray(columns, dtype=float).reshape(len(columns), -1)
     names = tuple(f"{name}{k}" for k in range(columns.shape[1]))
     term = SimpleNamespace(id=name, family=family, params=tuple(param(n, **how) for n in names))
-    return Candidate(term, shape or {}, names, columns, columns)
+    return Candidate(term, shape or {}, names, columns, lambda: columns)
 
 
 def subsets(residual, base, candidates, floor=1e6, inflation=1.0, variance=1.0):
@@ -119,7 +119,7 @@ def test_a_one_sided_prior_is_a_half_normal_and_penalises_the_wrong_side(rng, si
 def test_a_prior_is_three_usual_sizes_wide():
     wind = catalogue()["steady_wind"]
     names = tuple(p.name for p in wind.amplitudes)
-    c = Candidate(wind, {}, names, np.zeros((1, len(names))), np.zeros((1, len(names))))
+    c = Candidate(wind, {}, names, np.zeros((1, len(names))), lambda: np.zeros((1, len(names))))
     np.testing.assert_allclose(c.prior_std, [3.0 * abs(p.nominal) for p in wind.amplitudes])
 
 
@@ -197,7 +197,9 @@ def test_a_difference_without_a_coefficient_is_there_about_once(rng):
     scored = []
     for multiple in (1.0, 0.0):
         residual = multiple * effect[:, 0] + 0.5 * rng.normal(size=N)
-        found = subsets(residual, np.zeros((N, 0)), [Candidate(term, {"x": 1.0}, (), effect, effect)], floor=1.0)
+        found = subsets(
+            residual, np.zeros((N, 0)), [Candidate(term, {"x": 1.0}, (), effect, lambda: effect)], floor=1.0
+        )
         scored.append(found.score([(0,)])[0])
     assert scored[0].coefficients[0] == pytest.approx(1.0, abs=0.25)
     assert scored[0].log_odds > 10.0
@@ -208,7 +210,7 @@ def test_the_multiple_of_a_difference_is_known_to_two_fifths(rng):
     a = rng.normal(size=(N, 1))
     residual = 0.3 * a[:, 0] + rng.normal(size=N)
     term = SimpleNamespace(id="a", family="propulsion", params=())
-    found = subsets(residual, np.zeros((N, 0)), [Candidate(term, {}, (), a, a)], floor=1.0)
+    found = subsets(residual, np.zeros((N, 0)), [Candidate(term, {}, (), a, lambda: a)], floor=1.0)
     found.now[:], found.least[:], found.size[:] = 1.0, 1.0, 0.0
     (scored,) = found.score([(0,)])
     with_it = stats.multivariate_normal(a[:, 0], np.eye(N) + 0.4**2 * a @ a.T).logpdf(residual)

@@ -3,9 +3,9 @@ of the present model, its nonlinear parameters on their declared grids. The test
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -26,15 +26,16 @@ DIFFERENCE_STD = 0.4  # of the multiple of a finite difference, about 1: grid va
 class Candidate:
     """A term with its nonlinear parameters fixed at `shape`.
 
-    names: its linear coefficients, columns (n, q) whitened and profiled, unprofiled (n, q) in the channels' units; a term without linear
-    coefficients has one column and no name: the whole change it makes at `shape` (finite difference), whose multiple is about 1.
+    names: its linear coefficients, columns (n, q) whitened and profiled; unprofiled: makes them (n, q) in the channels' units. A term
+    without linear coefficients has one column and no name: the whole change it makes at `shape` (finite difference), whose multiple is
+    about 1.
     """
 
     term: Term
     shape: Mapping[str, float]
     names: tuple[str, ...]
     columns: FloatArray
-    unprofiled: FloatArray
+    unprofiled: Callable[[], FloatArray]
 
     @cached_property
     def params(self) -> tuple[Param, ...]:
@@ -104,7 +105,7 @@ def candidates_at(
         for setting in grid(t):
             raw = estimator.difference(model, at, changed, estimator.moved(changed, at, setting))
             if finite(raw):
-                found.append(Candidate(t, setting, (), *rows.of(raw)))
+                found.append(Candidate(t, setting, (), rows.profiled(raw), partial(rows.unprofiled, raw)))
     return found
 
 
@@ -127,4 +128,4 @@ def _by_derivatives(
         for t in asked:
             part = [one[..., [wanted.index(n) for n in own[t.id]]] for one in raw]
             if own[t.id] and finite(part):
-                yield Candidate(t, grids[t.id][k], own[t.id], *rows.of(part))
+                yield Candidate(t, grids[t.id][k], own[t.id], rows.profiled(part), partial(rows.unprofiled, part))

@@ -70,7 +70,7 @@ class Fitted:
     def finite(self) -> bool:
         """Whether the simulation and its derivatives are numbers."""
         rows = self.rows
-        return bool(np.isfinite(self.at.objective)) and finite((rows.residual, rows.jacobian, rows.unprofiled_jacobian))
+        return bool(np.isfinite(self.at.objective)) and finite((rows.residual, rows.jacobian))
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def detectable(search: Search) -> dict[str, tuple[float, str]]:
             length = float(np.linalg.norm(alone))
             level = np.inf
             if length > ABSORBED * float(np.linalg.norm(whitened[:, k])):
-                effect = c.unprofiled[:, k] - unprofiled @ (inverse @ whitened[:, k])
+                effect = c.unprofiled()[:, k] - unprofiled @ (inverse @ whitened[:, k])
                 largest = max(
                     (float(np.sqrt(np.mean(effect[at] ** 2))) / floor.of(name) for (name, _), at in at_places.items()),
                     default=0.0,
