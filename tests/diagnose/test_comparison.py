@@ -311,6 +311,17 @@ def test_a_time_constant_too_short_to_be_seen_leaves_shaping_what_it_is():
     assert "bound" in judged("reference_shaping", model, values | {"shaping_accel": 400.0}, repeated=True)
 
 
+def test_a_time_constant_that_is_not_distinguished_from_none_is_refused_where_nothing_was_repeated(rng):
+    """In eight of 24 flights of a laboratory whose autopilot shapes nothing, shaping was named with 0.02 to 0.036 +- 0.04 to 0.16 s: only
+    its feedforward was determined."""
+    model, values = Model(("linear_drag", "reference_shaping")), {"shaping_accel": 20.0, "shaping_ff": 1.0}
+    columns = rng.normal(size=(SEGMENTS * EACH, 3))  # standard errors of 0.022
+    order = {name: values.get(name, 0.06) for name in ("shaping_accel", "shaping_tc", "shaping_ff")}
+    assert "may be its bound" in judged("reference_shaping", model, order, columns, rng)
+    assert judged("reference_shaping", model, order | {"shaping_tc": 0.07}, columns, rng) == ""
+    assert judged("reference_shaping", model, order, columns, rng, repeated=True) == ""
+
+
 def test_what_improves_no_prediction_of_unused_steps_is_not_named():
     assert found().why_not == ""
     assert "not used" in replace(found(), improved=()).why_not

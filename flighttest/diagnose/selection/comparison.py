@@ -313,8 +313,9 @@ def log_odds_asked(candidates: int) -> float:
 def inadmissible(
     term: Term, fitted: Fitted, segments: Sequence[Segment], candidates: int, *, repeated: bool = False
 ) -> str:
-    """Why the estimates of a term are outside its prior: at a bound (where steps were repeated, not at its `natural_bound`), on the side of
-    the null value that physics does not allow, a limit that nothing in the flights reached. Empty where they are inside."""
+    """Why the estimates of a term are outside its prior: at a bound (where steps were repeated, not at its `natural_bound`; else
+    also within their error of a lower one: a time constant that is not distinguished from none has not been seen), on the side
+    of the null value that physics does not allow, a limit that nothing in the flights reached. Empty where they are inside."""
     values = fitted.at.values
     own = [p for p in term.params if p.name in fitted.names]
     coefficients = [p for p in own if p.kind == "amplitude"]
@@ -332,6 +333,8 @@ def inadmissible(
         # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
             return f"{p.name} is at its bound, {value:.3g}{_unit(p)}"
+        if p.natural_bound == "lower" and not repeated and value - p.lower <= (error := _error(p, fitted, segments)):
+            return f"{p.name} is {value:.3g} +- {error:.1g}{_unit(p)}, which may be its bound, {p.lower:.3g}{_unit(p)}"
         wrong = p.one_sided and p.off is not None and (value - null_value(p)) * usual_size(p) < 0
         # One of several may be there by chance.
         if wrong and (len(coefficients) == 1 or abs(value - null_value(p)) > _by_chance(p, fitted, segments)):
@@ -345,14 +348,19 @@ def _unit(p: Param) -> str:
     return "" if p.unit == "1" else f" {p.unit}"
 
 
+def _error(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
+    """Half an estimate's 95 % interval."""
+    return NORMAL_95 * standard_errors(fitted, segments)[p.name]
+
+
 def _known(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> bool:
     """Whether data separate an estimate from the coefficient's usual value."""
-    return abs(fitted.at.values[p.name] - p.nominal) > NORMAL_95 * standard_errors(fitted, segments)[p.name]
+    return abs(fitted.at.values[p.name] - p.nominal) > _error(p, fitted, segments)
 
 
 def _by_chance(p: Param, fitted: Fitted, segments: Sequence[Segment]) -> float:
     """How far on the wrong side a coefficient may be estimated that is next to nothing."""
-    return max(0.1 * abs(usual_size(p)), NORMAL_95 * standard_errors(fitted, segments)[p.name])
+    return max(0.1 * abs(usual_size(p)), _error(p, fitted, segments))
 
 
 def _most(what: str, values: dict[str, float], segment: Segment) -> float:
