@@ -120,8 +120,15 @@ def oracle_noise(recorded: Sequence[Segment], quiet: Sequence[Segment], nominal_
     return noise
 
 
-def left(segments: Sequence[Segment], noise: OracleNoise, nominal_voltage_v: float, free: bool = False) -> Left:
-    """What the base model leaves after a fit of its own to these responses; free: windows of free flight count, too."""
+def left(
+    segments: Sequence[Segment],
+    noise: OracleNoise,
+    nominal_voltage_v: float,
+    free: bool = False,
+    near: Left | None = None,
+) -> Left:
+    """What the base model leaves after a fit of its own to these responses; free: windows of free flight count, too. near: of another
+    flight, from whose parameters the fit starts, so that two flights differ by what was flown and not by the optimum reached."""
     usable = [s for s in segments if s.usable and (free or s.kind != "free")]
     residual: dict[tuple[str, str], FloatArray] = {}
     disturbance: dict[tuple[str, str], FloatArray] = {}
@@ -135,12 +142,12 @@ def left(segments: Sequence[Segment], noise: OracleNoise, nominal_voltage_v: flo
         whiten = data.mask[:, :, None] * np.stack([data.recorded(c) for c in block.channels], axis=1)[:, None] / std
         spread = noise.disturbance.get(block.name, FIRST_DISTURBANCE[block.name])
 
-        start = np.array(block.start(data))
-        scale = np.abs(start) * 0.1 + 1e-3
+        usual = np.array(block.start(data))
+        known = None if near is None else near.parameters.get(block.name)
         fitted = least_squares(
             partial(_misfit, block, data, whiten, spread),
-            start,
-            x_scale=scale,
+            usual if known is None or not np.isfinite(known).all() else known,
+            x_scale=np.abs(usual) * 0.1 + 1e-3,
             bounds=block.bounds,
             ftol=1e-7,
             xtol=1e-7,
@@ -150,8 +157,8 @@ def left(segments: Sequence[Segment], noise: OracleNoise, nominal_voltage_v: flo
         rows, constant = _profiled(*block.of(data, fitted.x), whiten, spread)
         for i, s in enumerate(fed):
             disturbance[s.name, block.name] = constant[i]
-            known = [(k, c) for k, c in enumerate(block.channels) if data.recorded(c)[i]]
-            residual |= {(s.name, c): rows[i, : data.n[i], k] * std[k] for k, c in known}
+            there = [(k, c) for k, c in enumerate(block.channels) if data.recorded(c)[i]]
+            residual |= {(s.name, c): rows[i, : data.n[i], k] * std[k] for k, c in there}
     return Left(residual, {s.name: s.kind for s in usable}, disturbance, parameters)
 
 

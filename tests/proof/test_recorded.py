@@ -9,6 +9,7 @@ import pytest
 
 from flighttest.errors import InputError
 from flighttest.frames import G_M_S2
+from flighttest.pipeline.recordings.sources import open_recording
 from flighttest.proof.outcome import Outcome
 from flighttest.proof.prove import ProofRequest, run_trials
 from flighttest.proof.recorded import cases, sets, trial
@@ -228,3 +229,13 @@ def test_an_effect_that_would_have_made_it_another_flight_is_not_added(departure
     )
     case = SimpleNamespace(order=("thrust_fade",), sizes=(4.0,), signs=(1.0, 1.0, 1.0))
     assert bool(trial.sized_effects(case, flown)) is taken
+
+
+def test_the_size_of_an_effect_is_of_what_it_changes_and_not_of_other_windows_or_another_optimum(shared_data):
+    """On this flight nothing at all had 0.47 noise floors, and a small asymmetry of thrust 1.85, as had any effect that moved a cut:
+    windows of free flight were compared by their number."""
+    log = open_recording(shared_data / "arducopter_logs" / "sitl_4.7dev_steps.tlog")
+    flown = trial.FlownTrial.of((trial.part(log, 0.157),), 11.1, 0.82)
+    assert flown.size({}) < 0.01
+    assert flown.size({"thrust_asymmetry": {"ln_sigma_ratio": 1.5}}) < 0.6
+    assert flown.size({"accelerometer_bias": {"bias_x": -0.25, "bias_y": 0.2, "bias_z": 0.3}}) > 10.0

@@ -105,9 +105,10 @@ class FlownTrial:
         """RecordingError where there is too little to fit a vehicle to."""
         segments = _segments(recordings)
         noise = oracle.OracleNoise(oracle.FIRST, oracle.FIRST_DISTURBANCE)
+        left = oracle.left(segments, noise, nominal_voltage_v, free=True)
         for _ in range(2):
-            left = oracle.left(segments, noise, nominal_voltage_v, free=True)
             noise = noise.of_residual(left)
+            left = oracle.left(segments, noise, nominal_voltage_v, free=True, near=left)
         if "translation" not in left.parameters:
             raise RecordingError("the throttle never changes in these flights", "list recordings of flights")
         steps = {
@@ -139,13 +140,16 @@ class FlownTrial:
 
     def _left(self, effects: Effects) -> oracle.Left:
         voltage = self.vehicle.nominal_voltage_v
-        return oracle.left(_segments(self.with_effects(effects)), self.noise, voltage, free=True)
+        return oracle.left(_segments(self.with_effects(effects)), self.noise, voltage, free=True, near=self.left)
 
 
 def _segments(recordings: Sequence[Recording]) -> list[Segment]:
-    """What is usable in them, by names that occur once."""
+    """What is usable in them, named by kind and time: an effect may move what is cut, and only the same stretch of flight is compared."""
     return [
-        replace(s, name=f"{r.name}/{s.name}") for r in recordings for s in cut(r) if s.usable and not s.between_steps
+        replace(s, name=f"{r.name}/{s.kind}@{s.t_s[0]:.2f}")
+        for r in recordings
+        for s in cut(r)
+        if s.usable and not s.between_steps
     ]
 
 
