@@ -151,6 +151,19 @@ def test_a_compiler_that_fails_is_done_without(monkeypatch, tmp_path):
     assert list((tmp_path / "cache/flighttest").iterdir()) == []
 
 
+@needs_compiler
+def test_a_c_library_without_vector_functions_is_done_with(monkeypatch, tmp_path):
+    monkeypatch.setattr(native, "LIBRARIES", (("-lno_such_library",), native.LIBRARIES[-1]))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plain = library.__wrapped__()
+    assert plain is not None
+    monkeypatch.setattr(native_block, "library", lambda: plain)
+    block = next(b for b in Model().blocks if b.name == "translation")
+    (y, dy), (y_numpy, dy_numpy) = both_ways(monkeypatch, block, block.params, ())
+    assert np.allclose(y, y_numpy, rtol=1e-11, atol=1e-12)
+    assert np.allclose(dy, dy_numpy, rtol=1e-9, atol=1e-9 * np.abs(dy_numpy).max())
+
+
 def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(native.shutil, "which", lambda name: "/bin/sh")
