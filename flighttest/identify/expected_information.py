@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from flighttest.channels import INPUTS
 from flighttest.estimation.likelihood_weights import LikelihoodWeights, State
 from flighttest.estimation.problem import Noise, Problem
+from flighttest.identify.diagnostics.parameter_diagnostics import responses_informing
 from flighttest.identify.selection import able, problem_of, segments_for
 from flighttest.physics.body import DELAY_PARAM
 from flighttest.physics.model import PAPER_TERMS, Model
@@ -48,7 +49,8 @@ ASSUMED = Noise(
 class Expected:
     """One parameter: expected standard error, the same with twice the repeats, and the steps with most information on it.
 
-    std is None where the script contains no information on it; best: (cell in words, share of the information), best first.
+    std is None where the script contains no information on it; best: (cell in words, share of the information), best first;
+    responses: how many hold information on it (`responses_informing`).
     """
 
     name: str
@@ -58,6 +60,7 @@ class Expected:
     std_twice: float | None
     best: tuple[tuple[str, float], ...]
     sentence: str
+    responses: int = 0
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,7 @@ def _expected(
     if not segments:
         return ()
     covariance, usable = _inverse(hessian)
+    responses = responses_informing(hessian)
     twice, _ = _inverse(2.0 * hessian)
     found = []
     for param in model.params:
@@ -174,7 +178,7 @@ def _expected(
         std, more = float(np.sqrt(covariance[i, i])), float(np.sqrt(twice[i, i]))
         best = _best(hessian, covariance, i, segments)
         sentence = _sentence(name, param.unit, values[name], std)
-        found.append(Expected(name, param.unit, values[name], std, more, best, sentence))
+        found.append(Expected(name, param.unit, values[name], std, more, best, sentence, int(responses[i])))
     delays = [names.index(n) for n in DELAY_PARAM.values() if n in names]
     delays = [i for i in delays if usable[i]]
     if delays and model.channel_delays:
@@ -182,7 +186,10 @@ def _expected(
         weight[delays] = 1.0 / len(delays)
         std = float(np.sqrt(weight @ covariance @ weight))
         value = float(np.mean([values[names[i]] for i in delays]))
-        found.append(Expected("T_d", "s", value, std, std / np.sqrt(2.0), (), _sentence("T_d", "s", value, std)))
+        fewest = int(responses[delays].min())
+        found.append(
+            Expected("T_d", "s", value, std, std / np.sqrt(2.0), (), _sentence("T_d", "s", value, std), fewest)
+        )
     return tuple(found)
 
 

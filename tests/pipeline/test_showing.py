@@ -21,9 +21,10 @@ def shown(flight_csv, tmp_path_factory):
 def test_the_page_says_what_flight_it_is_and_what_it_can_tell(shown):
     result, page = shown
     assert "A flight of" in result.document.verdict
-    reported = {o["parameter"]: o["enough"] for o in result.data["outlook"]}
+    reported = {o["parameter"]: o["excited"] for o in result.data["outlook"]}
     assert reported["K"]
     assert reported["omega_phi"]
+    assert all(o["excited"] == (not o["why"]) for o in result.data["outlook"])
     assert result.data["battery"]["first_v"] > result.data["battery"]["last_v"]
     assert abs(result.data["compatibility"]["velocity_late_s"]) < 0.01
     assert any(c.startswith("flighttest fit ") for c in result.data["commands"])
@@ -118,3 +119,37 @@ def test_figures_and_plotly_are_packed_once(shown):
     text = shown[1].read_text()
     assert text.count('id="packed-plotly"') == text.count(f'id="{html.SPECS}"') == 1
     assert unpacked(text, "packed-plotly").startswith(b"/**\n* plotly.js v")
+
+
+def excited_and_determined(log, page, columns=None):
+    """What `show` says of each parameter of a log, and the names that a fit determines."""
+    from flighttest.pipeline.identification.fitting import fit
+    from flighttest.pipeline.identification.showing import show
+
+    outlook = show(log, page, columns).data["outlook"]
+    estimates = fit([log], columns=columns).value.estimates
+    return {o["parameter"]: o for o in outlook}, {n for n, e in estimates.items() if e.identifiable}
+
+
+def test_two_responses_excite_no_parameter_and_what_is_not_excited_no_fit_determines(repository, tmp_path):
+    """One step of roll and one of pitch in each direction: as a fit does, the page asks for three responses."""
+    outlook, known = excited_and_determined(repository / "tests" / "data" / "sitl.BIN.xz", tmp_path / "page.html")
+    assert not outlook["omega_phi"]["excited"]
+    assert "only 2 responses" in outlook["omega_phi"]["why"]
+    assert known <= {n for n, o in outlook.items() if o["excited"]}
+
+
+@pytest.mark.parametrize(
+    ("name", "columns"),
+    [
+        ("arducopter_logs/copter_3.2_2014.BIN", None),
+        ("wind_tunnel/custom_figure8_NF-T_70wind.csv.gz", "neural_fly.yaml"),
+        ("propeller_damage/motor_data/normal_flight", None),
+    ],
+)
+def test_what_is_not_excited_no_fit_of_a_real_recording_determines(shared_data, repository, tmp_path, name, columns):
+    path = shared_data / name
+    log = sorted(path.iterdir())[0] if path.is_dir() else path
+    named = None if columns is None else repository / "examples" / "columns" / columns
+    outlook, known = excited_and_determined(log, tmp_path / "page.html", named)
+    assert known <= {n for n, o in outlook.items() if o["excited"]}

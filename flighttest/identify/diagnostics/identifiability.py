@@ -128,10 +128,8 @@ def _not_determined(param: Param, found: Estimated, diagnostics: ParameterDiagno
     if diagnostics.missed > MISSED_SHARE:
         missed = f"{100 * diagnostics.missed:.0f} % of how the vehicle moved is neither explained nor noise"
         return f"{missed}; `flighttest diagnose` looks for what is behind it"
-    if diagnostics.responses < FEWEST_RESPONSES:
-        one = diagnostics.responses == 1
-        few = "one response holds information" if one else f"{diagnostics.responses} responses hold information"
-        return f"only {few} on it: without repeats its error is not known"
+    if few := too_few_responses(diagnostics.responses):
+        return few
     if diagnostics.bound is not None:
         return f"{diagnostics.bound} is at its bound, and the two cannot be distinguished here"
     if diagnostics.other_optimum is not None:
@@ -141,6 +139,14 @@ def _not_determined(param: Param, found: Estimated, diagnostics: ParameterDiagno
     if diagnostics.partner is not None:
         return f"{diagnostics.partner} differs between sizes of steps, and the two cannot be distinguished here"
     return ""
+
+
+def too_few_responses(responses: int) -> str:
+    """Why so many responses with information on a parameter do not make it known; empty where they are enough."""
+    if responses >= FEWEST_RESPONSES:
+        return ""
+    few = "one response holds information" if responses == 1 else f"{responses} responses hold information"
+    return f"only {few} on it: without repeats its error is not known"
 
 
 def _too_wide(param: Param, value: float, std: float, voltage_spread_v: float | None) -> str:

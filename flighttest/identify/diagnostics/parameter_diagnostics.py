@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flighttest.estimation.problem import Problem
 from flighttest.estimation.solver import Solution
@@ -15,6 +16,8 @@ from flighttest.identify.diagnostics.identifiability import ParameterDiagnostics
 from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.identify.diagnostics.quality import ChannelQuality
 from flighttest.physics.model import Model
+
+FloatArray = NDArray[np.float64]
 
 MEETS = 0.1  # correlation of two parameters that are determined by the same samples
 WORTH_A_NOTE = 0.3  # of how wide a parameter may be and still be called known
@@ -71,7 +74,8 @@ def parameter_diagnostics(
     loops = _lags_with(wide)
     bounds = {**_leaning_on(solution.at_bound, solution), **_pushed_by_bounds(solution, covariance)}
     partners = _leaning_on([n for n in wide if n in loops], solution)
-    determined = _responses_telling(solution)
+    normal = solution.normal
+    determined = dict(zip(normal.names, responses_informing(normal.hessian).tolist(), strict=True))
     explained = _described(problem, solution, {c: q.r2 for c, q in quality.items()})
     # How fast a loop answers is seen in the course of each response: what the model misses of that, it puts into the lag.
     followed = _described(problem, solution, {c: 1.0 - q.missed for c, q in quality.items()})
@@ -115,11 +119,10 @@ def differing_notes(
     return notes
 
 
-def _responses_telling(solution: Solution, share: float = 1e-3) -> dict[str, int]:
-    """How many responses hold at least this share of what is known of each free parameter."""
-    determined = np.einsum("sii->si", solution.normal.hessian)
-    enough = determined > share * np.maximum(determined.sum(axis=0), 1e-300)
-    return dict(zip(solution.normal.names, enough.sum(axis=0).tolist(), strict=True))
+def responses_informing(information: FloatArray, share: float = 1e-3) -> NDArray[np.intp]:
+    """How many responses hold at least this share of what is known of each parameter, (p,). information: (n_responses, p, p)."""
+    each = np.einsum("sii->si", information)
+    return np.asarray((each > share * np.maximum(each.sum(axis=0), 1e-300)).sum(axis=0), dtype=np.intp)
 
 
 def _described(problem: Problem, solution: Solution, r2: Mapping[str, float], share: float = 0.2) -> dict[str, float]:

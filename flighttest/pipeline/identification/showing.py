@@ -14,7 +14,13 @@ import numpy as np
 from flighttest.datafiles import check_writable
 from flighttest.errors import FlighttestError
 from flighttest.identify.dead_time import onset_delay, start_values
-from flighttest.identify.diagnostics.identifiability import allowance, maneuver_for, throttle_varies, voltage_varies
+from flighttest.identify.diagnostics.identifiability import (
+    allowance,
+    maneuver_for,
+    throttle_varies,
+    too_few_responses,
+    voltage_varies,
+)
 from flighttest.identify.expected_information import Expected, expected_of
 from flighttest.identify.fit import has_attitude_references
 from flighttest.physics.body import DELAY
@@ -30,7 +36,7 @@ from flighttest.report.numbers import duration, join, number
 from flighttest.report.render import html
 from flighttest.report.render.plain import plain
 from flighttest.report.sections import fit as fit_sections
-from flighttest.report.sections.show import Look, ParameterOutlook, sections
+from flighttest.report.sections.show import Look, ParameterOutlook, excitation_sentence, sections
 from flighttest.segments import Segment, cut
 from flighttest.segments.airborne import flights
 from flighttest.segments.health import at_limits, battery_course, in_flight, modes, sampling, spectra
@@ -113,11 +119,16 @@ def _outlook(recording: Recording, segments: Sequence[Segment]) -> tuple[tuple[P
 
 
 def _judged(model: Any, one: Expected) -> ParameterOutlook:
+    """Excited: within what a fit calls known, by as many responses as a fit asks for."""
     param = DELAY if one.name == DELAY.name else model.param[one.name]
     reveals = {p.name: t.reveals for t in model.built_terms for p in t.params}
-    fly = maneuver_for(param, reveals.get(one.name, ""))
-    enough = one.std is not None and one.std <= allowance(param, one.value)
-    return ParameterOutlook(one, enough, "" if enough else fly, "" if one.std is not None else "not identifiable")
+    if one.std is None:
+        why = "nothing in this recording depends on it"
+    elif one.std > allowance(param, one.value):
+        why = "its error would be too large"
+    else:
+        why = too_few_responses(one.responses)
+    return ParameterOutlook(one, not why, maneuver_for(param, reveals.get(one.name, "")) if why else "", why)
 
 
 def _figures(recording: Recording) -> tuple[tuple[str, str], ...]:
@@ -198,14 +209,10 @@ def _verdict(look: Look, segments: Sequence[Segment]) -> tuple[str, Tone]:
     if recording.provenance.losses:
         count = len(recording.provenance.losses)
         doubts.append(f"reading the log gave {count} remark{'s' if count > 1 else ''} (listed under its health)")
-    good = [one.expected.name for one in look.outlook if one.enough]
     if not any(one.expected.std is not None for one in look.outlook):
         outlook, tone = "Nothing in it can be used for a fit.", "bad"
-    elif len(good) == len(look.outlook):
-        outlook, tone = f"A fit can determine all {len(good)} parameters, if the model fits the vehicle.", "good"
     else:
-        outlook = f"A fit can determine at most {len(good)} of {len(look.outlook)} parameters."
-        tone = "warn"
+        outlook, tone = excitation_sentence(look.outlook), "good" if all(o.excited for o in look.outlook) else "warn"
     return f"{kind}{'; ' + join(doubts) if doubts else ''}. {outlook}", tone  # type: ignore[return-value]
 
 
@@ -221,7 +228,8 @@ def _data(look: Look, page: Path, verdict: str, losses: Sequence[str]) -> dict[s
         "modes": [{"start_s": a, "end_s": b, "mode": name} for a, b, name in look.modes],
         "flights": [list(span) for span in look.flights],
         "outlook": [
-            {"parameter": o.expected.name, "expected_std": o.expected.std, "enough": o.enough} for o in look.outlook
+            {"parameter": o.expected.name, "least_std": o.expected.std, "excited": o.excited, "why": o.why}
+            for o in look.outlook
         ],
         "losses": [*look.recording.provenance.losses] or list(losses),
         "commands": [command for _, command in look.commands],

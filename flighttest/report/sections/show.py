@@ -41,11 +41,12 @@ SPECTRUM_POINTS, MAP_POINTS = 600, 3000
 
 @dataclass(frozen=True)
 class ParameterOutlook:
-    """What a parameter's error would be from this recording; enough: within what a fit calls known; why: where nothing determines it."""
+    """expected: of the error of a parameter from this recording no fit is below; excited: whether that is within what a fit calls known;
+    fly, why: the maneuver that would excite it and what is missing, empty where it is excited."""
 
     expected: Expected
-    enough: bool
-    fly: str
+    excited: bool
+    fly: str = ""
     why: str = ""
 
 
@@ -133,30 +134,45 @@ def viewer(look: Look) -> Section:
     )
 
 
+def excitation_sentence(outlook: Sequence[ParameterOutlook]) -> str:
+    """How many parameters the recording excites, and what that means."""
+    excited = sum(one.excited for one in outlook)
+    every = f"all {len(outlook)}" if excited == len(outlook) else f"{excited or 'none'} of {len(outlook)}"
+    more = "" if excited == 0 else "; which of them a fit determines depends on how well the model follows the vehicle"
+    return f"What was flown excites {every} parameters{more}."
+
+
 def what(look: Look) -> Section:
-    """What each parameter's error would be, and what this recording holds no information on."""
+    """What each parameter's error would be at least, and what this recording holds no information on."""
     blocks: list[PageBlock] = []
     if look.outlook:
         rows = []
         for one in look.outlook:
             e = one.expected
             share = e.std / abs(e.value) if e.std is not None and e.value else None
-            state = Cell("yes", "good") if one.enough else Cell("no", "bad" if e.std is None else "warn", one.why)
+            state = Cell("yes", "good") if one.excited else Cell("no", "bad" if e.std is None else "warn")
             rows.append(
-                (e.name, "-" if e.std is None else number(e.std, 2), unit(e.unit), percent(share, 1), state, one.fly)
+                (
+                    e.name,
+                    "-" if e.std is None else number(e.std, 2),
+                    unit(e.unit),
+                    percent(share, 1),
+                    state,
+                    one.why,
+                    one.fly,
+                )
             )
         blocks.append(
             Table(
-                ("parameter", "expected error", "unit", "of its value", "can be determined", "fly"), tuple(rows),
-                ("left", "right", "left", "right", "left", "left"),
-                "Before any fit: Fisher information of the recorded commands at nominal parameters, with the noise of a usual outdoor "
-                "vehicle. A fit determines less where repeats are few or differ, or where the model lacks something that the vehicle does.",
+                ("parameter", "least error", "unit", "of its value", "excited", "why not", "fly"), tuple(rows),
+                ("left", "right", "left", "right", "left", "left", "left"),
+                "Least error: the lower bound of Cramér and Rao from the sensitivities of the responses at nominal parameters, with "
+                "the noise of a usual outdoor vehicle. A fit has larger errors where repeats differ or the model lacks something.",
             )
         )  # fmt: skip
     if look.outlook_why:
         blocks.append(Paragraph(look.outlook_why, "warn"))
-    good = [one.expected.name for one in look.outlook if one.enough]
-    lead = f"A fit can determine at most {len(good)} of {len(look.outlook)} parameters." if look.outlook else ""
+    lead = excitation_sentence(look.outlook) if look.outlook else ""
     return Section("identify", "What can be identified from it", tuple(blocks), lead)
 
 
