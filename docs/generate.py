@@ -1,6 +1,7 @@
 """Writes what can be computed into the docs: `python docs/generate.py` (or `make docs`); `--check` only compares.
 
-docs/cli.md is wholly generated. In the others, the text between `<!-- generated: NAME -->` and `<!-- end -->` is.
+docs/cli.md, glossary.md, finding_things.md and flight_states.svg are wholly generated. In the others, the text between
+`<!-- generated: NAME -->` and `<!-- end -->` is.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import click
 import flighttest as ft
 from flighttest.channels import CHANNELS
 from flighttest.cli.main import cli
-from flighttest.flight.execution.machine import drawing, table_as_markdown, words_as_markdown
+from flighttest.flight.execution.machine import table_as_markdown, words_as_markdown
 from flighttest.link.states import link_as_markdown
 from flighttest.physics.catalogue import catalogue
 from flighttest.script.load import load_script
@@ -25,6 +26,7 @@ from flighttest.script.profiles import PROFILES, Duration, Field
 from flighttest.script.shipped import resolve, shipped_names
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
+import state_figures
 import words
 
 DOCS = Path(__file__).resolve().parent
@@ -180,7 +182,10 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "maneuvers": maneuvers,
     "profiles": profiles,
     "flight_words": words_as_markdown,
-    "flight_states": lambda: drawing() + "\n" + table_as_markdown(),
+    "flight_states": lambda: (
+        "![States of a flight](flight_states.svg)\n\nIn each box: the events that end the flight in this state, and the end.\n\n"
+        + table_as_markdown()
+    ),
     "link_states": link_as_markdown,
 }
 
@@ -242,6 +247,7 @@ def pages() -> dict[Path, str]:
         DOCS / "cli.md": commands(),
         DOCS / "glossary.md": glossary(),
         DOCS / "finding_things.md": finding_things(),
+        DOCS / "flight_states.svg": state_figures.flight_states(),
     }
     for page in sorted(DOCS.glob("*.md")):
         text = page.read_text(encoding="utf-8")

@@ -77,14 +77,8 @@ class LinkMachine:
 
 
 def link_as_markdown() -> str:
-    """The drawing (Mermaid), the table without what changes nothing, and what the words mean."""
-    edges: dict[tuple[str, str], list[str]] = {}
-    for (state, event), following in TABLE.items():
-        if following is not state:
-            edges.setdefault((state.name, following.name), []).append(event.name)
-    lines = ["```mermaid", "stateDiagram-v2", "    [*] --> SEARCHING"]
-    lines += [f"    {a} --> {b}: {', '.join(events)}" for (a, b), events in edges.items()]
-    lines += ["```", "", "| state | " + " | ".join(e.name for e in LinkEvent) + " |", "|---|" + "---|" * len(LinkEvent)]
+    """The table of transitions, and what the words mean."""
+    lines = ["| state | " + " | ".join(e.name for e in LinkEvent) + " |", "|---|" + "---|" * len(LinkEvent)]
     for state in LinkState:
         cells = [TABLE[state, e].name if TABLE[state, e] is not state else "stays" for e in LinkEvent]
         lines.append(f"| {state.name} | " + " | ".join(cells) + " |")

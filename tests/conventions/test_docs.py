@@ -1,5 +1,6 @@
 """Prose that can be computed is computed: the generated parts of the docs are current."""
 
+import html
 import importlib.util
 import re
 import tomllib
@@ -78,7 +79,7 @@ def test_a_figure_compares_both_fits_on_one_response(term_figures, monkeypatch):
 def test_the_check_sees_a_stale_page(generate, tmp_path, monkeypatch):
     monkeypatch.setattr(generate, "DOCS", tmp_path)
     (tmp_path / "terms.md").write_text("<!-- generated: terms -->\nold\n<!-- end -->\n")
-    assert generate.stale() == ["cli.md", "finding_things.md", "glossary.md", "terms.md"]
+    assert generate.stale() == ["cli.md", "finding_things.md", "flight_states.svg", "glossary.md", "terms.md"]
 
 
 def test_every_command_has_help_and_json(generate):
@@ -148,6 +149,31 @@ def test_a_page_of_the_site_loads_nothing_from_the_network(repository):
     ):
         assert hooks.LOADS.search(page.replace(hooks.ASKED, "a.js") + tag)[0] == tag
     assert "docs/site_hooks.py" in yaml.safe_load((repository / "mkdocs.yml").read_text())["hooks"]
+
+
+def test_the_drawing_of_the_flight_has_every_change(repository):
+    figures = loaded(repository / "docs" / "state_figures.py")
+    drawn = figures.flight_states()
+    boxes = {b.split("</text>")[0].split(">")[-1]: html.unescape(b) for b in drawn.split("<g")[1:]}
+    arrows = [html.unescape(text) for text in re.findall(r'class="event"[^>]*>([^<]*)', drawn)]
+    for (state, event), following in figures.TABLE.items():
+        if state.is_end or following is None or following.state is state:
+            continue
+        ends = re.sub(r"<[^>]*>", " ", boxes[state.name])
+        assert event.name in ends if following.state.is_end else any(event.name in arrow for arrow in arrows)
+        assert not following.state.is_end or f"> {following.state.name}" in ends
+    with pytest.raises(ValueError, match="no place in the drawing for A"):
+        figures.drawing("", {}, {("A", "B"): ("C",)}, "A")
+
+
+def test_a_wide_table_of_the_site_has_room_and_its_words_break(repository):
+    hooks = loaded(repository / "docs" / "site_hooks.py")
+    narrow, wide = (
+        "| a |" + " b |" * n + "\n|---|" + "---|" * n + "\n| c |" + " LINK_LOST, NOT_ARMED |" * n for n in (3, 8)
+    )
+    assert not hooks.has_wide_table(narrow)
+    assert hooks.has_wide_table(wide)
+    assert hooks.breakable("<td>LINK_LOST</td><p>LINK_LOST</p>") == "<td>LINK_<wbr>LOST</td><p>LINK_LOST</p>"
 
 
 def test_modules_that_the_docs_name_exist(repository):

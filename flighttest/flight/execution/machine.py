@@ -213,14 +213,3 @@ def words_as_markdown() -> str:
     states = [f"| {s.name} | {'end' if s.is_end else 'state'} | {s.value.format(mode='MODE')} |" for s in FlightState]
     events = [f"| {e.name} | event | {e.value} |" for e in Event]
     return "\n".join(["| name | kind | meaning |", "|---|---|---|", *states, *events]) + "\n"
-
-
-def drawing() -> str:
-    """The transitions as a Mermaid diagram, without what changes nothing."""
-    edges: dict[tuple[str, str], list[str]] = {}
-    for state, event in product(FlightState, Event):
-        following = TABLE.get((state, event))
-        if following is not None and not state.is_end and following.state is not state:
-            edges.setdefault((state.name, following.state.name), []).append(event.name)
-    lines = [f"    {a} --> {b}: {', '.join(events)}" for (a, b), events in edges.items()]
-    return "\n".join(["```mermaid", "stateDiagram-v2", "    [*] --> GROUND", *lines, "```", ""])
