@@ -67,10 +67,15 @@ def as_shipped(script: ScriptData, _model: Model, _values: Mapping[str, float]) 
 
 
 def propose(
-    search: Search, questions: Sequence[Question], values: Mapping[str, float], flyable: Flyable = as_shipped
+    search: Search,
+    questions: Sequence[Question],
+    values: Mapping[str, float],
+    flyable: Flyable = as_shipped,
+    *,
+    inside: bool = True,
 ) -> tuple[NextReason, ScriptData] | None:
-    """The maneuver with the best odds for the first question that any can answer, of those that can be flown; where none of them answers
-    it, the best of the others, for a larger zone: why, and the script. None when none can."""
+    """The maneuver with the best odds for the first question that any can answer: why, and the script. None when none can. inside: only of
+    those that can be flown in the vehicle's zone; else also of the others, for a larger zone."""
     assert search.now is not None
     for question in questions:
         names = dict.fromkeys([question.term.reveals, *([question.rival.reveals] if question.rival else []), *TRIED])
@@ -79,6 +84,8 @@ def propose(
             try:
                 shipped = yaml.safe_load(resolve(name).read_text(encoding="utf-8"))
                 fitted = flyable(shipped, search.now.model, values)
+                if fitted is None and inside:
+                    continue
                 made, size = fitted or (shipped, 1.0)
                 segments = rehearsed(
                     parse_script(write_text(made), name), search.now.model, values, search.estimator.segments

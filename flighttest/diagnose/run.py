@@ -45,6 +45,7 @@ from flighttest.script.model import ScriptData
 from flighttest.segments.model import Segment
 
 LEAST_SEGMENTS = 4
+MOST_ASKED = 2  # questions of each block that a next flight is sought for: each is a rehearsal of several maneuvers
 # How much of the work each block is, roughly.
 SHARES = {"roll_pitch": 3.0, "yaw": 1.0, "translation": 5.0}
 SHAPE_ALONE = "times its usual size"
@@ -278,30 +279,30 @@ def _next(
     terms: Mapping[str, Term],
     flyable: Flyable,
 ) -> tuple[NextReason, ScriptData] | None:
-    """The flight that separates rivals; where there are none, one that shows what could not be seen."""
+    """The flight that separates rivals; where there are none, one that shows what could not be seen. A flight inside the zone for a
+    later question comes before one for the first that needs a larger zone."""
     estimated = {k: v for s in searches if s.now for k, v in s.now.at.values.items()}
+    hidden = [u for u in unseen if u.recorded]
+    asked: list[tuple[Search, list[Question]]] = []
     for search in searches:
         assert search.now is not None
-        values = {**search.now.model.start(), **estimated}
-        asked = []
+        found = []
         for f in (f for f in findings if f.term in search.evidence):
             for r in (r for r in f.rivals if r.verdict == TermVerdict.CONFUSABLE):
                 size = {n: search.now.at.values[n] for n in f.parameters}
-                asked.append(Question(terms[f.term], terms[r.term], size))
-        if asked and (made := propose(search, asked[:2], values, flyable)):
-            return made
-    hidden = [u for u in unseen if u.recorded]
+                found.append(Question(terms[f.term], terms[r.term], size))
+        asked.append((search, found[:MOST_ASKED]))
     for search in searches:
-        assert search.now is not None
-        values = {**search.now.model.start(), **estimated}
         here = {t.id for t in search.pool}
-        asked = [
-            Question(terms[u.term], None, {p.name: p.nominal for p in terms[u.term].params})
-            for u in hidden
-            if u.term in here
-        ]
-        if asked and (made := propose(search, asked[:1], values, flyable)):
-            return made
+        looked_for = [terms[u.term] for u in hidden if u.term in here]
+        found = [Question(t, None, {p.name: p.nominal for p in t.params}) for t in looked_for]
+        asked.append((search, found[:MOST_ASKED]))
+    for inside in (True, False):
+        for search, questions in asked:
+            assert search.now is not None
+            values = {**search.now.model.start(), **estimated}
+            if questions and (made := propose(search, questions, values, flyable, inside=inside)):
+                return made
     return None
 
 

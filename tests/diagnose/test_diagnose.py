@@ -89,6 +89,21 @@ def test_nothing_is_missing_where_nothing_is_hidden(calm):
     assert found.next_script["format"] == "maneuver/1"
 
 
+def test_a_flight_inside_the_zone_comes_before_one_for_a_larger_zone():
+    """Of two effects that these flights could not show, the first needs heights that the zone does not have."""
+    low_ceiling = {"two_heights"}
+
+    def in_zone(script, _model, _values):
+        return None if script["name"] in low_ceiling else (script, 1.0)
+
+    segments, only = tilts(), ("ground_effect", "thrust_asymmetry")
+    found = diagnose(segments, only=only, flyable=in_zone)
+    assert found.next_reason["maneuver"] == "thrust"
+    assert found.next_reason["separates"] == ["thrust_asymmetry"]
+    without = diagnose(segments, only=only, flyable=lambda *_: None)
+    assert without.next_reason["separates"] == ["ground_effect"], "where nothing fits, the first, for a larger zone"
+
+
 def test_a_gust_is_set_aside_and_reported_and_hides_nothing():
     segments = fly(campaign(2), wind=(3.0, 0.0, 0.0), gust=((4, 5, 6), -2.0))
     found = diagnose(segments, only=["steady_wind", "accelerometer_bias"])
