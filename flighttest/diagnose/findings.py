@@ -117,7 +117,7 @@ def parameter_in_words(name: str, row: ParameterRow) -> str:
     if row.get("at_bound"):
         return f"{name} {value:.3g}{unit}, its bound"
     if not np.isclose(high - value, value - low, rtol=0.01):
-        return f"{name} {value:.3g}{unit}, between {low:.3g} and {high:.3g}"
+        return f"{name} {value:.3g}{unit}, 95 % interval {low:.3g} to {high:.3g}"
     return f"{name} {value:.3g} ± {brief(0.5 * (high - low))}{unit}"
 
 

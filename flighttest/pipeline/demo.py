@@ -122,11 +122,14 @@ def composed(
         "report": str(out / REPORT_NAME),
     }
     commands = (
-        f"accept {_quoted(folder)} --out {_quoted(out)}",
-        f"status {_quoted(unused)} --out {_quoted(out)}",
-        f"twin {_quoted(folder / MODEL_NAME)} \\\n    --replay {_quoted(unused)} --set battery=-1",
+        ("Make the improved model this vehicle's:", f"flighttest accept {_quoted(folder)} --out {_quoted(out)}"),
+        ("Test whether it is still valid:", f"flighttest status {_quoted(unused)} --out {_quoted(out)}"),
+        (
+            "Predict a flight with one volt less:",
+            f"flighttest twin {_quoted(folder / MODEL_NAME)} \\\n    --replay {_quoted(unused)} --set battery=-1",
+        ),
     )
-    document = demo_document(data, [f"flighttest {c}" for c in commands], str(out / REPORT_NAME))
+    document = demo_document(data, commands, str(out / REPORT_NAME))
     figure = figure_of(data)
     if figure is not None:
         (out / FIGURE_NAME).write_text(as_svg(figure), encoding="utf-8")

@@ -42,8 +42,8 @@ _FEWEST = 5  # samples of a response
 
 def flown_errors(real: Sequence[Segment], twin: Sequence[Segment]) -> dict[str, dict[str, float]]:
     """By channel, SI: rmse of the twin's mean response, floor (what repeats would give), ratio of the two; later_s: by which the recorded
-    responses come later than the twin's, later_std_s its standard error by their scatter; steps: number of cells compared. Cells
-    that the recording did not repeat have no floor and do not count."""
+    responses come later than the twin's, later_std_s its standard error by their scatter and the search; steps: number of cells compared.
+    Cells that the recording did not repeat have no floor and do not count."""
     sides = [_cells(real), _cells(twin)]
     rows: dict[str, list[tuple[float, float]]] = {}
     moves: dict[str, list[FloatArray]] = {}
@@ -69,7 +69,8 @@ def flown_errors(real: Sequence[Segment], twin: Sequence[Segment]) -> dict[str, 
         if floor > 0.0:
             found[channel] = {
                 "rmse": rmse, "floor": floor, "ratio": rmse / floor, "later_s": float(late.mean()),
-                "later_std_s": float(late.std(ddof=1) / math.sqrt(late.size)), "steps": len(squares),
+                "later_std_s": math.hypot(float(late.std(ddof=1)) / math.sqrt(late.size), _MOVES_S / math.sqrt(12.0)),
+                "steps": len(squares),
             }  # fmt: skip
     return dict(sorted(found.items()))
 

@@ -273,7 +273,7 @@ def test_a_battery_that_was_not_recorded_is_named_where_the_error_depends_on_tim
     ("interval", "more", "words"),
     [
         ([0.4, 0.6], {}, "tc 0.5 ± 0.1 s"),
-        ([-2.0, 0.6], {}, "tc 0.5 s, between -2 and 0.6"),
+        ([-2.0, 0.6], {}, "tc 0.5 s, 95 % interval -2 to 0.6"),
         ([0.4, 0.6], {"at_bound": True}, "tc 0.5 s, its bound"),
     ],
 )

@@ -63,8 +63,8 @@ class DemoData(TypedDict):
     report: str
 
 
-def demo_document(data: DemoData, commands: Sequence[str], report: str) -> Document:
-    """data: demo/1. The commands are the last lines, on the page and on a terminal."""
+def demo_document(data: DemoData, commands: Sequence[tuple[str, str]], report: str) -> Document:
+    """data: demo/1. commands: what each is for, and the command; they are the last lines, on the page and on a terminal."""
     found = bool(data["findings"])
     tone: Tone = "good" if found and data["as_hidden"] else "warn"
     sections = [_picture(data), _prediction(data), _twin(data), _truth(data), _go_on(commands, report)]
@@ -207,9 +207,6 @@ def _sure(finding: FindingRow) -> str:
     )
 
 
-def _go_on(commands: Sequence[str], report: str) -> Section:
-    lead = (
-        f"The page with the picture is {report}. Next commands: make the model this vehicle's; test whether it is still valid; predict a "
-        "change."
-    )
-    return Section("next", "Go on", tuple(Code(c) for c in commands), lead)
+def _go_on(commands: Sequence[tuple[str, str]], report: str) -> Section:
+    blocks = tuple(Code(command, what_for) for what_for, command in commands)
+    return Section("next", "Go on", blocks, f"The page with the picture is {report}.")

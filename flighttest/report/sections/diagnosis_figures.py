@@ -40,7 +40,7 @@ def heat_map(data: DiagnosisData) -> Figure | None:
             worst[place] = max(worst.get(place, 0.0), _number(c.get(key)))
         table = [[worst.get((ch, col), float("nan")) for col in columns] for ch in channels]
         panels.append(Panel(title, "", "", (Trace(columns, words, "noise floors", "other", "heat", z=table),)))
-    caption = "RMS error in units of the noise floor, the worst step of each kind and phase: 1 is noise alone."
+    caption = "RMS error in units of the noise floor, the worst step of each kind and phase: noise alone is 1, the worst of many above it."
     return Figure("where", tuple(panels), caption, 2, max(280, 190 + 24 * len(channels)))
 
 

@@ -151,23 +151,15 @@ def what(look: Look) -> Section:
             e = one.expected
             share = e.std / abs(e.value) if e.std is not None and e.value else None
             state = Cell("yes", "good") if one.excited else Cell("no", "bad" if e.std is None else "warn")
-            rows.append(
-                (
-                    e.name,
-                    "-" if e.std is None else number(e.std, 2),
-                    unit(e.unit),
-                    percent(share, 1),
-                    state,
-                    one.why,
-                    one.fly,
-                )
-            )
+            least = "-" if e.std is None else number(e.std, 2)
+            rows.append((e.name, least, unit(e.unit), percent(share, 1), str(e.responses), state, one.fly))
         blocks.append(
             Table(
-                ("parameter", "least error", "unit", "of its value", "excited", "why not", "fly"), tuple(rows),
-                ("left", "right", "left", "right", "left", "left", "left"),
-                "Least error: the lower bound of Cramér and Rao from the sensitivities of the responses at nominal parameters, with "
-                "the noise of a usual outdoor vehicle. A fit has larger errors where repeats differ or the model lacks something.",
+                ("parameter", "least error", "unit", "of its value", "responses", "excited", "fly"), tuple(rows),
+                ("left", "right", "left", "right", "right", "left", "left"),
+                "Excited: by three responses or more, and to within what a fit calls known. Least error: the lower bound of Cramér and Rao "
+                "from the sensitivities of the responses at nominal parameters, with the noise of a usual outdoor vehicle. A fit has larger"
+                " errors where repeats differ or the model lacks something.",
             )
         )  # fmt: skip
     if look.outlook_why:

@@ -194,7 +194,7 @@ def _flown_table(data: TwinData, flown: Mapping[str, FlownRow]) -> Table:
             number(v["rmse"], 3),
             Cell(number(v["ratio"], 3), "bad" if v["ratio"] > data["near_floor"] else "good"),
             f"{number(1e3 * v['later_s'], 2)} ± {number(1e3 * v['later_std_s'], 2)}",
-            number(v["steps"], 3),
+            str(int(v["steps"])),
         )
         for c, v in flown.items()
     )
