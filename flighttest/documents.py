@@ -365,5 +365,6 @@ _Plain.add_representer(str, _Plain.represent_str)
 
 
 def write_text(data: Mapping[str, object]) -> str:
-    """YAML that `YamlDocument` reads back, keys in the order given."""
-    return str(yaml.dump(dict(data), Dumper=_Plain, sort_keys=False, width=120, allow_unicode=True))
+    """YAML that `YamlDocument` reads back, keys in the order given; its lines are whole on a terminal of 80 columns (PyYAML breaks
+    them behind the word that passes its width)."""
+    return str(yaml.dump(dict(data), Dumper=_Plain, sort_keys=False, width=64, allow_unicode=True))
