@@ -79,6 +79,11 @@ def join(words: list[str] | tuple[str, ...], last: str = "and") -> str:
     return f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
+def join_some(words: list[str] | tuple[str, ...], most: int = 5) -> str:
+    """'a, b and c', of many only the first: 'a, b, c, d, e and 3 more'."""
+    return join([*words[:most], f"{len(words) - most} more"]) if len(words) > most + 1 else join(words)
+
+
 def paths(names: list[str] | tuple[str, ...], most: int = 3) -> str:
     """Files or folders in few words: 'a and b', or of many in one folder 'FOLDER: a, b, c and 5 more'."""
     if len(names) <= most:

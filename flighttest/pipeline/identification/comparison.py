@@ -13,7 +13,7 @@ from flighttest.pipeline.identification.fitting import cut_all, fit_segments
 from flighttest.pipeline.recordings.sources import open_recordings
 from flighttest.pipeline.results import SILENT, Progress, Result
 from flighttest.report.document import Align, Cell, Document, Section, Table
-from flighttest.report.numbers import join, percent, to_error, unit
+from flighttest.report.numbers import join, join_some, percent, to_error, unit
 
 
 def open_model(source: Path | ModelFile, progress: Progress = SILENT) -> ModelFile:
@@ -58,7 +58,7 @@ def compare(first: Path | ModelFile, second: Path | ModelFile, progress: Progres
     tested = sum(d.z is not None for d in found)
     only = [d.name for d in found if d.first is None or d.second is None]
     if differing:
-        verdict, tone = f"{join(differing)} differ{'s' if len(differing) == 1 else ''}.", "warn"
+        verdict, tone = f"{join_some(differing)} differ{'s' if len(differing) == 1 else ''}.", "warn"
     elif tested:
         verdict, tone = f"No parameter differs beyond its error ({tested} compared).", "good"
     else:

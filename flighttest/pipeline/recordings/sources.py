@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -223,6 +224,7 @@ def describe_recording(recording: Recording, folder: Path) -> Result:
         "source": source.source,
         "firmware": source.firmware or "not stated",
         "importer": source.importer,
+        "go on": f"flighttest show {shlex.quote(str(folder))}",
     }
     verdict = f"{duration(last - first)} of flight imported into {folder}."
     data = {

@@ -47,7 +47,7 @@ def accept(path: Path, out: Path, vehicle: Path | None = None) -> Result:
     if len(whole.generations) > 1:
         before = whole.generations[-2]
         facts["before it"] = f"model {before.number}: {'; '.join(before.ended)}"
-    facts["now"] = "flighttest status RUN, run, check, validate RUN and export use it for this vehicle"
+    facts["now"] = "status, run, check, validate and export use it for this vehicle"
     command = twin_command(whole.current, [out / name for name in made.runs]) if whole.current is not None else ""
     if command:
         facts["its twin"] = command

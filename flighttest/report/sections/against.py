@@ -22,7 +22,7 @@ from flighttest.report.document import (
     Tone,
     Trace,
 )
-from flighttest.report.numbers import join, number, percent, to_error, unit
+from flighttest.report.numbers import join, join_some, number, percent, to_error, unit
 
 _KINDS: dict[str, tuple[str, Tone]] = {
     "LACKS": ("lacking", "bad"),
@@ -35,7 +35,6 @@ _STEPS_SHOWN = 40
 _LARGEST = 6  # differences that a terminal shows where no more are beyond chance
 _BARS: tuple[Role, ...] = ("before", "after")
 Z_95 = 1.96
-MOST_NAMED = 5  # parameters in the sentence; the table has all
 
 
 class DifferenceRow(TypedDict):
@@ -116,11 +115,7 @@ def sentence(data: AgainstData) -> str:
     if data["too_much"]:
         parts.append(f"has {join([titled(titles, t) for t in data['too_much']])}, which reality does not have")
     if data["other_value"]:
-        other = list(data["other_value"])
-        more = len(other) - MOST_NAMED
-        parts.append(
-            f"has {join([*other[:MOST_NAMED], f'{more} more parameters'] if more > 1 else other)} with another value"
-        )
+        parts.append(f"has {join_some(list(data['other_value']))} with another value")
     rows = data["parameters"]
     tested = sum(r["p_value"] is not None for r in rows)
     if not parts:
