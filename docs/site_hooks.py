@@ -18,10 +18,10 @@ CELL = re.compile(r"<t([dh])\b[^>]*>.*?</t\1>", re.DOTALL)
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """The page's text, unchanged; a page with a wide table is shown without its table of contents."""
+    """The page's text, what is folded read as Markdown, too; a page with a wide table is shown without its table of contents."""
     if has_wide_table(markdown):
         page.meta["hide"] = ["toc"]
-    return markdown
+    return markdown.replace("<details>", '<details markdown="1">')
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:

@@ -166,13 +166,17 @@ def test_the_drawing_of_the_flight_has_every_change(repository):
         figures.drawing("", {}, {("A", "B"): ("C",)}, "A")
 
 
-def test_a_wide_table_of_the_site_has_room_and_its_words_break(repository):
+def test_a_wide_table_of_the_site_has_room_and_what_is_folded_is_read(repository):
     hooks = loaded(repository / "docs" / "site_hooks.py")
     narrow, wide = (
         "| a |" + " b |" * n + "\n|---|" + "---|" * n + "\n| c |" + " LINK_LOST, NOT_ARMED |" * n for n in (3, 8)
     )
     assert not hooks.has_wide_table(narrow)
     assert hooks.has_wide_table(wide)
+    page = SimpleNamespace(meta={})
+    assert hooks.on_page_markdown(f"<details>{wide}", page, None, None).startswith('<details markdown="1">')
+    assert page.meta == {"hide": ["toc"]}
+    assert "md_in_html" in yaml.safe_load((repository / "mkdocs.yml").read_text())["markdown_extensions"]
     assert hooks.breakable("<td>LINK_LOST</td><p>LINK_LOST</p>") == "<td>LINK_<wbr>LOST</td><p>LINK_LOST</p>"
 
 
