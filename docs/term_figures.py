@@ -39,10 +39,11 @@ from flighttest.vehicle.model import DEFAULT_VEHICLE
 FOLDER = Path(__file__).resolve().parent / "terms"
 SEED = 5
 POINTS = 90  # of a drawn line
-SHOWS = 0.1  # difference of the residuals, in noise floors, from which on a flight shows the term
+SHOWS = 0.5  # difference of the residuals, in noise floors, from which on a flight shows the term
 # Sizes at which a picture shows the effect, where the nominal one hides in the noise of a single flight.
 SIZES: dict[str, dict[str, float]] = {
-    "ground_effect": {"R2_m2": 0.6},
+    "channel_delay": {"delay_attitude": 0.05, "delay_yaw_rate": 0.05},
+    "ground_effect": {"R2_m2": 1.5},
     "motor_saturation": {"T_max": 0.33},
     "quadratic_drag": {"k_x": 0.06, "k_y": 0.06, "k_z": 0.06},
     "roll_pitch_coupling": {"pitch_to_roll": 0.15, "roll_to_pitch": 0.15},
