@@ -164,8 +164,7 @@ def what(look: Look) -> Section:
         )  # fmt: skip
     if look.outlook_why:
         blocks.append(Paragraph(look.outlook_why, "warn"))
-    lead = excitation_sentence(look.outlook) if look.outlook else ""
-    return Section("identify", "What can be identified from it", tuple(blocks), lead)
+    return Section("identify", "What can be identified from it", tuple(blocks))
 
 
 def timeline(look: Look) -> Section | None:
