@@ -51,7 +51,7 @@ def texts(document):
 
 
 def test_what_was_hidden_is_shown_in_the_last_section_before_the_commands():
-    document = demo_document(DATA, ["flighttest accept run"], "report.html")
+    document = demo_document(DATA, [("Make it the model:", "flighttest accept run")], "report.html")
     assert [s.id for s in document.sections] == ["prediction", "twin", "truth", "next"]
     reported = ["0.137" in text for text in [document.verdict, *texts(document)]]
     assert reported == [False, False, False, True, False]
