@@ -29,7 +29,7 @@ from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import Plan
 from flighttest.script.load import load_script
 from flighttest.script.shipped import resolve
@@ -47,11 +47,11 @@ def double(port: int, seconds: float, result: object) -> None:
     line.setblocking(False)
     there, mav, began, came = ("127.0.0.1", port), parser(1, 1), time.monotonic(), []
     made = {
-        "HEARTBEAT": lambda ms: book.MAVLink_heartbeat_message(2, 3, 217, 20, 4, 3),
-        "ATTITUDE": lambda ms: book.MAVLink_attitude_message(ms, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
-        "HIGHRES_IMU": lambda ms: book.MAVLink_highres_imu_message(ms * 1000, *([0.1] * 13), 65535),
-        "LOCAL_POSITION_NED": lambda ms: book.MAVLink_local_position_ned_message(ms, *([0.1] * 6)),
-        "ATTITUDE_TARGET": lambda ms: book.MAVLink_attitude_target_message(
+        "HEARTBEAT": lambda ms: dialect.MAVLink_heartbeat_message(2, 3, 217, 20, 4, 3),
+        "ATTITUDE": lambda ms: dialect.MAVLink_attitude_message(ms, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
+        "HIGHRES_IMU": lambda ms: dialect.MAVLink_highres_imu_message(ms * 1000, *([0.1] * 13), 65535),
+        "LOCAL_POSITION_NED": lambda ms: dialect.MAVLink_local_position_ned_message(ms, *([0.1] * 6)),
+        "ATTITUDE_TARGET": lambda ms: dialect.MAVLink_attitude_target_message(
             ms, 0, [1.0, 0.1, 0.1, 0.1], 0.1, 0.1, 0.1, 0.2
         ),
     }
@@ -68,7 +68,7 @@ def double(port: int, seconds: float, result: object) -> None:
                 data, extra, _, _ = line.recvmsg(2048, 256)
             except BlockingIOError:
                 break
-            if len(data) > 10 and int.from_bytes(data[7:10], "little") == book.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET:
+            if len(data) > 10 and int.from_bytes(data[7:10], "little") == dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET:
                 s, ns = struct.unpack("@qq", extra[0][2][:16])
                 came.append(s + 1e-9 * ns)
         time.sleep(0.001)

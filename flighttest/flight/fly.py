@@ -42,7 +42,7 @@ from flighttest.link.session import LinkSilent, Session, StoppedByOperator
 from flighttest.link.streams import StreamRates
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import mode_name
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.plan import Plan
 from flighttest.recording.manifest import FenceData
 
@@ -179,7 +179,7 @@ class _Flight:
         session.stop_asked = lambda: self.options.stop_requested() > 0  # until something is set that must be restored
         self._stage("connecting")
         beat = session.connect()
-        if beat.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        if beat.autopilot != dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
             raise LinkError(
                 "the vehicle is not ArduPilot, the only firmware whose flights this version schedules",
                 "fly it with its own tools and import the log (.ulg of PX4); link.px4 was never tried on a real PX4",

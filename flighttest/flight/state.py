@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from flighttest.channels import names
 from flighttest.link.session import Session
 from flighttest.mavlink import columns_of
-from flighttest.mavlink.dialect import Message, book, is_armed
+from flighttest.mavlink.dialect import Message, dialect, is_armed
 from flighttest.mavlink.telemetry import Rule, rules_of
 
 FloatArray = NDArray[np.float64]
@@ -152,7 +152,9 @@ class StateReader:
         # A filter that reports no more has no valid position; neither has one that only assumes to stand still.
         informed = ekf is None or now - ekf.t_s <= _EKF_REPORT_S
         flags = int(ekf.message.flags) if ekf and informed else 0
-        placed = flags & (book.EKF_POS_HORIZ_ABS | book.EKF_POS_HORIZ_REL) and not flags & book.EKF_CONST_POS_MODE
+        placed = (
+            flags & (dialect.EKF_POS_HORIZ_ABS | dialect.EKF_POS_HORIZ_REL) and not flags & dialect.EKF_CONST_POS_MODE
+        )
         return VehicleState(
             t_s=now,
             mode=int(beat.message.custom_mode) if beat else -1,
@@ -166,7 +168,7 @@ class StateReader:
             height_m=height,
             climb_m_s=climb,
             voltage_v=float(np.mean(voltages)) if voltages else None,
-            ekf_ok=ekf is None or bool(flags & book.EKF_ATTITUDE),
+            ekf_ok=ekf is None or bool(flags & dialect.EKF_ATTITUDE),
             position_ok=bool(placed) and local is not None,
             throttle_stick=self._throttle_stick(),
             silence_s=session.silence_s,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 
 LOST = "the pilot's transmitter is not received any more: the mode switch has no effect (stop with Ctrl-C: it lands)"
 BACK = "the pilot's transmitter is received again"
-_BIT = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+_BIT = dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 
 
 def received(message: Message) -> bool | None:

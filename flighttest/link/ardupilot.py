@@ -16,33 +16,33 @@ from flighttest import frames
 from flighttest.errors import LinkError
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode, mark_message, mode_name, offset_m, target_message
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, board_id, book, firmware_version, is_armed
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, board_id, dialect, firmware_version, is_armed
 
 _ACK_S = 2.0
 _RESULTS = {
-    book.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
-    book.MAV_RESULT_DENIED: "denied",
-    book.MAV_RESULT_UNSUPPORTED: "not supported",
-    book.MAV_RESULT_FAILED: "failed",
+    dialect.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
+    dialect.MAV_RESULT_DENIED: "denied",
+    dialect.MAV_RESULT_UNSUPPORTED: "not supported",
+    dialect.MAV_RESULT_FAILED: "failed",
 }
 _POSITION_AND_YAW = 0b100111111000  # SET_POSITION_TARGET type_mask: velocity, acceleration and yaw rate ignored
 _STREAM_TYPES: dict[str, int] = {
-    "HEARTBEAT": book.MAVLINK_MSG_ID_HEARTBEAT,
-    "ATTITUDE": book.MAVLINK_MSG_ID_ATTITUDE,
-    "HIGHRES_IMU": book.MAVLINK_MSG_ID_HIGHRES_IMU,
-    "RAW_IMU": book.MAVLINK_MSG_ID_RAW_IMU,
-    "LOCAL_POSITION_NED": book.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    "GLOBAL_POSITION_INT": book.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    "ATTITUDE_TARGET": book.MAVLINK_MSG_ID_ATTITUDE_TARGET,
-    "BATTERY_STATUS": book.MAVLINK_MSG_ID_BATTERY_STATUS,
-    "SYS_STATUS": book.MAVLINK_MSG_ID_SYS_STATUS,
-    "VFR_HUD": book.MAVLINK_MSG_ID_VFR_HUD,
-    "SERVO_OUTPUT_RAW": book.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-    "EKF_STATUS_REPORT": book.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-    "RC_CHANNELS": book.MAVLINK_MSG_ID_RC_CHANNELS,
-    "EXTENDED_SYS_STATE": book.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-    "SCALED_PRESSURE": book.MAVLINK_MSG_ID_SCALED_PRESSURE,
-    "DISTANCE_SENSOR": book.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+    "HEARTBEAT": dialect.MAVLINK_MSG_ID_HEARTBEAT,
+    "ATTITUDE": dialect.MAVLINK_MSG_ID_ATTITUDE,
+    "HIGHRES_IMU": dialect.MAVLINK_MSG_ID_HIGHRES_IMU,
+    "RAW_IMU": dialect.MAVLINK_MSG_ID_RAW_IMU,
+    "LOCAL_POSITION_NED": dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    "GLOBAL_POSITION_INT": dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    "ATTITUDE_TARGET": dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+    "BATTERY_STATUS": dialect.MAVLINK_MSG_ID_BATTERY_STATUS,
+    "SYS_STATUS": dialect.MAVLINK_MSG_ID_SYS_STATUS,
+    "VFR_HUD": dialect.MAVLINK_MSG_ID_VFR_HUD,
+    "SERVO_OUTPUT_RAW": dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+    "EKF_STATUS_REPORT": dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    "RC_CHANNELS": dialect.MAVLINK_MSG_ID_RC_CHANNELS,
+    "EXTENDED_SYS_STATE": dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    "SCALED_PRESSURE": dialect.MAVLINK_MSG_ID_SCALED_PRESSURE,
+    "DISTANCE_SENSOR": dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR,
 }
 
 
@@ -57,7 +57,7 @@ class Ack:
     @property
     def accepted(self) -> bool:
         """Whether the vehicle accepted."""
-        return self.result in (book.MAV_RESULT_ACCEPTED, book.MAV_RESULT_IN_PROGRESS)
+        return self.result in (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_IN_PROGRESS)
 
     @property
     def sentence(self) -> str:
@@ -93,7 +93,7 @@ class ArduPilot:
         texts: list[str] = []
 
         def note(message: Message, _t_s: float) -> None:
-            if message.get_type() == "STATUSTEXT" and message.severity <= book.MAV_SEVERITY_WARNING:
+            if message.get_type() == "STATUSTEXT" and message.severity <= dialect.MAV_SEVERITY_WARNING:
                 texts.append(message.text.strip())
 
         ours = (0, self.session.port.system)  # addressee of an answer; 0: not given
@@ -106,7 +106,7 @@ class ArduPilot:
                     timeout_s * max(self.session.clock.pace, 1.0),
                 )
                 if answer is not None:
-                    if answer.result not in (book.MAV_RESULT_ACCEPTED, book.MAV_RESULT_IN_PROGRESS):
+                    if answer.result not in (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_IN_PROGRESS):
                         self.session.advance(self.session.now_s() + 0.1)  # the reason may come after the answer
                     return Ack(int(answer.result), "; ".join(dict.fromkeys(texts)), confirmation + 1)
             return Ack(None, "; ".join(dict.fromkeys(texts)), tries)
@@ -115,17 +115,17 @@ class ArduPilot:
 
     def _command_long(self, command: int, params: tuple[float, ...], confirmation: int) -> Message:
         p = (*params, *([0.0] * (7 - len(params))))
-        if command == book.MAV_CMD_DO_SET_MODE and not self.session.held and not self.session.port.muted:
+        if command == dialect.MAV_CMD_DO_SET_MODE and not self.session.held and not self.session.port.muted:
             # One that does not leave is no request: the mode it names may be the pilot's own choice.
             self.session.mode_requests.sent(int(params[1]), self.session.now_s())
-        return book.MAVLink_command_long_message(
+        return dialect.MAVLink_command_long_message(
             self.session.vehicle_system, COMPONENT_AUTOPILOT, command, confirmation, *p
         )
 
     def request(self, name: str, message_id: int, timeout_s: float = 2.0) -> Message | None:
         """Ask for one message once; None when it does not come."""
         for _ in range(3):
-            self.session.send(self._command_long(book.MAV_CMD_REQUEST_MESSAGE, (message_id,), 0))
+            self.session.send(self._command_long(dialect.MAV_CMD_REQUEST_MESSAGE, (message_id,), 0))
             found = self.session.await_message(
                 lambda m: m.get_type() == name, timeout_s * max(self.session.clock.pace, 1.0)
             )
@@ -135,7 +135,7 @@ class ArduPilot:
 
     def firmware(self) -> str:
         """Version and commit; empty when the vehicle does not report it."""
-        version = self.request("AUTOPILOT_VERSION", book.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        version = self.request("AUTOPILOT_VERSION", dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         return firmware_version(version) if version is not None else ""
 
     @property
@@ -146,8 +146,8 @@ class ArduPilot:
 
     def home_m(self) -> np.ndarray | None:
         """Home in the local frame (NWU, m), None while the vehicle has none: ArduPilot's local frame starts at the EKF's origin."""
-        origin = self.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
-        home = self.request("HOME_POSITION", book.MAVLINK_MSG_ID_HOME_POSITION)
+        origin = self.request("GPS_GLOBAL_ORIGIN", dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        home = self.request("HOME_POSITION", dialect.MAVLINK_MSG_ID_HOME_POSITION)
         if origin is None or home is None:
             return None
         return self.local_m(
@@ -167,7 +167,7 @@ class ArduPilot:
         refused: dict[str, str] = {}
         for name, rate in rates_hz.items():
             interval_us = 1e6 / rate if rate > 0 else -1.0
-            ack = self.command(book.MAV_CMD_SET_MESSAGE_INTERVAL, float(_STREAM_TYPES[name]), interval_us)
+            ack = self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, float(_STREAM_TYPES[name]), interval_us)
             if not ack.accepted:
                 refused[name] = ack.sentence
         return refused
@@ -175,7 +175,7 @@ class ArduPilot:
     def ask_rate(self, name: str, rate_hz: float) -> None:
         """Ask for one message rate without waiting for the answer."""
         interval = (float(_STREAM_TYPES[name]), 1e6 / rate_hz)
-        self.session.send(self._command_long(book.MAV_CMD_SET_MESSAGE_INTERVAL, interval, 0))
+        self.session.send(self._command_long(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, interval, 0))
 
     def measure_rates(self, names: list[str], duration_s: float = 3.0) -> dict[str, float]:
         """Rates really received, Hz of the vehicle's time, over duration_s: another ground station can override what was asked."""
@@ -191,7 +191,7 @@ class ArduPilot:
         """Ask for a mode without waiting: the supervisor repeats it until HEARTBEAT shows it."""
         self.session.send(
             self._command_long(
-                book.MAV_CMD_DO_SET_MODE, (float(book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode)), 0
+                dialect.MAV_CMD_DO_SET_MODE, (float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode)), 0
             )
         )
 
@@ -200,7 +200,9 @@ class ArduPilot:
         why = ""
         deadline = self.session.now_s() + timeout_s
         while self.session.now_s() < deadline:
-            ack = self.command(book.MAV_CMD_DO_SET_MODE, float(book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode))
+            ack = self.command(
+                dialect.MAV_CMD_DO_SET_MODE, float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode)
+            )
             why = ack.sentence
             seen = self.session.await_message(lambda m: m.get_type() == "HEARTBEAT" and m.custom_mode == mode, 1.5)
             if seen is not None:
@@ -218,7 +220,7 @@ class ArduPilot:
         deadline = self.session.now_s() + timeout_s
         why = ""
         while not stopped():
-            ack = self.command(book.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            ack = self.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
             if ack.accepted and self.session.await_message(_armed_beat, 3.0) is not None:
                 return True
             why = ack.sentence if not ack.accepted else why
@@ -229,18 +231,18 @@ class ArduPilot:
 
     def take_off(self, height_m: float) -> Ack:
         """Ask for take-off to a height above home, in GUIDED."""
-        return self.command(book.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m)
+        return self.command(dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m)
 
     def go_to(self, position_m: np.ndarray, yaw_rad: float) -> None:
         """Ask for a position (local NWU, m) and heading (NWU, rad), in GUIDED."""
         x, y, z = (float(v) for v in frames.flip_vector(position_m))
         yaw = float(frames.flip_euler([0.0, 0.0, yaw_rad])[2])
         self.session.send(
-            book.MAVLink_set_position_target_local_ned_message(
+            dialect.MAVLink_set_position_target_local_ned_message(
                 int(self.session.now_s() * 1e3) & 0xFFFFFFFF,
                 self.session.vehicle_system,
                 COMPONENT_AUTOPILOT,
-                book.MAV_FRAME_LOCAL_NED,
+                dialect.MAV_FRAME_LOCAL_NED,
                 _POSITION_AND_YAW,
                 x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, yaw, 0.0,
             )
@@ -252,7 +254,7 @@ class ArduPilot:
 
     def disarm(self) -> Ack:
         """Ask to disarm; ArduCopter refuses in the air."""
-        return self.command(book.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        return self.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
     def steer(
         self,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 
 PARAMETER = "SIM_LOCKSTEP"
 _GRANT_MAX_S = 0.1  # longer waits come in pieces, so that telemetry is looked at and heartbeats are sent on the way
@@ -25,7 +25,7 @@ class Grants:
         """Grants that lead to until_s; send one, then receive until `marks` has grown."""
         while self.now_s < until_s - 1e-6:
             granted_ms = math.ceil(min(until_s, self.now_s + _GRANT_MAX_S) * 1e3 - 1e-6)
-            yield book.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=granted_ms)
+            yield dialect.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=granted_ms)
 
     def heard(self, message: Message) -> bool:
         """Look at a message of the simulator: whether it is an end mark."""

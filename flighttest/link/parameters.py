@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from flighttest.errors import LinkError
 from flighttest.link.session import Session
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, dialect
 
 _TRIES = 4
 _ANSWER_S = 1.5
@@ -75,7 +75,7 @@ def read_all(session: Session) -> dict[str, float]:
     try:
         for _ in range(_TRIES):
             session.send(
-                book.MAVLink_param_request_list_message(
+                dialect.MAVLink_param_request_list_message(
                     target_system=session.vehicle_system, target_component=COMPONENT_AUTOPILOT
                 )
             )
@@ -105,8 +105,8 @@ def read_all(session: Session) -> dict[str, float]:
 def _value(session: Session, message: Message) -> float:
     """A parameter's value: PX4 sends the bytes of an integer in the place of a float."""
     beat = session.latest.get("HEARTBEAT")
-    if beat is not None and beat.message.autopilot == book.MAV_AUTOPILOT_PX4:
-        form = {book.MAV_PARAM_TYPE_INT32: "<i", book.MAV_PARAM_TYPE_UINT32: "<I"}.get(message.param_type)
+    if beat is not None and beat.message.autopilot == dialect.MAV_AUTOPILOT_PX4:
+        form = {dialect.MAV_PARAM_TYPE_INT32: "<i", dialect.MAV_PARAM_TYPE_UINT32: "<I"}.get(message.param_type)
         if form is not None:
             return float(struct.unpack(form, struct.pack("<f", message.param_value))[0])
     return float(message.param_value)
@@ -123,7 +123,7 @@ def _until_quiet(session: Session, received: dict[int, tuple[str, float]]) -> No
 
 
 def _request(name: str, index: int, system: int) -> Message:
-    return book.MAVLink_param_request_read_message(
+    return dialect.MAVLink_param_request_read_message(
         target_system=system, target_component=COMPONENT_AUTOPILOT, param_id=name.encode(), param_index=index
     )
 
@@ -176,12 +176,12 @@ def write_parameter(
     seen: float | None = None
     for _ in range(_TRIES):
         session.send(
-            book.MAVLink_param_set_message(
+            dialect.MAVLink_param_set_message(
                 target_system=session.vehicle_system,
                 target_component=COMPONENT_AUTOPILOT,
                 param_id=name.encode(),
                 param_value=value,
-                param_type=book.MAV_PARAM_TYPE_REAL32,
+                param_type=dialect.MAV_PARAM_TYPE_REAL32,
             )
         )
         echo = session.await_message(

@@ -12,7 +12,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.link.requests import ModeRequests
 from flighttest.link.states import LinkEvent, LinkMachine, LinkState
 from flighttest.link.transport import ENOUGH, Sequence
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book, is_vehicle
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, dialect, is_vehicle
 
 CONNECT_S = 10.0  # host seconds
 HEARTBEAT_EVERY_S = 1.0
@@ -88,7 +88,7 @@ class Session:
     def enter_lock_step(self) -> None:
         """Go on in lock-step with a simulator that has agreed to it: from now on its time is granted by `advance`."""
         grants = Grants(0.0)
-        self.send(book.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=0))  # asks what time it is
+        self.send(dialect.MAVLink_system_time_message(time_unix_usec=0, time_boot_ms=0))  # asks what time it is
         self._await_mark(grants)
         granted = GrantedClock()
         granted.reach(grants.now_s)
@@ -163,12 +163,12 @@ class Session:
         if now >= self._next_heartbeat_s:
             self._next_heartbeat_s = now + HEARTBEAT_EVERY_S * max(self.clock.pace, 1.0)
             self.send(
-                book.MAVLink_heartbeat_message(
-                    type=book.MAV_TYPE_ONBOARD_CONTROLLER,
-                    autopilot=book.MAV_AUTOPILOT_INVALID,
+                dialect.MAVLink_heartbeat_message(
+                    type=dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+                    autopilot=dialect.MAV_AUTOPILOT_INVALID,
                     base_mode=0,
                     custom_mode=0,
-                    system_status=book.MAV_STATE_ACTIVE,
+                    system_status=dialect.MAV_STATE_ACTIVE,
                     mavlink_version=3,
                 )
             )
@@ -176,7 +176,7 @@ class Session:
             self._next_timesync_s = now + TIMESYNC_EVERY_S * max(self.clock.pace, 1.0)
             ts1 = self._timesync.ask(self.clock.ground_s())
             self._asked_s[ts1] = now
-            self.send(book.MAVLink_timesync_message(tc1=0, ts1=ts1))
+            self.send(dialect.MAVLink_timesync_message(tc1=0, ts1=ts1))
 
     def _take(self, timeout_s: float) -> None:
         """Take in what has arrived, all of it: after a pause of the host, a pilot's change of mode may be the last in the queue."""

@@ -12,7 +12,7 @@ from flighttest.logs.ardupilot.importer import DEFAULT_ACCEL_FILTER_HZ, known_fi
 from flighttest.logs.opening import LogFile, name_of
 from flighttest.logs.timing import clock_steps, held_union, outliers
 from flighttest.mavlink import WANTED
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.mavlink.tlog_frames import Frames, decoder_of, fields_of, good_checksums, split
 from flighttest.recording import Provenance, Recording, Series
 
@@ -42,7 +42,7 @@ def import_tlog(path: Path) -> Recording:
         )
     series, derived = _with_targets(dict(decoded.series), dict(decoded.derived))
     filters = known_filters(dict(decoded.parameters))
-    if "specific_force" not in filters and decoded.autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+    if "specific_force" not in filters and decoded.autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
         filters["specific_force"] = DEFAULT_ACCEL_FILTER_HZ
         losses.append(
             f"INS_ACCEL_FILTER was not recorded: the autopilot's default of {DEFAULT_ACCEL_FILTER_HZ:g} Hz is assumed"
@@ -91,7 +91,7 @@ def _checked(frames: Frames, losses: list[str]) -> Frames:
     unknown = 0
     for kind in np.unique(frames.kind):
         chosen = np.flatnonzero(frames.kind == kind)
-        if int(kind) in book.mavlink_map:
+        if int(kind) in dialect.mavlink_map:
             good[chosen] = good_checksums(frames.where(chosen), int(kind))
         else:
             unknown += chosen.size
@@ -114,10 +114,10 @@ def _on_one_clock(frames: Frames, losses: list[str]) -> Frames:
     """Frames as if the ground's clock had not been set while it recorded, by the stamps of the vehicle that sent most."""
     best = np.zeros(0, dtype=np.int64)
     for kind in np.unique(frames.kind):
-        message = book.mavlink_map.get(int(kind))
+        message = dialect.mavlink_map.get(int(kind))
         if message is None or message.msgname not in WANTED or "time_boot_ms" not in message.fieldnames:
             continue
-        chosen = np.flatnonzero((frames.kind == kind) & (frames.kind != book.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET))
+        chosen = np.flatnonzero((frames.kind == kind) & (frames.kind != dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET))
         senders, counts = np.unique(frames.sender[chosen], return_counts=True)
         if counts.size and int(np.max(counts)) > best.size:
             best = chosen[frames.sender[chosen] == senders[np.argmax(counts)]]

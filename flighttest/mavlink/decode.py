@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from flighttest.errors import RecordingError
 from flighttest.mavlink.accepted import in_force, taken, throttle_of
 from flighttest.mavlink.clock import ClockEstimate, estimate_clock
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, board_id, book, firmware_version, is_armed, is_vehicle
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, board_id, dialect, firmware_version, is_armed, is_vehicle
 from flighttest.mavlink.marks import Text, markers_from_texts
 from flighttest.mavlink.modes import mode_name
 from flighttest.mavlink.stamps import HALF_MS, in_lock_step, rounded_off, stamped_rules, stamps, times_of
@@ -52,7 +52,7 @@ class Decoded:
     derived: Mapping[str, str]
     reference_clock: str
     vehicle_system: int
-    autopilot: int = book.MAV_AUTOPILOT_INVALID
+    autopilot: int = dialect.MAV_AUTOPILOT_INVALID
     origin: tuple[float, float] | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
     board: str = ""
@@ -217,9 +217,9 @@ def _assemble(collected: StreamDecoder, source: SenderId) -> Decoded:
     armed = _armed(beats)
     last_armed_s = float(np.max(ground["HEARTBEAT"][armed])) if armed.any() else np.inf
     parameters = in_force(collected.parameters.get(source, []), last_armed_s)
-    autopilot = next((int(a) for a in beats.get("autopilot", ())), book.MAV_AUTOPILOT_INVALID)
+    autopilot = next((int(a) for a in beats.get("autopilot", ())), dialect.MAV_AUTOPILOT_INVALID)
     own = (times["ATTITUDE_TARGET"], raw["ATTITUDE_TARGET"]["thrust"]) if "ATTITUDE_TARGET" in raw else None
-    if reference is not None and autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+    if reference is not None and autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
         reference = taken(reference, times["HEARTBEAT"], beats["custom_mode"], losses)
         reference = throttle_of(reference, own, parameters, derived, losses) if reference is not None else None
     if reference is not None:
@@ -271,7 +271,7 @@ def _armed(beats: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
     """By HEARTBEAT's fields (n,), whether each shows armed."""
     if not beats:
         return np.zeros(0, dtype=bool)
-    return np.asarray(beats["base_mode"].astype(int) & int(book.MAV_MODE_FLAG_SAFETY_ARMED), dtype=bool)
+    return np.asarray(beats["base_mode"].astype(int) & int(dialect.MAV_MODE_FLAG_SAFETY_ARMED), dtype=bool)
 
 
 def _last_boot(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-__all__ = ["COMPONENT_AUTOPILOT", "Message", "book", "firmware_version", "is_armed", "is_vehicle", "parser"]
+__all__ = ["COMPONENT_AUTOPILOT", "Message", "dialect", "firmware_version", "is_armed", "is_vehicle", "parser"]
 
 Message = Any
 """One decoded MAVLink message, as pymavlink makes them: fields are attributes, `get_type()` names it."""
@@ -14,26 +14,26 @@ Message = Any
 COMPONENT_AUTOPILOT = 1
 # What sends HEARTBEATs and does not fly; some of them name an autopilot all the same.
 _NO_VEHICLE = frozenset({
-    book.MAV_TYPE_GCS, book.MAV_TYPE_ANTENNA_TRACKER, book.MAV_TYPE_ONBOARD_CONTROLLER, book.MAV_TYPE_GIMBAL, book.MAV_TYPE_ADSB,
-    book.MAV_TYPE_CAMERA, book.MAV_TYPE_CHARGING_STATION, book.MAV_TYPE_FLARM,
+    dialect.MAV_TYPE_GCS, dialect.MAV_TYPE_ANTENNA_TRACKER, dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_TYPE_GIMBAL,
+    dialect.MAV_TYPE_ADSB, dialect.MAV_TYPE_CAMERA, dialect.MAV_TYPE_CHARGING_STATION, dialect.MAV_TYPE_FLARM,
 })  # fmt: skip
 
 
 def parser(system: int, component: int) -> Any:
     """A fresh encoder and decoder for one end of a link: it never raises on bad bytes, they come out as BAD_DATA."""
-    mav = book.MAVLink(None, srcSystem=system, srcComponent=component)
+    mav = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
     mav.robust_parsing = True
     return mav
 
 
 def is_vehicle(heartbeat: Message) -> bool:
     """Whether a HEARTBEAT comes from an autopilot, not from a ground station, an antenna tracker, a gimbal or a companion computer."""
-    return bool(heartbeat.autopilot != book.MAV_AUTOPILOT_INVALID and heartbeat.type not in _NO_VEHICLE)
+    return bool(heartbeat.autopilot != dialect.MAV_AUTOPILOT_INVALID and heartbeat.type not in _NO_VEHICLE)
 
 
 def is_armed(heartbeat: Message) -> bool:
     """Whether a HEARTBEAT shows that the motors are armed."""
-    return bool(heartbeat.base_mode & book.MAV_MODE_FLAG_SAFETY_ARMED)
+    return bool(heartbeat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def firmware_version(version: Message) -> str:

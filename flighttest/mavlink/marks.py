@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flighttest.mavlink.clock import ClockEstimate
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 from flighttest.recording import Marker
 from flighttest.recording.manifest import EventData
 
@@ -36,7 +36,9 @@ def mark_text(leg_id: str, phase: str) -> str:
 
 def mark_message(leg_id: str, phase: str) -> Message:
     """The STATUSTEXT that carries a mark to the vehicle."""
-    return book.MAVLink_statustext_message(severity=book.MAV_SEVERITY_INFO, text=mark_text(leg_id, phase).encode())
+    return dialect.MAVLink_statustext_message(
+        severity=dialect.MAV_SEVERITY_INFO, text=mark_text(leg_id, phase).encode()
+    )
 
 
 def parse_mark(text: str) -> tuple[str, str] | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from flighttest.datafiles import read_bytes
 from flighttest.errors import InputError
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 
 KEY_BYTES = 32
 _SIGNATURE_BYTES = 6
@@ -59,10 +59,10 @@ def ticks(unix_s: float) -> int:
 def setup_message(system: int, component: int, key: bytes) -> Message:
     """What gives a vehicle its key; all zero takes it away."""
     stamp = ticks(time.time()) if any(key) else 0
-    return book.MAVLink_setup_signing_message(system, component, list(key), stamp)
+    return dialect.MAVLink_setup_signing_message(system, component, list(key), stamp)
 
 
-class SignedLink(book.MAVLink):  # type: ignore[misc]  # pymavlink has no types
+class SignedLink(dialect.MAVLink):  # type: ignore[misc]  # pymavlink has no types
     """An encoder and decoder that signs what it packs, and takes only what is signed with its key. refused: frames that were not.
 
     pymavlink itself takes the time stamp of a frame before it looks at the signature: one false frame from the future would shut the

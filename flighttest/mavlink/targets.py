@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flighttest import frames
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, dialect
 
 FloatArray = NDArray[np.float64]
 
 MASK_ATTITUDE_ONLY = 7
 MASK_ATTITUDE_AND_RATES = 0
-_IGNORE_YAW_RATE = book.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
-_IGNORE_THROTTLE = book.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
-_IGNORE_ATTITUDE = book.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
+_IGNORE_YAW_RATE = dialect.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
+_IGNORE_THROTTLE = dialect.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
+_IGNORE_ATTITUDE = dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
 
 REFERENCE_FIELDS = ("type_mask", "q", "body_yaw_rate", "thrust")
 
@@ -39,7 +39,7 @@ def target_message(
     """
     q = frames.flip_quaternion(frames.quaternion_from_euler([roll_rad, pitch_rad, yaw_rad]))
     rates = frames.flip_vector([0.0, 0.0, yaw_rate_rad_s or 0.0])
-    return book.MAVLink_set_attitude_target_message(
+    return dialect.MAVLink_set_attitude_target_message(
         time_boot_ms=int(max(t_vehicle_s, 0.0) * 1e3 + 1e-6)
         & 0xFFFFFFFF,  # 4.007 s is 4007 ms, whatever its binary digits
         target_system=system,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.mavlink.decode import WANTED, StreamDecoder
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 
 _STAMP_BYTES = 8
 _V1, _V2 = 0xFE, 0xFD
@@ -164,7 +164,7 @@ def _resume(data: bytes, at: int, size: int) -> int:
 
 def good_checksums(frames: Frames, kind: int) -> NDArray[np.bool_]:
     """Which of frames of one message type carry the right checksum (CRC-16/MCRF4XX over header, payload and the type's seed)."""
-    seed = np.uint8(book.mavlink_map[kind].crc_extra)
+    seed = np.uint8(dialect.mavlink_map[kind].crc_extra)
     good = np.zeros(frames.at.size, dtype=bool)
     first = frames.at + _STAMP_BYTES + 1  # the checksum leaves out the magic byte
     count = frames.payload + frames.length - first
@@ -196,7 +196,7 @@ _TABLE = _crc_table()
 
 def fields_of(frames: Frames, kind: int) -> Mapping[str, NDArray[Any]]:
     """Fields (n,) or (n, k) of frames of one message type; payloads are filled up with zeros, as MAVLink 2 cuts them."""
-    message = book.mavlink_map[kind]
+    message = dialect.mavlink_map[kind]
     layout = _layout(kind)
     rows = np.zeros((frames.at.size, layout.itemsize), dtype=np.uint8)
     for size in np.unique(frames.length):
@@ -215,7 +215,7 @@ _CODES = {
 
 
 def _layout(kind: int) -> np.dtype[Any]:
-    message = book.mavlink_map[kind]
+    message = dialect.mavlink_map[kind]
     letters = message.native_format.decode()[1:]
     fields: list[Any] = []
     for name, letter, count in zip(message.ordered_fieldnames, letters, message.array_lengths, strict=True):
@@ -232,7 +232,7 @@ def decoder_of(frames: Frames) -> StreamDecoder:
     mav = parser(0, 0)
     late: list[tuple[int, Any]] = []
     for kind in np.unique(frames.kind):
-        message = book.mavlink_map.get(int(kind))
+        message = dialect.mavlink_map.get(int(kind))
         if message is None or message.msgname not in WANTED:
             continue
         chosen = np.flatnonzero(frames.kind == kind)

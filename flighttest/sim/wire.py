@@ -10,16 +10,16 @@ import hashlib
 from collections.abc import Callable
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 UNIX_2015_S = 1420070400  # from when on signatures count time
 
 
 def _crc(data: bytes) -> int:
-    return int(book.x25crc(data).crc)
+    return int(dialect.x25crc(data).crc)
 
 
-_checksum: Callable[[bytes], int] = getattr(book, "mcrf4xx", None) or _crc
+_checksum: Callable[[bytes], int] = getattr(dialect, "mcrf4xx", None) or _crc
 
 
 class Layout:
@@ -54,7 +54,7 @@ class Signing:
             return frame
         self.stamp += 1
         body = frame[1:2] + b"\x01" + frame[3:-2]
-        crc = _checksum(body + bytes([book.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra]))
+        crc = _checksum(body + bytes([dialect.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra]))
         words = b"\xfd" + body + bytes((crc & 0xFF, crc >> 8)) + b"\0" + self.stamp.to_bytes(6, "little")
         return words + hashlib.sha256(self.key + words).digest()[:6]
 
@@ -80,7 +80,7 @@ class Encoder:
     def __init__(self, system: int = 1, component: int = 1) -> None:
         self.system, self.component = system, component
         self.signing = Signing()
-        self._mav = book.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._mav = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         self._tail = bytes([system, component])
         self._layouts: dict[Any, Layout] = {}
 
@@ -108,7 +108,7 @@ class Decoder:
     """Bytes of one connection to messages; damaged frames are dropped, as an autopilot drops them."""
 
     def __init__(self) -> None:
-        self._mav = book.MAVLink(None)
+        self._mav = dialect.MAVLink(None)
         self._mav.robust_parsing = True
 
     def feed(self, data: bytes) -> list[Any]:

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 BEFORE_S, AFTER_S = 0.8, 0.4
 SPARSE_S = 1.0
@@ -95,7 +95,7 @@ def trim_log(data: bytes, legs: Iterable[str]) -> bytes:
 
 def frames(data: bytes) -> Iterator[tuple[float, bytes, object]]:
     """Time, s, stamp and frame together, and the decoded message, of each record of a tlog."""
-    parser = book.MAVLink(None)
+    parser = dialect.MAVLink(None)
     parser.robust_parsing = True
     at = 0
     while at + 20 <= len(data):

@@ -18,7 +18,7 @@ from typing import Any
 
 from flighttest.errors import FlighttestError
 from flighttest.flight import LegOutcome
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import Plan
 from flighttest.recording.store import read_manifest
 from flighttest.sim import InProcess, SimOptions
@@ -158,7 +158,7 @@ def renamed(message: Any) -> bytes:
     again = parser(message.get_srcSystem(), message.get_srcComponent())
     again.seq = message.get_seq()
     value = (message.param_value, message.param_type, message.param_count, message.param_index)
-    return bytes(book.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
+    return bytes(dialect.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.sim.sitl.launcher import Sitl
 from tests.faults.cells import FAULTS, Cell, judge
 from tests.faults.proxy import EPOCH_S, Fault, Proxy, When
@@ -134,7 +134,7 @@ class Truth:
     def landed(self) -> bool:
         """Whether it stands on the ground."""
         heard = self._witness.session.latest.get("EXTENDED_SYS_STATE")
-        return heard is not None and heard.message.landed_state == book.MAV_LANDED_STATE_ON_GROUND
+        return heard is not None and heard.message.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
 
 
 def fly_live(sitl: Sitl, name: str, when: When, speed: float = 1.0) -> tuple[Cell, bool]:

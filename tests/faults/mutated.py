@@ -36,7 +36,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.streams import StreamRates
 from flighttest.logs import import_log
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.sim import InProcess, SimOptions
 from tests.flight.faulty import GATE, make_plan
 
@@ -48,11 +48,11 @@ _BATCH = 20
 def frames_of_a_flight(seconds: float = 3.0) -> list[bytes]:
     """Frames as the built-in vehicle sends them, all message types that it has."""
     sim = InProcess(SimOptions(ready_s=0.1, gps_s=0.1))
-    station = book.MAVLink(None, srcSystem=255, srcComponent=190)
+    station = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
     for number in (30, 32, 33, 74, 83, 105, 147, 148, 1, 65, 36, 193, 27, 29, 245):
-        rate = (book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, float(number), 2e4, 0, 0, 0, 0, 0)
-        sim.send(bytes(book.MAVLink_command_long_message(1, 1, *rate).pack(station)))
-    sim.send(bytes(book.MAVLink_param_request_list_message(1, 1).pack(station)))
+        rate = (dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, float(number), 2e4, 0, 0, 0, 0, 0)
+        sim.send(bytes(dialect.MAVLink_command_long_message(1, 1, *rate).pack(station)))
+    sim.send(bytes(dialect.MAVLink_param_request_list_message(1, 1).pack(station)))
     sim.advance(seconds)
     data, found = sim.receive(), []
     while data:
@@ -71,7 +71,7 @@ def mutated(frame: bytes, draw: random.Random) -> bytes:
     for _ in range(draw.choice((1, 1, 2, 8))):
         changed[draw.randrange(3, len(changed) - 2)] = draw.choice((0, 255, 127, 128, draw.randrange(256)))
     if kind < 0.75:
-        known = book.mavlink_map.get(int.from_bytes(changed[7:10], "little"))
+        known = dialect.mavlink_map.get(int.from_bytes(changed[7:10], "little"))
         checksum = x25crc(bytes(changed[1:-2]) + bytes([known.crc_extra if known is not None else 0]))
         changed[-2:] = checksum.crc.to_bytes(2, "little")
         return bytes(changed)

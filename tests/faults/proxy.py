@@ -13,7 +13,7 @@ from enum import Enum
 from flighttest.flight import FlightState
 from flighttest.link.clock import FollowedClock
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.sim import InProcess, SimOptions
 
 STEP_S = 0.0025
@@ -167,11 +167,11 @@ class Proxy:
             self.reach(seen)
 
     def _command(self, command: int, first: float, second: int) -> When | None:
-        if command == book.MAV_CMD_COMPONENT_ARM_DISARM and first == 1.0:
+        if command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and first == 1.0:
             return When.ARMING
-        if command == book.MAV_CMD_NAV_TAKEOFF:
+        if command == dialect.MAV_CMD_NAV_TAKEOFF:
             return When.CLIMBING
-        if command != book.MAV_CMD_DO_SET_MODE:
+        if command != dialect.MAV_CMD_DO_SET_MODE:
             return None
         if second == CopterMode.GUIDED:
             return When.RETURNING if When.FLYING in self._reached else None
@@ -191,12 +191,12 @@ class Proxy:
             self.presses = fault.presses
         if self._once("station", fault.station):
             for number in (
-                book.MAVLINK_MSG_ID_ATTITUDE,
-                book.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-                book.MAVLINK_MSG_ID_HEARTBEAT,
+                dialect.MAVLINK_MSG_ID_ATTITUDE,
+                dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+                dialect.MAVLINK_MSG_ID_HEARTBEAT,
             ):
-                off = (book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0)
-                self._to_vehicle(bytes(book.MAVLink_command_long_message(1, 1, *off).pack(self._station)))
+                off = (dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0)
+                self._to_vehicle(bytes(dialect.MAVLink_command_long_message(1, 1, *off).pack(self._station)))
         if self._once("pilot", fault.pilot_after_s is not None, fault.pilot_after_s or 0.0):
             self.switched_s = self.now_s
             self._switch()
@@ -218,13 +218,13 @@ class Proxy:
         self._choose(self.fault.pilot_mode)
 
     def _choose(self, mode: CopterMode) -> None:
-        chosen = book.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(mode), 9)
+        chosen = dialect.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(mode), 9)
         self._to_vehicle(bytes(chosen.pack(self._station)))
 
     def _kill(self) -> None:
         """The pilot stops the motors, as by a switch of the transmitter."""
-        stop = (book.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0.0, _BY_FORCE, 0, 0, 0, 0, 0)
-        self._to_vehicle(bytes(book.MAVLink_command_long_message(1, 1, *stop).pack(self._station)))
+        stop = (dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0.0, _BY_FORCE, 0, 0, 0, 0, 0)
+        self._to_vehicle(bytes(dialect.MAVLink_command_long_message(1, 1, *stop).pack(self._station)))
 
     def _reboot(self) -> None:
         """The vehicle starts anew."""
@@ -290,14 +290,14 @@ class Proxy:
         again.seq = message.get_seq()  # type: ignore[attr-defined]
         if kind == "PARAM_VALUE" and message.param_id == "SIM_LOCKSTEP":  # type: ignore[attr-defined]
             value = (message.param_value, message.param_type, message.param_count, message.param_index)  # type: ignore[attr-defined]
-            return bytes(book.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
+            return bytes(dialect.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
         if self.began_s is None or self.now_s < self.began_s:
             return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
         if kind == "HEARTBEAT" and self._once("false", fault.false_mode or fault.false_disarmed):
             if fault.false_mode:
                 message.custom_mode = int(CopterMode.LOITER)  # type: ignore[attr-defined]
             else:
-                message.base_mode &= ~book.MAV_MODE_FLAG_SAFETY_ARMED  # type: ignore[attr-defined]
+                message.base_mode &= ~dialect.MAV_MODE_FLAG_SAFETY_ARMED  # type: ignore[attr-defined]
             return bytes(message.pack(again))  # type: ignore[attr-defined]
         if fault.anew and getattr(message, "time_boot_ms", 0):
             message.time_boot_ms -= int(1e3 * (self.began_s - self._start_s))  # type: ignore[attr-defined]
@@ -317,8 +317,8 @@ class Proxy:
             return
         self._twin_next_s = self.now_s + 0.25
         for message in (
-            book.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3),
-            book.MAVLink_attitude_message(5_000_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3),
+            dialect.MAVLink_attitude_message(5_000_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         ):
             self._down.append((self.now_s, self._order, bytes(message.pack(self._twin))))
             self._twin.seq = (self._twin.seq + 1) % 256
@@ -335,7 +335,7 @@ class Proxy:
             if (
                 fault.no_beats
                 and queue is self._down
-                and int.from_bytes(frame[_ID], "little") == book.MAVLINK_MSG_ID_HEARTBEAT
+                and int.from_bytes(frame[_ID], "little") == dialect.MAVLINK_MSG_ID_HEARTBEAT
             ):
                 return
             due_s += fault.latency_s + fault.jitter_s * self._draw.random()

@@ -11,7 +11,7 @@ from flighttest.flight import FlightResult, FlightSettings
 from flighttest.flight.gate import GateLimits, stop_throttles
 from flighttest.flight.state import VehicleState
 from flighttest.link.clock import Clock
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import AttitudeTarget, Leg, Phase, Plan
 from flighttest.script.model import Limits, Repeat, Reset, Script
 from flighttest.sim import InProcess, SimOptions
@@ -97,7 +97,7 @@ class FaultyLink:
 
     def set_parameter(self, name: str, value: float) -> None:
         """As the pilot's transmitter, or another ground station, would."""
-        message = book.MAVLink_param_set_message(1, 1, name.encode(), value, book.MAV_PARAM_TYPE_REAL32)
+        message = dialect.MAVLink_param_set_message(1, 1, name.encode(), value, dialect.MAV_PARAM_TYPE_REAL32)
         self.sim.send(bytes(message.pack(self._pilot)))
 
 

@@ -24,17 +24,17 @@ from flighttest.link.onboard.fence import Fence, FenceItem, polygon, same_fence
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import Plan
 from flighttest.recording.store import read_manifest
 from flighttest.vehicle.model import Zone
 from tests.flight.faulty import GOOD, FaultyLink, fly, make_plan, options
 
 HOME_E7 = (-353632621, 1491652374)
-ORIGIN = book.MAVLink_gps_global_origin_message(*HOME_E7, 584090, 0)
+ORIGIN = dialect.MAVLink_gps_global_origin_message(*HOME_E7, 584090, 0)
 ZONE = Zone(heading_rad=math.radians(-40.0), fence="polygon")
 OWN = (
-    FenceItem(book.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0, (5.0, 0.0, 0.0, 0.0), HOME_E7[0] + 3000, HOME_E7[1]),
+    FenceItem(dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0, (5.0, 0.0, 0.0, 0.0), HOME_E7[0] + 3000, HOME_E7[1]),
     *polygon([(HOME_E7[0] + dx * 10000, HOME_E7[1] + dy * 10000) for dx, dy in ((1, 1), (1, -1), (-1, -1), (-1, 1))]),
 )
 """As an operator draws one: a tree in it, and a field of 220 m about home."""
@@ -47,11 +47,11 @@ def with_zone(plan: Plan, zone: Zone = ZONE) -> Plan:
 def hand_over(link: FaultyLink, items: Sequence[FenceItem]) -> None:
     """The fence of another station, aboard before the flight."""
     other = parser(255, 190)
-    kind = book.MAV_MISSION_TYPE_FENCE
-    link.sim.send(bytes(book.MAVLink_mission_count_message(1, 1, len(items), kind).pack(other)))
+    kind = dialect.MAV_MISSION_TYPE_FENCE
+    link.sim.send(bytes(dialect.MAVLink_mission_count_message(1, 1, len(items), kind).pack(other)))
     for k, i in enumerate(items):
         fields = (1, 1, k, i.frame, i.command, 0, 1, *i.params, i.x, i.y, i.z, kind)
-        link.sim.send(bytes(book.MAVLink_mission_item_int_message(*fields).pack(other)))
+        link.sim.send(bytes(dialect.MAVLink_mission_item_int_message(*fields).pack(other)))
     assert len(aboard(link)) == len(items)
 
 

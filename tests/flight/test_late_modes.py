@@ -9,7 +9,7 @@ import pytest
 from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.link.requests import ModeRequests
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
 GUIDED, NOGPS, LOITER = CopterMode.GUIDED, CopterMode.GUIDED_NOGPS, CopterMode.LOITER
@@ -22,7 +22,7 @@ def first_request(link: FaultyLink, mode: CopterMode, count: int = 1) -> list[fl
     seen = [0]
 
     def look(message: object, t_s: float) -> None:
-        if message.get_type() != "COMMAND_LONG" or message.command != book.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
+        if message.get_type() != "COMMAND_LONG" or message.command != dialect.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
             return
         if message.param2 == mode:  # type: ignore[attr-defined]
             seen[0] += t_s - last[0] > 1.0

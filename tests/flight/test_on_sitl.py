@@ -26,7 +26,7 @@ from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import Transport, open_transport
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, is_armed, parser
+from flighttest.mavlink.dialect import dialect, is_armed, parser
 from flighttest.pipeline.planning.checking import predictor_for
 from flighttest.pipeline.planning.predictor import ScriptReplanner
 from flighttest.plan import AttitudeTarget
@@ -231,7 +231,7 @@ def test_a_lost_transmitter_is_said_at_once(sitl, tmp_path):
     def fail() -> None:
         if not failed:
             failed.append(time.monotonic())
-            message = book.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 1.0, book.MAV_PARAM_TYPE_REAL32)
+            message = dialect.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 1.0, dialect.MAV_PARAM_TYPE_REAL32)
             witness.session.send(message)
 
     link.on_step = fail
@@ -241,7 +241,7 @@ def test_a_lost_transmitter_is_said_at_once(sitl, tmp_path):
             on_progress=lambda p: said.append((time.monotonic(), p.alarm)) if p.alarm else None,
         )  # fmt: skip
     finally:
-        back = book.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 0.0, book.MAV_PARAM_TYPE_REAL32)
+        back = dialect.MAVLink_param_set_message(1, 1, b"SIM_RC_FAIL", 0.0, dialect.MAV_PARAM_TYPE_REAL32)
         witness.session.send(back)
         witness.session.port.close()
     # The firmware lands by its own failsafe after the flight was left to it; the next test begins on the ground. A link of its own: what
@@ -259,11 +259,11 @@ def test_the_zones_fence_polygon_on_the_real_firmware(sitl, tmp_path):
     """Uploaded beside the operator's own fence, read back, seen on another link in flight; then the operator's alone. And it brakes."""
     witness = second_link(sitl)
     fence = Fence(witness.session)
-    home = witness.request("HOME_POSITION", book.MAVLINK_MSG_ID_HOME_POSITION)
+    home = witness.request("HOME_POSITION", dialect.MAVLINK_MSG_ID_HOME_POSITION)
     assert home is not None
     lat, lon = home.latitude, home.longitude
     own = (
-        FenceItem(book.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0, (4.0, 0.0, 0.0, 0.0), lat + 4000, lon),
+        FenceItem(dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 0, (4.0, 0.0, 0.0, 0.0), lat + 4000, lon),
         *polygon([(lat + dx * 10000, lon + dy * 10000) for dx, dy in ((1, 1), (1, -1), (-1, -1), (-1, 1))]),
     )
     plan = make_plan()
@@ -279,7 +279,7 @@ def test_the_zones_fence_polygon_on_the_real_firmware(sitl, tmp_path):
         assert result.outcome is FlightOutcome.COMPLETED, result.notes
         assert any("beside 5 items" in note for note in result.notes)
         assert same_fence(fence.read(), own)
-        here = witness.request("GLOBAL_POSITION_INT", book.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
+        here = witness.request("GLOBAL_POSITION_INT", dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
         assert here is not None
         lat, lon = here.lat, here.lon
         half = round(1.2 / 0.0111319)  # degE7 of latitude: a box that the step leaves

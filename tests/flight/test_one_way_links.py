@@ -9,7 +9,7 @@ import pytest
 from flighttest.errors import LinkError
 from flighttest.flight import FlightProgress, LegOutcome
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import AttitudeTarget
 from flighttest.recording.store import open_run
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
@@ -41,7 +41,7 @@ def landing_asked(link: FaultyLink) -> list[float]:
     def look(message: object, t_s: float) -> None:
         if t_s > _TOO_LONG_S:
             raise Endless(f"still flying after {t_s:.0f} s")
-        command = message.get_type() == "COMMAND_LONG" and message.command == book.MAV_CMD_DO_SET_MODE  # type: ignore[attr-defined]
+        command = message.get_type() == "COMMAND_LONG" and message.command == dialect.MAV_CMD_DO_SET_MODE  # type: ignore[attr-defined]
         if command and message.param2 == CopterMode.LAND and not times:  # type: ignore[attr-defined]
             times.append(t_s)
 
@@ -161,13 +161,13 @@ def test_a_stream_that_another_station_switches_off_is_asked_for_again(stream: s
     link = FaultyLink(options())
     began = marked(link, " step")
     other, switched = parser(255, 190), []
-    number = getattr(book, f"MAVLINK_MSG_ID_{stream}")
+    number = getattr(dialect, f"MAVLINK_MSG_ID_{stream}")
 
     def switch() -> int:
         if began and not switched:
             switched.append(began[0])
-            off = book.MAVLink_command_long_message(
-                1, 1, book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0
+            off = dialect.MAVLink_command_long_message(
+                1, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1.0, 0, 0, 0, 0, 0
             )
             link.sim.send(bytes(off.pack(other)))
         return 0
@@ -197,7 +197,7 @@ def test_a_take_off_whose_answer_was_lost_is_no_refusal(run_dir: Path) -> None:
     asked: list[float] = []
 
     def hook(message: object, t_s: float) -> None:
-        if getattr(message, "command", None) == book.MAV_CMD_NAV_TAKEOFF:
+        if getattr(message, "command", None) == dialect.MAV_CMD_NAV_TAKEOFF:
             asked.append(t_s)
 
     link = FaultyLink(options(), hook=hook)

@@ -12,7 +12,7 @@ from flighttest.flight.preparation.fence_limits import fence_words
 from flighttest.flight.preparation.preflight import checks, is_simulator, refuse
 from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.link.session import Heard
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from tests.flight.faulty import GOOD, LIMITS, make_leg, make_plan
 
 PARAMETERS = {
@@ -210,7 +210,7 @@ def test_a_second_vehicle_on_the_link_is_refused() -> None:
     assert "2, 7" in check.what
 
 
-RECEIVER = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+RECEIVER = dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 
 
 @pytest.mark.parametrize(
@@ -226,9 +226,9 @@ RECEIVER = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 def test_rc_is_live_where_the_autopilot_receives_it_now(
     channels: int | None, present: int, health: int, live: bool
 ) -> None:
-    heard = book.MAVLink_rc_channels_message(0, channels or 0, *([0] * 18), 0)
+    heard = dialect.MAVLink_rc_channels_message(0, channels or 0, *([0] * 18), 0)
     latest = {} if channels is None else {"RC_CHANNELS": Heard(heard, 1.0)}
-    status = book.MAVLink_sys_status_message(present, present, health, *([0] * 10))
+    status = dialect.MAVLink_sys_status_message(present, present, health, *([0] * 10))
     vehicle = SimpleNamespace(session=SimpleNamespace(latest=latest), request=lambda *_: status)
     assert preflight.rc_live(vehicle) is live  # type: ignore[arg-type]
 

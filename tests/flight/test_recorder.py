@@ -17,7 +17,7 @@ from pymavlink import mavutil
 
 from flighttest.errors import LinkError
 from flighttest.flight.recorder import RESERVE_BYTES, Recorder, mark_id
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.recording.store import read_events, read_manifest
 from tests.flight.faulty import FaultyLink, fly, make_plan, options
 
@@ -27,7 +27,7 @@ def recorder(run_dir: Path, ground_s=time.time) -> Recorder:
 
 
 def attitude(k: int, mav) -> tuple[bytes, object]:
-    message = book.MAVLink_attitude_message(20 * k, 0.1, 0, 0, 0, 0, 0)
+    message = dialect.MAVLink_attitude_message(20 * k, 0.1, 0, 0, 0, 0, 0)
     return bytes(message.pack(mav)), message
 
 

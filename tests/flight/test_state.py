@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from flighttest.flight.state import StateReader
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 
 
 class Silent:
@@ -29,7 +29,7 @@ class Silent:
 
 
 def battery(volts):
-    return book.MAVLink_sys_status_message(0, 0, 0, 0, int(1000 * volts), 1000, 80, 0, 0, 0, 0, 0, 0)
+    return dialect.MAVLink_sys_status_message(0, 0, 0, 0, int(1000 * volts), 1000, 80, 0, 0, 0, 0, 0, 0)
 
 
 def test_voltage_is_a_mean_of_two_seconds_and_is_not_known_for_ever():

@@ -8,20 +8,20 @@ import pytest
 
 from flighttest.flight import FlightOutcome
 from flighttest.flight.transmitter import BACK, LOST, Transmitter
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 from flighttest.recording.store import open_run
 from tests.flight.faulty import FaultyLink, fly, make_leg, make_plan, options
 
-RECEIVER = book.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+RECEIVER = dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 WITHIN_S = 0.7  # SYS_STATUS comes twice a second
 
 
 def status(present: int, health: int) -> Message:
-    return book.MAVLink_sys_status_message(present, present, health, *([0] * 10))
+    return dialect.MAVLink_sys_status_message(present, present, health, *([0] * 10))
 
 
 def channels(count: int) -> Message:
-    return book.MAVLink_rc_channels_message(0, count, *([0] * 18), 0)
+    return dialect.MAVLink_rc_channels_message(0, count, *([0] * 18), 0)
 
 
 WELL, ILL, MUTE = status(RECEIVER, RECEIVER), status(RECEIVER, 0), status(0, 0)

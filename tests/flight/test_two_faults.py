@@ -15,7 +15,7 @@ from flighttest.flight.recorder import LineFile
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import MavlinkPort
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.plan import AttitudeTarget, Plan
 from flighttest.recording.store import open_run, read_manifest
 from tests.flight.faulty import LIMITS, FaultyLink, fly, make_leg, make_plan, options
@@ -40,7 +40,7 @@ def on_arming(link: FaultyLink, then: Callable[[list[float]], None] = lambda _ti
     times: list[float] = []
 
     def hook(message: object, t_s: float) -> None:
-        kind, command = message.get_type(), book.MAV_CMD_COMPONENT_ARM_DISARM  # type: ignore[attr-defined]
+        kind, command = message.get_type(), dialect.MAV_CMD_COMPONENT_ARM_DISARM  # type: ignore[attr-defined]
         if kind == "COMMAND_LONG" and message.command == command and message.param1:  # type: ignore[attr-defined]
             times.append(t_s)
             then(times)
@@ -57,9 +57,9 @@ def test_what_else_is_aboard_is_not_the_autopilot(run_dir: Path) -> None:
         if message.get_type() in ("STATUSTEXT", "HEARTBEAT"):  # type: ignore[attr-defined]
             link.say(
                 154,
-                book.MAVLink_heartbeat_message(book.MAV_TYPE_GIMBAL, book.MAV_AUTOPILOT_INVALID, 0, 0, 3, 3),
-                book.MAVLink_attitude_message(17, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0),
-                book.MAVLink_command_ack_message(book.MAV_CMD_DO_SET_MODE, book.MAV_RESULT_DENIED),
+                dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_GIMBAL, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 3, 3),
+                dialect.MAVLink_attitude_message(17, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0),
+                dialect.MAVLink_command_ack_message(dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_RESULT_DENIED),
             )
 
     link.hook = aboard
@@ -150,7 +150,7 @@ def test_a_pilot_who_takes_over_the_landing_is_left_alone(run_dir: Path) -> None
     def hook(message: object, t_s: float) -> None:
         if (
             message.get_type() == "COMMAND_LONG"
-            and message.command == book.MAV_CMD_DO_SET_MODE
+            and message.command == dialect.MAV_CMD_DO_SET_MODE
             and message.param2 == CopterMode.LAND
         ):  # type: ignore[attr-defined]
             asked.append(t_s)
@@ -277,7 +277,9 @@ def test_a_host_that_was_held_up_in_a_step_flies_it_again(run_dir: Path) -> None
     def pause(t_s: float) -> AttitudeTarget:
         if t_s > 0.5 and not held:
             held.append(link.sim.time_s)
-            link.sim.send(bytes(book.MAVLink_system_time_message(0, int(1e3 * (held[0] + 2.0))).pack(parser(245, 191))))
+            link.sim.send(
+                bytes(dialect.MAVLink_system_time_message(0, int(1e3 * (held[0] + 2.0))).pack(parser(245, 191)))
+            )
         return AttitudeTarget(t_s, 0.2 if 0.3 < t_s < 0.8 else 0.0, 0.0, 0.0, 0.17)
 
     result = fly(make_plan(make_leg("a", pause)), "sim", run_dir, transport=link)

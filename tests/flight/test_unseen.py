@@ -12,7 +12,7 @@ from flighttest.flight import FlightOutcome, LegOutcome
 from flighttest.flight.execution import supervisor
 from flighttest.flight.preparation.preflight import Check
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from tests.flight.faulty import GOOD, FaultyLink, fly, make_leg, make_plan, options
 
 
@@ -43,7 +43,7 @@ def asked(link: FaultyLink) -> list[tuple[float, int]]:
     def look(message: object, t_s: float) -> None:
         if before is not None:
             before(message, t_s)
-        if message.get_type() == "COMMAND_LONG" and message.command == book.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
+        if message.get_type() == "COMMAND_LONG" and message.command == dialect.MAV_CMD_DO_SET_MODE:  # type: ignore[attr-defined]
             found.append((t_s, int(message.param2)))  # type: ignore[attr-defined]
 
     link.hook = look

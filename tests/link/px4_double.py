@@ -15,7 +15,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-from flighttest.mavlink.dialect import Message, book, parser
+from flighttest.mavlink.dialect import Message, dialect, parser
 
 POSITION, OFFBOARD = 3 << 16, 6 << 16
 TAKE_OFF, LOITER, LAND = (4 << 16 | sub << 24 for sub in (2, 3, 6))
@@ -97,25 +97,25 @@ class Px4Double:
                 self.armed = False
 
     def _say_state(self) -> None:
-        base = book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (book.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+        base = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
         self._send(
-            book.MAVLink_heartbeat_message(2, book.MAV_AUTOPILOT_PX4, base, self.mode, 4 if self.armed else 3, 3)
+            dialect.MAVLink_heartbeat_message(2, dialect.MAV_AUTOPILOT_PX4, base, self.mode, 4 if self.armed else 3, 3)
         )
-        down = book.MAV_LANDED_STATE_IN_AIR if self.height_m > 0.0 else book.MAV_LANDED_STATE_ON_GROUND
-        self._send(book.MAVLink_extended_sys_state_message(0, down))
+        down = dialect.MAV_LANDED_STATE_IN_AIR if self.height_m > 0.0 else dialect.MAV_LANDED_STATE_ON_GROUND
+        self._send(dialect.MAVLink_extended_sys_state_message(0, down))
 
     def _send(self, message: Message) -> None:
         self._line.sendto(bytes(message.pack(self._mav)), self._there)
         self._mav.seq = (self._mav.seq + 1) % 256
 
     def _text(self, text: str) -> None:
-        self._send(book.MAVLink_statustext_message(4, text.encode()))
+        self._send(dialect.MAVLink_statustext_message(4, text.encode()))
 
     def _take(self, message: Message) -> None:
         kind = message.get_type()
         if kind == "COMMAND_LONG":
             result = self._command(message)
-            self._send(book.MAVLink_command_ack_message(message.command, result))
+            self._send(dialect.MAVLink_command_ack_message(message.command, result))
         elif kind == "SET_ATTITUDE_TARGET":
             self._heard_s = time.monotonic()
             w, x, y, z = message.q
@@ -127,36 +127,41 @@ class Px4Double:
         elif kind in ("PARAM_SET", "PARAM_REQUEST_READ") and message.param_id == "MIS_TAKEOFF_ALT":
             if kind == "PARAM_SET":
                 self.takeoff_m = float(message.param_value)
-            self._send(book.MAVLink_param_value_message(b"MIS_TAKEOFF_ALT", self.takeoff_m, 9, 1, 0))
+            self._send(dialect.MAVLink_param_value_message(b"MIS_TAKEOFF_ALT", self.takeoff_m, 9, 1, 0))
 
     def _command(self, message: Message) -> int:
         number, first = int(message.command), message.param1
-        if number in (book.MAV_CMD_REQUEST_MESSAGE, book.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
-            if number == book.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES or first == book.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+        if number in (dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
+            if (
+                number == dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES
+                or first == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+            ):
                 flags = (
-                    book.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-                    | book.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+                    dialect.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+                    | dialect.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
                 )
                 version = struct.unpack("<I", bytes([255, 0, 15, 1]))[0]
                 nothing = [0] * 8
                 self._send(
-                    book.MAVLink_autopilot_version_message(flags, version, 0, 0, 0, nothing, nothing, nothing, 0, 0, 1)
+                    dialect.MAVLink_autopilot_version_message(
+                        flags, version, 0, 0, 0, nothing, nothing, nothing, 0, 0, 1
+                    )
                 )
-                return int(book.MAV_RESULT_ACCEPTED)
-            return int(book.MAV_RESULT_DENIED)
-        if number == book.MAV_CMD_COMPONENT_ARM_DISARM:
+                return int(dialect.MAV_RESULT_ACCEPTED)
+            return int(dialect.MAV_RESULT_DENIED)
+        if number == dialect.MAV_CMD_COMPONENT_ARM_DISARM:
             if first == 1.0 and self.why_not:
                 self._text(f"Arming denied: {self.why_not}")
-                return int(book.MAV_RESULT_TEMPORARILY_REJECTED)
+                return int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
             self.armed = first == 1.0
-            return int(book.MAV_RESULT_ACCEPTED)
-        wanted = {book.MAV_CMD_NAV_TAKEOFF: TAKE_OFF, book.MAV_CMD_NAV_LAND: LAND}.get(number)
-        if number == book.MAV_CMD_DO_SET_MODE:
+            return int(dialect.MAV_RESULT_ACCEPTED)
+        wanted = {dialect.MAV_CMD_NAV_TAKEOFF: TAKE_OFF, dialect.MAV_CMD_NAV_LAND: LAND}.get(number)
+        if number == dialect.MAV_CMD_DO_SET_MODE:
             wanted = int(message.param2) << 16 | int(message.param3) << 24
         if wanted is None:
-            return int(book.MAV_RESULT_UNSUPPORTED)
+            return int(dialect.MAV_RESULT_UNSUPPORTED)
         if wanted == OFFBOARD and time.monotonic() - self._heard_s > LOSS_S:
             self._text("Switching to mode 'Offboard' is currently not possible")
-            return int(book.MAV_RESULT_TEMPORARILY_REJECTED)
+            return int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
         self._switch(wanted)
-        return int(book.MAV_RESULT_ACCEPTED)
+        return int(dialect.MAV_RESULT_ACCEPTED)

@@ -14,7 +14,7 @@ from flighttest.link.clock import FollowedClock, TimeSync
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 from tests.link.host import Host
 
 
@@ -49,7 +49,7 @@ class ScriptedVehicle:
                 handler(m)
 
     def on_timesync(self, m: object) -> None:
-        self.say(book.MAVLink_timesync_message(int((self.host.now - 900.0) * 1e9), m.ts1))  # type: ignore[attr-defined]
+        self.say(dialect.MAVLink_timesync_message(int((self.host.now - 900.0) * 1e9), m.ts1))  # type: ignore[attr-defined]
 
     def on_param_request_list(self, _m: object) -> None:
         for index, (name, value) in enumerate(self.values.items()):
@@ -67,7 +67,7 @@ class ScriptedVehicle:
             self.values[m.param_id] = m.param_value  # type: ignore[attr-defined]
 
     def value(self, name: str, value: float, index: int) -> None:
-        self.say(book.MAVLink_param_value_message(name.encode(), value, 9, len(self.values), index))
+        self.say(dialect.MAVLink_param_value_message(name.encode(), value, 9, len(self.values), index))
 
     def on_command_long(self, m: object) -> None:
         result = 0
@@ -76,16 +76,16 @@ class ScriptedVehicle:
         if m.command == 400 and self.refuse_arming > 0:  # type: ignore[attr-defined]
             self.refuse_arming -= 1
             result = 4
-            self.say(book.MAVLink_statustext_message(2, b"Arm: Gyros inconsistent"))
+            self.say(dialect.MAVLink_statustext_message(2, b"Arm: Gyros inconsistent"))
         elif m.command == 400:  # type: ignore[attr-defined]
             self.armed = True
         if m.command != 511:  # type: ignore[attr-defined]
-            self.say(book.MAVLink_command_ack_message(m.command, result))  # type: ignore[attr-defined]
+            self.say(dialect.MAVLink_command_ack_message(m.command, result))  # type: ignore[attr-defined]
 
     def receive(self, timeout_s: float) -> bytes:
         if self.host.now >= self._next_beat:
             self._next_beat = self.host.now + 1.0
-            self.say(book.MAVLink_heartbeat_message(2, 3, 129 if self.armed else 1, self.mode, 4, 3))
+            self.say(dialect.MAVLink_heartbeat_message(2, 3, 129 if self.armed else 1, self.mode, 4, 3))
         self.host.now += min(max(timeout_s, 1e-3), 0.02)
         data, self._pending = b"".join(self._pending), []
         return data
@@ -119,7 +119,7 @@ def test_parameters_by_either_name_verified_and_lost_ones_asked_again() -> None:
 def test_a_vehicle_whose_time_stands_at_zero_has_answered() -> None:
     class JustBooted(ScriptedVehicle):
         def on_timesync(self, m: object) -> None:
-            self.say(book.MAVLink_timesync_message(0, m.ts1))  # type: ignore[attr-defined]
+            self.say(dialect.MAVLink_timesync_message(0, m.ts1))  # type: ignore[attr-defined]
 
     host = Host()
     session = session_of(JustBooted(host))
@@ -130,7 +130,7 @@ def test_a_vehicle_whose_time_stands_at_zero_has_answered() -> None:
 def test_a_vehicles_own_question_is_no_answer() -> None:
     class Asking(ScriptedVehicle):
         def on_timesync(self, m: object) -> None:
-            self.say(book.MAVLink_timesync_message(0, int(self.host.now * 1e9) + 1))
+            self.say(dialect.MAVLink_timesync_message(0, int(self.host.now * 1e9) + 1))
 
     assert session_of(Asking(Host())).offset is None
 
@@ -183,7 +183,7 @@ def test_a_muted_port_sends_nothing() -> None:
     session.port.mute()
     asked = len(vehicle.asked)
     session.advance(session.now_s() + 3.0)
-    assert not session.send(book.MAVLink_param_request_list_message(1, 1))
+    assert not session.send(dialect.MAVLink_param_request_list_message(1, 1))
     assert len(vehicle.asked) == asked
 
 
@@ -192,7 +192,7 @@ def test_noise_is_counted_and_lost_frames_are_too() -> None:
     vehicle = ScriptedVehicle(host)
     port = MavlinkPort(vehicle)
     for _ in range(5):
-        vehicle.say(book.MAVLink_attitude_message(1000, 0, 0, 0, 0, 0, 0))
+        vehicle.say(dialect.MAVLink_attitude_message(1000, 0, 0, 0, 0, 0, 0))
     del vehicle._pending[1:3]
     vehicle._pending.insert(1, b"noise")
     assert len(port.receive(0.01)) >= 3
@@ -211,7 +211,7 @@ def test_the_lagged_heading_trails_a_bare_integral_and_ends_beside_it() -> None:
 
 def beat_of(vehicle: ScriptedVehicle, mode: int, sequence: int) -> None:
     vehicle._out.seq = sequence
-    vehicle.say(book.MAVLink_heartbeat_message(2, 3, 129, mode, 4, 3))
+    vehicle.say(dialect.MAVLink_heartbeat_message(2, 3, 129, mode, 4, 3))
 
 
 def test_a_heartbeat_that_was_overtaken_shows_a_mode_that_is_over() -> None:
@@ -232,11 +232,11 @@ def test_a_heartbeat_that_was_overtaken_shows_a_mode_that_is_over() -> None:
 def test_a_reboot_makes_all_that_was_heard_old() -> None:
     vehicle = ScriptedVehicle(Host())
     session = session_of(vehicle)
-    vehicle.say(book.MAVLink_attitude_message(100_100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    vehicle.say(dialect.MAVLink_attitude_message(100_100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     session.advance(session.now_s() + 0.05)
     assert "ATTITUDE" in session.latest
-    vehicle.say(book.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0))
-    vehicle.say(book.MAVLink_system_time_message(0, 1500))
+    vehicle.say(dialect.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0))
+    vehicle.say(dialect.MAVLink_system_time_message(0, 1500))
     session.advance(session.now_s() + 0.05)
     assert "ATTITUDE" not in session.latest
 
@@ -244,7 +244,7 @@ def test_a_reboot_makes_all_that_was_heard_old() -> None:
 def test_an_answer_to_another_ground_station_is_not_ours() -> None:
     class Busy(ScriptedVehicle):
         def on_command_long(self, m: object) -> None:
-            self.say(book.MAVLink_command_ack_message(m.command, 2, 0, 0, 255, 190))  # type: ignore[attr-defined]
+            self.say(dialect.MAVLink_command_ack_message(m.command, 2, 0, 0, 255, 190))  # type: ignore[attr-defined]
             super().on_command_long(m)
 
     assert ArduPilot(session_of(Busy(Host()))).command(176, 1.0, 20.0).accepted
@@ -263,7 +263,7 @@ def test_a_second_autopilot_on_the_link_is_noticed_and_not_listened_to() -> None
     vehicle = ScriptedVehicle(Host())
     session = session_of(vehicle)
     other = parser(2, 1)
-    vehicle._pending.append(bytes(book.MAVLink_heartbeat_message(2, 3, 129, 5, 4, 3).pack(other)))
+    vehicle._pending.append(bytes(dialect.MAVLink_heartbeat_message(2, 3, 129, 5, 4, 3).pack(other)))
     session.advance(session.now_s() + 0.05)
     assert session.others == {2}
     assert ArduPilot(session).mode == 0
@@ -343,11 +343,11 @@ class Twins(ScriptedVehicle):
 
     def receive(self, timeout_s: float) -> bytes:
         # The first one streams, in its own order.
-        self.say(book.MAVLink_attitude_message(int(1e3 * (self.host.now - 900.0)), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        self.say(dialect.MAVLink_attitude_message(int(1e3 * (self.host.now - 900.0)), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         data = super().receive(timeout_s)
         if self.host.now >= max(self._next_second, self._from_s):
             self._next_second = self.host.now + 1.0 / self._hz
-            data += bytes(book.MAVLink_heartbeat_message(2, 3, 209, 6, 4, 3).pack(self._second))
+            data += bytes(dialect.MAVLink_heartbeat_message(2, 3, 209, 6, 4, 3).pack(self._second))
             self._second.seq = (self._second.seq + 1) % 256
         return data
 
@@ -372,7 +372,7 @@ def test_a_program_that_did_not_look_for_long_finds_the_link_as_it_is() -> None:
     known = parameters.read_all(session)
     for _ in range(60):  # the vehicle goes on, and its frames wait
         vehicle.host.now += 1.0
-        vehicle.say(book.MAVLink_heartbeat_message(2, 3, 1, 0, 4, 3))
+        vehicle.say(dialect.MAVLink_heartbeat_message(2, 3, 1, 0, 4, 3))
     parameters.write_parameter(session, "ANGLE_MAX", 4000.0, known)
     assert vehicle.values["ANGLE_MAX"] == 4000.0
 

@@ -15,7 +15,7 @@ from flighttest.link.onboard import LogDownload
 from flighttest.link.onboard.files import DATA_BYTES, Operation, Packet, crc32_of
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
-from flighttest.mavlink.dialect import Message, book, parser
+from flighttest.mavlink.dialect import Message, dialect, parser
 
 LOG = random.Random(1).randbytes(100_003)
 
@@ -38,7 +38,7 @@ class Keeper:
             if message.get_type() == "LOG_REQUEST_LIST":
                 for n in range(1, self._logs + 1) or (0,):
                     size = len(self.log) if n == 2 else 50
-                    self._out.append(book.MAVLink_log_entry_message(n, self._logs, self._logs, 1_700_000_000, size))
+                    self._out.append(dialect.MAVLink_log_entry_message(n, self._logs, self._logs, 1_700_000_000, size))
             elif message.get_type() == "FILE_TRANSFER_PROTOCOL":
                 self.transfer(Packet.from_payload(bytes(message.payload)))
             elif message.get_type() == "LOG_REQUEST_DATA":
@@ -47,7 +47,7 @@ class Keeper:
                 for at in range(message.ofs, min(message.ofs + message.count, len(self.log)), 90):
                     data_ = self.log[at : min(at + 90, message.ofs + message.count)]
                     self._out.append(
-                        book.MAVLink_log_data_message(message.id, at, len(data_), list(data_.ljust(90, b"\0")))
+                        dialect.MAVLink_log_data_message(message.id, at, len(data_), list(data_.ljust(90, b"\0")))
                     )
 
     def transfer(self, _asked: Packet) -> None:
@@ -60,7 +60,7 @@ class Keeper:
         sent = b""
         if self.now_s >= self._beat_s:
             self._beat_s = self.now_s + 1.0
-            sent += self._pack(book.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3))
+            sent += self._pack(dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3))
         count = self.at_once.get(self._out[0].get_type(), 5) if self._out else 0
         for message in self._out[:count]:
             if message.get_type() == "LOG_DATA":
@@ -143,7 +143,7 @@ class FileKeeper(Keeper):
 
     def _put(self, packet: Packet) -> None:
         self._last = packet
-        self._out.append(book.MAVLink_file_transfer_protocol_message(0, 0, 0, list(packet.to_payload())))
+        self._out.append(dialect.MAVLink_file_transfer_protocol_message(0, 0, 0, list(packet.to_payload())))
 
 
 def download(keeper: Keeper, target: Path, number: int | None = None) -> list[float]:

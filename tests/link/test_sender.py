@@ -7,7 +7,7 @@ import time
 
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 
 WAIT_S = 0.04
 
@@ -30,7 +30,7 @@ class Kept:
 
 
 def target() -> Message:
-    return book.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0.2)
+    return dialect.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0.2)
 
 
 def test_a_target_leaves_on_time_while_the_program_computes() -> None:

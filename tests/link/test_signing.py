@@ -12,7 +12,7 @@ from flighttest.flight import FlightOutcome
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import Message, book, parser
+from flighttest.mavlink.dialect import Message, dialect, parser
 from flighttest.mavlink.signing import SignedLink, make_key, read_key, setup_message, ticks
 from flighttest.pipeline.vehicles import live
 from flighttest.sim import InProcess, SimOptions, start_simulator
@@ -23,7 +23,7 @@ OTHER = bytes(range(1, 33))
 
 
 def attitude() -> Message:
-    return book.MAVLink_attitude_message(5, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
+    return dialect.MAVLink_attitude_message(5, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
 
 
 def heard(link: SignedLink, frame: bytes) -> bool:
@@ -68,9 +68,9 @@ def test_a_signed_flight_is_flown_and_frames_without_the_key_change_nothing(run_
     def send_unsigned(message: object, _now: float) -> None:
         if message.get_type() != "HEARTBEAT":  # type: ignore[attr-defined]
             return
-        mode = (book.MAV_CMD_DO_SET_MODE, 0, 1.0, float(CopterMode.LOITER), 0, 0, 0, 0, 0)
-        link.sim.send(bytes(book.MAVLink_command_long_message(1, 1, *mode).pack(unsigned)))
-        link._aside = bytes(book.MAVLink_heartbeat_message(2, 3, 81, 5, 4, 3).pack(parser(1, 1)))
+        mode = (dialect.MAV_CMD_DO_SET_MODE, 0, 1.0, float(CopterMode.LOITER), 0, 0, 0, 0, 0)
+        link.sim.send(bytes(dialect.MAVLink_command_long_message(1, 1, *mode).pack(unsigned)))
+        link._aside = bytes(dialect.MAVLink_heartbeat_message(2, 3, 81, 5, 4, 3).pack(parser(1, 1)))
 
     link.hook = send_unsigned
     result = fly(make_plan(), "sim", run_dir, transport=link, signing_key=KEY)

@@ -10,7 +10,7 @@ from flighttest.link.clock import FollowedClock
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import LOST_S, QUIET_S, UNANSWERED_S, LinkSilent, Session
 from flighttest.link.states import BROKEN, TABLE, LinkEvent, LinkMachine, LinkState, link_as_markdown
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 
 S, E = LinkState, LinkEvent
 CHANGES = {
@@ -70,7 +70,7 @@ class Vehicle:
     def send(self, data: bytes) -> None:
         for message in self._ours.parse_buffer(data) or []:
             if message.get_type() == "TIMESYNC" and not message.tc1 and self.answers:
-                self._say(book.MAVLink_timesync_message(int(self.now_s * 1e9), message.ts1))
+                self._say(dialect.MAVLink_timesync_message(int(self.now_s * 1e9), message.ts1))
 
     def _say(self, message: object) -> None:
         if self.sends:
@@ -81,7 +81,7 @@ class Vehicle:
         self.now_s += max(timeout_s, 1e-3)
         if self.now_s >= self._next_s:
             self._next_s = self.now_s + 1.0
-            self._say(book.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3))
+            self._say(dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3))
         data, self._out = self._out, b""
         return data if timeout_s > 0.0 else b""
 

@@ -14,7 +14,7 @@ from flighttest.errors import InputError, LinkError
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import Sequence, open_transport
-from flighttest.mavlink.dialect import book, parser
+from flighttest.mavlink.dialect import dialect, parser
 
 
 def free_port(kind: socket.SocketKind) -> int:
@@ -94,12 +94,12 @@ def test_udp_goes_on_sending_to_the_vehicle_when_another_sends_too() -> None:
 
 
 def beat(system: int, mode: int, armed: bool = True) -> bytes:
-    message = book.MAVLink_heartbeat_message(
-        book.MAV_TYPE_QUADROTOR,
-        book.MAV_AUTOPILOT_ARDUPILOTMEGA,
-        book.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0,
+    message = dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_QUADROTOR,
+        dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0,
         mode,
-        book.MAV_STATE_ACTIVE,
+        dialect.MAV_STATE_ACTIVE,
         3,
     )
     return bytes(message.pack(parser(system, 1)))
@@ -118,9 +118,9 @@ def test_a_connected_vehicle_is_who_first_spoke_as_it(monkeypatch: pytest.Monkey
             one.bind((host, 0))
             one.setblocking(False)
         here = ("127.0.0.1", port)
-        station.sendto(bytes(book.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(parser(255, 190))), here)
+        station.sendto(bytes(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(parser(255, 190))), here)
         vehicle.sendto(beat(1, 20), here)
-        station.sendto(bytes(book.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(parser(255, 190))), here)
+        station.sendto(bytes(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(parser(255, 190))), here)
         session.connect(2.0)
         for _ in range(50):
             false.sendto(beat(1, 5, armed=False), here)

@@ -15,42 +15,42 @@ EPOCH_S = 1_750_000_000.0
 
 
 class TlogWriter:
-    def __init__(self, book=v2):
-        self.book = book
+    def __init__(self, dialect=v2):
+        self.dialect = dialect
         self.data = bytearray()
         self.senders = {}
 
     def add(self, t_s, message, system=1, component=1):
         mav = self.senders.setdefault(
-            (system, component), self.book.MAVLink(None, srcSystem=system, srcComponent=component)
+            (system, component), self.dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         )
         frame = message.pack(mav)
         mav.seq = (mav.seq + 1) % 256
         self.data += struct.pack(">Q", round((EPOCH_S + t_s) * 1e6)) + frame
 
 
-def link(book=v2, seconds=4.0, up_s=0.0, down_s=0.01, parameter=True):
+def link(dialect=v2, seconds=4.0, up_s=0.0, down_s=0.01, parameter=True):
     """A vehicle that began 20 s before its log, attitude at 50 Hz, and a ground that asks for a roll step at t = 2 s."""
-    w = TlogWriter(book)
+    w = TlogWriter(dialect)
     for k in range(round(seconds * 50)):
         t = k / 50.0
         boot = 20.0 + t
         if k % 50 == 0:
-            w.add(t + down_s, book.MAVLink_heartbeat_message(2, 3, 128 | 1, 20, 4, 3))
-            w.add(t, book.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), system=255, component=190)
-        w.add(t + down_s, book.MAVLink_attitude_message(round(boot * 1e3), 0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+            w.add(t + down_s, dialect.MAVLink_heartbeat_message(2, 3, 128 | 1, 20, 4, 3))
+            w.add(t, dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), system=255, component=190)
+        w.add(t + down_s, dialect.MAVLink_attitude_message(round(boot * 1e3), 0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
         roll = 0.25 if t >= 2.0 else 0.0
         q = [np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0]
-        target = book.MAVLink_set_attitude_target_message(round(boot * 1e3), 1, 1, 0, q, 0.0, 0.0, -0.5, 0.3)
+        target = dialect.MAVLink_set_attitude_target_message(round(boot * 1e3), 1, 1, 0, q, 0.0, 0.0, -0.5, 0.3)
         w.add(t - up_s + 1e-4 * (k % 5), target, system=255, component=190)  # no real clock steps in whole ms
     if parameter:
-        w.add(seconds, book.MAVLink_param_value_message(b"INS_ACCEL_FILTER", 30.0, 9, 1, 0))
+        w.add(seconds, dialect.MAVLink_param_value_message(b"INS_ACCEL_FILTER", 30.0, 9, 1, 0))
     return w
 
 
-@pytest.mark.parametrize("book", [v1, v2])
-def test_both_directions_land_on_the_vehicles_clock(tmp_path, book):
-    (tmp_path / "a.tlog").write_bytes(link(book).data)
+@pytest.mark.parametrize("dialect", [v1, v2])
+def test_both_directions_land_on_the_vehicles_clock(tmp_path, dialect):
+    (tmp_path / "a.tlog").write_bytes(link(dialect).data)
     r = import_log(tmp_path / "a.tlog")
     assert r.provenance.importer == "tlog"
     assert r.provenance.reference_clock == "ground"
@@ -149,12 +149,12 @@ def test_damage_never_crashes(attempt, tmp_path):
 
 
 def test_what_is_restored_after_landing_does_not_describe_the_flight(tmp_path):
-    book, w = v2, link()
-    w.add(4.01, book.MAVLink_param_value_message(b"GUID_OPTIONS", 8.0, 9, 1, 0))
-    w.add(4.5, book.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
-    w.add(5.0, book.MAVLink_heartbeat_message(2, 3, 1, 20, 4, 3))
-    w.add(5.5, book.MAVLink_param_value_message(b"GUID_OPTIONS", 0.0, 9, 1, 0))
-    w.add(5.6, book.MAVLink_param_value_message(b"MOT_SPIN_MIN", 0.15, 9, 1, 0))
+    dialect, w = v2, link()
+    w.add(4.01, dialect.MAVLink_param_value_message(b"GUID_OPTIONS", 8.0, 9, 1, 0))
+    w.add(4.5, dialect.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
+    w.add(5.0, dialect.MAVLink_heartbeat_message(2, 3, 1, 20, 4, 3))
+    w.add(5.5, dialect.MAVLink_param_value_message(b"GUID_OPTIONS", 0.0, 9, 1, 0))
+    w.add(5.6, dialect.MAVLink_param_value_message(b"MOT_SPIN_MIN", 0.15, 9, 1, 0))
     (tmp_path / "a.tlog").write_bytes(w.data)
     parameters = import_log(tmp_path / "a.tlog").provenance.parameters
     assert parameters["GUID_OPTIONS"] == 8.0

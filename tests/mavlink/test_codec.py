@@ -18,7 +18,7 @@ from flighttest.mavlink import (
     parse_mark,
     target_message,
 )
-from flighttest.mavlink.dialect import book, firmware_version, parser
+from flighttest.mavlink.dialect import dialect, firmware_version, parser
 from flighttest.mavlink.targets import REFERENCE_FIELDS, reference_columns
 from flighttest.mavlink.telemetry import RULES, rules_of
 
@@ -94,29 +94,29 @@ def rule(message: str, group: str) -> Any:
 
 
 CASES = [
-    (book.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0), "attitude",
+    (dialect.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0), "attitude",
      {"roll_rad": 0.1, "pitch_rad": -0.2, "yaw_rad": -0.3}),
-    (book.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0), "rates",
+    (dialect.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0), "rates",
      {"p_rad_s": 1.0, "q_rad_s": -2.0, "r_rad_s": -3.0}),
-    (book.MAVLink_highres_imu_message(10**6, 1.0, 2.0, -9.8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 63), "specific_force",
+    (dialect.MAVLink_highres_imu_message(10**6, 1.0, 2.0, -9.8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 63), "specific_force",
      {"f_x_m_s2": 1.0, "f_y_m_s2": -2.0, "f_z_m_s2": 9.8}),
-    (book.MAVLink_scaled_imu_message(1000, 100, 0, -1000, 0, 0, 0, 0, 0, 0), "specific_force",
+    (dialect.MAVLink_scaled_imu_message(1000, 100, 0, -1000, 0, 0, 0, 0, 0, 0), "specific_force",
      {"f_x_m_s2": 0.980665, "f_y_m_s2": 0.0, "f_z_m_s2": 9.80665}),
-    (book.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 4.0, 5.0, -6.0), "position",
+    (dialect.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 4.0, 5.0, -6.0), "position",
      {"p_x_m": 1.0, "p_y_m": -2.0, "p_z_m": 3.0}),
-    (book.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 4.0, 5.0, -6.0), "velocity",
+    (dialect.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 4.0, 5.0, -6.0), "velocity",
      {"v_x_m_s": 4.0, "v_y_m_s": -5.0, "v_z_m_s": 6.0}),
-    (book.MAVLink_global_position_int_message(1000, 473977000, 85456000, 500000, 12500, 100, 200, -300, 0), "velocity",
+    (dialect.MAVLink_global_position_int_message(1000, 473977000, 85456000, 500000, 12500, 100, 200, -300, 0), "velocity",
      {"v_x_m_s": 1.0, "v_y_m_s": -2.0, "v_z_m_s": 3.0}),
-    (book.MAVLink_global_position_int_message(1000, 473977000, 85456000, 500000, 12500, 100, 200, -300, 0), "height",
+    (dialect.MAVLink_global_position_int_message(1000, 473977000, 85456000, 500000, 12500, 100, 200, -300, 0), "height",
      {"height_m": 12.5}),
-    (book.MAVLink_battery_status_message(0, 0, 0, 0, [11100, 11000, *[65535] * 8], 1250, 0, 0, 50), "battery",
+    (dialect.MAVLink_battery_status_message(0, 0, 0, 0, [11100, 11000, *[65535] * 8], 1250, 0, 0, 50), "battery",
      {"voltage_v": 22.1, "current_a": 12.5}),
-    (book.MAVLink_battery_status_message(0, 0, 0, 0, [22100, *[65535] * 9], -1, 0, 0, 50), "battery",
+    (dialect.MAVLink_battery_status_message(0, 0, 0, 0, [22100, *[65535] * 9], -1, 0, 0, 50), "battery",
      {"voltage_v": 22.1, "current_a": math.nan}),
-    (book.MAVLink_sys_status_message(0, 0, 0, 0, 22100, 1250, 50, 0, 0, 0, 0, 0, 0), "battery",
+    (dialect.MAVLink_sys_status_message(0, 0, 0, 0, 22100, 1250, 50, 0, 0, 0, 0, 0, 0), "battery",
      {"voltage_v": 22.1, "current_a": 12.5}),
-    (book.MAVLink_distance_sensor_message(1000, 20, 700, 123, 0, 0, 25, 0), "height", {"height_m": 1.23}),
+    (dialect.MAVLink_distance_sensor_message(1000, 20, 700, 123, 0, 0, 25, 0), "height", {"height_m": 1.23}),
 ]  # fmt: skip
 
 
@@ -128,13 +128,13 @@ def test_each_message_by_hand(message: Any, group: str, expected: dict[str, floa
 
 
 def test_what_does_not_belong_is_left_out() -> None:
-    second_battery = wire(book.MAVLink_battery_status_message(1, 0, 0, 0, [9000, *[65535] * 9], 0, 0, 0, 50))
+    second_battery = wire(dialect.MAVLink_battery_status_message(1, 0, 0, 0, [9000, *[65535] * 9], 0, 0, 0, 50))
     assert columns_of(rule("BATTERY_STATUS", "battery"), second_battery) is None
-    forward = wire(book.MAVLink_distance_sensor_message(1000, 20, 700, 123, 0, 0, 0, 0))
+    forward = wire(dialect.MAVLink_distance_sensor_message(1000, 20, 700, 123, 0, 0, 0, 0))
     assert columns_of(rule("DISTANCE_SENSOR", "height"), forward) is None
-    too_far = wire(book.MAVLink_distance_sensor_message(1000, 20, 700, 700, 0, 0, 25, 0))
+    too_far = wire(dialect.MAVLink_distance_sensor_message(1000, 20, 700, 700, 0, 0, 25, 0))
     assert columns_of(rule("DISTANCE_SENSOR", "height"), too_far) is None
-    no_fix = wire(book.MAVLink_global_position_int_message(1000, 0, 0, 0, 0, 0, 0, 0, 0))
+    no_fix = wire(dialect.MAVLink_global_position_int_message(1000, 0, 0, 0, 0, 0, 0, 0, 0))
     assert columns_of(rule("GLOBAL_POSITION_INT", "velocity"), no_fix) is None
 
 
@@ -156,7 +156,7 @@ def test_marks_and_names() -> None:
         mark_text("x" * 60, "step")
     assert mode_name(CopterMode.GUIDED_NOGPS) == "GUIDED_NOGPS"
     assert mode_name(99) == "mode 99"
-    version = book.MAVLink_autopilot_version_message(
+    version = dialect.MAVLink_autopilot_version_message(
         0, 0x04070000, 0, 0, 0, list(b"97009754"), [0] * 8, [0] * 8, 0, 0, 0
     )
     assert firmware_version(wire(version)) == "4.7.0-dev (97009754)"
@@ -173,21 +173,24 @@ def flight(timesync: bool = True, stamp: bool = False, start_s: float = 5.0) -> 
         jitter = 0.004 * ((k * 7919) % 11) / 11
         yield (
             ground + DELAY_S + jitter,
-            wire(book.MAVLink_attitude_message(round(t * 1e3), 0.1, 0.0, 0.0, 0.0, 0.0, 0.0)),
+            wire(dialect.MAVLink_attitude_message(round(t * 1e3), 0.1, 0.0, 0.0, 0.0, 0.0, 0.0)),
         )
         if k % 100 == 0:
-            beat = book.MAVLink_heartbeat_message(2, 3, 129 if k > 500 else 1, 20 if k > 1000 else 0, 4, 3)
+            beat = dialect.MAVLink_heartbeat_message(2, 3, 129 if k > 500 else 1, 20 if k > 1000 else 0, 4, 3)
             yield ground + DELAY_S, wire(beat)
             if timesync:
-                yield ground, wire(book.MAVLink_timesync_message(0, k + 1), 245, 191)
-                yield ground + UPLINK_S + DELAY_S, wire(book.MAVLink_timesync_message(int((t + UPLINK_S) * 1e9), k + 1))
+                yield ground, wire(dialect.MAVLink_timesync_message(0, k + 1), 245, 191)
+                yield (
+                    ground + UPLINK_S + DELAY_S,
+                    wire(dialect.MAVLink_timesync_message(int((t + UPLINK_S) * 1e9), k + 1)),
+                )
         if k % 2 == 0:
             sent = target(t_vehicle_s=t if stamp else 0.0, roll_rad=0.3 if k >= 2000 else 0.0, pitch_rad=0.0)
             yield ground, sent
         if k == 2000:
-            yield ground, wire(book.MAVLink_statustext_message(6, b"FT a/b/r1 step"), 245, 191)
+            yield ground, wire(dialect.MAVLink_statustext_message(6, b"FT a/b/r1 step"), 245, 191)
         if k == 2100:
-            yield ground + DELAY_S, wire(book.MAVLink_statustext_message(6, b"Arming motors"))
+            yield ground + DELAY_S, wire(dialect.MAVLink_statustext_message(6, b"Arming motors"))
 
 
 @pytest.mark.parametrize(
@@ -211,26 +214,29 @@ def in_step(offset_s: float = 0.0, imu: bool = True) -> Iterator[tuple[float, An
         vehicle = t + offset_s
         yield OFFSET_S + t, target(t_vehicle_s=t, roll_rad=0.3 if k >= 1000 else 0.0, pitch_rad=0.0)
         if k % 50 == 0:
-            yield OFFSET_S + t, wire(book.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
-            yield OFFSET_S + t, wire(book.MAVLink_timesync_message(0, k + 1), 245, 191)
-            yield OFFSET_S + t, wire(book.MAVLink_timesync_message(int(t * 1e9), k + 1))
+            yield OFFSET_S + t, wire(dialect.MAVLink_heartbeat_message(2, 3, 129, 20, 4, 3))
+            yield OFFSET_S + t, wire(dialect.MAVLink_timesync_message(0, k + 1), 245, 191)
+            yield OFFSET_S + t, wire(dialect.MAVLink_timesync_message(int(t * 1e9), k + 1))
         # The vehicle's step of 20 ms ends before the ground's clock moves: what it sends seems to come from the future.
         for ahead in (0.01, 0.02):
             now = vehicle + ahead
-            yield OFFSET_S + t, wire(book.MAVLink_attitude_message(int(now * 1e3 + 1e-6), 0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
+            yield (
+                OFFSET_S + t,
+                wire(dialect.MAVLink_attitude_message(int(now * 1e3 + 1e-6), 0.1, 0.0, 0.0, 0.0, 0.0, 0.0)),
+            )
             if imu:
                 us = round(now * 1e6)
-                yield OFFSET_S + t, wire(book.MAVLink_highres_imu_message(us, 0, 0, -9.8, *[0.0] * 10, 63))
+                yield OFFSET_S + t, wire(dialect.MAVLink_highres_imu_message(us, 0, 0, -9.8, *[0.0] * 10, 63))
             if ahead == 0.01 and k % 5 == 0:
                 cells = [23000, *[65535] * 9]
-                yield OFFSET_S + t, wire(book.MAVLink_battery_status_message(0, 0, 0, 0, cells, 100, 0, 0, 50))
+                yield OFFSET_S + t, wire(dialect.MAVLink_battery_status_message(0, 0, 0, 0, cells, 100, 0, 0, 50))
 
 
 def freely_first() -> Iterator[tuple[float, Any]]:
     """A simulator that ran at twenty times the ground's pace until lock-step began."""
     for k in range(100):
         t = 0.02 * k
-        yield OFFSET_S + 5.0 - (5.0 - t) / 20.0, wire(book.MAVLink_attitude_message(round(t * 1e3), *[0.0] * 6))
+        yield OFFSET_S + 5.0 - (5.0 - t) / 20.0, wire(dialect.MAVLink_attitude_message(round(t * 1e3), *[0.0] * 6))
 
 
 @pytest.mark.parametrize("imu", [True, False])
@@ -260,7 +266,7 @@ def test_a_links_delay_does_not_make_the_battery_late() -> None:
         stream.append((at, message))
         if message.get_type() == "ATTITUDE" and message.time_boot_ms % 100 == 0:
             cells = [message.time_boot_ms, *[65535] * 9]
-            stream.append((at, wire(book.MAVLink_battery_status_message(0, 0, 0, 0, cells, 100, 0, 0, 50))))
+            stream.append((at, wire(dialect.MAVLink_battery_status_message(0, 0, 0, 0, cells, 100, 0, 0, 50))))
     battery = decode_stream(stream).series["battery"]
     assert np.abs(battery.t_s - battery.columns["voltage_v"]).max() < 1e-6
 
@@ -291,6 +297,6 @@ def test_a_reboot_is_said_and_only_the_longest_run_is_read() -> None:
 def test_nothing_to_decode_is_an_error_with_a_remedy() -> None:
     with pytest.raises(RecordingError, match="no autopilot HEARTBEAT"):
         decode_stream([])
-    beats = [(0.0, wire(book.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)))]
+    beats = [(0.0, wire(dialect.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)))]
     with pytest.raises(RecordingError, match="vehicle's time"):
         decode_stream(beats)

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim import InProcess, SimOptions
 
@@ -17,8 +17,8 @@ class Client:
         self.io = InProcess(SimOptions(**options))
         self.vehicle = self.io.vehicle
         self.motion = self.io.vehicle.motion
-        self._mav = book.MAVLink(None, srcSystem=245, srcComponent=190)
-        self._parser = book.MAVLink(None)
+        self._mav = dialect.MAVLink(None, srcSystem=245, srcComponent=190)
+        self._parser = dialect.MAVLink(None)
         self.got: dict[str, list[Any]] = {}
         self.texts: list[str] = []
         self.poll()
@@ -50,18 +50,18 @@ class Client:
 
     def command(self, number: int, *params: float) -> int:
         padded = [*params, *([0.0] * (7 - len(params)))]
-        self.send(book.MAVLink_command_long_message(1, 1, number, 0, *padded))
+        self.send(dialect.MAVLink_command_long_message(1, 1, number, 0, *padded))
         ack = self.last("COMMAND_ACK")
         assert ack.command == number
         return int(ack.result)
 
     def mode(self, number: int) -> int:
-        return self.command(book.MAV_CMD_DO_SET_MODE, 1, number)
+        return self.command(dialect.MAV_CMD_DO_SET_MODE, 1, number)
 
     def set(self, name: str, value: float) -> float | None:
         """The value echoed, or None where the vehicle keeps silent."""
         before = len(self.got.get("PARAM_VALUE", ()))
-        self.send(book.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
+        self.send(dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
         values = self.got.get("PARAM_VALUE", [])
         return float(values[-1].param_value) if len(values) > before else None
 
@@ -77,7 +77,7 @@ class Client:
             cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy,
         ]  # fmt: skip
         q = [size * v for v in q]
-        self.send(book.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0.0, 0.0, -yaw_rate, throttle))
+        self.send(dialect.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0.0, 0.0, -yaw_rate, throttle))
 
     def airborne(self, height: float = 6.0) -> float:
         """Arm in GUIDED, climb, settle, enter GUIDED_NOGPS with thrust as thrust; returns the hover throttle."""

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from tests.sim.ground import Ground, Socket, Wire
 
@@ -25,21 +25,21 @@ GUIDED, LOITER, LAND, BRAKE, THROW, NOGPS = 4, 5, 9, 17, 18, 20
 
 def _params(g: Ground) -> None:
     for name in (b"GUID_TIMEOUT", b"ATC_ANGLE_MAX", b"ANGLE_MAX", b"MAV_GCS_SYSID", b"SYSID_MYGCS", b"NO_SUCH_NAME"):
-        g.send(book.MAVLink_param_request_read_message(1, 1, name, -1))
+        g.send(dialect.MAVLink_param_request_read_message(1, 1, name, -1))
         g.run(0.4)
-    g.send(book.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 8, 6))
+    g.send(dialect.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 8, 6))
     g.run(0.4)
-    g.send(book.MAVLink_param_set_message(1, 1, b"GUID_TIMEOUT", 99, 9))
+    g.send(dialect.MAVLink_param_set_message(1, 1, b"GUID_TIMEOUT", 99, 9))
     g.run(0.4)
-    g.send(book.MAVLink_param_set_message(1, 1, b"GUID_TIMEOUT", 3, 9))
+    g.send(dialect.MAVLink_param_set_message(1, 1, b"GUID_TIMEOUT", 3, 9))
     g.run(0.4)
-    g.send(book.MAVLink_param_set_message(1, 1, b"NO_SUCH_NAME", 1, 9))
+    g.send(dialect.MAVLink_param_set_message(1, 1, b"NO_SUCH_NAME", 1, 9))
     g.run(0.4)
 
 
 def _parameter_list(g: Ground) -> None:
     before = len(g.lines)
-    g.send(book.MAVLink_param_request_list_message(1, 1))
+    g.send(dialect.MAVLink_param_request_list_message(1, 1))
     seen: set[int] = set()
 
     def all_there(m: Any) -> bool:
@@ -67,7 +67,7 @@ def _intervals(g: Ground) -> None:
         "BATTERY_STATUS", "AUTOPILOT_VERSION", "FENCE_STATUS", "WIND", "RANGEFINDER", "EKF_STATUS_REPORT", "VIBRATION",
         "HOME_POSITION", "SYSTEM_TIME", "ODOMETRY", "DISTANCE_SENSOR", "ATTITUDE_QUATERNION", "ALTITUDE",
     ):  # fmt: skip
-        number = getattr(book, f"MAVLINK_MSG_ID_{name}")
+        number = getattr(dialect, f"MAVLINK_MSG_ID_{name}")
         ask(f"{name} at 2 Hz", 511, number, 500000.0)
         g.command(511, number, -1.0)
     ask("ATTITUDE at 400 Hz", 511, 30, 2500.0)
@@ -80,23 +80,23 @@ def _intervals(g: Ground) -> None:
     found.append(f"AUTOPILOT_VERSION came {g.last.get('AUTOPILOT_VERSION') is not before}")
     ask("REQUEST_MESSAGE ODOMETRY", 512, 331)
     for name, rate in ASKED.items():
-        g.command(511, getattr(book, f"MAVLINK_MSG_ID_{name}"), 1e6 / rate)
+        g.command(511, getattr(dialect, f"MAVLINK_MSG_ID_{name}"), 1e6 / rate)
     g.lines[:] = found
 
 
 def _services(g: Ground) -> None:
     g.run(max(25.0 - g.now_s, 0.0))
     g.take()
-    g.send(book.MAVLink_timesync_message(0, 12345))
+    g.send(dialect.MAVLink_timesync_message(0, 12345))
     got = g.until(lambda m: m.get_type() == "TIMESYNC" and m.ts1 == 12345, 1.0)
     g.lines.append(f"TIMESYNC answered {got is not None and got.tc1 != 0}")
-    g.send(book.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
+    g.send(dialect.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
     got = g.until(lambda m: m.get_type() == "LOG_ENTRY", 2.0)
     g.lines.append(f"LOG_ENTRY num_logs {got.num_logs} last {got.last_log_num} id {got.id}" if got else "no LOG_ENTRY")
-    g.send(book.MAVLink_mission_request_list_message(1, 1, 0))
+    g.send(dialect.MAVLink_mission_request_list_message(1, 1, 0))
     got = g.until(lambda m: m.get_type() == "MISSION_COUNT", 1.0)
     g.lines.append(f"MISSION_COUNT {got.count}" if got else "no MISSION_COUNT")
-    g.send(book.MAVLink_ping_message(77, 5, 0, 0))
+    g.send(dialect.MAVLink_ping_message(77, 5, 0, 0))
     got = g.until(lambda m: m.get_type() == "PING", 1.0)
     g.lines.append(f"PING seq {got.seq}" if got else "no PING")
     g.lines[:] = [x for x in g.lines if x not in ("LOG_ENTRY", "MISSION_COUNT", "PING")]
@@ -112,7 +112,7 @@ def _odd_commands(g: Ground) -> None:
 
 
 def _mode_message(g: Ground) -> None:
-    g.send(book.MAVLink_set_mode_message(1, 1, NOGPS))
+    g.send(dialect.MAVLink_set_mode_message(1, 1, NOGPS))
     g.run(1.0)
 
 
@@ -199,7 +199,7 @@ def _fence(g: Ground) -> None:
     hover = g.hover()
     ceiling = -g.last["LOCAL_POSITION_NED"].z + 4.0
     for name, value in ((b"FENCE_TYPE", 1), (b"FENCE_ACTION", 4), (b"FENCE_ALT_MAX", ceiling), (b"FENCE_ENABLE", 1)):
-        g.send(book.MAVLink_param_set_message(1, 1, name, value, 9))
+        g.send(dialect.MAVLink_param_set_message(1, 1, name, value, 9))
         g.run(0.2)
     g.run(0.5)
     g.take()
@@ -208,7 +208,7 @@ def _fence(g: Ground) -> None:
     while g.now_s < end and g.last["HEARTBEAT"].custom_mode == NOGPS:
         g.run(0.02, lambda: g.target(0.0, 1.25 * hover))
     g.run(2.0)
-    g.send(book.MAVLink_param_set_message(1, 1, b"FENCE_ENABLE", 0, 2))
+    g.send(dialect.MAVLink_param_set_message(1, 1, b"FENCE_ENABLE", 0, 2))
     g.run(0.5)
     g.lines[:] = [x for x in g.lines if not x.startswith("PARAM_VALUE")]
 
@@ -217,7 +217,7 @@ def _land(g: Ground) -> None:
     g.command(176, 1, LAND)
     g.until(lambda m: m.get_type() == "HEARTBEAT" and not m.base_mode & 128, 90.0)
     g.run(1.0)
-    g.send(book.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
+    g.send(dialect.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF))
     got = g.until(lambda m: m.get_type() == "LOG_ENTRY", 2.0)
     g.lines.append(f"LOG_ENTRY num_logs {got.num_logs}" if got else "no LOG_ENTRY")
 
@@ -255,7 +255,7 @@ def hold(wire: Wire) -> dict[str, list[str]]:
     found["unasked"] = sorted(g.names)
     g.take()
     for name in ("SYSTEM_TIME", "ATTITUDE"):
-        g.command(511, getattr(book, f"MAVLINK_MSG_ID_{name}"), 20000.0)
+        g.command(511, getattr(dialect, f"MAVLINK_MSG_ID_{name}"), 20000.0)
     g.until(lambda m: m.get_type() == "ATTITUDE", 20.0)
     g.run(3.0)
     found["boot texts"] = [x for x in g.take() if x.startswith("STATUSTEXT")]

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 STREAMS = {"HEARTBEAT", "ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "SYSTEM_TIME", "EXTENDED_SYS_STATE"}
 
@@ -53,8 +53,8 @@ class Ground:
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
-        self._mav = book.MAVLink(None, srcSystem=250, srcComponent=190)
-        self._parser = book.MAVLink(None)
+        self._mav = dialect.MAVLink(None, srcSystem=250, srcComponent=190)
+        self._parser = dialect.MAVLink(None)
         self._parser.robust_parsing = True
         self.last: dict[str, Any] = {}
         self.names: set[str] = set()
@@ -72,7 +72,7 @@ class Ground:
 
     def command(self, number: int, *params: float) -> None:
         padded = [*params, *([0.0] * (7 - len(params)))]
-        self.send(book.MAVLink_command_long_message(1, 1, number, 0, *padded))
+        self.send(dialect.MAVLink_command_long_message(1, 1, number, 0, *padded))
         self.until(lambda m: m.get_type() == "COMMAND_ACK" and m.command == number, 2.0)
 
     def target(
@@ -84,7 +84,7 @@ class Ground:
         yaw = self.last["ATTITUDE"].yaw if "ATTITUDE" in self.last else 0.0
         cr, sr, cy, sy = math.cos(roll / 2), math.sin(roll / 2), math.cos(yaw / 2), math.sin(yaw / 2)
         q = [size * x for x in (cr * cy, sr * cy, sr * sy, cr * sy)]
-        self.send(book.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0.0, 0.0, yaw_rate, throttle))
+        self.send(dialect.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0.0, 0.0, yaw_rate, throttle))
 
     def hover(self) -> float:
         """Take the present throttle as the one that holds height."""

@@ -4,7 +4,7 @@ import itertools
 import math
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 STABILIZE, ALT_HOLD, GUIDED, LOITER, RTL, LAND, BRAKE, NOGPS = 0, 2, 4, 5, 6, 9, 17, 20
 
@@ -72,7 +72,7 @@ def test_local_position_is_silent_without_gps(bare):
 
 def test_parameters(bare):
     c = bare.Client(**bare.QUIET)
-    c.send(book.MAVLink_param_request_list_message(1, 1))
+    c.send(dialect.MAVLink_param_request_list_message(1, 1))
     listed = c.got["PARAM_VALUE"]
     assert len(listed) == listed[0].param_count == len({m.param_id for m in listed})
     assert {"GUID_OPTIONS", "ATC_ANGLE_BOOST", "LOG_BITMASK", "INS_ACCEL_FILTER"} <= {m.param_id for m in listed}
@@ -80,10 +80,10 @@ def test_parameters(bare):
     assert c.last("PARAM_VALUE").param_index == 0xFFFF
     assert c.set("ANGLE_MAX", 3000) is None  # a name of 4.6: silence
     before = len(c.got["PARAM_VALUE"])
-    c.send(book.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1))
-    c.send(book.MAVLink_param_request_read_message(7, 1, b"GUID_OPTIONS", -1))  # another system
+    c.send(dialect.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1))
+    c.send(dialect.MAVLink_param_request_read_message(7, 1, b"GUID_OPTIONS", -1))  # another system
     assert len(c.got["PARAM_VALUE"]) == before
-    c.send(book.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1))
+    c.send(dialect.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1))
     assert c.last("PARAM_VALUE").param_value == 0
 
 
@@ -232,12 +232,12 @@ def test_a_fallen_vehicle_is_disarmed_by_the_crash_check(bare):
 def test_timesync_and_version_and_stubs(bare):
     c = bare.Client(**bare.QUIET)
     c.run(2.0)
-    c.send(book.MAVLink_timesync_message(0, 123456789))
+    c.send(dialect.MAVLink_timesync_message(0, 123456789))
     answer = c.last("TIMESYNC")
     assert (answer.ts1, answer.tc1) == (123456789, 2_000_000_000)
     assert c.command(512, 148) == 0
     assert c.last("AUTOPILOT_VERSION").flight_sw_version >> 24 == 4
-    c.send(book.MAVLink_mission_request_list_message(1, 1, 0))
+    c.send(dialect.MAVLink_mission_request_list_message(1, 1, 0))
     assert c.last("MISSION_COUNT").count == 1, "home is the first item of every mission"
     assert c.command(31010) == 3  # unknown here
 
@@ -247,7 +247,7 @@ def test_position_targets_in_both_frames(bare):
     c.airborne(5.0)
     assert c.mode(GUIDED) == 0
     c.send(
-        book.MAVLink_set_position_target_local_ned_message(
+        dialect.MAVLink_set_position_target_local_ned_message(
             0, 1, 1, 1, 0b100111111000, 3, -2, -6, 0, 0, 0, 0, 0, 0, 1.0, 0
         )
     )
@@ -258,7 +258,7 @@ def test_position_targets_in_both_frames(bare):
     c.run(0.2)
     here = c.last("GLOBAL_POSITION_INT")
     c.send(
-        book.MAVLink_set_position_target_global_int_message(
+        dialect.MAVLink_set_position_target_global_int_message(
             0, 1, 1, 6, 0b110111111000, here.lat + 449, here.lon, 5.0, 0, 0, 0, 0, 0, 0, 0, 0
         )
     )
@@ -291,7 +291,7 @@ def test_a_landed_vehicle_with_an_empty_battery_gets_a_full_one(bare):
 def test_nothing_the_vehicle_sends_shows_what_is_hidden(bare):
     def sent(**options):
         c = bare.Client(**bare.QUIET, **options)
-        c.send(book.MAVLink_param_request_list_message(1, 1))
+        c.send(dialect.MAVLink_param_request_list_message(1, 1))
         c.command(512, 148)
         c.airborne(3.0)
         return (

@@ -5,7 +5,7 @@ import time
 
 import pytest
 from pymavlink import mavutil
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.errors import InputError, LinkError
 from flighttest.sim import InProcess, SimOptions, parse_hide, start_simulator
@@ -18,8 +18,8 @@ class _Flight:
         _, host, port = url.split(":")
         self.sock = socket.create_connection((host, int(port)), 5.0)
         self.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # two small writes in a row would wait 40 ms
-        self.mav = book.MAVLink(None, srcSystem=245)
-        self.parser = book.MAVLink(None)
+        self.mav = dialect.MAVLink(None, srcSystem=245)
+        self.parser = dialect.MAVLink(None)
         self.bytes = b""
 
     def send(self, message) -> None:
@@ -36,7 +36,7 @@ class _Flight:
                     return m
 
     def grant(self, ms: int) -> int:
-        self.send(book.MAVLink_system_time_message(0, ms))
+        self.send(dialect.MAVLink_system_time_message(0, ms))
         return self.until(lambda m: m.get_type() == "SYSTEM_TIME" and m.time_unix_usec == 0).time_boot_ms
 
 
@@ -45,18 +45,18 @@ def _fly(seed: int, airframe: str) -> bytes:
     with start_simulator(options, in_thread=True) as simulation:
         f = _Flight(simulation.url)
         f.until(lambda m: m.get_type() == "HEARTBEAT")
-        f.send(book.MAVLink_param_set_message(1, 1, b"SIM_LOCKSTEP", 1, 2))
+        f.send(dialect.MAVLink_param_set_message(1, 1, b"SIM_LOCKSTEP", 1, 2))
         f.until(lambda m: m.get_type() == "PARAM_VALUE")
         assert f.grant(0) == 0
-        f.send(book.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 8, 6))
+        f.send(dialect.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 8, 6))
         for number, params in ((511, (30, 10000)), (511, (105, 10000)), (511, (32, 20000))):
-            f.send(book.MAVLink_command_long_message(1, 1, number, 0, *params, 0, 0, 0, 0, 0))
+            f.send(dialect.MAVLink_command_long_message(1, 1, number, 0, *params, 0, 0, 0, 0, 0))
         assert f.grant(1000) == 1000
-        f.send(book.MAVLink_command_long_message(1, 1, 176, 0, 1, 20, 0, 0, 0, 0, 0))
-        f.send(book.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+        f.send(dialect.MAVLink_command_long_message(1, 1, 176, 0, 1, 20, 0, 0, 0, 0, 0))
+        f.send(dialect.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
         for k in range(250):
             q = [0.9987502603949663, 0.04997916927067833, 0.0, 0.0] if k > 180 else [1.0, 0.0, 0.0, 0.0]
-            f.send(book.MAVLink_set_attitude_target_message(0, 1, 1, 7, q, 0, 0, 0, 0.24))
+            f.send(dialect.MAVLink_set_attitude_target_message(0, 1, 1, 7, q, 0, 0, 0, 0.24))
             assert f.grant(1020 + 20 * k) == 1020 + 20 * k
         f.sock.close()
     return f.bytes
@@ -74,7 +74,7 @@ def test_time_stands_still_without_grants_and_runs_on_when_the_client_dies():
     options = SimOptions(lockstep=True, speed=50.0)
     with start_simulator(options, in_thread=True) as simulation:
         f = _Flight(simulation.url)
-        f.send(book.MAVLink_param_set_message(1, 1, b"SIM_LOCKSTEP", 1, 2))
+        f.send(dialect.MAVLink_param_set_message(1, 1, b"SIM_LOCKSTEP", 1, 2))
         f.until(lambda m: m.get_type() == "PARAM_VALUE")
         assert f.grant(500) == 500
         time.sleep(0.2)
@@ -124,7 +124,7 @@ def test_a_process_of_its_own_ends_with_its_context():
 def test_garbage_on_the_wire_is_survived():
     io = InProcess(SimOptions(ready_s=0.5, gps_s=0.6))
     io.send(bytes(range(256)) * 5 + b"\xfd\x09\x00\x00")
-    ask = book.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1).pack(book.MAVLink(None, srcSystem=9))
+    ask = dialect.MAVLink_param_request_read_message(1, 1, b"GUID_OPTIONS", -1).pack(dialect.MAVLink(None, srcSystem=9))
     io.send(ask * 20)  # the first ones may be taken for the payload of a damaged frame
     io.advance(0.1)
     assert b"GUID_OPTIONS" in io.receive()
@@ -153,6 +153,6 @@ def test_a_waiting_ground_station_is_sent_to():
         with start_simulator(protocol="udp", peer=ground.getsockname()) as simulation:
             assert simulation.url == f"udpin:127.0.0.1:{ground.getsockname()[1]}"
             data, _ = ground.recvfrom(2048)
-    kinds = [m.get_type() for m in book.MAVLink(None).parse_buffer(data)]
+    kinds = [m.get_type() for m in dialect.MAVLink(None).parse_buffer(data)]
     assert kinds
     assert set(kinds) <= {"HEARTBEAT", "STATUSTEXT"}

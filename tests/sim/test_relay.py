@@ -9,7 +9,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.plants.plant_motors import MotorPlant
 from flighttest.sim.ports import listen
@@ -28,7 +28,7 @@ class Firmware:
         self.physics.settimeout(0.3)
         self.serial = serial
         self.ground: socket.socket | None = None
-        self.mav = book.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
         self.received: list[tuple[int, bytes]] = []
         self.now_us, self.stamp_s, self.frame, self.ended = 0, 0.0, 0, False
 
@@ -55,7 +55,7 @@ class Firmware:
             if data:
                 self.received.append((self.now_us, data))
             if self.frame % 8 == 0:
-                beat = book.MAVLink_attitude_message(self.now_us // 1000, 0, 0, 0, 0, 0, 0)
+                beat = dialect.MAVLink_attitude_message(self.now_us // 1000, 0, 0, 0, 0, 0, 0)
                 with suppress(BrokenPipeError):
                     self.ground.send(beat.pack(self.mav))
                 self.mav.seq = (self.mav.seq + 1) % 256
@@ -86,7 +86,7 @@ def flown():
 class Ground:
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
-        self.mav = book.MAVLink(None, srcSystem=245, srcComponent=191)
+        self.mav = dialect.MAVLink(None, srcSystem=245, srcComponent=191)
         self.heard: list = []
         self.numbers: list[int] = []
 
@@ -103,25 +103,25 @@ class Ground:
                     return [self.heard.pop(0) for _ in range(i + 1)][-1]
 
     def enter(self) -> int:
-        self.send(book.MAVLink_param_set_message(1, 1, PARAMETER.encode(), 1.0, book.MAV_PARAM_TYPE_INT8))
+        self.send(dialect.MAVLink_param_set_message(1, 1, PARAMETER.encode(), 1.0, dialect.MAV_PARAM_TYPE_INT8))
         assert self.until("PARAM_VALUE").param_value == 1.0
         return self.grant(0)
 
     def grant(self, until_ms: int) -> int:
-        self.send(book.MAVLink_system_time_message(0, until_ms))
+        self.send(dialect.MAVLink_system_time_message(0, until_ms))
         return self.until("SYSTEM_TIME").time_boot_ms
 
 
 def test_the_firmware_goes_as_far_as_is_granted_and_a_target_arrives_at_the_next_step(flown):
     ground, firmware = flown
     ground.until("ATTITUDE")
-    ground.send(book.MAVLink_param_request_read_message(1, 1, PARAMETER.encode(), -1))
+    ground.send(dialect.MAVLink_param_request_read_message(1, 1, PARAMETER.encode(), -1))
     assert ground.until("PARAM_VALUE").param_value == 0.0
     now_ms = ground.enter()
     assert firmware.now_us // 1000 == now_ms
     begin = firmware.now_us
     for k in range(1, 6):
-        target = book.MAVLink_heartbeat_message(18, 8, 0, k, 4, 3)
+        target = dialect.MAVLink_heartbeat_message(18, 8, 0, k, 4, 3)
         sent = target.pack(ground.mav)
         ground.sock.send(sent)
         assert ground.grant(now_ms + 20 * k) == now_ms + 20 * k
@@ -156,10 +156,10 @@ def test_what_is_put_in_leaves_no_gap_in_the_firmwares_count(flown):
 
 
 def test_frames_are_passed_whole():
-    mav = book.MAVLink(None, srcSystem=7, srcComponent=1)
-    one = book.MAVLink_attitude_message(5, 0, 0, 0, 0, 0, 1.0).pack(mav)
+    mav = dialect.MAVLink(None, srcSystem=7, srcComponent=1)
+    one = dialect.MAVLink_attitude_message(5, 0, 0, 0, 0, 0, 1.0).pack(mav)
     mav.seq = 9
-    two = book.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3).pack(mav, force_mavlink1=True)
+    two = dialect.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3).pack(mav, force_mavlink1=True)
     frames = FrameSplitter()
     passed = [frames.feed(bytes([b])) for b in b"noise" + one + two]
     assert b"".join(passed) == b"noise" + one + two

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight.execution.control import FlightControl
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.vehicle.model import Zone
 
 FAR_M = 500.0
@@ -28,7 +28,7 @@ def place_zone(control: FlightControl, zone: Zone) -> str:
         home = np.asarray(control.state.position_m) + control.reader.origin_m
         text = "the vehicle states no home: its present place is taken"
     if zone.origin is not None:
-        origin = control.vehicle.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        origin = control.vehicle.request("GPS_GLOBAL_ORIGIN", dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if origin is None:
             raise LinkError("the vehicle does not state its origin", "use `zone: {origin: home}`")
         place = control.vehicle.local_m(zone.origin[0], zone.origin[1], origin, float(home[2]))

@@ -10,7 +10,7 @@ from flighttest.flight.execution.control import FlightControl
 from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.state import VehicleState
 from flighttest.mavlink import CopterMode, mode_name
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.recording.manifest import EventData
 
 ASK_EVERY_S = 0.2
@@ -156,7 +156,7 @@ def enter_nogps(control: FlightControl) -> bool:
         ack = control.session.latest.get("COMMAND_ACK")
         if ack is None or ack.t_s < asked_s:
             return
-        if (ack.message.command, ack.message.result) == (book.MAV_CMD_DO_SET_MODE, book.MAV_RESULT_ACCEPTED):
+        if (ack.message.command, ack.message.result) == (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_RESULT_ACCEPTED):
             control.release()
 
     if not enter(control, CopterMode.GUIDED_NOGPS, _ENTRY_S, hover):

@@ -13,7 +13,7 @@ from flighttest.flight.outcome import FlightEnded
 from flighttest.flight.state import VehicleState
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.onboard.fence import MOST_ITEMS, Fence, FenceItem, polygon, same_fence
-from flighttest.mavlink.dialect import Message, book
+from flighttest.mavlink.dialect import Message, dialect
 from flighttest.mavlink.telemetry import offset_m, place_deg
 from flighttest.plan import Plan
 from flighttest.recording.manifest import FenceData
@@ -21,7 +21,7 @@ from flighttest.recording.manifest import FenceData
 ALONG_M = 0.5  # between the corners of a polygon on the vehicle and the zone's that are taken for one
 _KINDS = 1 | 2 | 4  # ceiling, circle, polygon; the floor would be breached on the ground
 _ITEM_NUMBERS = 9
-_OURS = book.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+_OURS = dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def _from_numbers(row: object) -> FenceItem | None:
     if not all(isinstance(value, (int, float)) and np.isfinite(value) for value in row):
         return None
     command, frame, *params, x, y, z = row
-    fences = book.MAV_CMD_NAV_FENCE_RETURN_POINT, book.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
+    fences = dialect.MAV_CMD_NAV_FENCE_RETURN_POINT, dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
     inside = fences[0] <= command <= fences[1] and abs(x) <= 90e7 and abs(y) <= 180e7 and 0 <= frame <= 255
     four = (float(params[0]), float(params[1]), float(params[2]), float(params[3]))
     return FenceItem(int(command), int(frame), four, int(x), int(y), float(z)) if inside else None
@@ -147,7 +147,7 @@ class ZoneFence:
         position or stands outside, and where its fence may not be changed. may_set: the operator lets things be set; extend: also where
         the vehicle keeps a fence of its own.
         """
-        origin = self._vehicle.request("GPS_GLOBAL_ORIGIN", book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        origin = self._vehicle.request("GPS_GLOBAL_ORIGIN", dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if state.position_m is None or not state.position_ok or origin is None:
             raise _refused("the zone's polygon cannot be placed without a position", "wait for a satellite fix")
         self._require_inside(plan, state)
@@ -179,7 +179,7 @@ class ZoneFence:
 
         PreflightError where the vehicle refuses.
         """
-        answer = self._vehicle.command(book.MAV_CMD_DO_FENCE_ENABLE, 1.0, float(_KINDS))
+        answer = self._vehicle.command(dialect.MAV_CMD_DO_FENCE_ENABLE, 1.0, float(_KINDS))
         if not answer.accepted:
             raise _refused(
                 f"the vehicle does not switch its fence on ({answer.sentence})", "check its fence with a ground station"

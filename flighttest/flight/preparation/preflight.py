@@ -13,7 +13,7 @@ from flighttest.flight.preparation.fence_limits import fence_checks
 from flighttest.flight.preparation.situation import Check, Situation
 from flighttest.flight.transmitter import received
 from flighttest.link.ardupilot import ArduPilot
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 
 THRUST_AS_THRUST = 8
 TIMEOUT_S = 0.2
@@ -54,7 +54,7 @@ def rc_live(vehicle: ArduPilot) -> bool:
     heard = vehicle.session.latest.get("RC_CHANNELS")
     if heard is None or received(heard.message) is False:
         return False
-    status = vehicle.request("SYS_STATUS", book.MAVLINK_MSG_ID_SYS_STATUS)
+    status = vehicle.request("SYS_STATUS", dialect.MAVLINK_MSG_ID_SYS_STATUS)
     return status is not None and received(status) is not False  # it may not report it
 
 
@@ -297,8 +297,8 @@ def _readiness(s: Situation) -> list[Check]:
 
 _MULTICOPTERS = frozenset(
     {
-        book.MAV_TYPE_QUADROTOR, book.MAV_TYPE_HEXAROTOR, book.MAV_TYPE_OCTOROTOR, book.MAV_TYPE_TRICOPTER,
-        book.MAV_TYPE_COAXIAL, book.MAV_TYPE_DODECAROTOR, book.MAV_TYPE_DECAROTOR,
+        dialect.MAV_TYPE_QUADROTOR, dialect.MAV_TYPE_HEXAROTOR, dialect.MAV_TYPE_OCTOROTOR, dialect.MAV_TYPE_TRICOPTER,
+        dialect.MAV_TYPE_COAXIAL, dialect.MAV_TYPE_DODECAROTOR, dialect.MAV_TYPE_DECAROTOR,
     }
 )  # fmt: skip
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from flighttest.errors import LinkError
 from flighttest.link.session import Session
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, dialect
 
 MOST_ITEMS = 700  # more than any autopilot keeps
-_KIND = book.MAV_MISSION_TYPE_FENCE
+_KIND = dialect.MAV_MISSION_TYPE_FENCE
 _ANSWER_S, _TRIES = 1.5, 5
 _LOOK_EVERY_S = 0.02
 _ITEM_KINDS = ("MISSION_ITEM_INT", "MISSION_ITEM")
@@ -36,7 +36,7 @@ class FenceItem:
 
 def polygon(corners_e7: Sequence[tuple[int, int]]) -> tuple[FenceItem, ...]:
     """A polygon that must not be left, from the latitudes and longitudes of its corners, degE7."""
-    command, frame = book.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, book.MAV_FRAME_GLOBAL
+    command, frame = dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, dialect.MAV_FRAME_GLOBAL
     return tuple(FenceItem(command, frame, (float(len(corners_e7)), 0.0, 0.0, 0.0), x, y) for x, y in corners_e7)
 
 
@@ -62,7 +62,8 @@ class Fence:
     def read(self) -> tuple[FenceItem, ...]:
         """All items, none where there is no fence. LinkError where the vehicle does not report it."""
         counted = self._ask(
-            book.MAVLink_mission_request_list_message(*self._target, _KIND), lambda m: m.get_type() == "MISSION_COUNT"
+            dialect.MAVLink_mission_request_list_message(*self._target, _KIND),
+            lambda m: m.get_type() == "MISSION_COUNT",
         )
         if counted is None:
             raise LinkError("the vehicle does not state its fence", "is it ArduCopter 4.1 or newer?")
@@ -71,13 +72,13 @@ class Fence:
         items: list[FenceItem] = []
         for number in range(counted.count):
             item = self._ask(
-                book.MAVLink_mission_request_int_message(*self._target, number, _KIND),
+                dialect.MAVLink_mission_request_int_message(*self._target, number, _KIND),
                 lambda m, number=number: m.get_type() in _ITEM_KINDS and m.seq == number,  # type: ignore[misc]
             )
             if item is None:
                 raise LinkError(f"item {number} of the vehicle's fence does not arrive", "move closer")
             items.append(_item(item))
-        self._send(book.MAVLink_mission_ack_message(*self._target, book.MAV_MISSION_ACCEPTED, _KIND))
+        self._send(dialect.MAVLink_mission_ack_message(*self._target, dialect.MAV_MISSION_ACCEPTED, _KIND))
         return tuple(items)
 
     def write(self, items: Sequence[FenceItem]) -> None:
@@ -95,9 +96,9 @@ class Fence:
 
     def _clear(self) -> None:
         ack = self._ask(
-            book.MAVLink_mission_clear_all_message(*self._target, _KIND), lambda m: m.get_type() == "MISSION_ACK"
+            dialect.MAVLink_mission_clear_all_message(*self._target, _KIND), lambda m: m.get_type() == "MISSION_ACK"
         )
-        if ack is None or ack.type != book.MAV_MISSION_ACCEPTED:
+        if ack is None or ack.type != dialect.MAV_MISSION_ACCEPTED:
             raise LinkError(f"the vehicle does not remove its fence{_result(ack)}", "remove it with a ground station")
 
     def _upload(self, items: Sequence[FenceItem]) -> None:
@@ -108,7 +109,7 @@ class Fence:
                 heard.append(message)
 
         session = self._session
-        last = book.MAVLink_mission_count_message(*self._target, len(items), _KIND)
+        last = dialect.MAVLink_mission_count_message(*self._target, len(items), _KIND)
         sent_all, tries = False, 0
         session.listen(listen)
         try:
@@ -123,7 +124,7 @@ class Fence:
                     continue
                 tries = 0
                 if asked.get_type() == "MISSION_ACK":
-                    if asked.type == book.MAV_MISSION_ACCEPTED and sent_all:
+                    if asked.type == dialect.MAV_MISSION_ACCEPTED and sent_all:
                         return
                     raise LinkError(f"the vehicle refuses the fence{_result(asked)}", "is another station writing one?")
                 if not 0 <= asked.seq < len(items):
@@ -145,7 +146,7 @@ class Fence:
         return heard.popleft() if heard else None
 
     def _message(self, number: int, item: FenceItem) -> Message:
-        return book.MAVLink_mission_item_int_message(
+        return dialect.MAVLink_mission_item_int_message(
             *self._target, number, item.frame, item.command, 0, 1, *item.params, item.x, item.y, item.z, _KIND
         )
 
@@ -179,5 +180,5 @@ def _item(message: Message) -> FenceItem:
 def _result(ack: Message | None) -> str:
     if ack is None:
         return ""
-    named = book.enums["MAV_MISSION_RESULT"].get(ack.type)
+    named = dialect.enums["MAV_MISSION_RESULT"].get(ack.type)
     return f" ({named.name if named else ack.type})"

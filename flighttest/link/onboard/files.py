@@ -15,7 +15,7 @@ from typing import IO
 
 from flighttest.errors import LinkError
 from flighttest.link.session import Session
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, dialect
 
 DATA_BYTES = 239  # of one answer
 SILENCE_S = 20.0  # without progress for so long a download is given up
@@ -211,7 +211,7 @@ class VehicleFiles:
         packet = Packet(number, self._file_session, operation, offset=offset, data=data, size=size)
         system = self._session.vehicle_system
         payload = list(packet.to_payload())
-        self._session.send(book.MAVLink_file_transfer_protocol_message(0, system, COMPONENT_AUTOPILOT, payload))
+        self._session.send(dialect.MAVLink_file_transfer_protocol_message(0, system, COMPONENT_AUTOPILOT, payload))
 
     def _until(self, operation: Operation, enough: Callable[[Packet], bool], quiet_s: float = _BURST_QUIET_S) -> None:
         """Take answers to one kind of question in until one is enough, or none has come for quiet_s."""

@@ -16,7 +16,7 @@ from flighttest.link.onboard.files import DATA_BYTES, SILENCE_S, VehicleFiles, c
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import full_url, open_transport
-from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, book
+from flighttest.mavlink.dialect import COMPONENT_AUTOPILOT, Message, dialect
 
 LOG_FOLDERS = ("/APM/LOGS", "logs")  # of ArduPilot on a flight controller, and of its SITL
 _WINDOW_BYTES = 90 * 512  # asked for at once; a LOG_DATA message has 90
@@ -92,7 +92,7 @@ class LogDownload:
             return bool(listed and len(found) >= listed)
 
         for _ in range(_TRIES):
-            self._session.send(book.MAVLink_log_request_list_message(self._system, COMPONENT_AUTOPILOT, 0, 0xFFFF))
+            self._session.send(dialect.MAVLink_log_request_list_message(self._system, COMPONENT_AUTOPILOT, 0, 0xFFFF))
             self._until(take, _LIST_QUIET_S)
             if found and len(found) >= listed:
                 break
@@ -209,7 +209,7 @@ class LogDownload:
         while have < size and self._session.now_s() - began_s < for_s:
             end = min((at for at in ahead if at > have), default=min(have + _WINDOW_BYTES, size))
             request = (self._system, COMPONENT_AUTOPILOT, number, have, end - have)
-            self._session.send(book.MAVLink_log_request_data_message(*request))
+            self._session.send(dialect.MAVLink_log_request_data_message(*request))
             self._until(lambda message, end=end: take(message) >= end, _DATA_QUIET_S)  # type: ignore[misc]
             before = have
             while have in ahead:
@@ -225,7 +225,7 @@ class LogDownload:
                     f"the download of log {number} stopped at {100.0 * have / size:.0f} %",
                     "move closer, and give the same command again: it goes on from there",
                 )
-        self._session.send(book.MAVLink_log_request_end_message(self._system, COMPONENT_AUTOPILOT))
+        self._session.send(dialect.MAVLink_log_request_end_message(self._system, COMPONENT_AUTOPILOT))
         return have
 
     def _by_file(self, to: _Download, have: int, for_s: float = math.inf) -> int:

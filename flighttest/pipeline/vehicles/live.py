@@ -13,7 +13,7 @@ from flighttest.link.ardupilot import ArduPilot
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
 from flighttest.link.transport import open_transport
-from flighttest.mavlink.dialect import book
+from flighttest.mavlink.dialect import dialect
 from flighttest.mavlink.signing import read_key
 from flighttest.pipeline.results import SILENT, Progress
 from flighttest.pipeline.vehicles.simulator import options
@@ -22,7 +22,7 @@ from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import DEFAULT_VEHICLE
 
 BUILTIN = "sim"
-_NAMES = {book.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduCopter", book.MAV_AUTOPILOT_PX4: "PX4"}
+_NAMES = {dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduCopter", dialect.MAV_AUTOPILOT_PX4: "PX4"}
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def read_vehicle(url: str, progress: Progress = SILENT, key: bytes | None = None
         finally:
             session.port.close()
     family = _NAMES.get(beat.autopilot, "")
-    if beat.autopilot == book.MAV_AUTOPILOT_ARDUPILOTMEGA and "GUID_OPTIONS" in found:
+    if beat.autopilot == dialect.MAV_AUTOPILOT_ARDUPILOTMEGA and "GUID_OPTIONS" in found:
         # Every flight sets this bit before it arms, and restores it: models are of the vehicle with it.
         found["GUID_OPTIONS"] = float(int(found["GUID_OPTIONS"]) | THRUST_AS_THRUST)
     return LiveVehicle(url, f"{family} {version}".strip() if version else "", found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.autopilot import modes, telemetry
 from flighttest.sim.autopilot.navigation import GuidedGoal
@@ -19,7 +19,7 @@ _EVERY_FENCE = 15
 def acknowledge(v: CommandedVehicle, message: Any, command: int, result: int) -> None:
     """COMMAND_ACK to the sender of the message."""
     sender = (message.get_srcSystem(), message.get_srcComponent())
-    v.outbox.append(v.encoder.message(book.MAVLink_command_ack_message(command, result, 0, 0, *sender)))
+    v.outbox.append(v.encoder.message(dialect.MAVLink_command_ack_message(command, result, 0, 0, *sender)))
 
 
 def handle(v: CommandedVehicle, m: Any) -> None:
@@ -31,7 +31,7 @@ def handle(v: CommandedVehicle, m: Any) -> None:
     result = UNSUPPORTED if action is None else action(v, m)
     caused = v.outbox[before:]
     del v.outbox[before:]
-    if m.command == book.MAV_CMD_GET_HOME_POSITION:  # the one that answers first
+    if m.command == dialect.MAV_CMD_GET_HOME_POSITION:  # the one that answers first
         v.outbox += caused
         caused = []
     acknowledge(v, m, m.command, result)
@@ -57,7 +57,7 @@ def _arm(v: CommandedVehicle, m: Any) -> int:
 
 
 def _mode(v: CommandedVehicle, m: Any) -> int:
-    if not int(m.param1) & book.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+    if not int(m.param1) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return DENIED
     return ACCEPTED if v.set_mode(int(m.param2)) else FAILED
 
@@ -86,7 +86,7 @@ def _get_interval(v: CommandedVehicle, m: Any) -> int:
     message_id = int(m.param1)
     known = message_id in telemetry.MAKERS
     interval = (round(v.streams.interval_s(message_id) * 1e6) or -1) if known else 0
-    v.outbox.append(v.encoder.message(book.MAVLink_message_interval_message(message_id, interval)))
+    v.outbox.append(v.encoder.message(dialect.MAVLink_message_interval_message(message_id, interval)))
     return ACCEPTED
 
 
@@ -104,7 +104,7 @@ def _send(v: CommandedVehicle, message_id: int) -> None:
 
 
 def _capabilities(v: CommandedVehicle, _: Any) -> int:
-    _send(v, book.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    _send(v, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     return ACCEPTED
 
 
@@ -145,8 +145,8 @@ def _reposition(v: CommandedVehicle, m: Any) -> int:
     if v.mode != modes.GUIDED and not (int(m.param2) & 1 and v.set_mode(modes.GUIDED)):
         return DENIED
     lat, lon, altitude = _place(m)
-    frame = getattr(m, "frame", book.MAV_FRAME_GLOBAL)
-    relative = (book.MAV_FRAME_GLOBAL_RELATIVE_ALT, book.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
+    frame = getattr(m, "frame", dialect.MAV_FRAME_GLOBAL)
+    relative = (dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
     height = altitude if frame in relative else altitude - telemetry.HOME_ALT_M
     yaw = v.navigator.goal.yaw
     v.navigator.goal = GuidedGoal(telemetry.local_of(int(lat), int(lon)), None, height, yaw=yaw, stamp_s=v.time_s)
@@ -163,8 +163,8 @@ def _battery_reset(v: CommandedVehicle, _: Any) -> int:
 def _home(v: CommandedVehicle, _: Any) -> int:
     if not v.has_home:
         return FAILED
-    _send(v, book.MAVLINK_MSG_ID_HOME_POSITION)
-    _send(v, book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+    _send(v, dialect.MAVLINK_MSG_ID_HOME_POSITION)
+    _send(v, dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
     return ACCEPTED
 
 
@@ -181,21 +181,21 @@ def _fence_enable(v: CommandedVehicle, m: Any) -> int:
 
 
 _ACTIONS: dict[int, Any] = {
-    book.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
-    book.MAV_CMD_DO_SET_MODE: _mode,
-    book.MAV_CMD_NAV_LAND: _mode_command(modes.LAND),
-    book.MAV_CMD_NAV_RETURN_TO_LAUNCH: _mode_command(modes.RTL),
-    book.MAV_CMD_NAV_LOITER_UNLIM: _mode_command(modes.LOITER),
-    book.MAV_CMD_NAV_TAKEOFF: _take_off,
-    book.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
-    book.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
-    book.MAV_CMD_REQUEST_MESSAGE: _request,
-    book.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _capabilities,
-    book.MAV_CMD_CONDITION_YAW: _turn,
-    book.MAV_CMD_DO_CHANGE_SPEED: _speed,
-    book.MAV_CMD_DO_REPOSITION: _reposition,
-    book.MAV_CMD_DO_FLIGHTTERMINATION: _denied,
-    book.MAV_CMD_BATTERY_RESET: _battery_reset,
-    book.MAV_CMD_GET_HOME_POSITION: _home,
-    book.MAV_CMD_DO_FENCE_ENABLE: _fence_enable,
+    dialect.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
+    dialect.MAV_CMD_DO_SET_MODE: _mode,
+    dialect.MAV_CMD_NAV_LAND: _mode_command(modes.LAND),
+    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _mode_command(modes.RTL),
+    dialect.MAV_CMD_NAV_LOITER_UNLIM: _mode_command(modes.LOITER),
+    dialect.MAV_CMD_NAV_TAKEOFF: _take_off,
+    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
+    dialect.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
+    dialect.MAV_CMD_REQUEST_MESSAGE: _request,
+    dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _capabilities,
+    dialect.MAV_CMD_CONDITION_YAW: _turn,
+    dialect.MAV_CMD_DO_CHANGE_SPEED: _speed,
+    dialect.MAV_CMD_DO_REPOSITION: _reposition,
+    dialect.MAV_CMD_DO_FLIGHTTERMINATION: _denied,
+    dialect.MAV_CMD_BATTERY_RESET: _battery_reset,
+    dialect.MAV_CMD_GET_HOME_POSITION: _home,
+    dialect.MAV_CMD_DO_FENCE_ENABLE: _fence_enable,
 }

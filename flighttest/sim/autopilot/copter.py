@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.autopilot import modes, telemetry
 from flighttest.sim.autopilot.control import Measured, PositionControl, heading_rate
@@ -31,7 +31,7 @@ from flighttest.sim.wire import Encoder
 _CONTROL_S = 0.02
 _SLOW_S = 0.1
 _THRUST_AS_THRUST = 8  # GUID_OPTIONS bit 3
-_REPORTED_AT_ARMING = (book.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, book.MAVLINK_MSG_ID_HOME_POSITION)
+_REPORTED_AT_ARMING = (dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, dialect.MAVLINK_MSG_ID_HOME_POSITION)
 
 
 class Autopilot:
@@ -117,7 +117,7 @@ class Autopilot:
         """GUID_OPTIONS bit 3: the thrust field is a throttle, not a climb rate."""
         return bool(int(self.store["GUID_OPTIONS"]) & _THRUST_AS_THRUST)
 
-    def say(self, text: str, severity: int = book.MAV_SEVERITY_INFO) -> None:
+    def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         """STATUSTEXT, in chunks where it is long."""
         raw = text.encode()
         chunks = [raw[i : i + 50] for i in range(0, len(raw), 50)] or [b""]
@@ -125,7 +125,7 @@ class Autopilot:
         if len(chunks) > 1:
             self._text_id = number = self._text_id % 65535 + 1
         for i, chunk in enumerate(chunks):
-            self.outbox.append(self.encoder.message(book.MAVLink_statustext_message(severity, chunk, number, i)))
+            self.outbox.append(self.encoder.message(dialect.MAVLink_statustext_message(severity, chunk, number, i)))
 
     def receive(self, message: Any) -> None:
         """A message that arrives now."""
@@ -142,7 +142,7 @@ class Autopilot:
         """Change mode; False, with the reason as STATUSTEXT, where it is refused."""
         why = modes.mode_refusal(mode, armed=self.armed, has_position=self.has_position)
         if why is not None:
-            self.say(why, book.MAV_SEVERITY_WARNING)
+            self.say(why, dialect.MAV_SEVERITY_WARNING)
             return False
         if mode == self.mode:
             return True
@@ -166,7 +166,7 @@ class Autopilot:
             return True
         why = None if force else self.arming_refusal()
         if why is not None:
-            self.say(why, book.MAV_SEVERITY_CRITICAL)
+            self.say(why, dialect.MAV_SEVERITY_CRITICAL)
             return False
         self.armed, self.armed_s, self.landed_s = True, self.time_s, self.time_s
         self.angle.thrust = None
@@ -224,7 +224,7 @@ class Autopilot:
             frame = telemetry.MAKERS[i](self)
             if frame is not None:
                 self.outbox.append(frame)
-        if self.ticks % self._second_every == 0 and not self.streams.interval_s(book.MAVLINK_MSG_ID_HEARTBEAT):
+        if self.ticks % self._second_every == 0 and not self.streams.interval_s(dialect.MAVLINK_MSG_ID_HEARTBEAT):
             self.outbox.append(telemetry.heartbeat(self))
 
     def _angle_rules(self, t_s: float) -> bool:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.autopilot import commands, modes, telemetry
 from flighttest.sim.autopilot.fences.upload import KIND
@@ -75,7 +75,7 @@ class Mailbox:
             v.angle.thrust = thrust
         if not math.isfinite(m.thrust) and not self._confessed:
             self._confessed = True
-            v.say("Internal Errors 0x400", book.MAV_SEVERITY_CRITICAL)
+            v.say("Internal Errors 0x400", dialect.MAV_SEVERITY_CRITICAL)
         v.angle.receive(v.time_s, target)
 
     def _local_target(self, m: Any) -> None:
@@ -84,14 +84,14 @@ class Mailbox:
             return
         frame = m.coordinate_frame
         if frame not in (
-            book.MAV_FRAME_LOCAL_NED, book.MAV_FRAME_LOCAL_OFFSET_NED, book.MAV_FRAME_BODY_NED, book.MAV_FRAME_BODY_OFFSET_NED,
+            dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_LOCAL_OFFSET_NED, dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_OFFSET_NED,
         ):  # fmt: skip
             return
         px, py, pz, vx, vy, vz = m.x, -m.y, -m.z, m.vx, -m.vy, -m.vz
-        if frame in (book.MAV_FRAME_BODY_NED, book.MAV_FRAME_BODY_OFFSET_NED):
+        if frame in (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_OFFSET_NED):
             c, s = math.cos(v.motion.yaw), math.sin(v.motion.yaw)
             px, py, vx, vy = c * px - s * py, s * px + c * py, c * vx - s * vy, s * vx + c * vy
-        if frame != book.MAV_FRAME_LOCAL_NED:
+        if frame != dialect.MAV_FRAME_LOCAL_NED:
             seen = v.measured()
             px, py, pz = px + seen.px, py + seen.py, pz + seen.pz
         self._goal(m, (px, py), pz, (vx, vy), vz)
@@ -101,7 +101,7 @@ class Mailbox:
         if v.mode != modes.GUIDED or not v.has_position:
             return
         place = telemetry.local_of(m.lat_int, m.lon_int)
-        relative = (book.MAV_FRAME_GLOBAL_RELATIVE_ALT, book.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
+        relative = (dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
         height = m.alt if m.coordinate_frame in relative else m.alt - telemetry.HOME_ALT_M
         self._goal(m, place, height, (m.vx, -m.vy), -m.vz)
 
@@ -134,7 +134,9 @@ class Mailbox:
         v = self._v
         v.outbox.append(
             v.encoder.message(
-                book.MAVLink_param_value_message(name.encode(), v.store[name], v.store.kind(name), len(v.store), index)
+                dialect.MAVLink_param_value_message(
+                    name.encode(), v.store[name], v.store.kind(name), len(v.store), index
+                )
             )
         )
 
@@ -178,7 +180,7 @@ class Mailbox:
         if m.tc1 == 0:
             v = self._v
             now = int(v.time_s * 1e9)
-            v.outbox.append(v.encoder.message(book.MAVLink_timesync_message(now, m.ts1)))
+            v.outbox.append(v.encoder.message(dialect.MAVLink_timesync_message(now, m.ts1)))
 
     def _setup_signing(self, m: Any) -> None:
         if not self._v.armed:
@@ -209,7 +211,7 @@ class Mailbox:
             v.fence.listed(m)
             return
         sender = (m.get_srcSystem(), m.get_srcComponent())
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_count_message(*sender, int(v.has_home), kind)))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_mission_count_message(*sender, int(v.has_home), kind)))
 
     def _mission_clear(self, m: Any) -> None:
         v = self._v
@@ -218,29 +220,29 @@ class Mailbox:
             v.fence.clear(m)
             return
         sender = (m.get_srcSystem(), m.get_srcComponent())
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_ack_message(*sender, 0, kind)))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_mission_ack_message(*sender, 0, kind)))
 
     def _log_list(self, _: Any) -> None:
         v = self._v
-        v.outbox.append(v.encoder.message(book.MAVLink_log_entry_message(0, 0, 0, 0, 0)))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)))
 
 
-_RAW = (book.MAVLINK_MSG_ID_RAW_IMU, book.MAVLINK_MSG_ID_SCALED_IMU2)
+_RAW = (dialect.MAVLINK_MSG_ID_RAW_IMU, dialect.MAVLINK_MSG_ID_SCALED_IMU2)
 _STATUS = (
-    book.MAVLINK_MSG_ID_SYS_STATUS, book.MAVLINK_MSG_ID_POWER_STATUS, book.MAVLINK_MSG_ID_GPS_RAW_INT,
+    dialect.MAVLINK_MSG_ID_SYS_STATUS, dialect.MAVLINK_MSG_ID_POWER_STATUS, dialect.MAVLINK_MSG_ID_GPS_RAW_INT,
 )  # fmt: skip
 _EXTRA_3 = (
-    book.MAVLINK_MSG_ID_SYSTEM_TIME, book.MAVLINK_MSG_ID_BATTERY_STATUS, book.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    dialect.MAVLINK_MSG_ID_SYSTEM_TIME, dialect.MAVLINK_MSG_ID_BATTERY_STATUS, dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
 )  # fmt: skip
-_POSITION = (book.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, book.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+_POSITION = (dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 # REQUEST_DATA_STREAM's groups, as GCS_MAVLink_Copter.cpp fills them
 _STREAM_GROUPS: dict[int, tuple[int, ...]] = {
     1: _RAW,
     2: _STATUS,
-    3: (book.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, book.MAVLINK_MSG_ID_RC_CHANNELS),
+    3: (dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, dialect.MAVLINK_MSG_ID_RC_CHANNELS),
     6: _POSITION,
-    10: (book.MAVLINK_MSG_ID_ATTITUDE,),
-    11: (book.MAVLINK_MSG_ID_VFR_HUD,),
+    10: (dialect.MAVLINK_MSG_ID_ATTITUDE,),
+    11: (dialect.MAVLINK_MSG_ID_VFR_HUD,),
     12: _EXTRA_3,
 }
 _STREAM_GROUPS[0] = tuple(i for group in _STREAM_GROUPS.values() for i in group)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.frames import G_M_S2
 from flighttest.sim.autopilot import modes, telemetry
@@ -16,7 +16,7 @@ _LAND_DISARM_S = 1.5
 _TIMESYNC_S = 10.0
 _PREARM_S = 30.0  # how often a vehicle that cannot arm reports why
 _SWAP_S = 3.0
-_MAXALT, _BOUNDARY = book.FENCE_BREACH_MAXALT, book.FENCE_BREACH_BOUNDARY
+_MAXALT, _BOUNDARY = dialect.FENCE_BREACH_MAXALT, dialect.FENCE_BREACH_BOUNDARY
 _BOOT_TEXTS = (
     (0.9, "Barometer 1 calibration complete"), (1.4, "ArduPilot Ready"), (1.4, "AHRS: DCM active"),
     (3.4, "EKF3 IMU0 initialised"), (3.4, "AHRS: EKF3 active"), (4.8, "EKF3 IMU0 tilt alignment complete"),
@@ -70,10 +70,10 @@ class Watch:
             self._prearm_s += _PREARM_S
             why = None if v.armed else v.arming_refusal()
             if why is not None:
-                v.say(why.replace("Arm:", "PreArm:"), book.MAV_SEVERITY_CRITICAL)
+                v.say(why.replace("Arm:", "PreArm:"), dialect.MAV_SEVERITY_CRITICAL)
         if t_s >= self._timesync_s:
             self._timesync_s += _TIMESYNC_S
-            v.outbox.append(v.encoder.message(book.MAVLink_timesync_message(0, int(t_s * 1e9) + 1)))
+            v.outbox.append(v.encoder.message(dialect.MAVLink_timesync_message(0, int(t_s * 1e9) + 1)))
 
     def _landing(self, t_s: float) -> None:
         v = self._v
@@ -117,12 +117,12 @@ class Watch:
         if not new:
             return
         v.fence_breach = _MAXALT if new & 1 else _BOUNDARY
-        frame = telemetry.MAKERS[book.MAVLINK_MSG_ID_FENCE_STATUS](v)
+        frame = telemetry.MAKERS[dialect.MAVLINK_MSG_ID_FENCE_STATUS](v)
         if frame is not None:
             v.outbox.append(frame)
         mode = fence_mode(int(v.store["FENCE_ACTION"]), has_position=v.has_position)
         moved = mode is not None and v.mode != mode and not v.landed and v.set_mode(mode)
-        v.say(breach_words(new), book.MAV_SEVERITY_NOTICE)
+        v.say(breach_words(new), dialect.MAV_SEVERITY_NOTICE)
         if moved:
             v.say("Manual recovery started")
 
@@ -135,5 +135,5 @@ class Watch:
         accel = abs(math.sqrt(m.fx * m.fx + m.fy * m.fy + m.fz * m.fz) - G_M_S2)
         if v.store["FS_CRASH_CHECK"] and self._crash.update(t_s, error, lean, speed, accel):
             text = f"Crash: Disarming: AngErr={math.degrees(error):.0f}>30, Accel={accel:.1f}<3.0"
-            v.say(text, book.MAV_SEVERITY_EMERGENCY)
+            v.say(text, dialect.MAV_SEVERITY_EMERGENCY)
             v.disarm(force=True)

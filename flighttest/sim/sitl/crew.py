@@ -9,7 +9,7 @@ import socket
 import threading
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.wire import Decoder, Encoder
 
@@ -69,15 +69,15 @@ class GroundCrew:
             self._full_v = self._full_v or float(message.param_value)
             self._last_v = float(message.param_value)
             return None
-        if kind != "HEARTBEAT" or message.autopilot != book.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        if kind != "HEARTBEAT" or message.autopilot != dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
             return None
         if self._full_v is None:
-            return book.MAVLink_param_request_read_message(1, 1, _NAME, -1)
-        landed = self._armed and not message.base_mode & book.MAV_MODE_FLAG_SAFETY_ARMED
-        self._armed = bool(message.base_mode & book.MAV_MODE_FLAG_SAFETY_ARMED)
+            return dialect.MAVLink_param_request_read_message(1, 1, _NAME, -1)
+        landed = self._armed and not message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED
+        self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         if not landed:
             return None
         self.swapped += 1
         value = self._full_v - _OTHER_V if self._last_v == self._full_v else self._full_v
         self._last_v = value
-        return book.MAVLink_param_set_message(1, 1, _NAME, value, book.MAV_PARAM_TYPE_REAL32)
+        return dialect.MAVLink_param_set_message(1, 1, _NAME, value, dialect.MAV_PARAM_TYPE_REAL32)

@@ -6,7 +6,7 @@ import socket
 import time
 from dataclasses import dataclass, field
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.wire import Decoder, Encoder
 
@@ -14,11 +14,11 @@ from flighttest.sim.wire import Decoder, Encoder
 _SYSTEM, _COMPONENT = 254, 190
 _ASK_EVERY_S = 1.0
 _INTERVAL_US = 200_000.0
-_HAS_POSITION = book.EKF_POS_HORIZ_ABS | book.EKF_VELOCITY_HORIZ
+_HAS_POSITION = dialect.EKF_POS_HORIZ_ABS | dialect.EKF_VELOCITY_HORIZ
 _WANTED = (
-    book.MAVLINK_MSG_ID_SYS_STATUS,
-    book.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-    book.MAVLINK_MSG_ID_BATTERY_STATUS,
+    dialect.MAVLINK_MSG_ID_SYS_STATUS,
+    dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    dialect.MAVLINK_MSG_ID_BATTERY_STATUS,
 )
 
 
@@ -78,20 +78,20 @@ class ArmingProbe:
 
     def _ask(self) -> None:
         for number in _WANTED:
-            message = book.MAVLink_command_long_message(
-                1, 1, book.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, _INTERVAL_US, 0, 0, 0, 0, 0
+            message = dialect.MAVLink_command_long_message(
+                1, 1, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, _INTERVAL_US, 0, 0, 0, 0, 0
             )
             self._socket.sendall(self._encoder.message(message))
 
-    def _take(self, message: book.MAVLink_message) -> None:
+    def _take(self, message: dialect.MAVLink_message) -> None:
         kind, state = message.get_type(), self.state
         if kind == "HEARTBEAT":
             state.heard = True
         elif kind == "SYS_STATUS":
-            bit = book.MAV_SYS_STATUS_PREARM_CHECK
+            bit = dialect.MAV_SYS_STATUS_PREARM_CHECK
             state.checks_pass = bool(message.onboard_control_sensors_health & bit)
         elif kind == "EKF_STATUS_REPORT":
             flags = message.flags
-            state.has_position = flags & _HAS_POSITION == _HAS_POSITION and not flags & book.EKF_CONST_POS_MODE
+            state.has_position = flags & _HAS_POSITION == _HAS_POSITION and not flags & dialect.EKF_CONST_POS_MODE
         elif kind == "STATUSTEXT":
             state.texts.append(str(message.text))

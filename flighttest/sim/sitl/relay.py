@@ -17,7 +17,7 @@ from collections import deque
 from contextlib import suppress
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.wire import Decoder
 
@@ -81,7 +81,7 @@ class Relay:
         self._pending = bytearray()
         self._frames, self._decoder = FrameSplitter(), Decoder()
         self._queue: deque[Any] = deque()
-        self._encoder = book.MAVLink(None)
+        self._encoder = dialect.MAVLink(None)
         self.lockstep = self.resting = False
         self._granted_us: int | None = None
         self._now_us = 0
@@ -212,13 +212,13 @@ class Relay:
 
     def _say_parameter(self) -> None:
         self._say(
-            book.MAVLink_param_value_message(
-                PARAMETER.encode(), float(self.lockstep), book.MAV_PARAM_TYPE_INT8, 0, _NO_INDEX
+            dialect.MAVLink_param_value_message(
+                PARAMETER.encode(), float(self.lockstep), dialect.MAV_PARAM_TYPE_INT8, 0, _NO_INDEX
             )
         )
 
     def _mark(self, now_ms: int) -> None:
-        self._say(book.MAVLink_system_time_message(0, now_ms & 0xFFFFFFFF))
+        self._say(dialect.MAVLink_system_time_message(0, now_ms & 0xFFFFFFFF))
 
     def _say(self, message: Any) -> None:
         """A message of the vehicle's. It repeats the last sequence number: the firmware's count goes on without a gap."""

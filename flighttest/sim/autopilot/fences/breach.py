@@ -6,16 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.autopilot import modes
 from flighttest.sim.autopilot.parameters import ParameterStore
 from flighttest.sim.autopilot.vehicle import FenceArea
 
 MAX_ALTITUDE, CIRCLE, POLYGON = 1, 2, 4
-_INCLUSION = book.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
-_EXCLUSION = book.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
-_CIRCLES = (book.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, book.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
+_INCLUSION = dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+_EXCLUSION = dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+_CIRCLES = (dialect.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
 
 
 @dataclass(frozen=True)

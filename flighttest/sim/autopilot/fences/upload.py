@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as book
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flighttest.sim.autopilot import telemetry
 from flighttest.sim.autopilot.fences.breach import Area, areas_of
 from flighttest.sim.autopilot.vehicle import CommandedVehicle
 
-KIND = book.MAV_MISSION_TYPE_FENCE
+KIND = dialect.MAV_MISSION_TYPE_FENCE
 _MOST = 84  # of ArduCopter's storage on a small board
 _AGAIN_S, _OVER_S = 1.0, 8.0
-_ACCEPTED, _ERROR, _DENIED = book.MAV_MISSION_ACCEPTED, book.MAV_MISSION_ERROR, book.MAV_MISSION_DENIED
+_ACCEPTED, _ERROR, _DENIED = dialect.MAV_MISSION_ACCEPTED, dialect.MAV_MISSION_ERROR, dialect.MAV_MISSION_DENIED
 _FRAMES = (
-    book.MAV_FRAME_GLOBAL, book.MAV_FRAME_GLOBAL_INT, book.MAV_FRAME_GLOBAL_RELATIVE_ALT, book.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
 )  # fmt: skip
 
 
@@ -57,7 +58,7 @@ class FenceUpload:
         if self._incoming is not None and sender != self._sender:
             self._ack(sender, _DENIED)
         elif m.count > _MOST:
-            self._ack(sender, book.MAV_MISSION_NO_SPACE)
+            self._ack(sender, dialect.MAV_MISSION_NO_SPACE)
         elif m.count == 0:
             self.clear(m)
         else:
@@ -73,7 +74,7 @@ class FenceUpload:
             return  # it came twice
         self._heard_s = self._v.time_s
         if m.frame not in _FRAMES:
-            self._finish(book.MAV_MISSION_UNSUPPORTED_FRAME)
+            self._finish(dialect.MAV_MISSION_UNSUPPORTED_FRAME)
             return
         self._incoming.append(m)
         if len(self._incoming) < self._count:
@@ -94,18 +95,18 @@ class FenceUpload:
     def listed(self, m: Any) -> None:
         """MISSION_REQUEST_LIST: how many there are."""
         v = self._v
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_count_message(*_sender(m), len(self._items), KIND)))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_mission_count_message(*_sender(m), len(self._items), KIND)))
 
     def wanted(self, m: Any) -> None:
         """MISSION_REQUEST_INT: one of them."""
         v = self._v
         if not 0 <= m.seq < len(self._items):
-            self._ack(_sender(m), book.MAV_MISSION_INVALID_SEQUENCE)
+            self._ack(_sender(m), dialect.MAV_MISSION_INVALID_SEQUENCE)
             return
         item = self._items[m.seq]
         kept = (item.param1, 0.0, 0.0, 0.0, item.x, item.y, 0.0)
-        fields = (m.seq, book.MAV_FRAME_GLOBAL, item.command, 0, 0, *kept, KIND)
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_item_int_message(*_sender(m), *fields)))
+        fields = (m.seq, dialect.MAV_FRAME_GLOBAL, item.command, 0, 0, *kept, KIND)
+        v.outbox.append(v.encoder.message(dialect.MAVLink_mission_item_int_message(*_sender(m), *fields)))
 
     def look(self, t_s: float) -> None:
         """Follow FENCE_ENABLE, and ask again for what does not come."""
@@ -113,7 +114,7 @@ class FenceUpload:
         if self._incoming is None:
             return
         if t_s - self._heard_s > _OVER_S:
-            self._finish(book.MAV_MISSION_OPERATION_CANCELLED)
+            self._finish(dialect.MAV_MISSION_OPERATION_CANCELLED)
         elif t_s - self._asked_s > _AGAIN_S:
             self._request()
 
@@ -122,7 +123,7 @@ class FenceUpload:
         assert self._incoming is not None
         self._asked_s = v.time_s
         wanted = (*self._sender, len(self._incoming), KIND)
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_request_message(*wanted)))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_mission_request_message(*wanted)))
 
     def _finish(self, result: int) -> None:
         self._incoming = None
@@ -130,7 +131,7 @@ class FenceUpload:
 
     def _ack(self, sender: tuple[int, int], result: int) -> None:
         v = self._v
-        v.outbox.append(v.encoder.message(book.MAVLink_mission_ack_message(*sender, result, KIND)))
+        v.outbox.append(v.encoder.message(dialect.MAVLink_mission_ack_message(*sender, result, KIND)))
 
 
 def _sender(m: Any) -> tuple[int, int]:
