@@ -361,10 +361,10 @@ class _Flight:
 
     def _land_after(self, scheduler: Scheduler, error: LinkError) -> FlightOutcome:
         silent = isinstance(error, LinkSilent)
-        if silent and scheduler.control.machine.state is FlightState.ARMING:
+        if scheduler.control.machine.state is FlightState.ARMING and (silent or self.vehicle.armed):
             scheduler.disarm_when_heard()
-            return FlightOutcome.LINK_LOST
-        if not self.vehicle.armed and scheduler.control.machine.state in (FlightState.GROUND, FlightState.ARMING):
+            return FlightOutcome.LINK_LOST if silent else FlightOutcome.VEHICLE_REFUSED
+        if scheduler.control.machine.state in (FlightState.GROUND, FlightState.ARMING):
             scheduler.control.on(Event.OVER)
             return FlightOutcome.VEHICLE_REFUSED
         if not scheduler.control.owned:

@@ -28,6 +28,7 @@ class FlightOutcome(Enum):
     LEFT_TO_PILOT = "the flight ended with the pilot in control; nothing more was sent"
     VEHICLE_REFUSED = "the vehicle refused a command; the flight ended"
     CLIMB_ENDED = "the take-off was broken off"
+    ARMED_BY_PILOT = "the vehicle was armed by somebody else before the take-off; nothing was commanded"
     NOT_LANDED = "the vehicle was still armed long after it was asked to land"
     REBOOTED = "the autopilot started anew during the flight"
     DISARMED = "the vehicle disarmed by itself during the flight"

@@ -187,9 +187,9 @@ class ArduPilot:
 
     # -- deeds ---------------------------------------------------------------------------------------------------------------
 
-    def ask_mode(self, mode: CopterMode) -> None:
-        """Ask for a mode without waiting: the supervisor repeats it until HEARTBEAT shows it."""
-        self.session.send(
+    def ask_mode(self, mode: CopterMode) -> bool:
+        """Ask for a mode without waiting: the supervisor repeats it until HEARTBEAT shows it. False where nothing may be sent."""
+        return self.session.send(
             self._command_long(
                 dialect.MAV_CMD_DO_SET_MODE, (float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), float(mode)), 0
             )

@@ -61,6 +61,9 @@ class Session:
         self._timesync = TimeSync()
         self._asked_s: dict[int, float] = {}  # when each TIMESYNC question left, by its ts1
         self._answered_s: float | None = None  # when the newest answered one had left
+        self._unanswered_s: float | None = (
+            None  # when the oldest question left that waits for its answer, none since is answered
+        )
         self.mode_requests = ModeRequests()
         self._grants: Grants | None = None
         self._next_heartbeat_s = self._next_timesync_s = 0.0
@@ -97,7 +100,7 @@ class Session:
         self.link.on(LinkEvent.BOOTED, granted.now_s())
         self._timesync = TimeSync()
         self._asked_s.clear()
-        self._answered_s = None
+        self._answered_s = self._unanswered_s = None
         self._next_heartbeat_s = self._next_timesync_s = 0.0
 
     def _await_mark(self, grants: Grants) -> None:
@@ -175,8 +178,9 @@ class Session:
         if self.vehicle_system and now >= self._next_timesync_s:
             self._next_timesync_s = now + TIMESYNC_EVERY_S * max(self.clock.pace, 1.0)
             ts1 = self._timesync.ask(self.clock.ground_s())
-            self._asked_s[ts1] = now
-            self.send(dialect.MAVLink_timesync_message(tc1=0, ts1=ts1))
+            if self.send(dialect.MAVLink_timesync_message(tc1=0, ts1=ts1)):
+                self._asked_s[ts1] = now
+                self._unanswered_s = now if self._unanswered_s is None else self._unanswered_s
 
     def _take(self, timeout_s: float) -> None:
         """Take in what has arrived, all of it: after a pause of the host, a pilot's change of mode may be the last in the queue."""
@@ -203,11 +207,11 @@ class Session:
         if booted:
             self.latest.clear()  # what it sent before is not fresh, however late its clock was
             self._asked_s.clear()
-            self._answered_s = None
+            self._answered_s = self._unanswered_s = None
             self.boots += 1
         gap_s = t_s - self.last_heard_s
-        if gap_s > QUIET_S * max(self.clock.pace, 1.0) and self._answered_s is not None:
-            self._answered_s += gap_s  # answers were lost with all the rest
+        if gap_s > QUIET_S * max(self.clock.pace, 1.0) and self._unanswered_s is not None:
+            self._unanswered_s += gap_s  # answers were lost with all the rest
         self.last_heard_s = t_s
         self.latest[kind] = Heard(message, t_s)
         self.counts[kind] = self.counts.get(kind, 0) + 1
@@ -254,6 +258,7 @@ class Session:
             return False
         self._asked_s = {t: s for t, s in self._asked_s.items() if s > asked_s}
         self._answered_s = asked_s if self._answered_s is None else max(self._answered_s, asked_s)
+        self._unanswered_s = min(self._asked_s.values(), default=None)
         self.mode_requests.answered(asked_s, self.clock.now_s())
         return True
 
@@ -274,13 +279,13 @@ class Session:
 
     @property
     def uplink_silence_s(self) -> float:
-        """Vehicle seconds for which the vehicle was heard without a sign that anything we sent had arrived: since the last TIMESYNC
-        question left that was answered, less the time between two. 0 for a vehicle that never answered one."""
-        if self._answered_s is None:
+        """Vehicle seconds for which the vehicle was heard without a sign that anything we sent had arrived: since the oldest TIMESYNC
+        question left that neither it nor a later one was answered. 0 while none is open (a program that stood still asked none), and for
+        a vehicle that never answered one."""
+        if self._answered_s is None or self._unanswered_s is None:
             return 0.0
-        pace = max(self.clock.pace, 1.0)
-        heard_s = min(self.clock.now_s(), self.last_heard_s + QUIET_S * pace)
-        return max(heard_s - self._answered_s - TIMESYNC_EVERY_S * pace, 0.0)
+        heard_s = min(self.clock.now_s(), self.last_heard_s + QUIET_S * max(self.clock.pace, 1.0))
+        return max(heard_s - self._unanswered_s, 0.0)
 
     def answered_since(self, t_s: float) -> bool:
         """Whether a TIMESYNC question that left after t_s was answered: the vehicle has received, or never will, what was sent before."""
@@ -365,5 +370,5 @@ class Session:
                 "give its key: --signing-key FILE, or signing_key in vehicle.yaml",
             )
         self._asked_s.clear()  # on a clock that was not the vehicle's yet
-        self._answered_s = None
+        self._answered_s = self._unanswered_s = None
         return beat

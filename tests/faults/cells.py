@@ -55,6 +55,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("pilot brakes", 1.0, pilot_after_s=0.15, pilot_mode=CopterMode.BRAKE),
     Fault("pilot while down 3.2 s", 3.2, down=True, pilot_after_s=1.0),
     Fault("pilot while up 15 s", 15.0, up=True, pilot_after_s=1.0),
+    Fault("pilot while 300 ms latency", 30.0, latency_s=0.3, pilot_after_s=0.5),
 )
 STATES = tuple(when for when in When if when is not When.CONNECTING)
 QUICK: tuple[tuple[str, When], ...] = (
@@ -165,7 +166,8 @@ def _judged(
         return Cell(fault, when, "ENDLESS", proxy.now_s - EPOCH_S, (str(endless),))
     seconds = proxy.now_s - EPOCH_S
     handed = (FlightState.OFFERED, Event.FOREIGN_MODE) in changes
-    wrong = tuple(_wrong(proxy, result, truth(), handed=handed))
+    overruled = (FlightState.WITH_PILOT, Event.OVERRULED) in changes
+    wrong = tuple(_wrong(proxy, result, truth(), handed=handed, overruled=overruled))
     return Cell(fault, when, f"{result.outcome.name}, {result.left.name}", seconds, wrong)
 
 
@@ -193,8 +195,9 @@ def full_disk(proxy: Proxy) -> Iterator[None]:
         yield
 
 
-def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool) -> list[str]:
-    """What the result says that is not so, and what should have been. handed: to the pilot, by agreement."""
+def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool, overruled: bool) -> list[str]:
+    """What the result says that is not so, and what should have been. handed: to the pilot, by agreement; overruled: a request that was
+    under way when the pilot switched arrived after it, and the flight says so."""
     fault, left = proxy.fault, result.left
     found = []
     truths = {
@@ -202,7 +205,8 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
         FlightState.NOT_ARMED: not vehicle.armed,
         FlightState.DISARMED: not vehicle.armed,
         FlightState.WITH_PILOT: (handed and vehicle.mode != CopterMode.GUIDED)
-        or (proxy.switched_s is not None and vehicle.mode == fault.pilot_mode),
+        or (proxy.switched_s is not None and vehicle.mode == fault.pilot_mode)
+        or (fault.arm and vehicle.armed and not proxy.reached(When.ARMING)),
         FlightState.IN_ABORT_MODE: vehicle.armed
         and vehicle.mode in (CopterMode.BRAKE, CopterMode.LOITER, CopterMode.LAND),
     }
@@ -216,11 +220,11 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
     )
     # One that never took off disarms by itself.
     grounded = left is FlightState.DISARMED and vehicle.landed and not vehicle.armed and not proxy.reached(When.FLYING)
-    if reported_unsafe and not (fault.for_good or fault.reboot or fault.kill or grounded):
+    if reported_unsafe and not (fault.for_good or fault.reboot or fault.kill or grounded or overruled):
         found.append(f"left {left.name} by a fault that passed")
     if vehicle.armed and not reported_unsafe and left not in (FlightState.WITH_PILOT, FlightState.IN_ABORT_MODE):
         found.append("armed, and not said so")
-    if proxy.switched_s is not None and fault.lasts_s < 1e3 and not handed:
+    if proxy.switched_s is not None and fault.lasts_s < 1e3 and not handed and not overruled:
         same = proxy.when is When.ABORTING and fault.pilot_mode is CopterMode.BRAKE  # what was asked for anyhow
         if proxy.when is not When.PREFLIGHT and not same and vehicle.mode != fault.pilot_mode:
             found.append(f"the pilot chose {fault.pilot_mode.name}, the vehicle is in mode {vehicle.mode}")
@@ -242,6 +246,8 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
 def _seen_by(proxy: Proxy) -> float:
     """When the pilot's mode can be seen at the latest."""
     assert proxy.switched_s is not None
+    if proxy.fault.latency_s:
+        return proxy.switched_s + proxy.fault.latency_s
     if not proxy.fault.down or proxy.began_s is None:
         return proxy.switched_s
     return max(proxy.switched_s, proxy.began_s + proxy.fault.lasts_s)

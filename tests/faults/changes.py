@@ -54,6 +54,10 @@ def _refused_by_pilot() -> Plan:
     return make_plan(make_leg("a", profile=_too_steep), make_leg("b"), by="pilot")
 
 
+def _resting_first() -> Plan:
+    return make_plan(replace(make_leg("rest", duration_s=8.0), motors_off=True), make_leg())
+
+
 def _resting() -> Plan:
     return make_plan(replace(make_leg("rest", duration_s=45.0), motors_off=True))
 
@@ -66,6 +70,7 @@ PLANS = {
     "pilot flies": _by_pilot,
     "refused step, pilot flies": _refused_by_pilot,
     "rest": _resting,
+    "rest, one step": _resting_first,
 }
 
 
@@ -153,12 +158,20 @@ PROVOKED: tuple[Provoked, ...] = (
     Provoked(
         S.GROUND, E.DOWNLINK_GONE, Fault("down for good", FOR_GOOD_S, down=True), "rest", 12.0, when=When.PREFLIGHT
     ),
+    Provoked(S.GROUND, E.ARMED, Fault("pilot arms", 1.0, arm=True), "rest, one step", 8.0, when=When.PREFLIGHT),
     Provoked(S.ASKING, E.GIVEN_UP, Fault("Ctrl-C twice, up for good", FOR_GOOD_S, up=True, presses=2)),
     Provoked(S.CLIMBING, E.OVER, _BROKEN, "by attitude", 1.0),
     Provoked(S.RETURNING, E.OVER, _BROKEN, "by attitude", 1.0),
     Provoked(S.FLYING, E.OVER, _BROKEN, "one step", 0.4),
     Provoked(S.ASKING, E.OVER, _BROKEN),
     Provoked(S.LANDING, E.OVER, _BROKEN, "one step", 1.0),
+    Provoked(
+        S.WITH_PILOT,
+        E.OVERRULED,
+        Fault("pilot 100 ms after a request, 300 ms latency", 30.0, latency_s=0.3, pilot_after_s=0.1),
+        "one step",
+        when=When.ENTERING,
+    ),
     Provoked(S.LANDING, E.NOT_DOWN, Fault("a descent of 1 cm/s", FOR_GOOD_S), parameters={"LAND_SPD_MS": 0.01}),
     Provoked(S.RETURNING, E.HAND_OVER, Fault("pilot", 1.0, pilot_after_s=0.5, back_after_s=3.0), "by pilot"),
     Provoked(S.OFFERED, E.HANDED_BACK, Fault("pilot chooses GUIDED_NOGPS at once", 1.0, back_after_s=1.0), "by pilot"),

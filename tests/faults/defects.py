@@ -33,7 +33,7 @@ class Cure:
 
 @dataclass(frozen=True)
 class Defect:
-    """name: D1 to D19; what: as it was seen."""
+    """name: D1 to D19 as reported first, D20 and on as found later; what: as it was seen."""
 
     name: str
     what: str
@@ -154,6 +154,28 @@ DEFECTS: tuple[Defect, ...] = (
              "return self.send(message)",
              ("tests/link/test_sender.py::test_a_target_leaves_on_time_while_the_program_computes",)),
     )),
+    Defect("D20", "repeated mode requests under way overrule a pilot's take-over; the flight goes on, or calls it the pilot's", (
+        Cure("flight/execution/supervisor.py",
+             "return state.t_s - state.mode_age_s > self._handled_s or now - self._asked_s >= ASK_ANYWAY_S", "return True",
+             ("tests/flight/test_pilot_first.py::test_no_repeated_request_overrules_a_pilot",)),
+        Cure(_MACHINE, "table[S.WITH_PILOT, E.OVERRULED] = Next(S.TO_AUTOPILOT)", "pass",
+             ("tests/flight/test_pilot_first.py::test_a_request_that_was_under_way_is_said_where_it_overrules_a_pilot",)),
+    )),
+    _one(
+        "D21", "a vehicle that the pilot armed after the preflight is commanded",
+        "flight/execution/scheduler.py", "if vehicle.armed:  # since", "if False:  # since",
+        "tests/flight/test_pilot_first.py::test_a_pilot_who_arms_while_the_operator_is_asked_keeps_the_vehicle",
+    ),
+    _one(
+        "D22", "a vehicle that does not confirm to be disarmed is called not armed",
+        "flight/execution/scheduler.py", "self.control.on(Event.OVER if confirmed else Event.ARMED)", "self.control.on(Event.OVER)",
+        "tests/flight/test_pilot_first.py::test_a_vehicle_that_does_not_confirm_to_be_disarmed_is_not_called_so",
+    ),
+    _one(
+        "D23", "a vehicle that is armed while a command before it is refused ends the program with a traceback",
+        "flight/fly.py", "is FlightState.ARMING and (silent or self.vehicle.armed):", "is FlightState.ARMING and silent:",
+        "tests/flight/test_pilot_first.py::test_a_mode_that_is_refused_to_an_armed_vehicle_ends_in_an_outcome",
+    ),
 )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ class Fault:
     false_disarmed: one HEARTBEAT that is not so; presses: how often Ctrl-C is pressed; disk: the disk of the record is full; cut: the
     first frame each way breaks off in its middle, as where a connection is reset; kill: the pilot stops the motors, once; no_beats: the
     vehicle's HEARTBEATs are lost meanwhile; back_after_s: when the pilot chooses GUIDED_NOGPS; anew: the vehicle's clock begins anew,
-    which nothing else shows; broken: the transport raises an error of a kind that the code does not expect.
+    which nothing else shows; arm: the pilot arms, once; broken: the transport raises an error of a kind that the code does not expect.
     """
 
     name: str
@@ -85,6 +85,7 @@ class Fault:
     disk: bool = False
     cut: bool = False
     kill: bool = False
+    arm: bool = False
     no_beats: bool = False
     back_after_s: float | None = None
     anew: bool = False
@@ -204,6 +205,8 @@ class Proxy:
             self._choose(CopterMode.GUIDED_NOGPS)
         if self._once("kill", fault.kill):
             self._kill()
+        if self._once("arm", fault.arm):
+            self._arm()
         if self._once("reboot", fault.reboot):
             self._reboot()
 
@@ -220,6 +223,11 @@ class Proxy:
     def _choose(self, mode: CopterMode) -> None:
         chosen = dialect.MAVLink_param_set_message(1, 1, b"SIM_PILOT_MODE", float(mode), 9)
         self._to_vehicle(bytes(chosen.pack(self._station)))
+
+    def _arm(self) -> None:
+        """The pilot arms, as by the sticks of the transmitter."""
+        arm = (dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, 0, 0, 0, 0, 0, 0)
+        self._to_vehicle(bytes(dialect.MAVLink_command_long_message(1, 1, *arm).pack(self._station)))
 
     def _kill(self) -> None:
         """The pilot stops the motors, as by a switch of the transmitter."""

@@ -388,3 +388,12 @@ def test_what_is_kept_of_the_clock_does_not_grow() -> None:
     assert offset.error_s == pytest.approx(0.005)
     assert offset.samples == 5000
     assert len(sync._asked) <= 1000
+
+
+def test_a_question_that_did_not_leave_is_not_unanswered() -> None:
+    session = session_of(ScriptedVehicle(Host()))
+    session.advance(session.now_s() + 1.0)
+    session.held = True
+    session.advance(session.now_s() + 12.0)
+    assert session.uplink_silence_s < 0.5
+    session.require_link()

@@ -137,6 +137,8 @@ class FlightControl:
         if text and self.machine.state is not FlightState.GROUND:
             self.recorder.event("note", text, t_s)
             self.alarm(text)
+        if self.taken_over and message.get_type() == "HEARTBEAT":
+            self._watch_overruled(int(message.custom_mode), t_s)
         if not self.machine.ours:
             return
         if message.get_type() == "PARAM_VALUE":
@@ -147,6 +149,15 @@ class FlightControl:
             self.alarm(f"message of the vehicle: {message.text.strip()}")  # a lost transmitter, a failsafe, a fence
         if message.get_type() == "HEARTBEAT":
             self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
+
+    def _watch_overruled(self, mode: int, t_s: float) -> None:
+        """A request that was under way when the pilot took over may arrive after the pilot's."""
+        if self.machine.state is not FlightState.WITH_PILOT or mode not in self.session.mode_requests.open:
+            return
+        self.machine.on(Event.OVERRULED)
+        text = f"the vehicle is in {mode_name(mode)} by a request that was under way at the take-over: move the mode switch again"
+        self.recorder.event("note", text, t_s, {"mode": mode})
+        self.alarm(text)
 
     def _watch_mode(self, mode: int, armed: bool, t_s: float) -> None:
         foreign = not self.session.mode_requests.shows(mode, t_s) and mode != self._mode

@@ -62,6 +62,7 @@ class Event(Enum):
     HAND_OVER = "the pilot is to fly to the start"
     HANDED_BACK = "the pilot switched to GUIDED_NOGPS"
     FOREIGN_MODE = "HEARTBEAT shows a mode that was not asked for"
+    OVERRULED = "after a take-over HEARTBEAT shows a mode that had been asked for before it was seen"
     DISARMED = "HEARTBEAT shows disarmed after armed"
     DROPPED = "HEARTBEAT shows disarmed after armed, and a mode that was not asked for"
     REBOOTED = "the vehicle's clock began anew"
@@ -96,6 +97,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         # what the program does
         (S.GROUND, E.ARM): Next(S.ARMING),
         (S.ARMING, E.ARMED): Next(S.CLIMBING),
+        (S.GROUND, E.ARMED): Next(S.WITH_PILOT, Out.ARMED_BY_PILOT),
         **{(s, E.RETURN): Next(S.RETURNING) for s in (*_STEERED, S.HOLDING, S.LANDING)},
         (S.RETURNING, E.SETTLED): Next(S.FLYING),
         **{(s, E.ASK): Next(S.ASKING) for s in (*_STEERED, S.ASKING, S.HOLDING, S.LANDING, S.OFFERED)},
@@ -138,7 +140,10 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.LANDING, E.OVER): Next(S.LANDING_UNSEEN),
         **{(s, E.OVER): Next(S.TO_AUTOPILOT) for s in (*_STEERED, S.ASKING, S.OFFERED)},
     }  # fmt: skip
-    table |= {(s, e): Next(s) for s, e in product(ENDS, Event)}  # nothing changes an end
+    table |= {
+        (s, e): Next(s) for s, e in product(ENDS, Event)
+    }  # nothing changes an end, but a request that was under way
+    table[S.WITH_PILOT, E.OVERRULED] = Next(S.TO_AUTOPILOT)
     return {place: table[place] for place in product(FlightState, Event) if place in table}
 
 
@@ -186,7 +191,7 @@ class Machine:
 
 def table_as_markdown() -> str:
     """The table, states down and events across, for the documentation."""
-    live = [s for s in FlightState if not s.is_end]
+    live = [s for s in FlightState if not s.is_end or any(TABLE[s, e].state is not s for e in Event)]
     rows = []
     for state in live:
         cells = []
@@ -195,7 +200,7 @@ def table_as_markdown() -> str:
             if following is None:
                 cells.append("")
             elif following.state is state:
-                cells.append("stays")
+                cells.append("" if state.is_end else "stays")
             else:
                 ends = f" ({following.outcome.name})" if following.outcome is not None else ""
                 cells.append(f"{following.state.name}{ends}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,7 @@ from flighttest.flight.execution.reset import Arrival
 from flighttest.flight.execution.response import Learnt, Replanner, ThrottleTrace
 from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.outcome import FlightEnded, FlightOutcome, LegOutcome, LegResult
+from flighttest.link.session import LinkSilent
 from flighttest.mavlink import CopterMode
 from flighttest.plan import AttitudeTarget, Leg, Plan
 
@@ -92,12 +94,13 @@ class Scheduler:
         control.show(
             legs=len(self.plan.legs), doing="arming", next="take-off", time_left_s=self._time_left(self.plan.legs)
         )
+        if vehicle.armed:  # since the preflight: while the operator was asked, or a step rested with motors off
+            control.on(Event.ARMED)
         # Before arming: that may take a minute, and a pilot who changes the mode meanwhile means it not to fly.
         control.on(Event.ARM)
         vehicle.set_mode(CopterMode.GUIDED if by_position else CopterMode.GUIDED_NOGPS)
         if not vehicle.arm(stopped=lambda: control.stop_asked) or control.stop_asked:
-            vehicle.disarm()
-            control.on(Event.OVER)
+            self._disarm()
             return self._stopped()
         control.on(Event.ARMED)
         control.recorder.event("note", "armed", control.session.now_s())
@@ -118,13 +121,21 @@ class Scheduler:
         return self._climb(height)
 
     def disarm_when_heard(self) -> None:
-        """The link was lost while arming: it may be armed by now. FlightEnded where it does not come back."""
+        """The link was lost while arming: it may be armed by now. FlightEnded where it does not come back, or is not seen to disarm."""
         control = self.control
         control.after()
-        while max(control.state.mode_age_s, control.state.uplink_silence_s) > supervisor.UNSEEN_S:
+        while control.machine.state is FlightState.ARMING:
+            if max(control.state.mode_age_s, control.state.uplink_silence_s) <= supervisor.UNSEEN_S:
+                with contextlib.suppress(LinkSilent):  # lost again
+                    self._disarm()
             control.cycle()
-        control.vehicle.disarm()
-        control.on(Event.OVER)
+        if control.owned:
+            self.land()
+
+    def _disarm(self) -> None:
+        """Disarm a vehicle that has not taken off. It is still ours, to be landed, where it is armed and does not confirm."""
+        confirmed = self.control.vehicle.disarm().accepted or not self.control.vehicle.armed
+        self.control.on(Event.OVER if confirmed else Event.ARMED)
 
     def _climb(self, height: float) -> FlightOutcome | None:
         return None if self._reaches(height - 0.5, TAKE_OFF_WITHIN_S) else self._not_climbed(height)

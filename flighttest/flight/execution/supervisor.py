@@ -14,6 +14,7 @@ from flighttest.mavlink.dialect import dialect
 from flighttest.recording.manifest import EventData
 
 ASK_EVERY_S = 0.2
+ASK_ANYWAY_S = 2.0  # without an answer: the gate flies no step on a link that takes longer
 NEXT_MODE_AFTER_S = 1.5
 _ENTRY_S = 3.0
 # Without a HEARTBEAT for so long no mode is asked for: the pilot may have chosen one, and would not be seen.
@@ -70,6 +71,31 @@ def abort(control: FlightControl, why: tuple[str, ...], step: str = "") -> Copte
     return ask_until_shown(control, modes, control.release)
 
 
+class ModeRequest:
+    """When a mode is asked for: at once, and again only where the request is known to be lost, so that no repeat that is under way
+    arrives after a pilot's change of mode and overrules it. Known: a question that left after it was answered, and a HEARTBEAT that came
+    after that answer still shows another mode."""
+
+    def __init__(self, control: FlightControl) -> None:
+        self._control = control
+        self._asked_s = self._handled_s = -math.inf
+
+    def ask_where_due(self, mode: CopterMode) -> None:
+        """Ask for a mode if it is time to."""
+        if self.due and self._control.vehicle.ask_mode(mode):
+            self._asked_s, self._handled_s = self._control.session.now_s(), math.inf
+
+    @property
+    def due(self) -> bool:
+        """Whether a request may leave now: the vehicle is heard, so that a pilot's change of mode would be seen, and none is under way."""
+        state, now = self._control.state, self._control.session.now_s()
+        if state.mode_age_s >= UNSEEN_S or state.silence_s >= UNHEARD_S or now - self._asked_s < ASK_EVERY_S:
+            return False
+        if math.isinf(self._handled_s) and self._control.session.answered_since(self._asked_s):
+            self._handled_s = now
+        return state.t_s - state.mode_age_s > self._handled_s or now - self._asked_s >= ASK_ANYWAY_S
+
+
 def ask_until_shown(control: FlightControl, modes: tuple[CopterMode, ...], meanwhile: Callable[[], None]) -> CopterMode:
     """Ask for modes, one after the other, until HEARTBEAT shows one of them, however long the link takes; meanwhile: called each cycle.
 
@@ -77,7 +103,7 @@ def ask_until_shown(control: FlightControl, modes: tuple[CopterMode, ...], meanw
     """
     release_s = math.inf
     began = control.session.now_s()
-    next_ask = began
+    request = ModeRequest(control)
     heard_again = began
     index = 0
     # Only what was asked for: a pilot who chooses another mode meanwhile, be it one of ours, has taken over.
@@ -89,12 +115,10 @@ def ask_until_shown(control: FlightControl, modes: tuple[CopterMode, ...], meanw
             release_s = min(release_s, now + (RELEASE_AFTER_S if control.stop_now else STOP_AFTER_S))
             if now > release_s:
                 control.on(Event.GIVEN_UP if control.stop_now else Event.UPLINK_GONE)
-        if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
-            if control.state.silence_s < 1.0 and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
-                index = min(index + 1, len(modes) - 1)
-                control.ask_safe_mode(modes[: index + 1])
-            control.vehicle.ask_mode(modes[index])
-            next_ask = now + ASK_EVERY_S
+        if request.due and now - heard_again > NEXT_MODE_AFTER_S * (index + 1):
+            index = min(index + 1, len(modes) - 1)
+            control.ask_safe_mode(modes[: index + 1])
+        request.ask_where_due(modes[index])
         state = control.cycle()
         if control.machine.state is not FlightState.ASKING:
             control.recorder.event("mode", mode_name(state.mode), state.t_s, {"mode": state.mode})
@@ -127,14 +151,12 @@ def come_to_rest(control: FlightControl) -> None:
 def enter(
     control: FlightControl, mode: CopterMode, timeout_s: float = 5.0, meanwhile: Callable[[], None] | None = None
 ) -> bool:
-    """Ask for a mode every 0.2 s until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
+    """Ask for a mode until a fresh HEARTBEAT shows it; False after timeout_s. meanwhile: called each cycle."""
     deadline = control.session.now_s() + timeout_s
-    next_ask = -1.0
+    request = ModeRequest(control)
     while True:
         now = control.session.now_s()
-        if now >= next_ask and control.state.mode_age_s < UNSEEN_S and control.state.silence_s < UNHEARD_S:
-            control.vehicle.ask_mode(mode)
-            next_ask = now + ASK_EVERY_S
+        request.ask_where_due(mode)
         state = control.cycle()
         if state.mode == mode and state.mode_age_s < UNSEEN_S:
             return True

@@ -1,0 +1,109 @@
+"""A pilot who takes the vehicle just when something is asked of it: over a slow link, before the take-off, and while a link fails."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from flighttest.errors import LinkError
+from flighttest.flight import FlightOutcome, FlightState
+from flighttest.link.ardupilot import ArduPilot
+from flighttest.mavlink import CopterMode
+from flighttest.mavlink.dialect import dialect
+from tests.faults.cells import Cell, fly_cell
+from tests.faults.changes import PROVOKED
+from tests.faults.proxy import Fault, When
+from tests.flight.faulty import FaultyLink, fly, make_plan, options
+
+LATENCY_S = 0.3
+
+
+def over_a_slow_link(when: When, after_s: float, folder: Path) -> Cell:
+    """The pilot chooses LOITER so long after the first request of that kind left, over a link that takes 0.3 s each way."""
+    return fly_cell(Fault("pilot", 60.0, latency_s=LATENCY_S, pilot_after_s=after_s), when, folder)
+
+
+@pytest.mark.parametrize("after_s", [0.4, 0.5, 0.6, 0.7])
+@pytest.mark.parametrize("when", [When.ENTERING, When.RETURNING, When.ABORTING, When.LANDING])
+def test_no_repeated_request_overrules_a_pilot(when: When, after_s: float, run_dir: Path) -> None:
+    """Repeats every 0.2 s were under way when the pilot's mode was seen, arrived after it, and the flight went on."""
+    cell = over_a_slow_link(when, after_s, run_dir)
+    assert cell.ok, (cell.ended, cell.wrong)
+    # In an abort LAND is asked for as soon as BRAKE is shown, before this switch can be seen: that one request is under way then.
+    allowed = {"WITH_PILOT", "TO_AUTOPILOT"} if when is When.ABORTING else {"WITH_PILOT"}
+    assert cell.ended.split(", ")[1] in allowed, cell.ended
+
+
+@pytest.mark.parametrize("when", [When.ENTERING, When.RETURNING, When.ABORTING, When.LANDING])
+def test_a_request_that_was_under_way_is_said_where_it_overrules_a_pilot(when: When, run_dir: Path) -> None:
+    """The pilot switches 0.2 s before the one request arrives: the vehicle is not said to be the pilot's."""
+    cell = over_a_slow_link(when, 0.1, run_dir)
+    assert cell.ok, (cell.ended, cell.wrong)
+    assert cell.ended.endswith("TO_AUTOPILOT"), cell.ended
+    assert (FlightState.WITH_PILOT.name, "OVERRULED") in {(s.name, e.name) for s, e in cell.changes}
+
+
+def by_others(link: FaultyLink, command: int, *parameters: float) -> None:
+    """A command of the pilot's own ground station."""
+    values = (*parameters, *([0.0] * (7 - len(parameters))))
+    message = dialect.MAVLink_command_long_message(1, 1, command, 0, *values)
+    link.sim.send(bytes(message.pack(link._pilot)))
+
+
+def test_a_pilot_who_arms_while_the_operator_is_asked_keeps_the_vehicle(run_dir: Path) -> None:
+    """GUIDED was asked for of a vehicle that a pilot had taken off with since the preflight."""
+    link, asked = FaultyLink(options()), []
+
+    def confirm(_text: str) -> bool:
+        asked.append(len(link.sent))
+        by_others(link, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        time.sleep(0.5)  # some HEARTBEATs
+        return True
+
+    result = fly(make_plan(), "sim", run_dir, transport=link, confirm=confirm)
+    assert result.outcome is FlightOutcome.ARMED_BY_PILOT
+    assert result.left is FlightState.WITH_PILOT
+    assert not result.as_planned
+    assert link.sim.vehicle.armed
+    assert link.sim.vehicle.mode not in (CopterMode.GUIDED, CopterMode.GUIDED_NOGPS)
+    assert "COMMAND_LONG" not in {kind for _, kind in link.sent[asked[0] :]}, "nothing is commanded"
+
+
+def test_a_vehicle_that_does_not_confirm_to_be_disarmed_is_not_called_so(run_dir: Path) -> None:
+    """The operator stops while it arms, and what is sent from then on is lost: the motors may run."""
+    link, armed_s = FaultyLink(options()), []
+
+    def stops() -> int:
+        if link.sim.vehicle.armed and not armed_s:
+            armed_s.append(link.sim.time_s)
+        return int(bool(armed_s))
+
+    link.deaf = lambda _t: bool(armed_s)
+    result = fly(make_plan(), "sim", run_dir, transport=link, stop_requested=stops)
+    assert armed_s
+    assert result.left is not FlightState.NOT_ARMED, result.sentence
+
+
+def test_a_mode_that_is_refused_to_an_armed_vehicle_ends_in_an_outcome(
+    monkeypatch: pytest.MonkeyPatch, run_dir: Path
+) -> None:
+    """The pilot arms while GUIDED is asked for and refused: an event that the table of states had no row for."""
+    link = FaultyLink(options())
+
+    def refused(vehicle: ArduPilot, mode: CopterMode) -> None:
+        by_others(link, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        vehicle.session.advance(vehicle.session.now_s() + 1.0)
+        raise LinkError(f"the vehicle did not enter {mode.name}", "")
+
+    monkeypatch.setattr(ArduPilot, "set_mode", refused)
+    result = fly(make_plan(), "sim", run_dir, transport=link)
+    assert result.outcome is FlightOutcome.VEHICLE_REFUSED, result.sentence
+    assert result.left is FlightState.NOT_ARMED
+    assert not link.sim.vehicle.armed
+
+
+def test_every_change_that_a_pilot_makes_has_a_flight() -> None:
+    flown = {(p.state.name, p.event.name) for p in PROVOKED}
+    assert {("GROUND", "ARMED"), ("WITH_PILOT", "OVERRULED")} <= flown
