@@ -176,6 +176,21 @@ DEFECTS: tuple[Defect, ...] = (
         "flight/fly.py", "is FlightState.ARMING and (silent or self.vehicle.armed):", "is FlightState.ARMING and silent:",
         "tests/flight/test_pilot_first.py::test_a_mode_that_is_refused_to_an_armed_vehicle_ends_in_an_outcome",
     ),
+    _one(
+        "D24", "one false HEARTBEAT hands a vehicle back that a pilot flies",
+        "flight/execution/reset.py", "elif first is None:\n            first = beats\n        elif beats > first:", "else:",
+        "tests/flight/test_pilot_first.py::test_one_frame_hands_no_vehicle_back",
+    ),
+    _one(
+        "D25", "a vehicle that arms after a take-over by a request that was under way is called not armed",
+        _MACHINE, "table[S.NOT_ARMED, E.ARMED] = Next(S.WITH_PILOT)", "pass",
+        "tests/flight/test_pilot_first.py::test_a_vehicle_that_arms_after_a_take_over_is_not_called_unarmed",
+    ),
+    _one(
+        "D26", "a host that stands still between reading and looking at the link abandons the vehicle",
+        _CONTROL, "if unheard and self._unheard:", "if unheard:",
+        "tests/flight/test_unseen.py::test_a_program_that_stood_still_after_it_had_read_reads_first",
+    ),
 )  # fmt: skip
 
 

@@ -79,7 +79,7 @@ class Fault:
     pilot_mode: CopterMode = CopterMode.LOITER
     corrupt: float = 0.0
     bytes_per_s: float | None = None
-    false_mode: bool = False
+    false_mode: CopterMode | None = None
     false_disarmed: bool = False
     presses: int = 0
     disk: bool = False
@@ -301,9 +301,9 @@ class Proxy:
             return bytes(dialect.MAVLink_param_value_message(b"SIM_NO_LOCKSTEP", *value).pack(again))
         if self.began_s is None or self.now_s < self.began_s:
             return bytes(message.get_msgbuf())  # type: ignore[attr-defined]
-        if kind == "HEARTBEAT" and self._once("false", fault.false_mode or fault.false_disarmed):
-            if fault.false_mode:
-                message.custom_mode = int(CopterMode.LOITER)  # type: ignore[attr-defined]
+        if kind == "HEARTBEAT" and self._once("false", fault.false_mode is not None or fault.false_disarmed):
+            if fault.false_mode is not None:
+                message.custom_mode = int(fault.false_mode)  # type: ignore[attr-defined]
             else:
                 message.base_mode &= ~dialect.MAV_MODE_FLAG_SAFETY_ARMED  # type: ignore[attr-defined]
             return bytes(message.pack(again))  # type: ignore[attr-defined]

@@ -96,7 +96,6 @@ LANDING   NOT_DOWN      LANDING_UNSEEN NOT_LANDED
 LANDING   OVER          LANDING_UNSEEN
 OFFERED   RETURN        OFFERED
 OFFERED   HAND_OVER     OFFERED
-OFFERED   HANDED_BACK   RETURNING
 OFFERED   FOREIGN_MODE  HANDED
 OFFERED   ASK           ASKING
 OFFERED   DISARMED      DISARMED       DISARMED
@@ -190,7 +189,10 @@ def test_only_a_mode_of_the_pilots_makes_the_vehicle_the_pilots() -> None:
 
 def test_an_end_is_an_end_and_only_some_are_safe() -> None:
     changed = {(s, e): TABLE[s, e].state for s in ENDS for e in Event if TABLE[s, e].state is not s}
-    assert changed == {(FlightState.WITH_PILOT, Event.OVERRULED): FlightState.TO_AUTOPILOT}
+    assert changed == {
+        (FlightState.WITH_PILOT, Event.OVERRULED): FlightState.TO_AUTOPILOT,
+        (FlightState.NOT_ARMED, Event.ARMED): FlightState.WITH_PILOT,
+    }
     assert {s for s in ENDS if s.is_safe} == {FlightState.NOT_ARMED, FlightState.LANDED, FlightState.WITH_PILOT}
 
 

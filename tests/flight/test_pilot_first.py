@@ -12,8 +12,9 @@ from flighttest.flight import FlightOutcome, FlightState
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect
-from tests.faults.cells import Cell, fly_cell
-from tests.faults.changes import PROVOKED
+from flighttest.sim import SimOptions
+from tests.faults.cells import Cell, changes_of_state, fly_cell
+from tests.faults.changes import PROVOKED, Piloted
 from tests.faults.proxy import Fault, When
 from tests.flight.faulty import FaultyLink, fly, make_plan, options
 
@@ -43,6 +44,13 @@ def test_a_request_that_was_under_way_is_said_where_it_overrules_a_pilot(when: W
     assert cell.ok, (cell.ended, cell.wrong)
     assert cell.ended.endswith("TO_AUTOPILOT"), cell.ended
     assert (FlightState.WITH_PILOT.name, "OVERRULED") in {(s.name, e.name) for s, e in cell.changes}
+
+
+def test_a_vehicle_that_arms_after_a_take_over_is_not_called_unarmed(run_dir: Path) -> None:
+    """The pilot switches as the request to arm leaves; it arrives 0.3 s later."""
+    cell = over_a_slow_link(When.ARMING, 0.0, run_dir)
+    assert cell.ok, (cell.ended, cell.wrong)
+    assert cell.ended == "TAKE_OVER, WITH_PILOT"
 
 
 def by_others(link: FaultyLink, command: int, *parameters: float) -> None:
@@ -104,6 +112,24 @@ def test_a_mode_that_is_refused_to_an_armed_vehicle_ends_in_an_outcome(
     assert not link.sim.vehicle.armed
 
 
+def test_one_frame_hands_no_vehicle_back(run_dir: Path) -> None:
+    """The pilot flies by agreement, and one false HEARTBEAT shows GUIDED_NOGPS: the mode was asked for, and entered."""
+    options = SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0)
+    false = Fault("one false hand-back, then Ctrl-C", 1.0, false_mode=CopterMode.GUIDED_NOGPS, presses=1)
+    proxy = Piloted(options, false, FlightState.HANDED, 2.0)
+    pressed_s = 4.0
+
+    def stops() -> int:
+        return int(proxy.began_s is not None and proxy.now_s > proxy.began_s + pressed_s)
+
+    with changes_of_state(proxy):
+        result = fly(
+            make_plan(by="pilot"), "proxy", run_dir, transport=proxy, clock=proxy.clock(), stop_requested=stops
+        )
+    assert result.outcome is FlightOutcome.LEFT_TO_PILOT, result.sentence
+    assert proxy.sim.vehicle.mode == CopterMode.LOITER
+
+
 def test_every_change_that_a_pilot_makes_has_a_flight() -> None:
     flown = {(p.state.name, p.event.name) for p in PROVOKED}
-    assert {("GROUND", "ARMED"), ("WITH_PILOT", "OVERRULED")} <= flown
+    assert {("GROUND", "ARMED"), ("NOT_ARMED", "ARMED"), ("WITH_PILOT", "OVERRULED")} <= flown

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from flighttest.flight import FlightOutcome, LegOutcome
+from flighttest.flight import FlightOutcome, FlightState, LegOutcome
 from flighttest.flight.execution import supervisor
 from flighttest.flight.preparation.preflight import Check
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect
+from flighttest.sim import SimOptions
+from tests.faults.proxy import Fault, Proxy, When
 from tests.flight.faulty import GOOD, FaultyLink, fly, make_leg, make_plan, options
 
 
@@ -142,3 +144,20 @@ def test_a_mode_that_reads_the_throttle_stick_is_only_asked_for_with_the_stick_a
 ) -> None:
     state = replace(GOOD, position_ok=position, throttle_stick=stick)
     assert [mode.name for mode in supervisor.abort_modes(state)] == modes
+
+
+class StandsStill(Proxy):
+    """The program stands still for 65 s between reading all that has come and looking at the link, in the first step."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        if timeout_s == 0.0 and self._once("still", self.reached(When.FLYING)):
+            self._pass(65.0)
+            return b""
+        return super().receive(timeout_s)
+
+
+def test_a_program_that_stood_still_after_it_had_read_reads_first(run_dir: Path) -> None:
+    """A laptop that was suspended there: 30 s without a HEARTBEAT, and hundreds of them waiting to be read."""
+    proxy = StandsStill(SimOptions(lockstep=False, ready_s=1.0, gps_s=2.0), Fault("nothing"), When.FLYING)
+    result = fly(make_plan(make_leg("a"), make_leg("b")), "proxy", run_dir, transport=proxy, clock=proxy.clock())
+    assert result.left is FlightState.LANDED, result.sentence

@@ -97,6 +97,7 @@ class FlightControl:
         self._safe_modes: frozenset[int] = frozenset()
         self._was_armed = False
         self._unconfirmed: Unconfirmed | None = None
+        self._unheard = False
         self._boots = self.session.boots
         self._others = set(self.session.others)
         self.streams: StreamRates | None = None
@@ -138,7 +139,7 @@ class FlightControl:
             self.recorder.event("note", text, t_s)
             self.alarm(text)
         if self.taken_over and message.get_type() == "HEARTBEAT":
-            self._watch_overruled(int(message.custom_mode), t_s)
+            self._watch_late(int(message.custom_mode), is_armed(message), t_s)
         if not self.machine.ours:
             return
         if message.get_type() == "PARAM_VALUE":
@@ -150,8 +151,11 @@ class FlightControl:
         if message.get_type() == "HEARTBEAT":
             self._watch_mode(int(message.custom_mode), is_armed(message), t_s)
 
-    def _watch_overruled(self, mode: int, t_s: float) -> None:
-        """A request that was under way when the pilot took over may arrive after the pilot's."""
+    def _watch_late(self, mode: int, armed: bool, t_s: float) -> None:
+        """What was under way when the pilot took over may arrive after the pilot's change of mode."""
+        if self.machine.state is FlightState.NOT_ARMED and armed:
+            self.machine.on(Event.ARMED)
+            self.alarm(f"the vehicle is armed in {mode_name(mode)} by a request that was under way at the take-over")
         if self.machine.state is not FlightState.WITH_PILOT or mode not in self.session.mode_requests.open:
             return
         self.machine.on(Event.OVERRULED)
@@ -219,8 +223,10 @@ class FlightControl:
             self.recorder.event("note", text, self.state.t_s)
         if self._unconfirmed is not None and not 0.0 <= self.state.t_s - self._unconfirmed.t_s < CONFIRMED_WITHIN_S:
             self._decide(self.state.t_s)
-        if self.state.mode_age_s > GIVE_UP_AFTER_S:
+        unheard = self.state.mode_age_s > GIVE_UP_AFTER_S
+        if unheard and self._unheard:  # in two cycles: a program that stood still has to read what has waited first
             self.on(Event.DOWNLINK_GONE)
+        self._unheard = unheard
         if self.state.uplink_silence_s > UPLINK_GIVE_UP_S:
             self.on(Event.UPLINK_GONE)
 

@@ -104,7 +104,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (S.ASKING, E.HOLDS): Next(S.HOLDING),
         (S.ASKING, E.LANDS): Next(S.LANDING),
         (S.RETURNING, E.HAND_OVER): Next(S.OFFERED),
-        **{(s, E.HANDED_BACK): Next(S.RETURNING) for s in (S.OFFERED, S.HANDED)},
+        (S.HANDED, E.HANDED_BACK): Next(S.RETURNING),
         **{(s, e): Next(s) for s in (S.OFFERED, S.HANDED) for e in (E.RETURN, E.HAND_OVER)},
         # what the pilot, the vehicle and the link do, in each state
         (S.GROUND, E.FOREIGN_MODE): Next(S.GROUND),
@@ -144,6 +144,7 @@ def _table() -> dict[tuple[FlightState, Event], Next]:
         (s, e): Next(s) for s, e in product(ENDS, Event)
     }  # nothing changes an end, but a request that was under way
     table[S.WITH_PILOT, E.OVERRULED] = Next(S.TO_AUTOPILOT)
+    table[S.NOT_ARMED, E.ARMED] = Next(S.WITH_PILOT)
     return {place: table[place] for place in product(FlightState, Event) if place in table}
 
 

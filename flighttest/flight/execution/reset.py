@@ -13,7 +13,7 @@ import numpy as np
 
 from flighttest import frames
 from flighttest.flight.execution.control import FlightControl
-from flighttest.flight.execution.machine import Event
+from flighttest.flight.execution.machine import Event, FlightState
 from flighttest.flight.execution.supervisor import UNSEEN_S, enter, enter_nogps
 from flighttest.flight.gate import LINK, Refusal, readiness
 from flighttest.flight.state import VehicleState
@@ -204,13 +204,20 @@ def by_pilot(control: FlightControl, timeout_s: float = 300.0) -> Arrived:
     control.alarm("the pilot flies to the start")
     control.show(doing="waiting for the pilot: fly to the start, then switch to GUIDED_NOGPS")
     deadline = control.session.now_s() + timeout_s
-    left = control.state.mode != CopterMode.GUIDED_NOGPS
+    first: int | None = (
+        None  # number of the HEARTBEAT that showed the mode; one alone may be damaged, or another vehicle's
+    )
     while control.session.now_s() < deadline:
         if control.stop_asked:
             return Arrived(Arrival.STOPPED)
         state = control.cycle()
-        left = left or state.mode != CopterMode.GUIDED_NOGPS
-        if left and state.mode == CopterMode.GUIDED_NOGPS and state.armed:
+        beats = control.session.counts.get("HEARTBEAT", 0)
+        handed = control.machine.state is FlightState.HANDED
+        if not (handed and state.mode == CopterMode.GUIDED_NOGPS and state.armed):
+            first = None
+        elif first is None:
+            first = beats
+        elif beats > first:
             control.on(Event.HANDED_BACK)
             return Arrived(Arrival.SETTLED)
     return Arrived(Arrival.NOT_HANDED_OVER)
