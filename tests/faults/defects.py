@@ -188,7 +188,7 @@ DEFECTS: tuple[Defect, ...] = (
     ),
     _one(
         "D26", "a host that stands still between reading and looking at the link abandons the vehicle",
-        _CONTROL, "if unheard and self._unheard:", "if unheard:",
+        _CONTROL, "has waited first.\n            self.session.advance(self.session.now_s() + self.period_s)", "has waited first.",
         "tests/flight/test_unseen.py::test_a_program_that_stood_still_after_it_had_read_reads_first",
     ),
 )  # fmt: skip

@@ -46,6 +46,7 @@ DANGEROUS: tuple[tuple[str, When], ...] = (
     ("pilot while down 3.2 s", When.ENTERING),
     ("pilot while down 3.2 s", When.FLYING),
     ("pilot while up 15 s", When.FLYING),
+    *(("pilot while 300 ms latency", when) for when in (When.ENTERING, When.RETURNING, When.FLYING)),
 )
 """What left a vehicle armed in the air, or was called an unseen landing, and what a pilot does meanwhile."""
 

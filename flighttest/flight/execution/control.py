@@ -97,7 +97,6 @@ class FlightControl:
         self._safe_modes: frozenset[int] = frozenset()
         self._was_armed = False
         self._unconfirmed: Unconfirmed | None = None
-        self._unheard = False
         self._boots = self.session.boots
         self._others = set(self.session.others)
         self.streams: StreamRates | None = None
@@ -223,10 +222,12 @@ class FlightControl:
             self.recorder.event("note", text, self.state.t_s)
         if self._unconfirmed is not None and not 0.0 <= self.state.t_s - self._unconfirmed.t_s < CONFIRMED_WITHIN_S:
             self._decide(self.state.t_s)
-        unheard = self.state.mode_age_s > GIVE_UP_AFTER_S
-        if unheard and self._unheard:  # in two cycles: a program that stood still has to read what has waited first
-            self.on(Event.DOWNLINK_GONE)
-        self._unheard = unheard
+        if self.state.mode_age_s > GIVE_UP_AFTER_S:
+            # A program that stood still reads what has waited first.
+            self.session.advance(self.session.now_s() + self.period_s)
+            self.state = self.reader.read()
+            if self.state.mode_age_s > GIVE_UP_AFTER_S:
+                self.on(Event.DOWNLINK_GONE)
         if self.state.uplink_silence_s > UPLINK_GIVE_UP_S:
             self.on(Event.UPLINK_GONE)
 
