@@ -142,6 +142,7 @@ def take_over(sitl, run_dir):
     assert (
         pilot.session.await_message(lambda m: m.get_type() == "HEARTBEAT" and not m.base_mode & 128, 60.0) is not None
     )
+    pilot.session.port.close()  # the firmware serves one connection on this port: the next test's would wait for its end
 
 
 def killed(sitl, run_dir: Path, profile: str):
