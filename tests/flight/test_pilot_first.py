@@ -11,7 +11,7 @@ from flighttest.errors import LinkError
 from flighttest.flight import FlightOutcome, FlightState
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
-from flighttest.mavlink.dialect import dialect
+from flighttest.mavlink.dialect import dialect, parser
 from flighttest.sim import SimOptions
 from tests.faults.cells import Cell, changes_of_state, fly_cell
 from tests.faults.changes import PROVOKED, Piloted
@@ -57,7 +57,7 @@ def by_others(link: FaultyLink, command: int, *parameters: float) -> None:
     """A command of the pilot's own ground station."""
     values = (*parameters, *([0.0] * (7 - len(parameters))))
     message = dialect.MAVLink_command_long_message(1, 1, command, 0, *values)
-    link.sim.send(bytes(message.pack(link._pilot)))
+    link.sim.send(bytes(message.pack(parser(255, 190))))
 
 
 def test_a_pilot_who_arms_while_the_operator_is_asked_keeps_the_vehicle(run_dir: Path) -> None:
