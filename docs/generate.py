@@ -183,7 +183,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "profiles": profiles,
     "flight_words": words_as_markdown,
     "flight_states": lambda: (
-        "![States of a flight](flight_states.svg)\n\nIn each box: the events that end the flight in this state, and the end.\n\n"
+        "![States of a flight](flight_states.svg)\n\nIn each box: the events that end the flight in this state, and the end.\n"
+        "An end stays, with two exceptions that the table shows: what was under way to the vehicle at a take-over may arrive after it.\n\n"
         + table_as_markdown()
     ),
     "link_states": link_as_markdown,
