@@ -15,8 +15,8 @@ FloatArray = NDArray[np.float64]
 _ALIKE = dict(
     zip(INPUTS, (0.03, 0.03, 0.1, 0.02), strict=True)
 )  # rad, rad, rad/s, 1: hover throttle and outer loop differ by less
-_JITTER_S = 0.06  # that an edge comes earlier in one of them: three targets at 50 Hz
-_GRID_S = 0.01
+_JITTER_S = 0.01  # that an edge comes earlier in one of them: half a target at 50 Hz; a whole one turns a roll of 0.5 rad by 0.06
+_GRID_S = 0.005
 
 
 def alike_until_s(segments: Sequence[Segment]) -> float:
@@ -29,6 +29,8 @@ def alike_until_s(segments: Sequence[Segment]) -> float:
     for name, bound in _ALIKE.items():
         held = [_held(s, name, t) for s in segments if name in s.u and len(s.u[name][0])]
         if len(held) == len(segments):
+            if name == "throttle":  # hover throttle rises while the battery empties: its change since the step
+                held = [h - h[0] for h in held]
             apart |= np.ptp(held, axis=0) > bound
     longest = round(_JITTER_S / _GRID_S)
     run = np.convolve(apart, np.ones(longest + 1), mode="valid") if t.size > longest else np.zeros(0)

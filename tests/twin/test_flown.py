@@ -74,9 +74,19 @@ def test_a_stop_that_was_planned_otherwise_is_not_compared():
     rng = np.random.default_rng(6)
     found = flown_errors(stopped_after(rng, 20, 0.7), stopped_after(rng, 20, 0.5))["roll_rad"]
     assert found["ratio"] < 1.2
-    # A stop that comes a target earlier is the link's jitter, and what follows it is compared.
-    assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.68)]) == pytest.approx(0.98)
+    # What follows a stop is compared where it comes at the same time, not where it comes a target earlier.
+    assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.695)]) == pytest.approx(0.98)
+    assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.68)]) == pytest.approx(0.68, abs=0.01)
     assert alike_until_s([*stopped_after(rng, 1, 0.7), *stopped_after(rng, 1, 0.5)]) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_hover_throttle_that_rises_with_the_flight_is_no_other_command():
+    rng = np.random.default_rng(8)
+    throttles = [{"throttle": (np.array([4.0]), np.array([level]))} for level in (0.16, 0.185)]
+    flown = [replace(s, u=u) for s, u in zip(steps(rng, 2), throttles, strict=True)]
+    assert alike_until_s(flown) == pytest.approx(0.98)
+    cut = {"throttle": (np.array([4.0, 5.5]), np.array([0.16, 0.05]))}
+    assert alike_until_s([flown[1], replace(flown[0], u=cut)]) == pytest.approx(0.5, abs=0.01)
 
 
 def test_the_mean_response_is_of_both_signs_and_late_by_the_mean_delay():
