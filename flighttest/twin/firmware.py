@@ -44,6 +44,7 @@ STARTS_RAD_S2 = (30.0, 100.0, 300.0, 1000.0)
 LAG_S = (0.002, 0.2)
 NO_LAG_S = (5e-4, 1e-3)  # of motors without one
 CHOSEN_LAG_S = 0.01  # where gains are chosen
+HEADING_P_1_S = 2.0  # least chosen gain of the heading: a yaw rate step is followed best with none, and nothing would hold the heading
 DELAY_S = (-0.1, 0.4)  # below zero where the ground's clock is badly known
 _COMMAND_S = 0.02  # between targets
 _OUTPUT = {"roll": "roll_rad", "pitch": "pitch_rad", "yaw": "r_rad_s"}
@@ -201,15 +202,33 @@ def frame_of_axis(stored: ModelFile, axis: str, loop: Loop, lags: tuple[float, f
     return Axis(math.exp(x[0]), math.exp(x[1]), delay, error, {}, wanted[0].flown)
 
 
+def step_error(stored: ModelFile, axis: str, frame: FirmwareFrame, ratio: float) -> float:
+    """RMS error of the steps of an axis, as a share of them, where the frame's moments are `ratio` times those that were fitted."""
+    fitted, loop = frame.axes[axis], loop_of(axis, frame.parameters)
+    wanted, most = wanted_answers(stored, axis), min(2.0 * _hover(stored), 1.0)
+    made = _answers(axis, loop, fitted.gain * ratio, fitted.lag_s, wanted, most)
+    return float(np.sqrt(np.mean(_off(wanted, made, fitted.delay_s) ** 2)))
+
+
+def _off(wanted: Sequence[Wanted], made: Sequence[FloatArray], delay_s: float) -> FloatArray:
+    """Answers of the loop (n,) at its rate, delayed, less the wanted ones, as shares of the steps, one behind the other."""
+    return np.concatenate(
+        [
+            (np.interp(w.t_s - delay_s, LOOP_S * np.arange(y.size), y) - w.answer) / w.step
+            for w, y in zip(wanted, made, strict=True)
+        ]
+    )
+
+
 def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:
     """Gains for a frame that turns with `GAIN_RAD_S2` at once."""
     wanted, most = wanted_answers(stored, axis), min(2.0 * _hover(stored), 1.0)
     v, name = stored.values, AXES[axis][1]
     if axis == "yaw":
-        start = [math.log(1.0), math.log(v["sigma_r"] / GAIN_RAD_S2)]
+        start, least = [math.log(1.1 * HEADING_P_1_S), math.log(v["sigma_r"] / GAIN_RAD_S2)], HEADING_P_1_S
     else:
         w, zeta = (v["omega_phi"], v["zeta_phi"]) if axis == "roll" else (v["omega_theta"], v["zeta_theta"])
-        start = [math.log(w / (2.0 * zeta)), math.log(2.0 * zeta * w / GAIN_RAD_S2)]
+        start, least = [math.log(w / (2.0 * zeta)), math.log(2.0 * zeta * w / GAIN_RAD_S2)], 0.01
 
     def settled(x: FloatArray) -> Loop:
         angle, rate = math.exp(x[0]), math.exp(x[1])
@@ -218,7 +237,7 @@ def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:
     def made(x: FloatArray) -> list[FloatArray]:
         return _answers(axis, settled(x), GAIN_RAD_S2, lag, wanted, most)
 
-    x, error, delay = _least(wanted, made, [start], (0.01, (1e-4, 5.0)))
+    x, error, delay = _least(wanted, made, [start], (least, (1e-4, 5.0)))
     found = settled(x)
     gains = {f"ATC_ANG_{name}_P": found.angle_p, f"ATC_RAT_{name}_P": found.rate_p, f"ATC_RAT_{name}_I": found.rate_i}
     return Axis(GAIN_RAD_S2, lag, delay, error, gains, wanted[0].flown)
@@ -237,12 +256,7 @@ def _least(
         key = tuple(x[:2])
         if key not in known:
             known[key] = made(x)
-        return np.concatenate(
-            [
-                (np.interp(w.t_s - x[2], LOOP_S * np.arange(y.size), y) - w.answer) / w.step
-                for w, y in zip(wanted, known[key], strict=True)
-            ]
-        )
+        return _off(wanted, known[key], x[2])
 
     lower = [math.log(bounds[0]), math.log(bounds[1][0]), DELAY_S[0]]
     upper = [math.log(1e4), math.log(bounds[1][1]), DELAY_S[1]]
