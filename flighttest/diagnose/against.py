@@ -9,6 +9,7 @@ the model of the other side, too, if that side's recordings are followed better 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -170,7 +171,8 @@ def errors_of(found: Fit) -> dict[str, tuple[float, float]]:
     """Standard error and degrees of freedom of every estimated parameter, those on a bound included.
 
     What the equations get wrong of a cell is alike on both sides of a comparison; what differs is a matter of single responses, of which
-    there are more than cells. So clusters are responses here; of both standard errors the larger one counts.
+    there are more than cells. So clusters are responses here; of both standard errors the larger one counts. The delay of the thrust has
+    the error of the specific force's time stamps as well, which is one for all responses of a recording.
     """
     bound = [n for n in found.solution.at_bound if n in found.solution.normal.names]
     known = found.covariance
@@ -179,10 +181,25 @@ def errors_of(found: Fit) -> dict[str, tuple[float, float]]:
     cells = known if not bound else cluster_covariance(found.solution.normal.by(found.problem.cells), names)
     by_cell = {n: float(cells.matrix[i, i]) for i, n in enumerate(cells.names)}
     by_cell |= {n: float(known.matrix[i, i]) for i, n in enumerate(known.names)}
+    stamps = {"T_d_thrust": stamp_variance(found.problem.segments)}
     return {
-        n: (math.sqrt(max(float(single.matrix[i, i]), by_cell[n])), float(single.dof[i]))
+        n: (math.sqrt(max(float(single.matrix[i, i]), by_cell[n]) + stamps.get(n, 0.0)), float(single.dof[i]))
         for i, n in enumerate(single.names)
     }
+
+
+def stamp_variance(segments: Sequence[Segment]) -> float:
+    """Variance of the delay of the thrust, s^2, by the error of what specific force was moved by in time (`Compatibility`): a force that is
+    moved takes the delay with it. Recordings count by their steps of the throttle, all of their responses where no throttle stepped."""
+    stepped = [s for s in segments if s.kind in ("throttle_step", "tilt_throttle")] or list(segments)
+    runs = Counter(s.run for s in stepped)
+    late = {s.run: s.context.compatibility for s in stepped}
+    moved = [
+        (count / len(stepped) * made.force_late_std_s) ** 2
+        for run, count in runs.items()
+        if (made := late[run]) is not None and made.determined
+    ]
+    return float(sum(moved))
 
 
 def side_of(found: Fit, diagnosis: Diagnosis) -> Side:

@@ -15,12 +15,14 @@ from flighttest.diagnose.against import (
     hidden_notes,
     mass_notes,
     shared_limits,
+    stamp_variance,
     step_by_step,
 )
 from flighttest.estimation.likelihood_weights import Normal
 from flighttest.estimation.uncertainty.covariance import cluster_covariance
 from flighttest.physics.model import Model
-from flighttest.segments.model import Segment
+from flighttest.segments.compatibility import Compatibility
+from flighttest.segments.model import Segment, SegmentContext
 
 MODEL = Model(("linear_drag", "quadratic_drag"))
 
@@ -72,11 +74,35 @@ def test_the_error_of_a_side_is_by_its_responses_where_few_cells_tell_a_paramete
     cells = np.array([0, 0, 0, 1, 1, 1])
     known = cluster_covariance(normal.by(cells), ("d_y",))
     solution = SimpleNamespace(at_bound=(), normal=normal)
-    found = SimpleNamespace(solution=solution, covariance=known, problem=SimpleNamespace(cells=cells))
+    found = SimpleNamespace(solution=solution, covariance=known, problem=SimpleNamespace(cells=cells, segments=()))
     std, dof = errors_of(found)["d_y"]
     assert (known.dof[0], np.sqrt(known.matrix[0, 0])) == pytest.approx((10.0, 1.0 / np.sqrt(6.0)))
     assert std == pytest.approx(np.sqrt(np.sum(score**2) / (6.0 * 5.0)))
     assert dof == pytest.approx(5.0)
+
+
+def test_a_delay_of_the_thrust_has_the_error_of_the_forces_time_stamps():
+    # Two flights of one vehicle: their forces were moved by 4.4 +- 0.8 and 1.8 +- 1.2 ms, and with them the delays, 40.3 and 43.3 ms.
+    def flown(run, kind, std_s, late_std_s=0.001):
+        found = Compatibility(0.0, late_std_s, 0.003, std_s, 0.0, 0.002, 80)
+        return Segment(
+            f"{run}-{kind}", run, kind, {}, 1, 0.0, np.zeros(1), {}, {}, context=SegmentContext(compatibility=found)
+        )
+
+    throttles = [flown("a", "throttle_step", 8e-4)] * 3 + [flown("b", "throttle_step", 16e-4)]
+    expected = (0.75 * 8e-4) ** 2 + (0.25 * 16e-4) ** 2
+    assert stamp_variance(throttles) == pytest.approx(expected)
+    assert stamp_variance([*throttles, flown("c", "roll_step", 4e-3)]) == pytest.approx(expected)
+    assert stamp_variance([flown("a", "roll_step", 8e-4)]) == pytest.approx(64e-8)
+    assert stamp_variance([flown("a", "throttle_step", 8e-4, late_std_s=0.008)]) == 0.0  # a force that was not moved
+    normal = Normal(("T_d_thrust", "K"), np.tile(np.eye(2), (6, 1, 1)), 1e-5 * np.tile([1.0, -1.0], 6).reshape(2, 6).T)
+    covariance = cluster_covariance(normal, ("T_d_thrust", "K"))
+    problem = SimpleNamespace(cells=np.arange(6), segments=throttles)
+    found = errors_of(
+        SimpleNamespace(solution=SimpleNamespace(at_bound=(), normal=normal), covariance=covariance, problem=problem)
+    )
+    assert found["T_d_thrust"][0] == pytest.approx(np.sqrt(expected), rel=0.01)
+    assert found["K"][0] < 1e-4
 
 
 def test_a_limit_is_in_the_model_of_one_side_alone():
