@@ -119,7 +119,7 @@ def left_error(stored: ModelFile) -> dict[str, float]:
     other = kept.start(values) | {"rotorpy_d_xy": 0.5 * (d[0] + d[1]), "rotorpy_d_z": d[2]}
     other |= {f"rotorpy_{n}": values.get(n, 0.0) for n in _QUADRATIC}
     other |= {n: 0.0 for n in ("d_x", "d_y", "d_z") if n in other}
-    runs = [test_maneuver(m, v) for m, v in ((model, values), (kept, other))]
+    runs = [test_maneuver(m, v, model.nominal_voltage_v) for m, v in ((model, values), (kept, other))]
     return {
         "velocity_m_s": max(float(np.abs(runs[0][c] - runs[1][c]).max()) for c in ("v_x_m_s", "v_y_m_s", "v_z_m_s"))
         + STEPS_M_S,
@@ -128,11 +128,11 @@ def left_error(stored: ModelFile) -> dict[str, float]:
     }
 
 
-def test_maneuver(model: Model, values: Mapping[str, float]) -> dict[str, FloatArray]:
-    """States and outputs (301,) of a model on the test maneuver, every 10 ms for 3 s."""
+def test_maneuver(model: Model, values: Mapping[str, float], voltage_v: float) -> dict[str, FloatArray]:
+    """States and outputs (301,) of a model on the test maneuver, every 10 ms for 3 s, at a voltage."""
     t: FloatArray = 0.01 * np.arange(301, dtype=float)
-    references = maneuver(float(model.hover_throttle(values, model.nominal_voltage_v)))
-    volts = {"voltage_v": (t, np.full(t.size, model.nominal_voltage_v))}
+    references = maneuver(float(model.hover_throttle(values, voltage_v)))
+    volts = {"voltage_v": (t, np.full(t.size, voltage_v))}
     return simulate(model, values, t, {"p_z_m": 5.0}, references, volts)
 
 

@@ -164,13 +164,39 @@ def test_ardupilots_frame_has_the_models_hover_drag_and_moments(tmp_path):
     area = (weight * np.tan(lean) - momentum) / (0.5 * 1.225 * speed**2)
     assert 0.5 * 1.225 * area / 2.0 == pytest.approx(0.05, rel=1e-6)
     assert f["mdrag_coef"] * np.sqrt(1.225 * f["disc_area"] * weight) / 2.0 == pytest.approx(0.4, rel=1e-6)
-    full = weight / f["hoverThrOut"] * (22.2 / f["maxVoltage"]) ** 2 * 0.5 * np.sqrt(0.5) * f["diagonal_size"]
-    assert full / f["moment_inertia"][0] == pytest.approx(made.loops.axes["roll"].gain, rel=1e-6)
+    full = weight / f["hoverThrOut"] * (22.5 / f["maxVoltage"]) ** 2 * 0.5 * np.sqrt(0.5) * f["diagonal_size"]
+    gain = made.loops.axes["roll"].gain * (22.5 / 22.2) ** 1.6  # of the motors in the middle of the voltages
+    assert full / f["moment_inertia"][0] == pytest.approx(gain, rel=1e-6)
+    # The rotors' drag brakes a yaw rate by less than 2 % of the speed of a yaw rate loop (6 1/s).
+    assert 0.4 * f["mass"] * f["diagonal_size"] ** 2 / f["moment_inertia"][2] < 0.02 * 6.0
     lines = dict(line.split() for line in parameters.read_text().splitlines())
-    assert float(lines["PILOT_THR_FILT"]) == pytest.approx(file.values["sigma_t"] / (2 * np.pi), rel=1e-5)
+    late = 1.0 / file.values["sigma_t"] + max(
+        0.0437 - made.loops.link_delay_s, 0.0
+    )  # of which the firmware itself makes 10 ms
+    assert float(lines["PILOT_THR_FILT"]) == pytest.approx(1.0 / (2 * np.pi * (late - 0.010)), rel=1e-5)
     assert made.lacking == ("ground_effect",)
     assert made.thrust_share == pytest.approx((22.5 / 21.0) ** -0.4 - 1.0, abs=0.06)
     assert 0.01 < made.velocity_m_s < 0.5
+
+
+def test_what_ardupilots_frame_is_of_the_model_is_stated_with_what_it_differs_by():
+    file = replace(stored("quadratic_drag", "ground_effect", **QUADRATIC), valid={"voltage_v": [21.0, 25.0]})
+    made = ardupilot.exported(file)
+    model, values = ardupilot.frame_model(file, made.loops)
+    assert not {"ground_effect", "linear_drag", "quadratic_drag"} & {*model.terms}
+    assert values["K"] * (23.0 / 22.2) ** 2 == pytest.approx(file.values["K"] * (23.0 / 22.2) ** file.values["alpha"])
+    # The filter and the firmware's delay are together as late as the model's lag and delay.
+    late = [1.0 / v["sigma_t"] + v["T_d_thrust"] for v in (values, file.values)]
+    assert late[0] == pytest.approx(late[1], abs=1e-9)
+    assert values["T_d_thrust"] == pytest.approx(
+        min(made.loops.link_delay_s, 0.0632) + ardupilot.FIRMWARE_THRUST_DELAY_S
+    )
+    # Drag goes with the root of the thrust, and thrust with the square of the voltage.
+    assert 0.1 < made.force_m_s2 < 1.5
+    assert 0.01 < made.velocity_m_s < 0.5
+    # A frame's moment of yaw in hover has no voltage in it, the vehicle's goes with its thrust.
+    assert made.yaw_share > 2.0 * made.loops.axes["yaw"].error
+    assert ardupilot.FIRMWARE_SHARE < made.tilt_share < 0.5 * made.yaw_share
 
 
 def test_ardupilots_wind_comes_from_where_the_models_air_does_not_go():
@@ -183,6 +209,7 @@ def test_ardupilots_wind_comes_from_where_the_models_air_does_not_go():
 def test_an_export_to_ardupilot_says_what_it_lacks_and_how_it_flies(tmp_path, capsys, monkeypatch):
     file = stored("ground_effect")
     axes = {n: Axis(400.0, 0.001, 0.05, 0.01, {}) for n in ("roll", "pitch", "yaw")}
+    monkeypatch.setattr(ardupilot, "step_error", lambda *_args: 0.01)
     monkeypatch.setattr(ardupilot, "frame_of", lambda *_args, **_more: FirmwareFrame(axes, {}, (), ()))
     said = exporting.export(file, "ardupilot", tmp_path).data["left_out_sentences"]
     assert said[0] == "ArduPilot's frame has no ground_effect"

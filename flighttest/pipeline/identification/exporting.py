@@ -96,10 +96,10 @@ def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str
         else "no term of the model is left out",
         f"its thrust goes with the square of the voltage: at most {made.thrust_share:.1%} off over the voltages of the model",
         "its drag is one number for all axes and follows the root of the thrust, and it loses thrust in a climb",
-        f"on tilt steps of 0.3 rad and throttle steps of a fifth, 3 s long, this leaves {number(made.velocity_m_s, 2)} m/s at most "
-        f"against the model's own simulation at nominal voltage",
+        f"on tilt steps of 0.3 rad and throttle steps of a fifth, 3 s long, this leaves {number(made.velocity_m_s, 2)} m/s and "
+        f"{number(made.force_m_s2, 2)} m/s^2 at most against the model's own simulation in the middle of its voltages",
         f"its motors have no lag: that of the thrust is the firmware's throttle filter (PILOT_THR_FILT), and the attitude loops are left "
-        f"with {made.attitude_share:.1%} of a tilt step",
+        f"with {made.tilt_share:.1%} of a tilt step and {made.yaw_share:.1%} of a yaw rate step",
         *made.loops.notes,
         f"fly it: flighttest sim --backend sitl --frame {shlex.quote(str(output))}",
     ]
@@ -107,8 +107,10 @@ def _ardupilot(stored: ModelFile, output: Path) -> tuple[ExportedFiles, dict[str
         "left_out": list(made.lacking),
         "left_error": {
             "velocity_m_s": made.velocity_m_s,
+            "force_m_s2": made.force_m_s2,
             "thrust_share": made.thrust_share,
-            "tilt_share": made.attitude_share,
+            "tilt_share": made.tilt_share,
+            "yaw_share": made.yaw_share,
         },
         "left_out_sentences": sentences,
     }
