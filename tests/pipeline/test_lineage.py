@@ -186,6 +186,10 @@ def test_a_model_that_determines_less_does_not_replace_one_that_determines_more(
         lineage.take_into_use(write_model(tmp_path / "two", runs=("b",), unknown=("alpha",)), tmp_path)
     both = f"flighttest diagnose {tmp_path / 'a'} {tmp_path / 'two'} -o {tmp_path / 'two' / 'together'} --accept"
     assert both in reported.value.hint
+    # A run whose flight is in the model already is named once.
+    old = lineage.lineage_of(tmp_path, "heron").current
+    again = lineage.joint_fit_command(tmp_path, model_file.read(old), tmp_path / "a")
+    assert again.count(f" {tmp_path / 'a'} ") == 1
     # Also where a term joined: the two heights of a ground effect determine less of the drag than a campaign.
     longer = (*PAPER, "ground_effect")
     with pytest.raises(InputError, match="of alpha"):

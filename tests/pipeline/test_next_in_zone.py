@@ -59,6 +59,8 @@ def test_a_proposal_that_fits_stays_as_it_is(proposal):
     found = held_against_zone(proposal, recorded(plain(SMALL)), DEFAULT_VEHICLE)
     assert found.next_reason["fits_zone"] is True
     assert found.next_script == proposal.next_script
+    nameless = held_against_zone(proposal, recorded(plain(replace(DEFAULT_VEHICLE, name=""))), None)
+    assert nameless.next_reason["zone"].endswith("steps fit the vehicle's zone.")
 
 
 @pytest.mark.parametrize("kept", [{}, {"name": "old"}, {"name": "old", "zone": {"x_m": 3}}])

@@ -35,6 +35,40 @@ def stored(*terms, **values):
     return ModelFile(model, parameters, full, (), np.zeros((0, 0)), {}, {"mass_kg": 2.0}, path="model.yaml")
 
 
+STEP_S, COUNT = 0.02, 100
+
+
+def inputs_at(file, k):
+    """Inputs of step k: a tilt, a turn and a climb."""
+    hover = dict(zip(file.model.system.inputs, fmu.hover_input(file).tolist(), strict=True))
+    u = hover | {"roll_ref_rad": 0.3 * (k > 5), "yaw_rate_ref_rad_s": 0.5 * (k > 9)}
+    u["throttle"] *= 1.2 if k > 20 else 1.0
+    return u
+
+
+def stepped_by_casadi(file):
+    """States after COUNT steps of STEP_S by the exported CasADi function, its inputs delayed here."""
+    system, step, given = file.model.system, functions(file)["step"], fmu.inputs_of(file)
+    hover = dict(zip(system.inputs, fmu.hover_input(file).tolist(), strict=True))
+    x = np.array(fmu.start_state(file))
+    sent = {n: [(-1e9, hover[n])] for n in given}
+    late = {n: max(file.delays_s.get(system.input_delay[n], 0.0), 0.0) for n in given}
+    for k in range(COUNT):
+        now, end, u = k * STEP_S, k * STEP_S + STEP_S, inputs_at(file, k)
+        for n in given:
+            if sent[n][-1][1] != u[n]:
+                sent[n].append((now, float(u[n])))
+        while now < end - 1e-12:
+            until = min([e + late[n] for n in given for e, _ in sent[n] if e + late[n] > now + 1e-12] + [end])
+            held = {n: [v for e, v in sent[n] if e + late[n] <= now + 1e-12][-1] for n in given}
+            parts = max(int(np.ceil((until - now) / fmu.MOST_STEP_S - 1e-9)), 1)
+            for i in range(parts):
+                clock = {"time_s": now + (i + 0.5) * (until - now) / parts}
+                x = np.asarray(step(x, [(held | clock)[n] for n in system.inputs], (until - now) / parts)).ravel()
+            now = until
+    return dict(zip(system.states, x.tolist(), strict=True))
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 def test_the_unit_steps_as_the_casadi_function_with_its_inputs_delayed(tmp_path):
     file = stored("thrust_fade", "reference_shaping")
@@ -55,35 +89,17 @@ def test_the_unit_steps_as_the_casadi_function_with_its_inputs_delayed(tmp_path)
     def array(names, values):
         return (ctypes.c_uint * len(names))(*(ref[n] for n in names)), (ctypes.c_double * len(values))(*values)
 
-    system, step = file.model.system, functions(file)["step"]
     given = fmu.inputs_of(file)
-    hover = dict(zip(system.inputs, fmu.hover_input(file).tolist(), strict=True))
-    x = np.array(fmu.start_state(file))
-    sent = {n: [(-1e9, hover[n])] for n in given}
-    late = {n: max(file.delays_s.get(system.input_delay[n], 0.0), 0.0) for n in given}
-    h = 0.02
-    for k in range(100):
-        now, end = k * h, k * h + h
-        u = hover | {"roll_ref_rad": 0.3 * (k > 5), "yaw_rate_ref_rad_s": 0.5 * (k > 9)}
-        u["throttle"] *= 1.2 if k > 20 else 1.0
+    for k in range(COUNT):
+        u = inputs_at(file, k)
         refs, values = array(given, [float(u[n]) for n in given])
         assert unit.fmi2SetReal(me, refs, ctypes.c_size_t(len(given)), values) == 0
-        assert unit.fmi2DoStep(me, ctypes.c_double(now), ctypes.c_double(h), 0) == 0
-        for n in given:
-            if sent[n][-1][1] != u[n]:
-                sent[n].append((now, float(u[n])))
-        while now < end - 1e-12:
-            until = min([e + late[n] for n in given for e, _ in sent[n] if e + late[n] > now + 1e-12] + [end])
-            held = {n: [v for e, v in sent[n] if e + late[n] <= now + 1e-12][-1] for n in given}
-            parts = max(int(np.ceil((until - now) / fmu.MOST_STEP_S - 1e-9)), 1)
-            for i in range(parts):
-                clock = {"time_s": now + (i + 0.5) * (until - now) / parts}
-                x = np.asarray(step(x, [(held | clock)[n] for n in system.inputs], (until - now) / parts)).ravel()
-            now = until
+        assert unit.fmi2DoStep(me, ctypes.c_double(k * STEP_S), ctypes.c_double(STEP_S), 0) == 0
     seen = ["p_x_m", "p_y_m", "p_z_m", "v_x_m_s", "v_z_m_s", "yaw_rad"]
     refs, values = array(seen, [0.0] * len(seen))
     assert unit.fmi2GetReal(me, refs, ctypes.c_size_t(len(seen)), values) == 0
-    assert list(values) == pytest.approx([x[list(system.states).index(n)] for n in seen], abs=1e-8)
+    expected = stepped_by_casadi(file)
+    assert list(values) == pytest.approx([expected[n] for n in seen], abs=1e-8)
     assert abs(values[3]) + abs(values[4]) > 0.5
     unit.fmi2FreeInstance(me)
 

@@ -108,19 +108,20 @@ def held_against_zone(found: Diagnosis, recordings: Sequence[Recording], vehicle
     if where is None or not found.next_script:
         return found
     words: NextReason
+    zone = f"the zone of {where.name}" if where.name else "the vehicle's zone"
     try:
         script = parse_script(write_text(found.next_script), "next.yaml")
         prior = _prior(found.model, found.values, where)
         plan = compile_plan(script, where, prior)
     except FlighttestError as error:
-        words = {"fits_zone": None, "zone": f"Whether it fits the zone of {where.name} is not known: {error.message}."}
+        words = {"fits_zone": None, "zone": f"Whether it fits {zone} is not known: {error.message}."}
         return replace(found, next_reason={**found.next_reason, **words})
     asked = len(plan.legs) + len({leg for leg, _, _ in plan.refusals})
     if not plan.refusals:
-        words = {"fits_zone": True, "zone": f"All its {asked} steps fit the zone of {where.name}."}
+        words = {"fits_zone": True, "zone": f"All its {asked} steps fit {zone}."}
         return replace(found, next_reason={**found.next_reason, **words})
     leg, what, remedy = plan.refusals[0]
-    short = f"{asked - len(plan.legs)} of its {asked} steps do not fit the zone of {where.name}"
+    short = f"{asked - len(plan.legs)} of its {asked} steps do not fit {zone}"
     words = {
         "fits_zone": False,
         "zone": f"As it is it cannot be flown: {short}. {leg}: {what}; {remedy}. `flighttest check` names them all. "

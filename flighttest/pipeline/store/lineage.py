@@ -216,7 +216,7 @@ def worse(new: ModelFile, old: ModelFile) -> list[str]:
 
 def joint_fit_command(out: Path, old: ModelFile, path: Path) -> str:
     """The command that diagnoses a run with the flights of a model, and accepts what comes out."""
-    runs = [*(out / str(r) for r in old.runs), path]
+    runs = [*(out / str(r) for r in old.runs if str(r) != path.name), path]
     words = " ".join(shlex.quote(str(r)) for r in runs)
     return f"flighttest diagnose {words} -o {shlex.quote(str(path / 'together'))} --accept"
 

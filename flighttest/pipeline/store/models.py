@@ -105,12 +105,14 @@ def accept_command(folder: Path, out: Path) -> str:
 
 
 def accepted(path: Path, out: Path, vehicle: Path | None) -> str:
-    """Accept, in one sentence; why not, where it could not be: what was flown and found stays."""
+    """Accept, in one sentence, with the command that flies its twin; why not, where it could not be: what was flown and found stays."""
     try:
         whole, made = take_into_use(path, out, vehicle)
     except FlighttestError as error:
         return f"not accepted: {error.message}; {error.hint}"
-    return f"done: {_sentence(whole, made)} ({whole.current})"
+    command = twin_command(whole.current, [out / name for name in made.runs]) if whole.current is not None else ""
+    done = f"done: {_sentence(whole, made)} ({whole.current})"
+    return f"{done}. Its twin:\n{command}" if command else done
 
 
 def _sentence(whole: Lineage, made: Generation) -> str:
