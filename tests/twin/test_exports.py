@@ -212,7 +212,7 @@ def test_what_ardupilots_frame_is_of_the_model_is_stated_with_what_it_differs_by
     assert 0.01 < made.velocity_m_s < 0.5
     # A frame's moment of yaw in hover has no voltage in it, the vehicle's goes with its thrust.
     assert made.yaw_share > 2.0 * made.loops.axes["yaw"].error
-    assert ardupilot.FIRMWARE_SHARE < made.tilt_share < 0.5 * made.yaw_share
+    assert ardupilot.TILT_SHARE < made.tilt_share < 0.5 * made.yaw_share
 
 
 def test_ardupilots_wind_comes_from_where_the_models_air_does_not_go():
