@@ -38,7 +38,7 @@ FULL_CELL_V = 4.2
 # of 50.7 ms, each flown with six throttle steps: a lag of 61.5 ms and a delay of 8.4 ms, of 51.9 and 9.5 ms.
 FIRMWARE_THRUST_DELAY_S = 0.010
 LEAST_LAG_S = 0.005  # two loops of the firmware
-# Of a step, RMS, by which the firmware differs from `firmware_loops`. Flown, beyond what the fit left: 0.2 and 0.35 % in roll and pitch with
+# Of a step, RMS, by which the firmware differs from `firmware_loops`. Flown, beyond what the fit left: 0.2, 0.35 % in roll and pitch with
 # the gains of a vehicle, 0.8 and 0.9 % with chosen ones; 0.7 to 2.1 % in yaw rate, in three flights.
 TILT_SHARE, YAW_SHARE = 0.01, 0.025
 
