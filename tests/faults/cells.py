@@ -11,7 +11,7 @@ from typing import Protocol
 from unittest import mock
 
 from flighttest.errors import FlighttestError
-from flighttest.flight import FlightResult, FlightState, LegOutcome, recorder
+from flighttest.flight import FlightOutcome, FlightResult, FlightState, LegOutcome, recorder
 from flighttest.flight.execution.machine import TABLE, Event, Machine
 from flighttest.mavlink import CopterMode
 from flighttest.sim import SimOptions
@@ -238,8 +238,9 @@ def _wrong(proxy: Proxy, result: FlightResult, vehicle: Vehicle, *, handed: bool
         found.append("nothing was written, and the record is called whole")
     if fault.presses and proxy.began_s is not None and result.as_planned and proxy.when is not When.LANDING:
         found.append("the operator asked to stop, and it is called as planned")
-    if left is FlightState.LANDED and result.parameters_left:
-        found.append("landed, and parameters were not restored")
+    stopped = left is FlightState.NOT_ARMED and result.outcome is FlightOutcome.OPERATOR_STOP
+    if (left is FlightState.LANDED or stopped) and result.parameters_left:
+        found.append("on the ground, and parameters were not restored")
     return found
 
 

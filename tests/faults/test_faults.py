@@ -94,3 +94,10 @@ def test_each_defect_that_was_seen_has_its_tests(defect: Defect, repository: Pat
             file, _, name = test.partition("::")
             assert not name or f"def {name}(" in (repository / file).read_text(encoding="utf-8")
             assert test.removeprefix("tests/") in page
+
+
+def test_ctrl_c_while_arming_restores_at_once_what_was_set(tmp_path: Path) -> None:
+    """The first HEARTBEAT that showed it disarmed held everything back for good: 90 s of parameters that were not written."""
+    cell = fly_cell(BY_NAME["Ctrl-C"], When.ARMING, tmp_path / "run")
+    assert cell.ok, f"{cell.ended}: {cell.wrong}"
+    assert cell.seconds < 15.0

@@ -112,6 +112,8 @@ class FlightControl:
             self._mode, self._was_armed = self.vehicle.mode, self.vehicle.armed
             self._unconfirmed, self.session.held = None, False
         self.machine.on(event, why)
+        if not self.machine.ours and self._unconfirmed is not None and self._unconfirmed.event is Event.DISARMED:
+            self._unconfirmed, self.session.held = None, False  # nothing is left to decide, and parameters are restored
 
     @property
     def owned(self) -> bool:
