@@ -341,6 +341,8 @@ def inadmissible(
             return f"{p.name} is {value:.3g}{_unit(p)}, which physics does not allow"
         if p.limits and (most := max((_most(p.limits, values, s) for s in segments), default=0.0)) < value:
             return f"{p.name} is {value:.3g}{_unit(p)}, and no more than {most:.3g} was flown"
+        if p.limits == "throttle" and value < (half := _median_throttle(segments)):
+            return f"{p.name} is {value:.3g}{_unit(p)}, and half of the flight is above {half:.3g}: no height is held beyond a limit"
     return ""
 
 
@@ -376,6 +378,12 @@ def _most(what: str, values: dict[str, float], segment: Segment) -> float:
             )
             asked.append(values[f"omega_{greek}"] / (2.0 * values[f"zeta_{greek}"]) * float(error))
     return max(asked)
+
+
+def _median_throttle(segments: Sequence[Segment]) -> float:
+    """Of all samples."""
+    flown = [zero_order_hold(s.u["throttle"], s.t_s) for s in segments if "throttle" in s.u]
+    return float(np.median(np.concatenate(flown))) if flown else 0.0
 
 
 def _change(rows: Linearisation, first: FloatArray, second: FloatArray) -> FloatArray:
