@@ -197,6 +197,7 @@ def test_what_is_not_needed_at_the_optimum_that_is_reported_leaves(searched, mon
     search = searched({"a": 10.0}, {})
     assert search.named == frozenset()
     assert set(search.rejected) == {"a"}
+    assert {c.term.id for c in search.candidates} == set("abcd")  # beside the model that is left
 
 
 def test_a_model_is_never_replaced_by_one_that_holds_less(searched):
@@ -235,6 +236,7 @@ def test_an_interrupted_search_keeps_what_it_had(searched, made, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         searched({"a": 10.0, "b": 8.0}, {})
     assert made[0].named == set(made[0].evidence) == {"a"}
+    assert made[0].candidates == []  # their columns were of the model before
 
 
 @pytest.mark.parametrize("what", [{"at": SimpleNamespace(objective=np.inf)}, {"rows": NO_NUMBERS}])

@@ -66,9 +66,7 @@ class Search:
     evidence: dict[str, Evidence] = field(default_factory=dict)
     rejected: dict[str, Evidence] = field(default_factory=dict)
     _fits: dict[frozenset[str], Fitted] = field(default_factory=dict)
-    _rough: dict[frozenset[str], float] = field(
-        default_factory=dict
-    )  # of these, only compared with this log likelihood
+    _rough: dict[frozenset[str], float] = field(default_factory=dict)  # log likelihood these were compared with
     _refitted: set[frozenset[str]] = field(default_factory=set)  # of these, from where scores pointed
     _found: dict[tuple[str, frozenset[str]], tuple[Fitted, Evidence]] = field(default_factory=dict)
 
@@ -123,7 +121,7 @@ class Search:
             if replaced or not self._better(kept, before):
                 self.rejected |= {t: e for t, e in left.items() if t in proposed} | replaced
                 continue
-            self.now, self.evidence = kept, evidence
+            self.now, self.evidence, self.candidates = kept, evidence, []  # columns are of the model before
             # What was not needed beside another model may be needed beside this one; what is inadmissible stays out.
             beside = {
                 t: e for t, e in left.items() if e.inadmissible or self._members(e.without) == self._members(kept)
@@ -143,6 +141,7 @@ class Search:
             self.rejected |= left
             if not left:
                 return
+            self.linearise()
 
     def judge_as_a_whole(self) -> None:
         """Withdraw what was named unless the model with it predicts more channels of what was not used surely better than worse, each
