@@ -418,23 +418,6 @@ def test_absence_is_asked_of_the_effect_before_it_is_asked_of_an_error(rng, term
     assert bool(may_be_absent(found, fit, Change(np.full(n, effect)), estimator, repeated=repeated)) is said
 
 
-@pytest.mark.parametrize(("term", "said"), [("axial_inflow", True), ("thrust_fade", False)])
-def test_a_linear_coefficient_is_asked_of_with_the_interval_that_is_printed(rng, term, said):
-    """A wind of 0.08 +- 0.3, 0.19 +- 0.3 and -0.3 +- 1.1 m/s was named on a calm day, and a quadratic drag of 0.001 +- 0.008: they were
-    beyond nothing by the scatter between cells alone, which is not what stands beside the name."""
-    found = catalogue()[term]
-    name = found.params[0].name
-    known = Covariance((name,), 0.01 * np.eye(1), np.eye(1), np.full(1, 1e6), np.eye(1))
-    estimator = SimpleNamespace(
-        segments=responses(SEGMENTS, EACH, REPEATS),
-        discrepancy_limits=lambda *_: {("f_z_m_s2", 0): 1.0},
-        covariance=lambda *_: known,
-    )
-    n = SEGMENTS * EACH
-    fit = fitted(rng.normal(size=n), np.ones((n, 1)), (name,), Model((term,)), {name: 0.99})
-    assert bool(may_be_absent(found, fit, Change(np.full(n, 4.0)), estimator, repeated=False)) is said
-
-
 def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):
     """The sign test of n groups cannot reach 2.5 % below six."""
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)

@@ -238,13 +238,13 @@ def change_by_stratum(larger: Linearisation, smaller: Linearisation) -> dict[str
 def may_be_absent(term: Term, fitted: Fitted, change: Change, estimator: Estimator, *, repeated: bool) -> str:
     """Why a term's estimates do not exclude its absence, empty where they do. change: what it changes; repeated: whether steps were.
 
-    By the errors of its coefficients (`may_be_nothing`), except of a term with nonlinear parameters whose effect between the two optima is
-    beyond what the equations may err: a standard error at the estimate means little where a coefficient may be one direction with a
-    delay or a lag. Then only the scatter between cells is tested or, where repeats confirm the term, the groups that were not used
-    (`improved`).
+    By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
+    err. Then only the scatter between cells is tested; and of a term with nonlinear parameters, where repeats confirm it,
+    not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
+    not used (`improved`).
     """
-    if term.shapes and beyond_discrepancy(fitted, change, estimator):
-        return "" if repeated else may_be_nothing(term, fitted, estimator, discrepancy=False)
+    if beyond_discrepancy(fitted, change, estimator):
+        return "" if term.shapes and repeated else may_be_nothing(term, fitted, estimator, discrepancy=False)
     if not any(p.name in fitted.names for p in term.amplitudes):
         return "its effect is within what the equations may err"
     return may_be_nothing(term, fitted, estimator, discrepancy=True)
