@@ -285,7 +285,8 @@ def test_a_wind_that_only_rises_is_refused(rng):
     [
         ("motor_saturation", {"T_max": 0.45}, True),
         ("motor_saturation", {"T_max": 0.55}, False),
-        ("motor_saturation", {"T_max": 0.25}, False),  # below half of what was flown, as on one pilot's log
+        ("motor_saturation", {"T_max": 0.25}, False),  # half of what was flown is above it, as on one pilot's log
+        ("motor_saturation", {"T_max": 0.35}, True),
         # A step of 0.4 rad asks for 20 / (2 0.5) 0.4 = 8 rad/s.
         ("rate_limit", {"rate_max": 7.0}, True),
         ("rate_limit", {"rate_max": 9.0}, False),
@@ -295,7 +296,7 @@ def test_a_wind_that_only_rises_is_refused(rng):
 def test_a_limit_that_nothing_or_nearly_everything_went_beyond_is_none(term, limit, reached):
     t = np.linspace(0.0, 1.0, 21)
     roll = np.where(t < 0.5, 0.0, 0.4 * (1 - np.exp(-(t - 0.5) / 0.1)))
-    throttle = (np.array([0.0, 0.8]), np.array([0.3, 0.5]))
+    throttle = (np.array([0.0, 0.3, 0.8]), np.array([0.2, 0.3, 0.5]))  # 30 % at 0.2, half at 0.3
     references = {"roll_ref_rad": (np.array([0.0, 0.5]), np.array([0.0, 0.4])), "throttle": throttle}
     step = SimpleNamespace(t_s=t, y={"roll_rad": roll}, u=references)
     at = Optimum({"omega_phi": 20.0, "zeta_phi": 0.5, **limit}, {}, NOISE, 0.0)

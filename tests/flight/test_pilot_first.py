@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from flighttest.errors import LinkError
 from flighttest.flight import FlightOutcome, FlightState
+from flighttest.flight.execution.supervisor import ModeRequest
 from flighttest.link.ardupilot import ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.mavlink.dialect import dialect, parser
@@ -133,3 +135,16 @@ def test_one_frame_hands_no_vehicle_back(run_dir: Path) -> None:
 def test_every_change_that_a_pilot_makes_has_a_flight() -> None:
     flown = {(p.state.name, p.event.name) for p in PROVOKED}
     assert {("GROUND", "ARMED"), ("NOT_ARMED", "ARMED"), ("WITH_PILOT", "OVERRULED")} <= flown
+
+
+@pytest.mark.parametrize(("waited_s", "due"), [(1.9, False), (2.0, True)])
+def test_a_request_of_which_nothing_is_heard_is_repeated_after_two_seconds(waited_s: float, due: bool) -> None:
+    """Sooner, the repeat could still be under way with the first on a link that is slow and not broken."""
+    now = [10.0]
+    session = SimpleNamespace(now_s=lambda: now[0], answered_since=lambda _t_s: False)
+    state = SimpleNamespace(mode_age_s=0.0, silence_s=0.0, t_s=10.0)
+    control = SimpleNamespace(state=state, session=session, vehicle=SimpleNamespace(ask_mode=lambda _mode: True))
+    request = ModeRequest(control)  # type: ignore[arg-type]
+    request.ask_where_due(CopterMode.LAND)
+    now[0] = state.t_s = 10.0 + waited_s
+    assert request.due is due

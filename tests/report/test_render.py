@@ -497,10 +497,3 @@ def test_a_terminal_shows_the_first_rows_and_all_of_them_where_asked():
     assert [word in shown for word in ("row 3", "row 4", "5 more rows")] == [True, False, True]
     assert "omitted" in shown.splitlines()[-1]
     assert [word in everything for word in ("row 8", "more row")] == [True, False]
-
-
-def test_many_words_in_a_sentence_are_counted():
-    from flighttest.report.numbers import join_some
-
-    assert join_some(["a", "b", "c"], 2) == "a, b and c", "one more is said by its name"
-    assert join_some(list("abcdefgh")) == "a, b, c, d, e and 3 more"
