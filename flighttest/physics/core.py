@@ -79,6 +79,13 @@ class Param:
     limits: Literal["", "throttle", "tilt_rate"] = ""
     natural_bound: Literal["", "lower", "upper"] = ""
 
+    @property
+    def physical(self) -> tuple[float, float]:
+        """Smallest and largest value that physics allows: the bounds, of a one-sided parameter from `off` on."""
+        if not self.one_sided or self.off is None:
+            return self.lower, self.upper
+        return (self.off, self.upper) if self.nominal > self.off else (self.lower, self.off)
+
 
 @dataclass(frozen=True)
 class State:

@@ -9,6 +9,7 @@ from flighttest.sim.autopilot.safety import MODE_SWITCH_S, Boot
 from flighttest.sim.noise import NoiseStream
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
+from flighttest.sim.plants.hidden_values import check_values
 from flighttest.sim.plants.plant import IdentifiedVehicle, Plant
 from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
 from flighttest.sim.plants.plant_rotor import RotorPlant
@@ -19,7 +20,8 @@ from flighttest.sim.wire import UNIX_2015_S
 
 
 def build_plant(options: SimOptions) -> Plant:
-    """The moving vehicle of these options."""
+    """The moving vehicle of these options. InputError for concealed effects that it does not have, or values that nothing has."""
+    check_values(options.hide)
     gusts = Gusts(options.gust_rms_m_s)
     air = Air(gusts, NoiseStream(options.seed, "gusts")) if options.gust_rms_m_s > 0.0 else None
     if options.airframe == "rotor":

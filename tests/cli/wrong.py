@@ -16,7 +16,7 @@ from flighttest.recording.store import write_recording
 
 WORDS: dict[str, tuple[str, ...]] = {
     "connect": ("http://x", "tcp:", "tcp:nowhere", "udpin:0.0.0.0:99999", "serial:", "serial:/dev/nope:x", ""),
-    "hide": ("nonsense", "ground_effect:R2_m2=x", "ground_effect:nope=1", ":"),
+    "hide": ("nonsense", "ground_effect:R2_m2=x", "ground_effect:nope=1", "ground_effect:R2_m2=-5", ":"),
     "waive": ("nonsense", ""),
     "terms": ("nonsense", ""),
     "ids": ("nonsense",),

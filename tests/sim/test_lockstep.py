@@ -142,6 +142,18 @@ def test_what_is_typed_wrong_is_said():
             InProcess(SimOptions(airframe=airframe, hide={"ground_efect": {}}))
         with pytest.raises(InputError, match="has no"):
             InProcess(SimOptions(airframe=airframe, hide={"ground_effect": {"radius": 1.0}}))
+        for word, match in {
+            "ground_effect:R2_m2=-5": "cannot be -5 m\\^2; give a value from 0 to 8",
+            "voltage_sag:sag_tau=-1": "cannot be -1 s",
+            "thrust_fade:fade_depth=1.5": "cannot be 1.5",
+            "quadratic_drag:k_x=nan": "not a finite number",
+            "steady_wind:w_north=inf": "not a finite number",
+        }.items():
+            with pytest.raises(InputError, match=match):
+                InProcess(SimOptions(airframe=airframe, hide=parse_hide([word])))
+    for word in ("tether:rest_m=-1", "resonance:damping=-0.1", "updraft:radius_m=-2"):
+        with pytest.raises(InputError, match="give a value from 0 on"):
+            InProcess(SimOptions(airframe="rotor", hide=parse_hide([word])))
     with pytest.raises(InputError, match="no airframe"):
         SimOptions(airframe="blimp")  # type: ignore[arg-type]
 

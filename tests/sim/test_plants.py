@@ -6,13 +6,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from flighttest.errors import InputError
 from flighttest.frames import flip_vector
 from flighttest.sim.build import build_plant
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery, cell_voltage, charge_at
+from flighttest.sim.plants.hidden_values import check_values
 from flighttest.sim.plants.plant import Command
 from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
-from flighttest.sim.plants.rotor_effects import EFFECTS
+from flighttest.sim.plants.rotor_effects import EFFECTS, effects_on
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.sensors import LowPass3
 
@@ -264,3 +266,16 @@ def test_telemetry_signs_are_those_of_frames(bare):
     c.command(512, 32)
     p = c.last("LOCAL_POSITION_NED")
     assert (p.vx, p.vy, p.vz) == pytest.approx(tuple(flip_vector([1.0, 2.0, 3.0])))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_usual_values_of_an_effect_can_be(name):
+    check_values({name: effects_on({name: {}}, RotorVehicle())[name]})
+
+
+def test_values_at_the_end_of_what_physics_allows_are_flown():
+    check_values({"linear_drag": {"d_x": 0.0}, "ground_effect": {"R2_m2": 8.0}, "steady_wind": {"w_north": -5.0}})
+    beyond = (("linear_drag", "d_x", -1e-9), ("ground_effect", "R2_m2", 8.001), ("steady_wind", "w_up", -3.1))
+    for name, key, value in beyond:
+        with pytest.raises(InputError, match="cannot be"):
+            check_values({name: {key: value}})

@@ -149,7 +149,7 @@ class RotorPlant:
         if self._updraft:
             u = self._updraft
             d2 = (self._pos[0] - u["x_m"]) ** 2 + (self._pos[1] - u["y_m"]) ** 2
-            z += u["speed_m_s"] * exp(-d2 / (u["radius_m"] ** 2))
+            z += u["speed_m_s"] * exp(-d2 / max(u["radius_m"] ** 2, 1e-9))
         if self._front:
             f = self._front
             if 0.0 <= self.time_s - f["from_s"] < f["for_s"]:

@@ -20,11 +20,13 @@ Default = float | Callable[[RotorVehicle], float]
 
 @dataclass(frozen=True)
 class Effect:
-    """One mechanism: keys with default values, and what it is. known: whether the catalogue has a term of this id."""
+    """One mechanism: keys with default values, and what it is. known: whether the catalogue has a term of this id, which states the
+    values that can be; where it has none, signed: the keys that may be negative."""
 
     keys: dict[str, Default]
     doc: str
     known: bool = True
+    signed: tuple[str, ...] = ()
 
 
 EFFECTS: dict[str, Effect] = {
@@ -94,12 +96,16 @@ EFFECTS: dict[str, Effect] = {
         known=False,
     ),
     "updraft": Effect(
-        {"x_m": 0.0, "y_m": 0.0, "radius_m": 4.0, "speed_m_s": 2.5}, "a rising column of air at a place", known=False
+        {"x_m": 0.0, "y_m": 0.0, "radius_m": 4.0, "speed_m_s": 2.5},
+        "a rising column of air at a place",
+        known=False,
+        signed=("x_m", "y_m", "speed_m_s"),
     ),
     "gust_front": Effect(
         {"w_north": 3.0, "w_west": 2.0, "from_s": 120.0, "for_s": 60.0},
         "a rectangular gust, m/s, at a time",
         known=False,
+        signed=("w_north", "w_west"),
     ),
     "sticking_esc": Effect({"band": 0.025}, "the ESCs ignore throttle changes smaller than this", known=False),
     "back_emf": Effect(
@@ -108,7 +114,10 @@ EFFECTS: dict[str, Effect] = {
         known=False,
     ),
     "swirl": Effect(
-        {"rate_1_s": 0.45}, "a side force to the left of the flight, 1/s of the horizontal airspeed", known=False
+        {"rate_1_s": 0.45},
+        "a side force to the left of the flight, 1/s of the horizontal airspeed",
+        known=False,
+        signed=("rate_1_s",),
     ),
     "attitude_priority": Effect(
         {},
@@ -122,7 +131,8 @@ EFFECTS: dict[str, Effect] = {
 
 
 def effects_on(hide: Hidden, vehicle: RotorVehicle) -> dict[str, dict[str, float]]:
-    """Every key of the effects that are on, defaults filled in; InputError for ids and keys that do not exist."""
+    """Every key of the effects that are on, defaults filled in; InputError for ids and keys that do not exist, and negative values
+    of what has no sign."""
     found: dict[str, dict[str, float]] = {}
     for name, values in hide.items():
         effect = EFFECTS.get(name)
@@ -135,6 +145,8 @@ def effects_on(hide: Hidden, vehicle: RotorVehicle) -> dict[str, dict[str, float
         for key in values:
             if key not in effect.keys:
                 raise InputError(f"effect {name} has no key {key!r}", f"it has {', '.join(effect.keys)}")
+            if not effect.known and key not in effect.signed and not values[key] >= 0.0:
+                raise InputError(f"{key} of {name} cannot be {values[key]:g}", "give a value from 0 on")
         defaults = {k: float(d(vehicle)) if callable(d) else d for k, d in effect.keys.items()}
         found[name] = defaults | {k: float(v) for k, v in values.items()}
     return found

@@ -19,6 +19,7 @@ from flighttest.errors import InputError
 from flighttest.sim.noise import NoiseStream
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
+from flighttest.sim.plants.hidden_values import check_values
 from flighttest.sim.plants.plant_motors import MotorPlant
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
@@ -58,6 +59,7 @@ def build_motor_plant(options: SimOptions) -> MotorDriven:
         if options.voltage_v is not None:
             pack.replace(options.voltage_v)
         return FramePlant(options.model, pack, air)
+    check_values(options.hide)
     vehicle = rotor_vehicle(options)
     battery = Battery(vehicle.cells, options.capacity_ah or vehicle.capacity_ah, vehicle.resistance_ohm)
     if options.voltage_v is not None:
