@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import count, islice
 from types import MappingProxyType
@@ -84,8 +84,7 @@ def draw(seed: int, index: int, generator: Generator = "rotor") -> Case:
     number = {"clean": 0, "single": 1, "pair": 2, "outside": 1}[kind]
     chosen = rng.choice(outside if kind == "outside" else inside, size=number, replace=False)
     vehicle_seed = int(rng.integers(1, 2**31))
-    usual = effects_on({str(k): {} for k in chosen}, random_rotor(vehicle_seed))
-    hide = {name: _sized(name, usual[name], rng) for name in map(str, chosen)}
+    hide = sized([str(k) for k in chosen], vehicle_seed, rng)
     return Case(
         index=index,
         seed=seed,
@@ -108,6 +107,12 @@ _SIZED = {
 _INVERSE = ("motor_saturation", "rate_limit", "reference_shaping", "yaw_rate_shaping")
 # Shares that cannot exceed one.
 _WHOLE = ("angle_boost", "rotor_speed_lag")
+
+
+def sized(names: Sequence[str], vehicle_seed: int, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """Effects of a random vehicle, each of a size that is drawn."""
+    usual = effects_on({name: {} for name in names}, random_rotor(vehicle_seed))
+    return {name: _sized(name, usual[name], rng) for name in names}
 
 
 def _sized(name: str, usual: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:

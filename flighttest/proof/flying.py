@@ -80,6 +80,15 @@ def case_options(case: Case, without: str = "", quiet: bool = False) -> SimOptio
     )
 
 
+def sealed_vehicle(vehicle_seed: int) -> Vehicle:
+    """What is declared of a random vehicle."""
+    frame = random_rotor(vehicle_seed)
+    return Vehicle(
+        name="sealed", connect="sim", firmware="ardupilot", nominal_voltage_v=frame.nominal_voltage_v,
+        hover_throttle=frame.hover_throttle, zone=ZONE, mass_kg=frame.mass_kg,
+    )  # fmt: skip
+
+
 def fly_campaign(
     options: SimOptions, folder: Path, generator: Generator = "rotor", script: str = CAMPAIGN
 ) -> tuple[Segment, ...]:
@@ -87,11 +96,7 @@ def fly_campaign(
 
     FlighttestError when it could not be flown, or where no firmware is found.
     """
-    frame = random_rotor(options.vehicle_seed or 0)
-    vehicle = Vehicle(
-        name="sealed", connect="sim", firmware="ardupilot", nominal_voltage_v=frame.nominal_voltage_v,
-        hover_throttle=frame.hover_throttle, zone=ZONE, mass_kg=frame.mass_kg,
-    )  # fmt: skip
+    frame, vehicle = random_rotor(options.vehicle_seed or 0), sealed_vehicle(options.vehicle_seed or 0)
     prior = ModelPredictor(
         Model(nominal_voltage_v=frame.nominal_voltage_v),
         {

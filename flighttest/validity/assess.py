@@ -19,11 +19,13 @@ from flighttest.validity.model import (
     BatteryCheck,
     DeclaredChange,
     Drift,
+    NotSeen,
     SubsetTest,
     ValidityVerdict,
 )
 from flighttest.vehicle.fingerprint import FingerprintData
 
+MOST_SAID = 6  # effects in the sentence; all are in the table below it
 SUBSET_OF = {name: subset for subset, names in SUBSETS.items() for name in names}
 
 
@@ -34,7 +36,8 @@ class RecordingEvidence:
     runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same steps of the
     model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be determined;
     battery_reference: of the model's flights. hovers: the throttle that holds height, of the model's flights and of the newest run.
-    untestable: what could not be tested, one sentence each; appeared: effects that the model does not have.
+    untestable: what could not be tested, one sentence each; appeared: effects that the model does not have; not_seen: effects that neither
+    side has, none where they were not looked for.
     """
 
     runs: Sequence[Estimates] = ()
@@ -45,6 +48,7 @@ class RecordingEvidence:
     hovers: tuple[Hover | None, Hover | None] = (None, None)
     untestable: Sequence[str] = ()
     appeared: Sequence[Appeared] = ()
+    not_seen: Sequence[NotSeen] = ()
 
 
 def assess(
@@ -81,7 +85,7 @@ def assess(
         sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
         fly, narrow = ALL_SCRIPTS, _narrow(changes, alarms, crossed)
     elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
-        verdict, sentence = ValidityVerdict.CURRENT, _current(tests, bool(cannot_tell), compared)
+        verdict, sentence = ValidityVerdict.CURRENT, _current(tests, bool(cannot_tell), compared, new.not_seen)
     else:
         verdict, sentence = ValidityVerdict.UNKNOWN, _unknown(compared)
     return Assessment(
@@ -97,6 +101,7 @@ def assess(
         could_also_be=_rivals(alarms),
         cannot_tell=tuple(dict.fromkeys(cannot_tell)),
         appeared=tuple(appeared),
+        not_seen=tuple(new.not_seen),
     )
 
 
@@ -158,7 +163,7 @@ def _unknown(compared: str) -> str:
     return "Unknown: nothing was given that shows whether the model still holds; declare the components, or fly the spot check."
 
 
-def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
+def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str, not_seen: Sequence[NotSeen]) -> str:
     if not tests:
         limit = "; what could not be compared is below, and the spot check would show it" if in_part else ""
         matched = f"; {compared} are what they were" if compared else ""
@@ -166,7 +171,19 @@ def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str) -> str:
     determined = list(dict.fromkeys(t.subset for t in tests))
     blind = [s for s in SUBSETS if s not in determined]
     nothing = f"; it contains no information on {', '.join(blind)}" if blind else ""
-    return f"Current: the new recording agrees with the model in {', '.join(determined)}{nothing}."
+    return (
+        f"Current: the new recording agrees with the model in {', '.join(determined)}{nothing}.{_of_effects(not_seen)}"
+    )
+
+
+def _of_effects(not_seen: Sequence[NotSeen]) -> str:
+    """How far new effects are ruled out."""
+    if not not_seen:
+        return ""
+    hidden = [e.term for e in not_seen if e.hidden]
+    names = f": {', '.join(hidden)}" if len(hidden) <= MOST_SAID else ""
+    unseen = f"; {len(hidden)} of them could be there unseen at twice the usual size{names}" if hidden else ""
+    return f" It shows none of {len(not_seen)} effects that the model does not have{unseen}."
 
 
 def _stale(

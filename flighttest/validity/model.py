@@ -122,6 +122,20 @@ class Appeared:
 
 
 @dataclass(frozen=True)
+class NotSeen:
+    """An effect that neither the model has nor a new recording shows. smallest: size in `unit` from which on it would have shown, None
+    where none would; hidden: whether an effect of twice its usual size could have been there unseen; fly: script that shows it, '' where
+    a channel that it needs was not recorded."""
+
+    term: str
+    family: str
+    smallest: float | None
+    unit: str
+    hidden: bool
+    fly: str
+
+
+@dataclass(frozen=True)
 class Drift:
     """A CUSUM over runs of one parameter: its largest excursion against the limit.
 
@@ -162,6 +176,7 @@ class Assessment:
     could_also_be: tuple[str, ...] = ()
     cannot_tell: tuple[str, ...] = ()
     appeared: tuple[Appeared, ...] = ()
+    not_seen: tuple[NotSeen, ...] = ()
     untested: tuple[Untested, ...] = ()
     minutes: float | None = None
     evidence: Mapping[str, PlainData] = field(default_factory=dict)

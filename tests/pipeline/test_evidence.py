@@ -7,12 +7,20 @@ import pytest
 
 from flighttest.diagnose import Verdict as Found
 from flighttest.identify.models.model_file import ModelFile, StoredParameter
+from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
-from flighttest.pipeline.validity.evidence import appeared, subsets_of, untested, untested_sentences
+from flighttest.pipeline.validity.evidence import (
+    OF_THE_DAY,
+    appeared,
+    not_seen,
+    subsets_of,
+    untested,
+    untested_sentences,
+)
 from flighttest.report.sections.validity import status_document
 from flighttest.validity.assess import RecordingEvidence, assess
 from flighttest.validity.compare import Estimates, subset_tests
-from flighttest.validity.model import Appeared, ValidityVerdict
+from flighttest.validity.model import Appeared, NotSeen, ValidityVerdict
 
 TERMS = ("body", "linear_drag", "quadratic_drag")
 
@@ -108,3 +116,55 @@ def test_an_effect_that_came_makes_the_model_stale():
     assert "what the model does not have: ground effect" in found.sentence
     assert found.fly
     assert "New: R2_m2 of 0.1." in str(status_document(found, {}, (), brief=True).sections)
+
+
+def looked_for(model, hidden, found=()):
+    """A diagnosis that looked for the whole catalogue. hidden: term to whether its channels were recorded."""
+    others = [t for t in catalogue() if t not in (*model.terms, *hidden, *found)]
+    return SimpleNamespace(
+        findings=tuple(map(finding, found)),
+        not_needed=tuple(others),
+        untestable=tuple(SimpleNamespace(term=t, recorded=there) for t, there in hidden.items()),
+        smallest_detectable={"slung_payload": 0.009, "ground_effect": 4.1},
+        smallest_units={"slung_payload": "payload_ratio", "ground_effect": "m^2 (R2_m2)"},
+    )
+
+
+def test_every_effect_is_in_the_model_or_seen_or_listed_with_the_size_that_would_have_shown():
+    known = stored(diagnosed={"verdict": "NOTHING_MISSING"})
+    hidden = {"ground_effect": True, "motor_saturation": True, "axial_inflow": False}
+    listed = not_seen(looked_for(known.model, hidden, ("vortex_ring",)), known)
+    names = [e.term for e in listed]
+    assert sorted([*names, "vortex_ring", *OF_THE_DAY, *known.model.terms]) == sorted(
+        {*catalogue(), *known.model.terms}
+    )
+    by_name = {e.term: e for e in listed}
+    assert by_name["ground_effect"] == NotSeen("ground_effect", "aerodynamics", 4.1, "m^2 (R2_m2)", True, "two_heights")
+    assert (by_name["slung_payload"].smallest, by_name["slung_payload"].hidden) == (0.009, False)
+    assert (by_name["motor_saturation"].smallest, by_name["motor_saturation"].hidden) == (None, True)
+    assert by_name["axial_inflow"].fly == "", "no flight shows it while a channel is missing"
+
+
+def test_an_effect_that_could_be_there_unseen_is_stated_beside_current():
+    model = stored()
+    same = estimates(model, model.model.names)
+    could = NotSeen("ground_effect", "aerodynamics", 4.1, "m^2 (R2_m2)", True, "two_heights")
+    not_there = NotSeen("slung_payload", "payload", 0.009, "payload_ratio", False, "lateral_stop")
+    never = NotSeen("motor_saturation", "propulsion", None, "", True, "thrust")
+
+    def answer(*effects):
+        new = RecordingEvidence(runs=[same], not_seen=effects)
+        return assess(model_fingerprint={}, vehicle_fingerprint=None, stored=same, new=new)
+
+    found = answer(could, not_there, never)
+    assert found.verdict is ValidityVerdict.CURRENT
+    assert "none of 3 effects that the model does not have; 2 of them could be there unseen" in found.sentence
+    assert found.sentence.endswith("at twice the usual size: ground_effect, motor_saturation.")
+    assert "unseen" not in answer(not_there).sentence
+    assert "effects" not in answer().sentence, "they were not looked for"
+    brief = str(status_document(found, {}, (), brief=True).sections)
+    assert "1 effect that the model does not have would have shown at twice the usual size or less" in brief
+    assert "ground_effect from 4.1 m\u00b2 (R2_m2) on; motor_saturation not at all" in brief
+    rows = next(s for s in status_document(found, {}, ()).sections if s.id == "effects").blocks[0].rows
+    assert [row[1] for row in rows] == ["ground_effect", "slung_payload", "motor_saturation"]
+    assert "0.0090 payload_ratio" in str(rows[1])

@@ -38,7 +38,7 @@ from flighttest.diagnose.residuals.locate import locate, regime_curves, residual
 from flighttest.diagnose.residuals.overlays import overlays
 from flighttest.diagnose.selection.candidates import usual_size
 from flighttest.diagnose.selection.comparison import probability_of
-from flighttest.diagnose.selection.detectability import PLAUSIBLE, POWER, UNSEEN, missing_channels
+from flighttest.diagnose.selection.detectability import POWER, UNSEEN, missing_channels, why_unseen
 from flighttest.diagnose.selection.held_out import excess, held_out_groups
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import Linearisation
@@ -202,7 +202,7 @@ class _Assembly:
             not_needed=tuple(sorted(tried - set(accepted) - set(hidden) - set(found.beside_wind))),
             untestable=tuple(unseen),
             unexplained={"excess_share": float(min(share, 1.0)) if located else 0.0},
-            smallest_detectable={k: v for k, (v, _) in levels.items() if k not in hidden},
+            smallest_detectable={k: v for k, (v, _) in levels.items() if np.isfinite(v) and hidden.get(k) != UNSEEN},
             smallest_units={k: name if units.get(name, "1") == "1" else f"{units[name]} ({name})" for k, (_, name) in levels.items()},
             model=self.final,
             values={k: v for k, v in fitted.values.items() if k in self.final.names},
@@ -316,10 +316,10 @@ class _Assembly:
         found = self.found
         unseen: list[Untestable] = listed(self.answers, "unseen")
         levels: dict[str, tuple[float, str]] = merged(a.levels for a in self.answers)
-        for term, name, size, usual_sizes in self._smallest():
+        for term, name, size in self._smallest():
             levels[term.id] = size, name
-            if usual_sizes > PLAUSIBLE:
-                unseen.append(Untestable(term.id, UNSEEN, term.reveals))
+            if why := why_unseen(term, size, name):
+                unseen.append(Untestable(term.id, why, term.reveals))
         asked = {t.id for a in self.answers if a.search for t in a.search.pool}
         words = {*found.named, *self.loops, *asked, *(u.term for u in unseen), *(s.term for s in found.screened)}
         # Where every flight was declared still, nothing is asked of the wind.
@@ -327,8 +327,8 @@ class _Assembly:
         unseen += [self._not_tried(t) for t in self.pool if t.id not in words]
         return unseen, levels
 
-    def _smallest(self) -> Iterator[tuple[Term, str, float, float]]:
-        """(term, coefficient, its smallest size that would have been named, the same in usual sizes) of every term screened."""
+    def _smallest(self) -> Iterator[tuple[Term, str, float]]:
+        """(term, coefficient, its smallest size that would have been named) of every term screened."""
         least = -normal_quantile(0.5 * CHANCE / max(len(self.found.offered), 1)) + POWER
         known = {t.id: t for t in self.pool}
         for s in self.found.screened:
@@ -336,7 +336,7 @@ class _Assembly:
             sizes = {n: least * e for n, e in s.std.items() if n in usual}
             if sizes:
                 name = min(sizes, key=lambda n: sizes[n] / usual[n])
-                yield known[s.term], name, sizes[name], sizes[name] / usual[name]
+                yield known[s.term], name, sizes[name]
 
     def _not_tried(self, term: Term) -> Untestable:
         if missing := missing_channels(term, self.segments):

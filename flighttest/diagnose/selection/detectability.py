@@ -104,11 +104,20 @@ def untestable(search: Search, levels: dict[str, tuple[float, str]]) -> list[Unt
         if term.id in search.named:
             continue
         level, name = levels.get(term.id, (np.inf, ""))
-        usual = next((abs(usual_size(p)) for p in term.amplitudes if p.name == name), 1.0)
-        if not level < NEVER * usual:
-            found.append(Untestable(term.id, UNSEEN, term.reveals))
-        elif level > PLAUSIBLE * usual:
-            unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "times itself")
-            why = f"would be detected from {level:.2g}{f' {unit}' if unit else ''} on, {level / usual:.1f} times its usual size"
+        if why := why_unseen(term, level, name):
             found.append(Untestable(term.id, why, term.reveals))
     return found
+
+
+def why_unseen(term: Term, level: float, name: str) -> str:
+    """Why a term could not have been seen at its usual size, '' where it could. level: smallest size of coefficient `name` that would have
+    been named."""
+    usual = next((abs(usual_size(p)) for p in term.amplitudes if p.name == name), 1.0)
+    if not level < NEVER * usual:
+        return UNSEEN
+    if level <= PLAUSIBLE * usual:
+        return ""
+    unit = next((p.unit if p.unit != "1" else name for p in term.amplitudes if p.name == name), "times itself")
+    return (
+        f"would be detected from {level:.2g}{f' {unit}' if unit else ''} on, {level / usual:.1f} times its usual size"
+    )

@@ -18,7 +18,7 @@ from flighttest.recording import Recording
 from flighttest.report.numbers import join, percent
 from flighttest.segments import Segment
 from flighttest.validity.compare import FALSE_ALARM, discrepancy
-from flighttest.validity.model import SCRIPTS, SUBSETS, Appeared, SubsetTest, Untested
+from flighttest.validity.model import SCRIPTS, SUBSETS, Appeared, NotSeen, SubsetTest, Untested
 from flighttest.vehicle.model import Vehicle
 
 # Conditions of a day, not of a vehicle: the wind, and what an accelerometer is off by each time it is switched on.
@@ -122,11 +122,20 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
     return tuple(new)
 
 
-def not_shown(found: Diagnosis) -> tuple[str, ...]:
-    """New effects that a recording could not have shown, in one sentence, by the maneuver that would."""
-    by_script: dict[str, list[str]] = {}
-    for u in found.untestable:
-        if u.term not in OF_THE_DAY:
-            by_script.setdefault(u.fly, []).append(u.term)
-    named = [f"{', '.join(terms)} (fly {fly})" for fly, terms in by_script.items()]
-    return (f"new effects that this recording could not have shown: {', '.join(named)}",) if named else ()
+def not_seen(found: Diagnosis, stored: ModelFile) -> tuple[NotSeen, ...]:
+    """Every effect of the catalogue that neither the model has nor a new recording shows, with the smallest size that would have shown."""
+    hidden = {u.term: u for u in found.untestable}
+    elsewhere = {f.term for f in found.findings} | {*stored.model.terms, *PAPER_TERMS, *OF_THE_DAY}
+    known = catalogue()
+    return tuple(
+        NotSeen(
+            term=t,
+            family=known[t].family,
+            smallest=found.smallest_detectable.get(t),
+            unit=found.smallest_units.get(t, ""),
+            hidden=t in hidden,
+            fly=known[t].reveals if t not in hidden or hidden[t].recorded else "",
+        )
+        for t in sorted({*found.not_needed, *hidden}, key=lambda t: (known[t].family, t))
+        if t not in elsewhere
+    )

@@ -31,7 +31,7 @@ from flighttest.pipeline.validity.evidence import (
     NOT_DIAGNOSED,
     appeared,
     effects,
-    not_shown,
+    not_seen,
     subsets_of,
     untested,
     untested_sentences,
@@ -137,6 +137,7 @@ def gather_evidence(
             paired = matched_pairs(stored, base, usable)
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
+    sought = diagnosed if stored.diagnosed else None  # what one that was never diagnosed lacks may be as old as it is
     battery = battery_of(recordings) if recordings else None
     spread = discrepancy_allowed(stored, base, earlier)
     found = assess(
@@ -151,17 +152,21 @@ def gather_evidence(
             battery_reference=battery_reference(stored),
             hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
             untestable=untestable,
-            appeared=appeared(diagnosed, stored) if diagnosed is not None else (),
+            appeared=appeared(sought, stored) if sought is not None else (),
+            not_seen=not_seen(sought, stored) if sought is not None else (),
         ),
         subsets=subsets,
     )
     missed = untested(stored, subsets, found.tests, stds, spread) if recordings else ()
-    unseen = not_shown(diagnosed) if diagnosed is not None and stored.diagnosed else (NOT_DIAGNOSED,) if usable else ()
     since = flown_until(stored)
     return replace(
         found,
         changes=tuple(c if c.since else replace(c, since=since) for c in found.changes),
-        cannot_tell=(*untested_sentences(missed), *found.cannot_tell, *unseen),
+        cannot_tell=(
+            *untested_sentences(missed),
+            *found.cannot_tell,
+            *((NOT_DIAGNOSED,) if usable and not stored.diagnosed else ()),
+        ),
         untested=missed,
     )
 

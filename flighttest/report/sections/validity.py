@@ -22,8 +22,8 @@ from flighttest.report.document import (
     Tone,
     Trace,
 )
-from flighttest.report.numbers import duration, join, percent, to_error, unit
-from flighttest.validity.model import WORDS, Assessment, ValidityVerdict
+from flighttest.report.numbers import duration, join, join_some, number, percent, to_error, unit
+from flighttest.validity.model import WORDS, Assessment, NotSeen, ValidityVerdict
 
 TONES: dict[ValidityVerdict, Tone] = {
     ValidityVerdict.CURRENT: "good",
@@ -63,6 +63,8 @@ def status_document(
         sections.append(_tests(found) if brief else _tests_in_full(found))
     if found.appeared:
         sections.append(_listed("appeared", "New", tuple(a.sentence for a in found.appeared), brief))
+    if found.not_seen:
+        sections.append(_not_seen(found.not_seen, brief))
     if found.impact:
         sections.append(_listed("matters", "Why it matters", found.impact, brief))
     if flights and (found.fly or found.verdict is ValidityVerdict.UNKNOWN):
@@ -100,10 +102,48 @@ def _listed(name: str, title: str, items: tuple[str, ...], brief: bool) -> Secti
 
 def _not_compared(items: tuple[str, ...], brief: bool) -> Section:
     """What these recordings could not show; on a terminal how much of it, unless everything is asked for."""
-    count = (
-        f"{len(items)} thing{'s' if len(items) > 1 else ''} could not be compared: --all lists them, with what to fly."
+    what = (
+        f"{len(items)} things could not be compared: --all lists them"
+        if len(items) > 1
+        else "1 thing could not be compared: --all lists it"
     )
-    return Section("unknown", "" if brief else "What could not be compared", (Bullets(items, count if brief else ""),))
+    return Section("unknown", "" if brief else "What could not be compared", (Bullets(items, what if brief else ""),))
+
+
+def _not_seen(effects: Sequence[NotSeen], brief: bool) -> Section:
+    """New effects that were looked for: from which size on each would have shown; on a terminal those that could be there all the same."""
+    rows = tuple(
+        (
+            e.family,
+            e.term,
+            Cell("not at all" if e.smallest is None else _size(e), "warn" if e.hidden else "plain"),
+            e.fly or "a channel is missing",
+        )
+        for e in effects
+    )
+    hidden = [e for e in effects if e.hidden]
+    many = len(effects) - len(hidden)
+    seen = f"{many} effect{'' if many == 1 else 's'} that the model does not have would have shown at twice the usual size or less"
+    later = [f"{e.term} from {_size(e)} on" for e in hidden if e.smallest is not None]
+    never = [e.term for e in hidden if e.smallest is None]
+    rest = (f"; {join(later)}" if later else "") + (f"; {join_some(never)} not at all" if never else "")
+    caption = (
+        "Effects that neither the model has nor the new recording shows, and the size from which on each would have shown, of several "
+        "coefficients the one that shows first."
+    )
+    table = Table(
+        ("", "effect", "shows from", "script that shows it"),
+        rows,
+        ("left", "left", "right", "left"),
+        caption,
+        fold=True,
+        brief=f"{seen}{rest}: --all lists them, with what to fly.",
+    )
+    return Section("effects", "" if brief else "New effects", (table,))
+
+
+def _size(effect: NotSeen) -> str:
+    return f"{number(effect.smallest or 0.0, 2)} {unit(effect.unit)}".strip()
 
 
 def _changes(found: Assessment, brief: bool) -> Section:
