@@ -6,10 +6,10 @@ import time
 
 from flighttest.sim.autopilot.copter import Autopilot
 from flighttest.sim.autopilot.safety import MODE_SWITCH_S, Boot
+from flighttest.sim.hidden_values import check_values
 from flighttest.sim.noise import NoiseStream
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
-from flighttest.sim.plants.hidden_values import check_values
 from flighttest.sim.plants.plant import IdentifiedVehicle, Plant
 from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
 from flighttest.sim.plants.plant_rotor import RotorPlant

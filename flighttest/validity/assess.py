@@ -23,6 +23,7 @@ from flighttest.validity.model import (
     SubsetTest,
     ValidityVerdict,
 )
+from flighttest.validity.motor_load import MotorLoad, motor_load_test
 from flighttest.vehicle.fingerprint import FingerprintData
 
 MOST_SAID = 6  # effects in the sentence; all are in the table below it
@@ -35,7 +36,8 @@ class RecordingEvidence:
 
     runs: re-estimates of new runs, in time order, the last one the newest; alike: the newest one's steps against the same steps of the
     model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be determined;
-    battery_reference: of the model's flights. hovers: the throttle that holds height, of the model's flights and of the newest run.
+    battery_reference: of the model's flights. hovers, motors: the throttle that holds height, and how the motors share the load, of the
+    model's flights and of the newest run.
     untestable: what could not be tested, one sentence each; appeared: effects that the model does not have; not_seen: effects that neither
     side has, none where they were not looked for.
     """
@@ -46,6 +48,7 @@ class RecordingEvidence:
     battery: tuple[float, float] | str | None = None
     battery_reference: tuple[float, float] | None = None
     hovers: tuple[Hover | None, Hover | None] = (None, None)
+    motors: tuple[MotorLoad | None, MotorLoad | None] = (None, None)
     untestable: Sequence[str] = ()
     appeared: Sequence[Appeared] = ()
     not_seen: Sequence[NotSeen] = ()
@@ -106,11 +109,24 @@ def assess(
 
 
 def _tests(stored: Estimates, new: RecordingEvidence, subsets: Mapping[str, tuple[str, ...]]) -> tuple[SubsetTest, ...]:
+    """Every test of the newest run against the model. The false-alarm rate of all together stays `FALSE_ALARM`."""
+    before, now = new.motors
+    tests = _tests_of_motion(stored, new, subsets, FALSE_ALARM)
+    if before is None or now is None:
+        return tests
+    shared = FALSE_ALARM / (len(tests) + 1)
+    others = _tests_of_motion(stored, new, subsets, shared * len(tests)) if tests else ()
+    return (*others, motor_load_test(before, now, shared))
+
+
+def _tests_of_motion(
+    stored: Estimates, new: RecordingEvidence, subsets: Mapping[str, tuple[str, ...]], level: float
+) -> tuple[SubsetTest, ...]:
     """The newest run's estimates against the model's, by subset; the throttle that holds height in the place of the thrust's test, or
-    beside the others, where it would show the smaller change. The false-alarm rate of all together stays `FALSE_ALARM`."""
+    beside the others, where it would show the smaller change. level: false-alarm rate of these together."""
     runs, before, now = new.runs, *new.hovers
 
-    def by_estimates(false_alarm: float = FALSE_ALARM) -> tuple[SubsetTest, ...]:
+    def by_estimates(false_alarm: float = level) -> tuple[SubsetTest, ...]:
         return subset_tests(
             stored, runs[-1], spread=new.spread, false_alarm=false_alarm, matched=new.matched, subsets=subsets
         )
@@ -121,11 +137,11 @@ def _tests(stored: Estimates, new: RecordingEvidence, subsets: Mapping[str, tupl
     alpha = stored.known.values[stored.known.names.index("alpha")] if "alpha" in stored.known.names else None
     by_gain = next((t for t in tests if t.subset == "thrust" and "K" in t.shifts), None)
     others = tuple(t for t in tests if t is not by_gain)
-    shared = FALSE_ALARM / (len(others) + 1)
-    level = hover_test(before, now, alpha, shared)
+    shared = level / (len(others) + 1)
+    by_level = hover_test(before, now, alpha, shared)
     if by_gain is None:
-        return (*(by_estimates(shared * len(others)) if others else ()), level)
-    return (*others, level) if by_gain.detectable.get("K", 0.0) > level.detectable[NAME] else tests
+        return (*(by_estimates(shared * len(others)) if others else ()), by_level)
+    return (*others, by_level) if by_gain.detectable.get("K", 0.0) > by_level.detectable[NAME] else tests
 
 
 def _narrow(
@@ -258,6 +274,8 @@ def _rivals(alarms: Sequence[SubsetTest]) -> tuple[str, ...]:
             "another mass (weigh it)",
             "air density (10 °C or 300 m: 3 %)",
         ]
+    if "motors" in moved:
+        found.append("another centre of mass (a load, or the battery in another place)")
     if "drag" in moved:
         found.append("steady wind, unless all headings were flown")
     if "attitude" in moved:

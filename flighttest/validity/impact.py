@@ -47,6 +47,8 @@ def _of_test(test: SubsetTest) -> str:
         return f"drag is {change * 100:+.0f} % of the model's: the speed at which a tilt settles is off by as much"
     if name.startswith("T_d"):
         return f"the {WORDS.get(name, name)} is {change * 100:+.0f} % of the model's: a plan made with it acts too early or too late"
+    if name.startswith("motor_"):
+        return f"{name.replace('_', ' ')} reaches its limit earlier than in the model's flights" if change > 0 else ""
     if name == "alpha":
         return f"what a throttle gives at another voltage is off: alpha {change * 100:+.0f} %"
     return f"{name} of {test.subset} is {change * 100:+.0f} % of the model's: what it stands for is predicted wrong by as much"

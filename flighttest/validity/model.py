@@ -46,6 +46,7 @@ WORDS: dict[str, str] = {
     "T_d_yaw_rate": "delay of the yaw rate",
     "T_d_thrust": "delay of the thrust",
     "hover_throttle": "the throttle that holds height",
+    **{f"motor_{k}": f"command of motor {k} beside the others" for k in range(1, 5)},
 }
 
 

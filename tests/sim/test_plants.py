@@ -9,9 +9,9 @@ import pytest
 from flighttest.errors import InputError
 from flighttest.frames import flip_vector
 from flighttest.sim.build import build_plant
+from flighttest.sim.hidden_values import check_values
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery, cell_voltage, charge_at
-from flighttest.sim.plants.hidden_values import check_values
 from flighttest.sim.plants.plant import Command
 from flighttest.sim.plants.plant_paper import PaperParameters, PaperPlant
 from flighttest.sim.plants.rotor_effects import EFFECTS, effects_on

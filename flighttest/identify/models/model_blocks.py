@@ -118,6 +118,16 @@ class HoverBlock(TypedDict):
     log_voltage: float | None
 
 
+class MotorsBlock(TypedDict):
+    """How the four motors shared the load: mean over the flights of each command over the mean of all, and what one flight's share
+    differs by from it (standard deviation, with degrees of freedom)."""
+
+    shares: list[float]
+    spread: float
+    dof: float
+    flights: int
+
+
 class BatteryBlock(TypedDict):
     """The internal resistance of the battery and its standard error, Ohm."""
 
@@ -144,7 +154,7 @@ class FlownStepBlock(TypedDict):
 
 
 class QualityBlock(FitChecks, total=False):
-    """The block fit_quality: how good the fit is, and what later flights are compared with (discrepancy, steps, hover, battery), and
+    """The block fit_quality: how good the fit is; what later flights are compared with (discrepancy, steps, hover, motors, battery); and
     the steps of roll, pitch and yaw rate as they were flown (flown_steps), by which a twin under the real firmware gets its frame."""
 
     status: str
@@ -158,6 +168,7 @@ class QualityBlock(FitChecks, total=False):
     discrepancy: dict[str, float]
     steps: StepsBlock
     hover: HoverBlock
+    motors: MotorsBlock
     battery: BatteryBlock
     flown_steps: dict[str, list[FlownStepBlock]]
 

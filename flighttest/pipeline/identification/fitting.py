@@ -41,6 +41,7 @@ from flighttest.twin.flown import mean_steps
 from flighttest.validity import matched_pair
 from flighttest.validity.between_campaigns import measured
 from flighttest.validity.hover import hover
+from flighttest.validity.motor_load import motor_load
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
 
@@ -227,6 +228,9 @@ def model_data(found: Fit, recordings: Sequence[Recording], vehicle: Vehicle | N
     level = hover(found.problem.segments, found.model.nominal_voltage_v)
     if level is not None:
         extra["hover"] = plain(level)
+    load = motor_load(found.problem.segments)
+    if load is not None:
+        extra["motors"] = plain(load)
     if battery:
         extra["battery"] = battery
     flown = mean_steps(found.problem.segments)

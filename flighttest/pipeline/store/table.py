@@ -18,7 +18,7 @@ from flighttest.recording.manifest import Manifest
 from flighttest.recording.store import CHANNELS_DIR, MANIFEST_NAME, RAW_NAME, read_manifest
 from flighttest.report.document import Document
 from flighttest.report.render import html
-from flighttest.report.sections.validity import HistoryPoint, history_document
+from flighttest.report.sections.history import HistoryPoint, history_document
 
 _IMPORTED = {
     "ardupilot_bin": "imported from .BIN", "tlog": "imported from .tlog", "ulg": "imported from .ulg", "table": "imported from a table",

@@ -50,6 +50,7 @@ from flighttest.validity.compare import Estimates, MatchedPairs
 from flighttest.validity.hover import Hover, hover
 from flighttest.validity.matched_pair import DELAY_S
 from flighttest.validity.model import Assessment, ValidityVerdict
+from flighttest.validity.motor_load import MotorLoad, motor_load
 from flighttest.vehicle.fingerprint import FingerprintData, fingerprint
 from flighttest.vehicle.load import load_vehicle
 from flighttest.vehicle.model import Vehicle
@@ -138,6 +139,9 @@ def gather_evidence(
         except FitError as error:
             untestable.append(f"the new recordings could not be fitted: {error.message}")
     sought = diagnosed if stored.diagnosed else None  # what one that was never diagnosed lacks may be as old as it is
+    load = stored_motors(stored), motor_load(usable)
+    if load[0] is not None and usable and load[1] is None:
+        untestable.append("motors: the commands of four motors were not recorded")
     battery = battery_of(recordings) if recordings else None
     spread = discrepancy_allowed(stored, base, earlier)
     found = assess(
@@ -151,6 +155,7 @@ def gather_evidence(
             battery=battery,
             battery_reference=battery_reference(stored),
             hovers=(stored_hover(stored), hover(usable, stored.model.nominal_voltage_v)),
+            motors=load,
             untestable=untestable,
             appeared=appeared(sought, stored) if sought is not None else (),
             not_seen=not_seen(sought, stored) if sought is not None else (),
@@ -182,6 +187,20 @@ def stored_hover(stored: ModelFile) -> Hover | None:
         return Hover(float(kept["throttle"]), float(kept["std"]), float(kept["dof"]), there)
     except (KeyError, TypeError, ValueError):
         return None
+
+
+def stored_motors(stored: ModelFile) -> MotorLoad | None:
+    """How the motors shared the load in a model's flights, where it was kept."""
+    kept = stored.fit_quality.get("motors")
+    if not isinstance(kept, Mapping):
+        return None
+    try:
+        shares = np.array([float(v) for v in kept["shares"]])
+        found = MotorLoad(shares, float(kept["spread"]), float(kept["dof"]), int(kept["flights"]))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return None
+    sound = shares.shape == (4,) and bool(np.all(shares > 0.0)) and found.spread > 0.0 and found.dof > 0.0
+    return found if sound and found.flights > 0 else None
 
 
 def flown_until(stored: ModelFile) -> str:

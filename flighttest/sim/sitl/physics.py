@@ -16,10 +16,10 @@ from pathlib import Path
 from types import TracebackType
 
 from flighttest.errors import InputError
+from flighttest.sim.hidden_values import check_values
 from flighttest.sim.noise import NoiseStream
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plants.battery import Battery
-from flighttest.sim.plants.hidden_values import check_values
 from flighttest.sim.plants.plant_motors import MotorPlant
 from flighttest.sim.plants.rotor_vehicle import RotorVehicle, random_rotor
 from flighttest.sim.plants.weather import Air, Gusts
