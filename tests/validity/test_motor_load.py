@@ -69,7 +69,7 @@ def test_a_vehicle_that_repeats_itself_shows_a_smaller_change_and_one_flight_has
     assert least(12, 0.005) < 0.7 * least(12, 0.025)
 
 
-def test_status_tells_of_the_motor_and_is_current_where_the_load_is_shared_as_before():
+def test_status_names_the_motor_and_is_current_where_the_load_is_shared_as_before():
     rng = np.random.default_rng(6)
     nothing = Estimates("model", (), np.zeros(0), np.zeros((0, 0)))
 
