@@ -229,7 +229,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     nats = _score(windy, tried) - _score(calm, tried)
     if probability_of(nats, len(known)) < PROBABILITY:
         return
-    if not _seen_somewhere(winds_of(tried, found.declared)):
+    if not seen_somewhere(winds_of(tried, found.declared)):
         found.refused[WIND_TERM] = nats, "no flight has a wind that its interval distinguishes from none"
         return
     gained = max(windy.log_likelihood - calm.log_likelihood, 0.0) / tried.inflation
@@ -247,7 +247,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
             found.named[one] = NamedByEquations(one, nats, p, size)
 
 
-def _seen_somewhere(winds: Sequence[FlightWind]) -> bool:
+def seen_somewhere(winds: Sequence[FlightWind]) -> bool:
     """Whether one of several flights has a wind by its own interval; of a single flight the comparison of models decides."""
     return len(winds) == 1 or any(w.verdict is WindVerdict.WIND for w in winds)
 
@@ -331,7 +331,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
     known = {t.id: t for t in found.final.model.built_terms}
     for name in list(found.named)[:-1]:
         if name == WIND_TERM:
-            gone = [] if _seen_somewhere(found.seen()) else [name, *found.beside_wind]
+            gone = [] if seen_somewhere(found.seen()) else [name, *found.beside_wind]
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
