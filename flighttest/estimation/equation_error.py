@@ -25,6 +25,7 @@ LEAST_POWER = 0.01  # of the most informative group: one with less does not dete
 BLOCK_S = (1.0, 5.0)  # of one cluster of the sandwich: what whitening left of correlation ends within a second
 WANTED_BLOCKS = 40  # a sandwich over fewer understates errors (Cameron, Gelbach, Miller 2008)
 SHARED = 1e-3  # of a function of the state that is left beside the parameters, below which it is one of them
+LEAST_STD = 1e-9  # SI units: rounding of double precision; a channel that is stuck is modelled to within it, and its weight would overflow
 LEAST_STRETCH = 4  # times as many samples as lags: a shorter stretch is left out
 
 
@@ -79,8 +80,8 @@ def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Au
         [sum(float(s[lag:] @ s[: s.size - lag]) for s in usable if s.size > lag) for lag in range(most + 1)]
     )
     covariance /= total
-    if not covariance[0] > 0.0:
-        return Autoregression(np.ones(1), 1e-9)
+    if not covariance[0] > LEAST_STD**2:
+        return Autoregression(np.ones(1), LEAST_STD)
     a, power = np.ones(1), float(covariance[0])
     best, least = (a, power), total * np.log(power)
     for order in range(1, most + 1):
@@ -93,7 +94,7 @@ def autoregression(stretches: Sequence[FloatArray], most: int = MOST_LAGS) -> Au
         criterion = total * np.log(power) + 2.0 * order
         if criterion < least:
             best, least = (a, power), criterion
-    return Autoregression(best[0], float(np.sqrt(best[1])))
+    return Autoregression(best[0], max(float(np.sqrt(best[1])), LEAST_STD))
 
 
 @dataclass(frozen=True)

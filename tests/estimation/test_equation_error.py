@@ -143,3 +143,11 @@ def test_orders_of_the_noise_are_compared_on_the_same_samples(std):
         noise = {"y": Autoregression(np.eye(1, order + 1)[0], std)}
         found.append(-log_scale([s], noise) - 0.5 * np.sum(noise["y"].whitened(s.residual) ** 2))
     assert found[1] == pytest.approx(found[0], abs=3.0 * np.sqrt(40 / 2))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-100, 1e-12])
+def test_a_channel_that_is_stuck_does_not_weigh_more_than_can_be_squared(size):
+    """A constant accelerometer was modelled to within 1e-160 m/s^2; its normal equations overflowed, and a fit ended in a traceback."""
+    found = autoregression([size * np.random.default_rng(3).standard_normal(500)])
+    assert found.std == pytest.approx(1e-9)
+    assert autoregression([1e-6 * np.random.default_rng(3).standard_normal(500)]).std == pytest.approx(1e-6, rel=0.2)
