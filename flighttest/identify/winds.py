@@ -111,6 +111,12 @@ def winds_of(found: FreeFlight, declared: frozenset[str] = frozenset()) -> list[
     return made
 
 
+def any_wind(winds: Sequence[FlightWind]) -> bool:
+    """Whether one of several flights has a wind by its own interval; of a single flight the comparison of models decides, since its
+    interval holds what looks like a wind at one heading, too."""
+    return len(winds) == 1 or any(w.verdict is WindVerdict.WIND for w in winds)
+
+
 def wind_rows(flights: Sequence[FlightWind], declared: frozenset[str]) -> list[FlightWindRow]:
     """The wind of each flight as model.yaml and diagnosis.json have it. declared: flights declared to be in still air."""
     return [

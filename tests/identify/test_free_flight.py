@@ -10,7 +10,7 @@ from flighttest.errors import FitError
 from flighttest.frames import rotation_from_euler
 from flighttest.identify.free_flight import estimate, mixture, stretches
 from flighttest.identify.motion_equations import predicted
-from flighttest.identify.winds import WindVerdict, winds
+from flighttest.identify.winds import FlightWind, WindVerdict, any_wind, winds
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
 
@@ -176,3 +176,11 @@ def test_rotation_of_this_test_is_that_of_the_package():
     cr, sr, cp, sp = np.cos(0.1), np.sin(0.1), np.cos(0.2), np.sin(0.2)
     own = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     assert rotation_from_euler(np.array([0.1, 0.2, 0.0])) == pytest.approx(own)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "found"), [(("none seen",), True), (("none seen", "none seen"), False), (("none seen", "wind"), True)]
+)
+def test_of_several_flights_one_must_have_a_wind_by_its_own_interval(verdicts, found):
+    flown = [FlightWind(f"f{k}", 0.7, 0.1, 1.0, 0.5, 0.5, WindVerdict(v)) for k, v in enumerate(verdicts)]
+    assert any_wind(flown) is found

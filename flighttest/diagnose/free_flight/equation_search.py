@@ -35,6 +35,7 @@ from flighttest.identify.winds import (
     WIND_TERM,
     FlightWind,
     WindVerdict,
+    any_wind,
     still_air,
     turned,
     winds_of,
@@ -229,7 +230,7 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
     nats = _score(windy, tried) - _score(calm, tried)
     if probability_of(nats, len(known)) < PROBABILITY:
         return
-    if not seen_somewhere(winds_of(tried, found.declared)):
+    if not any_wind(winds_of(tried, found.declared)):
         found.refused[WIND_TERM] = nats, "no flight has a wind that its interval distinguishes from none"
         return
     gained = max(windy.log_likelihood - calm.log_likelihood, 0.0) / tried.inflation
@@ -245,11 +246,6 @@ def _wind_first(found: EquationSearch, asked: _Asked, known: Mapping[str, Term],
         nats, size = _nats(tried, smaller), effect_sizes(asked.streams(smaller), streams)
         if not _against(nats, p, level, size, tried, known[one], len(known)):
             found.named[one] = NamedByEquations(one, nats, p, size)
-
-
-def seen_somewhere(winds: Sequence[FlightWind]) -> bool:
-    """Whether one of several flights has a wind by its own interval; of a single flight the comparison of models decides."""
-    return len(winds) == 1 or any(w.verdict is WindVerdict.WIND for w in winds)
 
 
 def _shared(values: Mapping[str, float]) -> dict[str, float]:
@@ -289,7 +285,8 @@ def _step(
         # Alone it takes up whatever tilts the vehicle: a wind is named beside what looks like it (`_wind_first`), or not at all.
         why = NOT_BESIDE if s.term == WIND_TERM else _against(nats, p_value, level, size, one, term, len(known))
         if why:
-            found.refused[s.term] = (nats, why)
+            if s.term != WIND_TERM or WIND_TERM not in found.refused:  # what `_wind_first` found says more
+                found.refused[s.term] = (nats, why)
             continue
         rivals = tuple(
             r.term for n, r, _ in tried if r is not s and nats - n < CHANCE_NATS and (n <= nats or r.term == WIND_TERM)
@@ -331,7 +328,7 @@ def _drop_what_left(found: EquationSearch, asked: _Asked, level: float) -> None:
     known = {t.id: t for t in found.final.model.built_terms}
     for name in list(found.named)[:-1]:
         if name == WIND_TERM:
-            gone = [] if seen_somewhere(found.seen()) else [name, *found.beside_wind]
+            gone = [] if any_wind(found.seen()) else [name, *found.beside_wind]
         elif name in BESIDE_WIND and WIND_TERM in found.named:
             gone = []
         else:
