@@ -13,6 +13,7 @@ import argparse
 import os
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,61 +34,60 @@ def folder_of_recordings(name: str) -> Path:
     return folder
 
 
-def row(name: str, flights: int, data: dict[str, Any]) -> str:
-    """One line of the table: how the throttle that holds height moved, its chance, and the answer of `status`."""
+def cells(test: Mapping[str, Any], name: str) -> str:
+    """How a quantity moved, the chance of it without a change, and from what change on it shows."""
+    return f"{test['shifts'][name][0]:+.1%} | {test['p_value']:.2g} | {test['detectable'][name]:.1%}"
+
+
+def row(name: str, flights: int, data: Mapping[str, Any]) -> str:
+    """One line of the table by the throttle that holds height, with the answer of `status`."""
     test = next((t for t in data["tests"] if "hover_throttle" in t["shifts"]), None)
-    if test is None:
-        return f"| {name} | {flights} | - | - | - | {data['verdict'].lower()} |"
-    moved, detectable = test["shifts"]["hover_throttle"][0], test["detectable"]["hover_throttle"]
-    return (
-        f"| {name} | {flights} | {moved:+.1%} | {test['p_value']:.2g} | {detectable:.1%} | {data['verdict'].lower()} |"
-    )
+    found = "- | - | -" if test is None else cells(test, "hover_throttle")
+    return f"| {name} | {flights} | {found} | {data['verdict'].lower()} |"
 
 
-def measured() -> str:
-    """The table."""
-    folder = folder_of_recordings("controller_data")
-    lines = [
-        "| flights | number | throttle that holds height | chance without a change | shows from | answer |",
-        "|---|---|---|---|---|---|",
-    ]
+def motors_row(vehicle: str, name: str, flights: int, data: Mapping[str, Any]) -> str:
+    """One line of the table by the motor whose share of the load changed most."""
+    test = next(t for t in data["tests"] if t["subset"] == "motors")
+    motor = max(test["shifts"], key=lambda n: abs(test["shifts"][n][1]))
+    changed = " and ".join(t["subset"] for t in data["tests"] if t["alarm"])
+    answer = f"{data['verdict'].lower()}{f' ({changed})' if changed else ''}"
+    return f"| {vehicle} | {name} | {flights} | {motor.replace('_', ' ')} {cells(test, motor)} | {answer} |"
+
+
+def judged(folder: Path, pattern: str) -> Iterator[tuple[str, int, Mapping[str, Any]]]:
+    """(name, number of flights, answer of `status`) of each folder, by the model of the undamaged flights of a file name pattern."""
     with tempfile.TemporaryDirectory() as scratch:
         model = Path(scratch) / "model.yaml"
-        analysis.fit(sorted((folder / UNDAMAGED).iterdir()), model)
+        analysis.fit(sorted((folder / UNDAMAGED).glob(pattern)), model)
         for one in sorted(p for p in folder.iterdir() if p.is_dir()):
-            runs = tuple(sorted(one.iterdir()))
-            found = status(runs, None, model, Path(scratch) / "runs", None)
-            lines.append(row(one.name, len(runs), dict(found.data)))
-            print(lines[-1], file=sys.stderr)
-    return "\n".join(lines) + "\n"
+            if runs := tuple(sorted(one.glob(pattern))):
+                yield one.name, len(runs), dict(status(runs, None, model, Path(scratch) / "runs", None).data)
 
 
-def motors_measured() -> str:
+def measured() -> Iterator[str]:
+    """The table."""
+    yield "| flights | number | throttle that holds height | chance without a change | shows from | answer |"
+    yield "|---|---|---|---|---|---|"
+    for found in judged(folder_of_recordings("controller_data"), "*"):
+        yield row(*found)
+
+
+def motors_measured() -> Iterator[str]:
     """The table by the load of the motors."""
     folder = folder_of_recordings("motor_data")
-    lines = [
-        "| vehicle | flights | number | largest change of a motor's command | chance without a change | shows from | answer |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    with tempfile.TemporaryDirectory() as scratch:
-        for vehicle in sorted({p.name.split("_")[0] for p in (folder / UNDAMAGED).iterdir()}):
-            model = Path(scratch) / f"{vehicle}.yaml"
-            analysis.fit(sorted((folder / UNDAMAGED).glob(f"{vehicle}_*")), model)
-            for one in sorted(p for p in folder.iterdir() if p.is_dir()):
-                runs = tuple(sorted(one.glob(f"{vehicle}_*")))
-                if not runs:
-                    continue
-                data = dict(status(runs, None, model, Path(scratch) / "runs", None).data)
-                test = next(t for t in data["tests"] if t["subset"] == "motors")
-                name = max(test["shifts"], key=lambda n: abs(test["shifts"][n][1]))
-                changed = " and ".join(t["subset"] for t in data["tests"] if t["alarm"])
-                answer = f"{data['verdict'].lower()}{f' ({changed})' if changed else ''}"
-                lines.append(
-                    f"| {vehicle} | {one.name} | {len(runs)} | {name.replace('_', ' ')} {test['shifts'][name][0]:+.1%} "
-                    f"| {test['p_value']:.2g} | {test['detectable'][name]:.1%} | {answer} |"
-                )
-                print(lines[-1], file=sys.stderr)
-    return "\n".join(lines) + "\n"
+    yield "| vehicle | flights | number | largest change of a motor's command | chance without a change | shows from | answer |"
+    yield "|---|---|---|---|---|---|---|"
+    for vehicle in sorted({p.name.split("_")[0] for p in (folder / UNDAMAGED).iterdir()}):
+        for found in judged(folder, f"{vehicle}_*"):
+            yield motors_row(vehicle, *found)
+
+
+def printed(lines: Iterable[str]) -> Iterator[str]:
+    """The same, each shown when it is there."""
+    for line in lines:
+        print(line, file=sys.stderr)
+        yield line
 
 
 def main() -> None:
@@ -99,7 +99,7 @@ def main() -> None:
         ("benchmarks/validity_recorded.py", measured),
         ("benchmarks/validity_recorded.py, motors", motors_measured),
     ):
-        table = measure()
+        table = "\n".join(printed(measure())) + "\n"
         if asked.write is None:
             print(table, end="")
         else:
