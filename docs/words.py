@@ -188,7 +188,7 @@ SEARCHED = (
     ("autocorrelation", "identify/diagnostics/residuals.py"),
     ("Bode", "identify/response_analysis/frequency_response.py"),
     ("bootstrap", "identify/diagnostics/bootstrap.py"),
-    ("closed-loop bias", "identify/diagnostics/closed_loop.py"),
+    ("closed-loop bias", "estimation/uncertainty/closed_loop.py"),
     ("coherence", "identify/response_analysis/frequency_response.py"),
     ("covariance", "estimation/uncertainty/covariance.py"),
     ("Cramer-Rao", "identify/expected_information.py"),

@@ -24,8 +24,8 @@ from flighttest.estimation.linearisation import (
 )
 from flighttest.estimation.problem import PartEvaluation, Problem, prior_std
 from flighttest.estimation.solver import Solution, Start, log_likelihood, solve
-from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of
-from flighttest.estimation.uncertainty.discrepancy import discrepancy_limits
+from flighttest.estimation.uncertainty.closed_loop import closed_loop_bias
+from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, widened
 from flighttest.physics.blocks import Block
 from flighttest.physics.model import Model
 from flighttest.segments.model import Segment
@@ -151,12 +151,9 @@ class Estimator:
         return made
 
     def covariance(self, model: Model, at: Optimum, names: Sequence[str]) -> Covariance:
-        """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty.covariance`)."""
-        return covariance_of(self.problem(model), self._solution(model, at, names))
-
-    def discrepancy_limits(self, model: Model, at: Optimum, level: float) -> dict[tuple[str, int], float]:
-        """Of an optimum, as of `estimation.uncertainty.discrepancy`."""
-        return discrepancy_limits(self.problem(model), self._solution(model, at, ()), level)
+        """Covariance of `names` at an optimum of them, as a fit has it (`estimation.uncertainty`), closed-loop bias included."""
+        problem, solution = self.problem(model), self._solution(model, at, names)
+        return widened(covariance_of(problem, solution), closed_loop_bias(problem, solution))
 
     def _solution(self, model: Model, at: Optimum, names: Sequence[str]) -> Solution:
         """An optimum of `names` as a solution."""

@@ -22,9 +22,9 @@ from flighttest.estimation.likelihood_weights import start_noise
 from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
+from flighttest.estimation.uncertainty.closed_loop import closed_loop_bias
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, interval_factor, std_of, widened
 from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
-from flighttest.identify.diagnostics.closed_loop import closed_loop_bias
 from flighttest.identify.diagnostics.identifiability import (
     ALPHA_HOPELESS,
     HOPELESS_SHARE,

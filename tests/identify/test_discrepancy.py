@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance, discrepancy_limits
+from flighttest.estimation.uncertainty.discrepancy import discrepancy_covariance
 from flighttest.identify.fit import fit
 from tests.identify.campaign import TRUTH, campaign
 
@@ -42,20 +42,11 @@ def test_more_repeats_leave_less_room_for_a_discrepancy(yaw):
     assert 0.0 < widths[1] < widths[0]
 
 
-def test_without_repeats_all_of_the_residual_may_be_discrepancy(yaw):
+def test_without_repeats_neighbouring_samples_take_their_place(yaw):
     once = fit([s for s in yaw if s.repeat == 1])
     again = fit(yaw)
     assert once.estimates["sigma_r"].std > 2 * once.estimates["sigma_r"].scatter
     assert once.estimates["sigma_r"].std > 1.5 * again.estimates["sigma_r"].std
-
-
-def test_of_a_kind_that_was_not_repeated_all_that_is_left_may_be_an_error_of_the_equations(yaw):
-    """Windows between repeated steps: thrust fade was named there, since the steps' repeats limited the error of the windows, too."""
-    found = fit(noisy(yaw, 0.05, 2))
-    estimate, limit = (discrepancy_limits(found.problem, found.solution, level)["r_rad_s", 0] for level in (0.5, 0.95))
-    assert estimate < limit < 0.2
-    alone = fit([replace(s, cell={**s.cell, "alone": k}) for k, s in enumerate(noisy(yaw, 0.05, 2))])
-    assert discrepancy_limits(alone.problem, alone.solution, 0.5)["r_rad_s", 0] > 2 * limit
 
 
 def noisy(segments, std, seed):
@@ -93,3 +84,14 @@ def test_of_equations_that_hold_the_limit_is_that_of_an_f_test_at_95_per_cent(ya
     groups, repeats = 4 * 24, 6
     expected = 0.2 * (stats.f.ppf(0.95, groups * (repeats - 1), groups) - 1.0) / repeats
     assert np.mean(limits) == pytest.approx(expected, rel=0.3)
+
+
+def test_flown_once_white_noise_leaves_little_room_and_a_smooth_error_is_in_the_interval(yaw):
+    """All of the residual was taken for an error of the equations where nothing was repeated: noise of 1 counted as 1."""
+    once = [s for s in yaw if s.repeat == 1]
+    limits = [limit_of(fit(noisy(once, 0.05, seed))) for seed in range(16)]
+    pairs = rates(fit(noisy(once, 0.05, 0)))[0].mask.sum() / 2
+    assert np.mean(limits) == pytest.approx((stats.f.ppf(0.95, pairs, pairs) - 1.0) / 2, rel=0.5)
+    found = fit(noisy(slower(once, 2.0), 0.01, 0)).estimates["sigma_r"]
+    assert abs(found.value - TRUTH["sigma_r"]) > 4 * found.scatter
+    assert found.interval_95[0] < TRUTH["sigma_r"] < found.interval_95[1]

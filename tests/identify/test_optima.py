@@ -9,9 +9,9 @@ import pytest
 from flighttest.errors import FitError
 from flighttest.estimation.problem import PartEvaluation, Problem
 from flighttest.estimation.solver import FitStatus, solve
+from flighttest.estimation.uncertainty.closed_loop import closed_loop_bias, steered
 from flighttest.estimation.uncertainty.covariance import covariance_of, std_of
 from flighttest.identify.diagnostics import local_optima as optima
-from flighttest.identify.diagnostics.closed_loop import closed_loop_bias, steered
 from flighttest.identify.fit import fit
 from flighttest.identify.selection import problem_of
 from flighttest.physics.model import Model

@@ -17,7 +17,6 @@ import numpy as np
 
 from flighttest.channels import CHANNELS
 from flighttest.diagnose.free_flight.equation_screen import Screened, screen, seen_by_equations, settings
-from flighttest.diagnose.residuals.lack_of_fit import DRIFT
 from flighttest.diagnose.selection.aliases import CHANCE_NATS
 from flighttest.diagnose.selection.candidates import null_value
 from flighttest.diagnose.selection.comparison import PROBABILITY, probability_of
@@ -25,6 +24,7 @@ from flighttest.diagnose.selection.detectability import missing_channels
 from flighttest.errors import FitError
 from flighttest.estimation.equation_error import Stream
 from flighttest.estimation.uncertainty.distributions import chi2_beyond, fisher_beyond
+from flighttest.estimation.uncertainty.drift import DRIFT
 from flighttest.identify.diagnostics.identifiability import voltage_varies
 from flighttest.identify.free_flight import FreeFlight, estimate
 from flighttest.identify.motion_equations import LATENCY, Equations

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flighttest.estimation.linearisation import IntArray, Linearisation
 from flighttest.estimation.uncertainty.distributions import fisher_quantile
+from flighttest.estimation.uncertainty.drift import DRIFT
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -26,19 +27,6 @@ RESOLUTION = {"roll_rad": 3e-4, "pitch_rad": 3e-4, "r_rad_s": 1e-3} | {
     for k, unit, std in (("f", "m_s2", 5e-3), ("a", "m_s2", 5e-3), ("v", "m_s", 3e-3))
     for axis in "xyz"
 }
-# What an estimate drifts by within seconds and no high-frequency residual shows: attitude of an EKF in flight about 0.1 deg, velocity of
-# GPS and barometer some cm/s, accelerometers warming up or shaken 0.05 m/s^2. Repeats, where they were flown, measure it.
-DRIFT = {"roll_rad": 2e-3, "pitch_rad": 2e-3, "r_rad_s": 5e-3} | {
-    f"{k}_{axis}_{unit}": std
-    for k, unit, std in (("f", "m_s2", 0.05), ("a", "m_s2", 0.1), ("v", "m_s", 0.03))
-    for axis in "xyz"
-}
-# The same of the constant disturbances of responses: what drifts in seconds stays for all of a short flight.
-DISTURBANCE_DRIFT = {
-    "roll_d_rad": DRIFT["roll_rad"],
-    "pitch_d_rad": DRIFT["pitch_rad"],
-    "yaw_rate_d_rad_s": DRIFT["r_rad_s"],
-} | {f"a_d_{axis}_m_s2": DRIFT[f"f_{axis}_m_s2"] for axis in "xyz"}
 
 
 @dataclass(frozen=True)

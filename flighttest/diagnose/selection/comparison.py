@@ -8,13 +8,13 @@ where its probability, prior odds included, is above `PROBABILITY`, its effect h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flighttest.diagnose.residuals.discrepancy import discrepancy_of
-from flighttest.diagnose.residuals.lack_of_fit import DISTURBANCE_DRIFT, RESOLUTION, NoiseFloor, floor_of
+from flighttest.diagnose.residuals.lack_of_fit import RESOLUTION, NoiseFloor, floor_of
 from flighttest.diagnose.selection.candidates import null_value, redundant, usual_size
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
@@ -31,11 +31,13 @@ from flighttest.estimation.linearisation import FloatArray, IntArray, Linearisat
 from flighttest.estimation.problem import Noise, kinds_of
 from flighttest.estimation.responses import zero_order_hold
 from flighttest.estimation.uncertainty.covariance import interval_factor
+from flighttest.estimation.uncertainty.distributions import fisher_beyond
 from flighttest.physics.core import Param, Term
 from flighttest.physics.model import Model
 from flighttest.segments import Segment
 
 PROBABILITY = 0.99  # a name is given above it; reliability is measured on the frozen bench (docs/proof.md)
+LEVEL = 0.05  # of the likelihood ratio test of a term, that of the intervals printed beside its name
 NORMAL_95 = 1.96  # two-sided 95 % quantile of the standard normal distribution
 LEAST_FLOORS = 0.7  # noise floors: half their power. Below it a vehicle counts as clean (design of the sealed trials)
 
@@ -80,7 +82,7 @@ class Evidence:
     in predictions, in the channels' units, the second with the nuisance parameters of every response profiled out; inadmissible: why its
     estimates cannot be what its name means, empty where they can; without: the model fitted without it; improved, worsened: strata
     (channels, disturbances) of groups that were not used, predicted better or worse with it (`stratum_gains`; `held_out_falls` of few);
-    nothing: the estimate, where its 95 % interval holds its null value; withdrawn: why the model with all that was named does not stay."""
+    nothing: the estimates, where a term's absence is not excluded; withdrawn: why the model with all that was named does not stay."""
 
     term: str
     nats: float
@@ -186,7 +188,7 @@ def evidence_of(
     profiled = _change(
         fitted.rows, without.rows.residual * without.rows.scale, fitted.rows.residual * fitted.rows.scale
     )
-    change = Change(profiled, change_by_stratum(after.rows, before.rows))
+    change = change_by_stratum(after.rows, before.rows)
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
         falls = held_out_falls(without.rows, without.held_out(groups), fitted.rows, fitted.held_out(groups), groups)
@@ -201,32 +203,25 @@ def evidence_of(
         profiled=profiled,
         inadmissible=inadmissible(term, fitted, segments, candidates, repeated=floor.repeated(*place)),
         without=without,
-        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and change.visible_in(name)),
+        improved=tuple(name for name, (low, _) in intervals.items() if low > 0.0 and visible(change.get(name))),
         worsened=tuple(name for name, (_, high) in intervals.items() if high < 0.0),
     )
     if found.why_not:
         return found
     # Asked last: it takes a covariance.
-    return replace(found, nothing=may_be_absent(term, fitted, change, estimator, repeated=floor.repeated(*place)))
+    gain = float(before.rows.residual @ before.rows.residual - after.rows.residual @ after.rows.residual)
+    return replace(found, nothing=may_be_absent(term, fitted, gain, estimator))
 
 
-@dataclass(frozen=True)
-class Change:
-    """What a term changes between two optima. effect: (measured rows,) in the channels' units, nuisance parameters profiled out;
-    by_stratum: channel or disturbance to its rows' change, in standard deviations of their noise."""
-
-    effect: FloatArray
-    by_stratum: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    def visible_in(self, stratum: str) -> bool:
-        """Whether a filter matched to the change would have a signal-to-noise ratio above 1.96 there. Else it cannot be distinguished from
-        nothing at a level of 5 %, and what is predicted better there is so because the base was estimated anew."""
-        change = self.by_stratum.get(stratum)
-        return change is None or float(change @ change) > NORMAL_95**2
+def visible(change: FloatArray | None) -> bool:
+    """Whether a filter matched to a change of a stratum's rows, in standard deviations of their noise, would have a signal-to-noise ratio
+    above 1.96. Else it cannot be distinguished from nothing at a level of 5 %, and what is predicted better there is so because the base
+    was estimated anew. None: nothing to compare with."""
+    return change is None or float(change @ change) > NORMAL_95**2
 
 
 def change_by_stratum(larger: Linearisation, smaller: Linearisation) -> dict[str, FloatArray]:
-    """`Change.by_stratum` of two models whose rows are whitened by the same noise, of strata that have the same rows in both."""
+    """Stratum to what differs in its rows between two models whose rows are whitened by the same noise, where they have the same rows."""
     found = {}
     for name in {*larger.strata} & {*smaller.strata}:
         one, other = (rows.residual[rows.stratum == rows.strata.index(name)] for rows in (larger, smaller))
@@ -235,74 +230,33 @@ def change_by_stratum(larger: Linearisation, smaller: Linearisation) -> dict[str
     return found
 
 
-def may_be_absent(term: Term, fitted: Fitted, change: Change, estimator: Estimator, *, repeated: bool) -> str:
-    """Why a term's estimates do not exclude its absence, empty where they do. change: what it changes; repeated: whether steps were.
+def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator) -> str:
+    """Why a term may be absent, empty where that is excluded at a level of 5 %: likelihood ratio, adjusted to the covariance that is
+    printed beside the name (Rotnitzky & Jewell 1990). gain: twice the difference of the log likelihoods in one noise, fitted data.
 
-    By the errors of its coefficients (`may_be_nothing`), except where the effect between the two optima is beyond what the equations may
-    err. Then only the scatter between cells is tested; and of a term with nonlinear parameters, where repeats confirm it,
-    not by a standard error at the estimate, where a coefficient may be one direction with a delay or a lag, but by the groups that were
-    not used (`improved`).
+        F = gain / tr(C_model^-1 C),     p, dof degrees of freedom;
+
+    C_model (p, p) of the term's parameters, as if the noise were all; C with what differs between cells, what all cells share, and how
+    controls answered (`Estimator.covariance`); dof the fewest of their intervals. Of one coefficient F is the square of its value over its
+    standard error. Of others that ratio falls again far from the null value, or where a coefficient and a delay are one direction (Hauck &
+    Donner 1977), and means nothing for nonlinear parameters (Davies 1977); the likelihood ratio has neither fault.
     """
-    if beyond_discrepancy(fitted, change, estimator):
-        return "" if term.shapes and repeated else may_be_nothing(term, fitted, estimator, discrepancy=False)
-    if not any(p.name in fitted.names for p in term.amplitudes):
-        return "its effect is within what the equations may err"
-    return may_be_nothing(term, fitted, estimator, discrepancy=True)
-
-
-def beyond_discrepancy(fitted: Fitted, change: Change, estimator: Estimator) -> bool:
-    """Whether an effect between two optima is more than noise and an error that responses share may copy at a level of 5 %: with S_k its
-    whitened sum of squares over the n_k samples of a channel and kind, or over the n_k responses of a disturbance, s_k^2 the variance of
-    what they share,
-
-        z^2 = (sum S_k)^2 / sum S_k (1 + n_k s_k^2) > 1.96^2.
-
-    s_k^2 of a channel is the variance of an error of the equations, estimated such that it is as often too large as too small (a limit of
-    it would be a second level of significance); of a disturbance, what instruments drift by (`DISTURBANCE_DRIFT`), alike in all responses.
-    Of a linear coefficient z is its value over its standard error. Of others that ratio falls again far from the null value (Hauck &
-    Donner 1977), while the effect between the optima does not.
-    """
-    rows, limits = fitted.rows, estimator.discrepancy_limits(fitted.model, fitted.at, 0.5)
-    measured = rows.sample >= 0
-    square = (change.effect / rows.scale[measured]) ** 2
-    kinds = kinds_of(estimator.segments)[rows.segment[measured]]
-    n_kinds = int(kinds.max(initial=0)) + 1
-    of_place = np.array([[limits.get((name, kind), 0.0) for kind in range(n_kinds)] for name in rows.channels])
-    place = rows.stratum[measured] * n_kinds + kinds
-    total, count = (np.bincount(place, what, of_place.size).reshape(of_place.shape) for what in (square, None))
-    sum_of_squares, variance = float(total.sum()), float(np.sum(total * (1.0 + count * of_place)))
-    for name, shift in ((n, x) for n, x in change.by_stratum.items() if n in rows.disturbances):
-        shared = (DISTURBANCE_DRIFT[name] / fitted.at.noise.disturbance[name]) ** 2
-        sum_of_squares += float(shift @ shift)
-        variance += float(shift @ shift) * (1.0 + shift.size * shared)
-    return variance > 0.0 and sum_of_squares**2 > NORMAL_95**2 * variance
-
-
-def may_be_nothing(term: Term, fitted: Fitted, estimator: Estimator, *, discrepancy: bool) -> str:
-    """The linear coefficients of a term all of whose 95 % intervals hold the null value: a name must not stand beside what may be nothing.
-    Empty where one does not, and for terms without any. Nonlinear parameters are held: they mean nothing where a coefficient has its null
-    value (Davies 1977), so their error is none of its. discrepancy: whether what the equations may err counts beside the scatter between
-    cells."""
-    own = [p for p in term.amplitudes if p.name in fitted.names]
+    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
+    own = [known.names.index(p.name) for p in term.params if p.name in known.names]
     if not own:
         return ""
-    known = estimator.covariance(fitted.model, fitted.at, fitted.names)
-    if not discrepancy:
-        known = replace(known, discrepancy=None)
-    shapes = [known.names.index(p.name) for p in term.shapes if p.name in known.names]
-    said = ""
-    for p in own:
-        if p.name not in known.names:
-            continue
-        at = known.names.index(p.name)
-        weights = np.eye(len(known.names))[at]
-        weights[shapes] = -np.linalg.pinv(known.whole[np.ix_(shapes, shapes)]) @ known.whole[shapes, at]
-        std, dof = known.of(weights)
-        value, half = fitted.at.values[p.name], interval_factor(dof) * std
-        if abs(value - null_value(p)) > half:
-            return ""
-        said = f"{p.name} is {value:.2g} +- {half:.1g}{_unit(p)}, which may be nothing"
-    return said
+    scale = np.sqrt(np.diag(known.model)[own])
+    of_noise, whole = (c[np.ix_(own, own)] / np.outer(scale, scale) for c in (known.model, known.whole))
+    inflation = float(np.trace(np.linalg.pinv(of_noise, hermitian=True) @ whole))
+    dof = min(known.of(np.eye(len(known.names))[k])[1] for k in own)
+    p_value = fisher_beyond(gain / inflation, len(own), dof)
+    if p_value < LEVEL:
+        return ""
+    words = []
+    for p in (p for p in term.params if p.name in known.names):
+        std, dof = known.of(np.eye(len(known.names))[known.names.index(p.name)])
+        words.append(f"{p.name} is {fitted.at.values[p.name]:.2g} +- {interval_factor(dof) * std:.1g}{_unit(p)}")
+    return f"{', '.join(words)}, which may be nothing (p {p_value:.2g})"
 
 
 def log_odds_asked(candidates: int) -> float:

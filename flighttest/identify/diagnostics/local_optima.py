@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Noise, Part, Problem
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
+from flighttest.estimation.uncertainty.closed_loop import steered
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, std_of
-from flighttest.identify.diagnostics.closed_loop import steered
 from flighttest.identify.diagnostics.quality import noise_floor
 
 FloatArray = NDArray[np.float64]
