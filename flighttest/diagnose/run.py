@@ -258,13 +258,15 @@ def _final_fit(asked: Asked, searches: Sequence[Search], final: Model) -> Fit:
     start: dict[str, float] = {}
     held: dict[str, float] = {}
     channel, disturbance = dict(asked.base.noise.channel), dict(asked.base.noise.disturbance)
+    nuisance = dict(asked.base.start.nuisance)
     for search in searches:
         assert search.now is not None
         start |= {n: v for n, v in search.now.at.values.items() if n in final.names}
         held |= {n: start[n] for t in search.named for n in search.held(t)}
         channel |= search.now.at.noise.channel
         disturbance |= search.now.at.noise.disturbance
-    begun = Start(start, Noise(channel, disturbance))
+        nuisance |= search.now.at.nuisance
+    begun = Start(start, Noise(channel, disturbance), nuisance)
     return fit(asked.segments, final, select="all", start=begun, frozen=held, robust=False)
 
 

@@ -80,23 +80,10 @@ class Estimator:
         made = replace(at, values=full)
         return replace(made, objective=self.objective(model, made))
 
-    def nuisance(self, problem: Problem, at: Optimum) -> list[FloatArray]:
-        """Per part (m, n_nuisance)."""
-        found = []
-        for part in problem.parts:
-            values = part.start_local()
-            index = [r.index for r in part.responses]
-            for k, name in enumerate(part.locals):
-                if name in at.nuisance:
-                    mine = at.nuisance[name][index]
-                    values[:, k] = np.where(np.isfinite(mine), mine, values[:, k])
-            found.append(values)
-        return found
-
     def objective(self, model: Model, at: Optimum) -> float:
         """Whitened sum of squares; infinite where the simulation is not finite."""
         problem = self.problem(model)
-        nuisance = self.nuisance(problem, at)
+        nuisance = problem.placed(at.nuisance)
         total = 0.0
         with np.errstate(over="ignore", invalid="ignore"):  # a step too far may diverge: its objective is infinite
             for part, made, l_i in zip(problem.parts, problem.evaluate(at.values, nuisance), nuisance, strict=True):
@@ -129,24 +116,15 @@ class Estimator:
         begun = bool(start.nuisance)
         found = solve(
             problem,
-            Start(
-                start.values,
-                start.noise if begun or not noise else None,
-                self.nuisance(problem, start) if begun else None,
-            ),
+            Start(start.values, start.noise if begun or not noise else None, start.nuisance),
             free=names,
             robust=False,
             estimate_noise=noise,
             max_iterations=iterations,
             tolerances=Tolerances() if reported else replace(COMPARED, compared_with=compared_with),
         )
-        columns: dict[str, FloatArray] = {}
-        for part, values in zip(problem.parts, found.local, strict=True):
-            for k, name in enumerate(part.locals):
-                column = columns.setdefault(name, np.full(len(self.segments), np.nan))
-                column[[r.index for r in part.responses]] = values[:, k]
         known = log_likelihood(problem, found.noise, found.cost)
-        made = Optimum(dict(found.values), columns, found.noise, found.cost, known)
+        made = Optimum(dict(found.values), problem.by_name(found.local), found.noise, found.cost, known)
         self._last = made, tuple(names), found.evaluations
         return made
 
@@ -159,14 +137,14 @@ class Estimator:
         """An optimum of `names` as a solution."""
         problem = self.problem(model)
         return solve(
-            problem, Start(at.values, at.noise, self.nuisance(problem, at)), free=names, robust=False, estimate_noise=False,
+            problem, Start(at.values, at.noise, at.nuisance), free=names, robust=False, estimate_noise=False,
             max_iterations=0,
         )  # fmt: skip
 
     def linearise(self, model: Model, at: Optimum, names: Sequence[str]) -> Linearisation:
         """Whitened, profiled rows at a point, with Jacobian columns for `names` (coefficients at their null value included)."""
         problem = self.problem(model)
-        nuisance = self.nuisance(problem, at)
+        nuisance = problem.placed(at.nuisance)
         channels = tuple(dict.fromkeys(c for part in problem.parts for c in part.outputs))
         disturbances = tuple(dict.fromkeys(d for part in problem.parts for d in part.block.disturbances))
         strata = (*channels, *disturbances)
@@ -229,14 +207,14 @@ class Estimator:
             found, by, made = self._last
             if found.values is at.values and found.nuisance is at.nuisance and by == tuple(names):
                 return made
-        return problem.evaluate(at.values, self.nuisance(problem, at), list(names))
+        return problem.evaluate(at.values, problem.placed(at.nuisance), list(names))
 
     def derivatives(self, model: Model, at: Optimum, names: Sequence[str]) -> list[FloatArray]:
         """Per part (m, samples times outputs, len(names)): derivatives of the outputs, in the channels' units."""
         problem = self.problem(model)
         found = []
         for part, made in zip(
-            problem.parts, problem.evaluate(at.values, self.nuisance(problem, at), list(names)), strict=True
+            problem.parts, problem.evaluate(at.values, problem.placed(at.nuisance), list(names)), strict=True
         ):
             m, n, n_y = part.y.shape
             jacobian = made.jacobian.reshape(m, n * n_y, -1)
@@ -256,8 +234,8 @@ class Estimator:
             (a.residual - b.residual).reshape(part.y.shape[0], -1, 1)
             for part, a, b in zip(
                 first.parts,
-                first.evaluate(at.values, self.nuisance(first, at)),
-                second.evaluate(there.values, self.nuisance(second, there)),
+                first.evaluate(at.values, first.placed(at.nuisance)),
+                second.evaluate(there.values, second.placed(there.nuisance)),
                 strict=True,
             )
         ]

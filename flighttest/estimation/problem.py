@@ -191,6 +191,28 @@ class Problem:
         """(n_segments,), as `cells_of`."""
         return cells_of(self.segments)
 
+    def placed(self, nuisance: Mapping[str, FloatArray]) -> list[FloatArray]:
+        """Nuisance parameters by part, (m, n_nuisance), of name to (n_segments,); where they begin for those not given, or NaN."""
+        found = []
+        for part in self.parts:
+            values = part.start_local()
+            index = [r.index for r in part.responses]
+            for k, name in enumerate(part.locals):
+                if name in nuisance:
+                    mine = nuisance[name][index]
+                    values[:, k] = np.where(np.isfinite(mine), mine, values[:, k])
+            found.append(values)
+        return found
+
+    def by_name(self, local: Sequence[FloatArray]) -> dict[str, FloatArray]:
+        """The inverse of `placed`: NaN where a segment has no such parameter."""
+        found: dict[str, FloatArray] = {}
+        for part, values in zip(self.parts, local, strict=True):
+            for k, name in enumerate(part.locals):
+                column = found.setdefault(name, np.full(len(self.segments), np.nan))
+                column[[r.index for r in part.responses]] = values[:, k]
+        return found
+
     def thinned(self, every: int) -> Problem:
         """The same problem on each `every`-th response of every kind of step, sharing what was compiled."""
         order = sorted(range(len(self.segments)), key=lambda i: (self.segments[i].cell_key, self.segments[i].repeat))

@@ -111,12 +111,12 @@ class _PenalisedCost:
 
 @dataclass(frozen=True)
 class Start:
-    """Where an estimate begins. values: parameters by name, the problem's own where they are not given; noise, local: a previous estimate's
-    noise, and its nuisance parameters per part (m, n_nuisance)."""
+    """Where an estimate begins. values: parameters by name, the problem's own where they are not given; noise, nuisance: a previous
+    estimate's noise, and its nuisance parameters, name to (n_segments,)."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     noise: Noise | None = None
-    local: Sequence[FloatArray] | None = None
+    nuisance: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def solve(
@@ -149,10 +149,9 @@ def solve(
         estimate_noise=estimate_noise,
     )
     theta = space.inside(np.array([objective.base[n] for n in names]))
-    local = begin.local if begin.local is not None else [part.start_local() for part in problem.parts]
     found = minimise(
         objective,
-        objective.begun(theta, [np.array(x) for x in local]),
+        objective.begun(theta, problem.placed(begin.nuisance)),
         space,
         tolerances=tolerances,
         least_iterations=2 if warm or not robust else 4,

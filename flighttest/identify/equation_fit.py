@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from flighttest.estimation.linearisation import FloatArray
-from flighttest.estimation.solver import Start, solve
+from flighttest.estimation.solver import solve
 from flighttest.estimation.uncertainty.covariance import Covariance, interval_factor
 from flighttest.identify.diagnostics.identifiability import Estimated, judge
 from flighttest.identify.fit import Estimate, Fit
@@ -40,7 +40,7 @@ def with_equation_error(made: Fit, found: FreeFlight) -> Fit:
     # The information about held parameters is in the linearisation at this point, which later comparisons read.
     fixed = [n for n in made.model.names if n not in (*kept, *made.covariance.names)]
     problem = problem_of(made.problem.segments, made.model, select="all", values=made.values, fixed=fixed)
-    begin = Start(made.values, made.noise, made.solution.local)
+    begin = made.start
     solution = solve(problem, begin, robust=False, estimate_noise=False, max_iterations=0)
     made = replace(made, problem=problem, solution=replace(solution, status=made.status))
     return replace(

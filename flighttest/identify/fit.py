@@ -116,6 +116,11 @@ class Fit:
         return dict(self.solution.values)
 
     @property
+    def start(self) -> Start:
+        """Where another fit of the same responses begins that is to stay with this one's optimum."""
+        return Start(self.values, self.noise, self.problem.by_name(self.solution.local))
+
+    @property
     def runs(self) -> tuple[str, ...]:
         """Names of the recordings used."""
         return tuple(dict.fromkeys(s.run for s in self.problem.segments))
@@ -145,7 +150,7 @@ def fit(
 ) -> Fit:
     """Estimate the model's parameters from usable segments of one or several recordings, jointly.
 
-    start: values to start from, with the noise of the estimate that they are to stay with its optimum; frozen: held there; ties: name to
+    start: values to start from, or another fit's `Start`, whose optimum it is to stay with; frozen: held there; ties: name to
     the name it equals (each tie is tested). FitError where nothing can be estimated.
     """
     segments = tuple(s for s in segments if s.usable)
@@ -162,7 +167,7 @@ def fit(
         return problem_of(segments, model, select=select, values=begin, fixed=(*(frozen or {}), *held), ties=ties)
 
     def solved(problem: Problem) -> Solution:
-        return best_of_starts(problem, robust, model.start(given.values), given.noise)
+        return best_of_starts(problem, robust, model.start(given.values), given)
 
     problem, solution = _of_what_is_determined(stated, solved, _not_moved(segments, model))
     solution, others = local_optima(problem, solution, robust)

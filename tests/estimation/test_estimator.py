@@ -48,7 +48,7 @@ def point(throttled):
 def raw(estimator, model, at, nuisance=None):
     """Residuals and prior residuals of every response, whitened, one array per response, straight from the definition."""
     problem = estimator.problem(model)
-    local = nuisance if nuisance is not None else estimator.nuisance(problem, at)
+    local = nuisance if nuisance is not None else problem.placed(at.nuisance)
     found = []
     for part, made, l_i in zip(problem.parts, problem.evaluate(at.values, local), local, strict=True):
         std = np.array([at.noise.channel[c] for c in part.outputs])
@@ -67,7 +67,7 @@ def differences(estimator, model, at, names):
         )
         by_parameter.append([-(u - d) / (2 * h) for u, d in zip(up, down, strict=True)])
     problem = estimator.problem(model)
-    local = estimator.nuisance(problem, at)
+    local = problem.placed(at.nuisance)
     by_local = []
     for k in range(local[0].shape[1]):
         moved = []
@@ -119,7 +119,7 @@ def test_a_fit_ends_where_scipys_does(throttled):
     start = estimator.start(model, {"K": 50.0, "sigma_t": 25.0, "T_d_thrust": 0.1003})
     found = estimator.fit(model, start, names, noise=False)
     problem = estimator.problem(model)
-    local = estimator.nuisance(problem, start)
+    local = problem.placed(start.nuisance)
     spread = [prior_std(p, start.noise).ravel() for p in problem.parts]
     scale = np.concatenate([[model.param[n].scale for n in names], *spread])
 

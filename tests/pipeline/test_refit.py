@@ -20,7 +20,7 @@ def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_m
 
     monkeypatch.setattr(diagnosis, "identify", identify)
     monkeypatch.setattr(diagnosis, "known_before", lambda _fitted, _base: known)
-    own = SimpleNamespace(values={"K": 50.0}, noise="noise")
+    own = SimpleNamespace(values={"K": 50.0}, start=Start({"K": 50.0}))
     found = SimpleNamespace(values={}, model=Model(("linear_drag",)), fit=own)
     fitted, kept = diagnosis.refit(found, [])
     assert kept == tuple(known)
@@ -28,5 +28,5 @@ def test_the_model_file_of_a_diagnosis_holds_its_own_fit_but_for_what_the_base_m
     for model, options in asked:
         assert model == found.model
         assert options["frozen"] == known
-        assert options["start"] == Start(own.values, "noise")
+        assert options["start"] == own.start
     assert len(asked) == len(known)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flighttest.estimation.gauss_newton import FitStatus
-from flighttest.estimation.problem import Noise, Part, Problem
+from flighttest.estimation.problem import Part, Problem
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.closed_loop import steered
 from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, std_of
@@ -204,14 +204,14 @@ def _left(part: Part, residual: FloatArray, reference: Solution) -> FloatArray:
 
 
 def best_of_starts(
-    problem: Problem, robust: bool, nominal: Mapping[str, float], noise: Noise | None = None
+    problem: Problem, robust: bool, nominal: Mapping[str, float], begun: Start | None = None
 ) -> Solution:
     """Solve from the shape-based start; from others too where that did not end well.
 
-    noise: the start is an estimate already, and this its noise: of optima that serve alike, the one next to it is meant.
+    begun: with noise, the start is an estimate already: of optima that serve alike, the one next to it is meant. Values are the problem's.
     """
-    start, noise_was_estimated = Start({}, noise), noise is None
-    if noise is None and len(problem.segments) >= 3 * COARSE_STRIDE**2:
+    start, noise_was_estimated = replace(begun or Start(), values={}), begun is None or begun.noise is None
+    if noise_was_estimated and len(problem.segments) >= 3 * COARSE_STRIDE**2:
         # Most of the way is gone on a part of the responses: the full problem then needs a few steps only.
         coarse = solve(problem.thinned(COARSE_STRIDE), robust=robust, max_iterations=12)
         if coarse.status is not FitStatus.DIVERGED:

@@ -14,7 +14,6 @@ from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.documents import write_text
 from flighttest.errors import InputError
-from flighttest.estimation.solver import Start
 from flighttest.identify.fit import Fit
 from flighttest.identify.fit import fit as identify
 from flighttest.identify.models import model_file
@@ -148,7 +147,7 @@ def refit(found: Diagnosis, segments: Sequence[Segment], base: ModelFile | None 
     ):  # its translation is of the equations, which output error does not estimate anew
         return fitted, ()
     usable = [s for s in segments if s.usable]
-    again = identify(usable, found.model, select="all", start=Start(fitted.values, fitted.noise), frozen=known)
+    again = identify(usable, found.model, select="all", start=fitted.start, frozen=known)
     return again, tuple(known)
 
 
