@@ -252,6 +252,14 @@ def test_a_pure_pole_is_at_its_usual_value_and_not_at_a_bound(rng):
     assert "bound" in judged("attitude_extra_pole", model, values | {"attitude_pole_share": -2.0}, columns, rng)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_share_may_be_nothing_and_all(share):
+    """Of a log of ArduPilot's own simulator the share of the lean angle went to -1, its bound, then, and the boost was refused with 154
+    nats, and with it quadratic drag and axial inflow, which only show beside it."""
+    model = Model(("linear_drag", "angle_boost"))
+    assert judged("angle_boost", model, {"boost": 1.0, "boost_actual": share}) == ""
+
+
 def test_a_coefficient_at_its_bound_is_refused_where_data_tell_it_from_its_usual_value(rng):
     model, values = Model(("vortex_ring",)), {"vortex_depth": 0.7, "vortex_centre": 5.0}
     columns = rng.normal(size=(SEGMENTS * EACH, 2))

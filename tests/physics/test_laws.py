@@ -134,7 +134,7 @@ def test_parameters_are_bounded_and_sourced(term):
             assert p.kind == "shape"
             assert p.off is None
             assert 1 <= len(p.screen) <= 5
-            assert all(p.lower < v < p.upper for v in p.screen)
+            assert all(p.lower <= v <= p.upper for v in p.screen)
 
 
 @pytest.mark.parametrize("term", [t for t in TERMS.values() if t.amplitudes], ids=lambda t: t.id)

@@ -282,8 +282,8 @@ def inadmissible(
     for p in own:
         value = values[p.name]
         bound = "lower" if value <= p.lower else "upper" if value >= p.upper else ""
-        # Where the usual value is the bound, as of a pure pole, to be there is usual.
-        at_bound = bound not in ("", p.natural_bound if repeated else "") and value != p.nominal
+        # Where the bound is a usual value, as of a pure pole or of a share that is all or nothing, to be there is usual.
+        at_bound = bound not in ("", p.natural_bound if repeated else "") and value not in (p.nominal, *p.screen)
         # A coefficient whose place shapes may take runs to its bound though data hardly prefer it there.
         if at_bound and (len(p.screen) > 1 or (p.kind == "amplitude" and _known(p, fitted, segments))):
             return f"{p.name} is at its bound, {value:.3g}{_unit(p)}"

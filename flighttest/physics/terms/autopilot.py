@@ -28,7 +28,7 @@ angle_boost = Term(
     params=(
         Param("boost", "b", "1", 1.0, -1.0, 3.0, 0.2, "1: throttle is divided by the cosine of the tilt; 0: it is not",
               "ArduPilot ATC_ANGLE_BOOST: 1", one_sided=True),
-        Param("boost_actual", "s_b", "1", 1.0, -1.0, 2.0, 0.2, "whose tilt: 1 the vehicle's lean angle, 0 the attitude target's",
+        Param("boost_actual", "s_b", "1", 1.0, 0.0, 1.0, 0.2, "whose tilt: 1 the vehicle's lean angle, 0 the attitude target's",
               "ArduPilot: 1", "shape", None, (1.0, 0.0)),
     ),
     build=_boost,
