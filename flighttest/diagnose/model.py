@@ -63,7 +63,8 @@ class TermVerdict(StrEnum):
 class Located:
     """Where the mismatch is. channel: short name (f_z, v_x, roll, ...); maneuver: the script most of these steps are of; kind: as
     `Segment.kind`; regime: {"variable": ..., "below" or "above": ...} or {}; shares of the excess over the noise floor (of the error,
-    where none of it is over the floor) and of the samples; peak: largest mean residual in the regime, in `unit`."""
+    where none of it is over the floor) and of the samples; peak: largest mean residual in the regime, in `unit`; repeated: whether repeats
+    measured the floor, which else is known to a factor of two."""
 
     channel: str
     maneuver: str
@@ -78,6 +79,7 @@ class Located:
     peak: float = 0.0
     explained: float = 0.0
     p_value: float = 1.0
+    repeated: bool = False
 
 
 @dataclass(frozen=True)

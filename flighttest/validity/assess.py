@@ -38,8 +38,8 @@ class RecordingEvidence:
     model's flights; spread: allowed relative change by parameter. battery: (Ohm, std) of the newest run, or why it cannot be determined;
     battery_reference: of the model's flights. hovers, motors: the throttle that holds height, and how the motors share the load, of the
     model's flights and of the newest run.
-    untestable: what could not be tested, one sentence each; appeared: effects that the model does not have; not_seen: effects that neither
-    side has, none where they were not looked for.
+    untestable: what could not be tested, one sentence each; appeared: effects that the model does not have; doubtful: a mismatch that may
+    be such an effect or gusts, in a sentence; not_seen: effects that neither side has, none where they were not looked for.
     """
 
     runs: Sequence[Estimates] = ()
@@ -51,6 +51,7 @@ class RecordingEvidence:
     motors: tuple[MotorLoad | None, MotorLoad | None] = (None, None)
     untestable: Sequence[str] = ()
     appeared: Sequence[Appeared] = ()
+    doubtful: str = ""
     not_seen: Sequence[NotSeen] = ()
 
 
@@ -87,6 +88,8 @@ def assess(
         sides = (matched.before, matched.after) if matched is not None else (stored, runs[-1]) if runs else None
         sentence = _stale(changes, alarms, crossed, tests, sides, appeared)
         fly, narrow = ALL_SCRIPTS, _narrow(changes, alarms, crossed)
+    elif new.doubtful:
+        verdict, sentence, fly = ValidityVerdict.UNKNOWN, _doubtful(new.doubtful), ("spot_check",)
     elif tests or (vehicle_fingerprint is not None and same_parts(model_fingerprint, vehicle_fingerprint)):
         verdict, sentence = ValidityVerdict.CURRENT, _current(tests, bool(cannot_tell), compared, new.not_seen)
     else:
@@ -177,6 +180,13 @@ def _unknown(compared: str) -> str:
             "(--vehicle), or the spot check."
         )
     return "Unknown: nothing was given that shows whether the model still holds; declare the components, or fly the spot check."
+
+
+def _doubtful(mismatch: str) -> str:
+    return (
+        f"Unknown: {mismatch[:1].lower() + mismatch[1:].rstrip('.')}. It may be an effect that the model does not have, or gusts: "
+        "no step was flown twice. Fly the spot check again, and give both recordings."
+    )
 
 
 def _current(tests: Sequence[SubsetTest], in_part: bool, compared: str, not_seen: Sequence[NotSeen]) -> str:

@@ -12,6 +12,7 @@ from flighttest.physics.model import Model
 from flighttest.pipeline.validity.evidence import (
     OF_THE_DAY,
     appeared,
+    doubtful,
     not_seen,
     subsets_of,
     untested,
@@ -78,8 +79,8 @@ def finding(term):
     return SimpleNamespace(term=term, title=term.title(), sentence=f"{term} of some size")
 
 
-def diagnosis(*terms, verdict=Found.EXPLAINED):
-    located = (SimpleNamespace(sentence="f_z below 1 m"),)
+def diagnosis(*terms, verdict=Found.EXPLAINED, repeated=True):
+    located = (SimpleNamespace(sentence="f_z below 1 m", repeated=repeated),)
     return SimpleNamespace(findings=tuple(map(finding, terms)), verdict=verdict, located=located)
 
 
@@ -102,7 +103,32 @@ def test_an_effect_that_came_is_distinguished_from_one_that_was_not_looked_for()
     )
     (new,) = appeared(diagnosis(verdict=Found.UNKNOWN_PHYSICS), known)
     assert new.term == ""
+    assert doubtful(diagnosis(verdict=Found.UNKNOWN_PHYSICS), known) == ""
     assert appeared(diagnosis(verdict=Found.UNKNOWN_PHYSICS), stored(diagnosed={"verdict": "PARTLY"})) == ()
+
+
+def test_a_mismatch_without_a_name_in_steps_flown_once_is_a_doubt():
+    """Two of eight unchanged vehicles were called stale for 2.0 and 2.3 times a floor that no repeat measures: gusts do that, too."""
+    known = stored(diagnosed={"verdict": "NOTHING_MISSING"})
+    once = diagnosis(verdict=Found.UNKNOWN_PHYSICS, repeated=False)
+    assert appeared(once, known) == ()
+    assert "f_z below 1 m" in doubtful(once, known)
+    assert doubtful(diagnosis(repeated=False), known) == ""
+    assert doubtful(once, stored(diagnosed={"verdict": "PARTLY"})) == ""
+
+
+def test_a_doubt_makes_the_model_neither_stale_nor_current():
+    model = stored()
+    same = estimates(model, model.model.names)
+    doubted = assess(
+        model_fingerprint=None,
+        vehicle_fingerprint=None,
+        stored=same,
+        new=RecordingEvidence(runs=[same], doubtful="F_z is off."),
+    )
+    assert doubted.verdict is ValidityVerdict.UNKNOWN
+    assert doubted.fly == ("spot_check",)
+    assert "f_z is off" in doubted.sentence
 
 
 def test_an_effect_that_came_makes_the_model_stale():

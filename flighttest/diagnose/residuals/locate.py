@@ -285,8 +285,9 @@ def located_at(
             f"samples; {label} explains {100 * share:.0f} % of the residual's variance"
         )
     return Located(
-        short(name), maneuver, kind, regime, excess_share, sample_share, head, rmse, floor, unit, peak, share, p_value
-    )
+        short(name), maneuver, kind, regime, excess_share, sample_share, head, rmse, floor, unit, peak, share, p_value,
+        repeated,
+    )  # fmt: skip
 
 
 def _where(variable: str, side: str, level: float) -> str:

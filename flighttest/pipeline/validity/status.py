@@ -30,6 +30,7 @@ from flighttest.pipeline.store.lineage import in_use
 from flighttest.pipeline.validity.evidence import (
     NOT_DIAGNOSED,
     appeared,
+    doubtful,
     effects,
     not_seen,
     subsets_of,
@@ -158,6 +159,7 @@ def gather_evidence(
             motors=load,
             untestable=untestable,
             appeared=appeared(sought, stored) if sought is not None else (),
+            doubtful=doubtful(sought, stored) if sought is not None else "",
             not_seen=not_seen(sought, stored) if sought is not None else (),
         ),
         subsets=subsets,
