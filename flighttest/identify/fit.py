@@ -23,15 +23,20 @@ from flighttest.estimation.problem import Noise, Problem
 from flighttest.estimation.responses import dead_channels, never_changing
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.closed_loop import closed_loop_bias
-from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, interval_factor, std_of, widened
+from flighttest.estimation.uncertainty.covariance import (
+    Covariance,
+    covariance_of,
+    interval_factor,
+    scatter_of,
+    widened,
+)
 from flighttest.identify.dead_time import OnsetDelay, onset_delay, start_values
 from flighttest.identify.diagnostics.identifiability import (
-    ALPHA_HOPELESS,
-    HOPELESS_SHARE,
     Estimated,
     Known,
     ParameterDiagnostics,
     assumed_share,
+    hopeless,
     judge,
     throttle_varies,
     voltage_notes,
@@ -216,28 +221,15 @@ def _not_moved(segments: Sequence[Segment], model: Model) -> tuple[str, ...]:
 def _of_what_is_determined(
     stated: Callable[[Sequence[str]], Problem], solved: Callable[[Problem], Solution], held: tuple[str, ...]
 ) -> tuple[Problem, Solution]:
-    """A problem and its solution, with what turns out to be `_hopeless` held beside `held`."""
+    """A problem and its solution, with what turns out to be `hopeless` held beside `held`."""
     while True:
         problem = stated(held)
         solution = solved(problem)
-        covariance = covariance_of(problem, solution)
-        hopeless = _hopeless(solution, covariance)
-        if not hopeless or len(hopeless) == len(covariance.names):
+        scatter = scatter_of(problem, solution)
+        more = hopeless(solution, scatter)
+        if not more or len(more) == len(scatter.names):
             return problem, solution
-        held = (*held, *hopeless)
-
-
-def _hopeless(solution: Solution, covariance: Covariance) -> tuple[str, ...]:
-    """Parameters to hold at their start, so that the others are still found.
-
-    alpha where it cannot be distinguished from K: K is then the gain at the voltage flown. Where the solver did not end well, whatever it
-    has no more than a hint of: such directions are flat, and it wanders along them.
-    """
-    names = covariance.names
-    lost = {"alpha"} if "alpha" in names and std_of(covariance, "alpha") >= ALPHA_HOPELESS else set()
-    if not solution.status.good:
-        lost |= {n for n in names if std_of(covariance, n) > HOPELESS_SHARE * abs(solution.values[n])}
-    return tuple(n for n in names if n in lost)
+        held = (*held, *more)
 
 
 def _check_names(model: Model, names: Sequence[str]) -> None:

@@ -124,13 +124,18 @@ def variance_inflation_of(problem: Problem, evaluations: Sequence[PartEvaluation
 
 
 def covariance_of(problem: Problem, solution: Solution) -> Covariance:
+    """As of `scatter_of`, with the discrepancy, which takes a pass over all samples."""
+    found = scatter_of(problem, solution)
+    return replace(found, discrepancy=discrepancy_covariance(problem, solution, found.names))
+
+
+def scatter_of(problem: Problem, solution: Solution) -> Covariance:
     """Cluster-robust covariance of the free parameters that have an effect and are not at a bound; clusters are cells, since an equation
     that is nearly right errs alike in all repeats of one (Cameron & Miller 2015: cluster as widely as errors may be correlated)."""
     active = tuple(n for n in solution.free if n not in solution.insensitive and n not in solution.at_bound)
     covariance = cluster_covariance(
         solution.normal.by(problem.cells), active, variance_inflation_of(problem, solution.evaluations, solution.noise)
     )
-    covariance = replace(covariance, discrepancy=discrepancy_covariance(problem, solution, active))
     return with_clock_error(covariance, clock_std_s(problem))
 
 

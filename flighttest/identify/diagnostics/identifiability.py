@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flighttest.estimation.responses import never_changing, zero_order_hold
-from flighttest.estimation.uncertainty.covariance import Covariance
+from flighttest.estimation.solver import Solution
+from flighttest.estimation.uncertainty.covariance import Covariance, std_of
 from flighttest.identify.diagnostics.heterogeneity import Heterogeneity
 from flighttest.identify.diagnostics.local_optima import LocalOptimum
 from flighttest.physics.core import Param
@@ -253,3 +254,16 @@ def voltage_spread_at_equal_throttle(segments: Sequence[Segment]) -> float | Non
         return 0.0
     low, high = np.percentile(np.concatenate(off), [5, 95])
     return float(high - low)
+
+
+def hopeless(solution: Solution, covariance: Covariance) -> tuple[str, ...]:
+    """Parameters to hold at their start, so that the others are still found.
+
+    alpha where it cannot be distinguished from K: K is then the gain at the voltage flown. Where the solver did not end well, whatever it
+    has no more than a hint of: such directions are flat, and it wanders along them.
+    """
+    names = covariance.names
+    lost = {"alpha"} if "alpha" in names and std_of(covariance, "alpha") >= ALPHA_HOPELESS else set()
+    if not solution.status.good:
+        lost |= {n for n in names if std_of(covariance, n) > HOPELESS_SHARE * abs(solution.values[n])}
+    return tuple(n for n in names if n in lost)

@@ -18,7 +18,7 @@ from flighttest.estimation.gauss_newton import FitStatus
 from flighttest.estimation.problem import Part, Problem
 from flighttest.estimation.solver import Solution, Start, finite_or_error, solve
 from flighttest.estimation.uncertainty.closed_loop import steered
-from flighttest.estimation.uncertainty.covariance import Covariance, covariance_of, std_of
+from flighttest.estimation.uncertainty.covariance import Covariance, scatter_of, std_of
 from flighttest.identify.diagnostics.quality import noise_floor
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +58,7 @@ def local_optima(problem: Problem, solution: Solution, robust: bool) -> tuple[So
     """The best of several optima, and by name the parameters of others that this data does not separate from it."""
     if not solution.status.good:
         return solution, {}
-    known = covariance_of(problem, solution)
+    known = scatter_of(problem, solution)
     taken: dict[str, float] = {}
     found: dict[str, LocalOptimum] = {}
     for group in _groups(problem, solution):
@@ -93,7 +93,7 @@ def _of_group(
     here = solve(few, Start(best.values, best.noise), free=free, robust=robust, max_iterations=SCOUT_STEPS)
     if here.status is FitStatus.DIVERGED:
         return {}, {}
-    mine = covariance_of(few, here)
+    mine = scatter_of(few, here)
     taken: dict[str, float] = {}
     found: dict[str, LocalOptimum] = {}
     for factor in (SLOWER, QUICKER):
@@ -101,14 +101,14 @@ def _of_group(
         scout = solve(few, start, free=free, robust=robust, max_iterations=SCOUT_STEPS)
         if scout.status is FitStatus.DIVERGED:
             continue
-        theirs = covariance_of(few, scout)
+        theirs = scatter_of(few, scout)
         if not any(_apart(n, here, mine, scout, theirs) for n in free) or _better(few, here, scout) > BETTER:
             continue
         there = {**best.values, **{n: scout.values[n] for n in free}}
         other = solve(problem, Start(there, best.noise), free=free, robust=robust, max_iterations=MANY_STEPS)
         if not other.status.good:
             continue
-        known_there = covariance_of(problem, other)
+        known_there = scatter_of(problem, other)
         apart = [n for n in free if _apart(n, best, known, other, known_there)]
         better = _better(problem, best, other)
         if apart and better < -BETTER:
