@@ -295,7 +295,16 @@ def test_what_points_elsewhere_is_not_refitted_in_its_place(monkeypatch, rng, co
 
 
 @pytest.mark.parametrize(
-    ("after", "groups", "named"), [(0.5, 20, {"a"}), (1.0, 20, set()), (2.0, 20, set()), (2.0, 5, {"a"})]
+    ("after", "groups", "named"),
+    [
+        (0.5, 20, {"a"}),
+        (1.0, 20, set()),
+        (2.0, 20, set()),
+        (2.0, 5, {"a"}),
+        # A limit that a few stretches of a log reached took 45 % of the error, all of it in these.
+        (np.repeat(np.where(np.arange(20) < 3, 0.3, 1.00001), 50), 20, {"a"}),
+        (np.repeat(np.where(np.arange(20) < 6, 0.3, 1.9), 50), 20, set()),
+    ],
 )
 def test_names_that_predict_what_was_not_used_no_better_are_withdrawn(monkeypatch, rng, after, groups, named):
     """A crashed flight had a wind and unequal spin-up named, each needed beside the other, with which lateral speed was off eleven times

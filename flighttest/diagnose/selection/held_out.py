@@ -142,6 +142,25 @@ def mean_squares(
     return found
 
 
+def groups_moved(
+    before: Linearisation,
+    before_residual: FloatArray,
+    after: Linearisation,
+    after_residual: FloatArray,
+    groups: IntArray,
+    floor: NoiseFloor,
+    least: float,
+) -> int:
+    """In how many groups two models predict differently: by `least` noise floors RMS in some channel."""
+    moved = np.zeros(int(groups.max()) + 1, dtype=bool)
+    for c, name in enumerate(before.channels):
+        here, there = before.channel == c, after.channel == after.channels.index(name)
+        of_row, change = groups[before.segment[here]], before_residual[here] - after_residual[there]
+        square, count = np.bincount(of_row, change**2, moved.size), np.bincount(of_row, minlength=moved.size)
+        moved |= (count > 0) & (square >= (least * floor.of(name)) ** 2 * count)
+    return int(moved.sum())
+
+
 @dataclass(frozen=True)
 class CrossValidation:
     """Rows of a model with its squared prediction errors (n,), as of `cross_validated`."""

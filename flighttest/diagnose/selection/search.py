@@ -26,9 +26,8 @@ from flighttest.diagnose.selection.comparison import (
     Fitted,
     evidence_of,
     log_evidence,
-    probability_of,
 )
-from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out
+from flighttest.diagnose.selection.held_out import FEWEST_GROUPS, gains_held_out, groups_moved
 from flighttest.diagnose.selection.subsets import LARGEST, Scored, Subsets
 from flighttest.estimation.estimator import Estimator
 from flighttest.estimation.linearisation import IntArray, Optimum
@@ -146,12 +145,14 @@ class Search:
     def judge_as_a_whole(self) -> None:
         """Withdraw what was named unless the model with it predicts more channels of what was not used surely better than worse, each
         response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight."""
-        if not self.evidence or np.unique(self.groups).size < FEWEST_GROUPS:
-            return  # an interval over fewer groups decides nothing, and each term was tested by itself
+        if not self.evidence:
+            return
         assert self.base is not None
         assert self.now is not None
         assert self.floor is not None
         before, after = ((f.rows, f.held_out(self.groups)) for f in (self.base, self.now))
+        if 0 < groups_moved(*before, *after, self.groups, self.floor, LEAST_FLOORS) < FEWEST_GROUPS:
+            return  # an interval over fewer groups decides nothing, and each term was tested by itself
         gains = gains_held_out(*before, *after, self.groups, self.floor).values()
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
         if better > worse:
@@ -394,6 +395,3 @@ def _least_needed(evidence: Iterable[Evidence]) -> Evidence | None:
     """Of the terms that are not needed the one that leaves first, those whose estimates are inadmissible last."""
     doubted = [e for e in evidence if e.why_not]
     return min(doubted, key=lambda e: (bool(e.inadmissible), e.nats), default=None)
-
-
-__all__ = ["Search", "astray", "probability_of", "silent"]
