@@ -19,7 +19,7 @@ SCRIPT_BYTES = 300_000  # of what people write, and of models
 DATA_BYTES = 4_000_000  # a manifest with 1,500 parameters and its notes takes 0.1 MB
 MOST_VALUES = 100_000_000  # of one table: ten hours of three columns at 1 kHz
 MAX_DEPTH = 40  # our own files are nested 8 deep
-_NUMBER_DIGITS = 400  # a float64 has 309 before its point
+_NUMBER_DIGITS = 250  # a float64 has 309 before its point; hexadecimal ones of YAML hold a fifth more
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's own reads a manifest ten times as fast
 
 
@@ -72,7 +72,7 @@ def read_json(path: Path, error: type[InputError], what: str, remedy: str) -> An
 def parse_json(text: str) -> Any:
     """The data of a JSON text. ValueError where it is none, or nested too deeply."""
     try:
-        data = json.loads(text)
+        data = json.loads(text, parse_int=_whole)
     except RecursionError:
         raise _Refused("it is nested too deeply") from None
     level = [data]
@@ -81,6 +81,13 @@ def parse_json(text: str) -> Any:
         if not level:
             return data
     raise _Refused("it is nested too deeply")
+
+
+def _whole(digits: str) -> int:
+    """An integer that a float can hold."""
+    if len(digits) > _NUMBER_DIGITS:
+        raise _Refused(f"a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _children(value: Any) -> Iterable[Any]:
@@ -104,6 +111,9 @@ def _look_through(events: Iterable[Any]) -> None:
 
 
 def _first_line(error: Exception) -> str:
+    mark = getattr(error, "problem_mark", None)
+    if mark is not None:  # of YAML: its first line says only what was being read
+        return f"line {mark.line + 1}: {getattr(error, 'problem', None) or 'this is not YAML'}"
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
 
 

@@ -193,10 +193,7 @@ class YamlDocument:
             )
             self.wrong(node, f"expected a number{unit_words}, found {kind_of(value)}", hint)
             return None
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
+        number = float(value)
         if not math.isfinite(number):
             self.wrong(node, "this is not a finite number", hint or f"write a number{unit_words}")
             return None
@@ -311,8 +308,10 @@ class YamlDocument:
             return str(node.value)
         try:
             value = yaml.constructor.SafeConstructor().construct_object(node)
+            if isinstance(value, int):
+                float(value)  # where one is beyond all floats, every reader of numbers would have to know
         except (ValueError, OverflowError, KeyError, AttributeError, yaml.YAMLError):
-            # An impossible date or a number of thousands of digits.
+            # An impossible date or a number of hundreds of digits.
             self.problem(line, path, f"cannot make sense of {str(node.value)[:40]!r}", "")
             return None
         if isinstance(value, date):

@@ -17,6 +17,7 @@ import pytest
 
 from flighttest.cli import main as cli_main
 from flighttest.datafiles import DATA_BYTES, parse_json, read_yaml
+from flighttest.documents import YamlDocument
 from flighttest.errors import RecordingError
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.store import EVENTS_NAME, MANIFEST_NAME, read_events, read_manifest, write_recording
@@ -162,6 +163,30 @@ def test_a_cell_of_nested_lists_is_no_number(tmp_path: Path, capsys: pytest.Capt
     columns.write_text("format: columns/1\ncolumns:\n  t_s: {from: t_s}\n  roll_rad: {from: 'v[0]'}\n")
     assert cli_main.call(["import", str(path), "--columns", str(columns), "-o", str(tmp_path / "run")]) == 2
     assert "error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("digits", ["1" + "0" * 310, "0x" + "f" * 300])
+def test_a_number_that_no_float_holds_is_refused_by_every_reader(tmp_path: Path, digits: str) -> None:
+    path = tmp_path / "data.yaml"
+    path.write_text(f"format: model/1\na: {digits}\n")
+    with pytest.raises(RecordingError, match="digits"):
+        read_yaml(path, RecordingError, "file", "")
+    assert "cannot make sense of" in str(YamlDocument("data.yaml", path.read_text()).problems[0])
+    if digits.isdigit():
+        with pytest.raises(ValueError, match="digits"):
+            parse_json(f'{{"a": [{digits}]}}')
+
+
+def test_an_event_with_such_a_number_is_a_loss(run_dir: Path) -> None:
+    (run_dir / EVENTS_NAME).write_text(f'{{"t_s": 1{"0" * 350}, "kind": "note", "label": "x"}}\n')
+    assert read_events(run_dir) == ((), (f"{EVENTS_NAME}:1: not an event (cut off?)",))
+
+
+def test_what_is_no_yaml_is_named_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "data.yaml"
+    path.write_text("a: 1\nb:\n\tc: 2\n")
+    with pytest.raises(RecordingError, match=r"line 3: found character.* that cannot start any token"):
+        read_yaml(path, RecordingError, "file", "")
 
 
 def test_what_is_sound_is_read(tmp_path: Path) -> None:
