@@ -123,6 +123,25 @@ def test_gains_are_compared_at_one_voltage(found, written):
         ),
         ("covariance: {order: [alpha, alpha], matrix: [[1.0, 0.5], [0.0, 1.0]]}", "not symmetric"),
         ('attitude_loops: "false"', "expected true or false"),
+        ("covariance: {order: 5, matrix: [[1.0]]}", "the matrix is not 0 x 0 numbers"),
+        (f"covariance: {{order: [alpha], matrix: [[1{'0' * 350}]]}}", "cannot make sense of"),
+        ("fit_quality: {hover: {throttle: .nan}}", "not a finite number"),
+        ("fit_quality: {motors: {shares: [1, 1, one, 1]}}", "expected a number"),
+        ("fit_quality: {flown_steps: [1]}", "expected a block of keys"),
+        ("fit_quality: {flown_steps: {roll: 3}}", "expected a list"),
+        (
+            "fit_quality: {flown_steps: {roll: [{size: 0.3, period_s: 0.02, answer: []}]}}",
+            "answer: this key is missing",
+        ),
+        ("fit_quality: {flown_steps: {roll: [{size: 0, period_s: 0.02, answer: [0.1]}]}}", "size: 0 is outside"),
+        ("fit_quality: {flown_steps: {roll: [{size: 1, period_s: -1, answer: [0.1]}]}}", "period_s: -1 is outside"),
+        (
+            "fit_quality: {flown_steps: {roll: [{size: 1, period_s: 0.02, voltage_v: -3, answer: [0.1]}]}}",
+            "-3 is outside 0.1 to 2000",
+        ),
+        ("diagnosed: {verdict: [EXPLAINED]}", "expected text"),
+        ("diagnosed: {untestable: 7}", "expected a list"),
+        ("diagnosed: {smallest_detectable: 0.1}", "expected a block of keys"),
     ],
 )
 def test_nonsense_in_any_block_is_reported_with_its_line(tmp_path, line, words):
@@ -139,6 +158,7 @@ def test_nonsense_in_any_block_is_reported_with_its_line(tmp_path, line, words):
         ("alhpa: {value: 1.7}", "did you mean alpha"),
         ("alpha: {value: 1.7, interval_95: [1.8, 1.6]}", "two rising numbers"),
         ("alpha: {value: 1.7, interval_95: [.nan, 1.6]}", "two rising numbers"),
+        (f"alpha: {{value: 1.7, interval_95: [1, 1{'0' * 350}]}}", "two rising numbers"),
         ('alpha: {value: 1.7, identifiable: "false"}', "expected true or false"),
         ("T_d: {value: 100, unit: ms, source: frozen}", "T_d is in s, not in ms"),
         ("K: {value: -50, source: frozen}", "K is above zero"),

@@ -7,7 +7,7 @@ from typing import Any, TypedDict, cast
 
 import yaml
 
-from flighttest.documents import Node, PlainData, YamlDocument, kind_of
+from flighttest.documents import Node, PlainData, YamlDocument, kind_of, require
 from flighttest.identify.diagnostics.parameter_diagnostics import FitChecks
 from flighttest.physics.catalogue import catalogue
 from flighttest.vehicle.fingerprint import FingerprintData
@@ -15,6 +15,7 @@ from flighttest.vehicle.identity import IdentityData
 
 _CONSTANTS = {"g": (0.1, 100.0, "m/s^2"), "nominal_voltage_v": (0.1, 2000.0, "V"), "rotor_height_m": (0.0, 5.0, "m")}
 _VALID = {"voltage_v": (0.1, 2000.0)}
+_STEP = {"size": (1e-4, 100.0), "period_s": (1e-3, 0.2), "voltage_v": (0.1, 2000.0)}  # of `FlownStepBlock`
 
 
 class ValidBlock(TypedDict, total=False):
@@ -217,11 +218,11 @@ def check_plain(document: YamlDocument, root: Mapping[str, Node]) -> None:
     """Kinds of the blocks that are kept as they are written: mappings, lists, true or false."""
     _check_valid(document, root.get("valid"))
     _check_fingerprint(document, root.get("fingerprint"))
-    for key in ("fit_quality", "vehicle", "diagnosed"):
-        children_of(document, root.get(key))
+    _check_quality(document, root.get("fit_quality"))
+    _check_diagnosed(document, root.get("diagnosed"))
+    children_of(document, root.get("vehicle"))
     for key in ("runs", "notes"):
-        if key in root and root[key].value is not None and not isinstance(root[key].value, list):
-            document.wrong(root[key], f"expected a list, found {kind_of(root[key].value)}")
+        elements_of(document, root.get(key))
     for key in ("attitude_loops", "channel_delays"):
         if key in root and not isinstance(root[key].value, bool):
             document.wrong(root[key], "expected true or false")
@@ -247,6 +248,44 @@ def _check_fingerprint(document: YamlDocument, node: Node | None) -> None:
     }
     for child in numbers.values():
         document.number(child, -1e12, 1e12)
+
+
+def _check_quality(document: YamlDocument, node: Node | None) -> None:
+    """What later flights are compared with, and the steps as they were flown, are numbers, lists of numbers, or not known (null)."""
+    parts = children_of(document, node)
+    blocks: list[tuple[Node | None, Mapping[str, tuple[float, float]]]] = [
+        (parts.get(key), {}) for key in ("hover", "motors", "battery")
+    ]
+    for steps in children_of(document, parts.get("flown_steps")).values():
+        for step in elements_of(document, steps):
+            stated = {k: n for k, n in children_of(document, step).items() if n.value not in (None, [])}
+            require(document, stated, ("size", "period_s", "answer"), step.line, step.path)
+            blocks.append((step, _STEP))
+    for block, ranges in blocks:
+        for name, child in children_of(document, block).items():
+            for value in child.value if isinstance(child.value, list) else (child,):
+                if value.value is not None:
+                    document.number(value, *ranges.get(name, (-1e9, 1e9)))
+
+
+def _check_diagnosed(document: YamlDocument, node: Node | None) -> None:
+    """The verdict is text, terms are listed, and the smallest sizes that would have been detected are by term."""
+    parts = children_of(document, node)
+    children_of(document, parts.get("smallest_detectable"))
+    for key in ("not_needed", "untestable", "winds"):
+        elements_of(document, parts.get(key))
+    if "verdict" in parts:
+        document.text(parts["verdict"])
+
+
+def elements_of(document: YamlDocument, node: Node | None) -> Sequence[Node]:
+    """What a list holds; nothing where there is none."""
+    if node is None or node.value is None:
+        return ()
+    if not isinstance(node.value, list):
+        document.wrong(node, f"expected a list, found {kind_of(node.value)}")
+        return ()
+    return node.value
 
 
 def children_of(document: YamlDocument, node: Node | None) -> Mapping[str, Node]:

@@ -378,8 +378,8 @@ def _covariance(
         names = tuple(n for n, p in parameters.items() if p.std is not None)
         return names, np.diag([float(parameters[n].std or 0.0) ** 2 for n in names])
     given = cast(CovarianceBlock, plain)
+    names = tuple(map(str, list_elements(plain.get("order"))))
     try:
-        names = tuple(str(n) for n in given.get("order") or ())
         matrix = np.array(given.get("matrix") or [], dtype=float).reshape(len(names), len(names))
     except (ValueError, TypeError):
         document.wrong(node, f"the matrix is not {len(names)} x {len(names)} numbers, as many as `order` names")

@@ -112,7 +112,7 @@ def appeared(found: Diagnosis, stored: ModelFile) -> tuple[Appeared, ...]:
             "the model's own flights could not have shown it"
             if unseen
             else f"the model's own flights showed none, and would have from {level:.2g} on"
-            if isinstance(level, int | float)
+            if isinstance(level, int | float) and math.isfinite(level)
             else "the model's own flights showed none"
         )
         new.append(Appeared(f.term, f.title, f"{f.sentence}; {before}", unseen))
