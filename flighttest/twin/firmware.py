@@ -38,6 +38,7 @@ STEPS = {
     "yaw": (1.0,),
 }  # rad, rad/s: of the paper's maneuvers, where none were kept
 SECONDS = 1.2
+DIVERGED = 1e3  # residual of a loop that is not stable, as a share of the step
 NEAR = 0.05  # RMS error of a step, as a share of it, up to which the recorded gains are taken for those that flew
 GAIN_RAD_S2 = 400.0  # of a frame whose gains are chosen: ArduCopter's stock simulated quadrotor makes 404
 STARTS_RAD_S2 = (30.0, 100.0, 300.0, 1000.0)
@@ -211,13 +212,15 @@ def step_error(stored: ModelFile, axis: str, frame: FirmwareFrame, ratio: float)
 
 
 def _off(wanted: Sequence[Wanted], made: Sequence[FloatArray], delay_s: float) -> FloatArray:
-    """Answers of the loop (n,) at its rate, delayed, less the wanted ones, as shares of the steps, one behind the other."""
-    return np.concatenate(
+    """Answers of the loop (n,) at its rate, delayed, less the wanted ones, as shares of the steps, one behind the other. Of a loop that
+    diverges they are `DIVERGED`: no least squares begins at what is not finite."""
+    off: FloatArray = np.concatenate(
         [
             (np.interp(w.t_s - delay_s, LOOP_S * np.arange(y.size), y) - w.answer) / w.step
             for w, y in zip(wanted, made, strict=True)
         ]
     )
+    return np.asarray(np.clip(np.nan_to_num(off, nan=DIVERGED), -DIVERGED, DIVERGED), dtype=float)
 
 
 def _with_gains(stored: ModelFile, axis: str, loop: Loop, lag: float) -> Axis:

@@ -91,7 +91,7 @@ def square_root(error: float, p: float, accel: float) -> float:
     """The rate towards a target: linear near it, with constant deceleration far from it (AP_Math, sqrt_controller)."""
     if accel <= 0.0:
         return p * error
-    linear, rate = accel / (p * p), p * error
+    linear, rate = accel / (p * p) if p else 0.0, p * error
     if abs(error) > linear:
         rate = math.copysign(math.sqrt(2.0 * accel * (abs(error) - 0.5 * linear)), error)
     most = abs(error) / LOOP_S

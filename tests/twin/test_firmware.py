@@ -77,6 +77,17 @@ def test_without_recorded_gains_gains_are_chosen_and_said():
     assert "rad/s^2 at full output" in found.sentences[0]
 
 
+@pytest.mark.parametrize(
+    "parameters", [{"INS_GYRO_FILTER": 480.0}, {"ATC_ANG_RLL_P": 0.0}], ids=["unstable", "no gain"]
+)
+def test_recorded_settings_that_nothing_can_fly_with_are_left_for_chosen_gains(parameters):
+    """The gyro filter's cut-off is beyond what its rate can hold: its output grows without bound."""
+    recorded = {n: v for n, v in DEFAULTS.items() if n.startswith("ATC_RAT_RLL")} | parameters
+    assert firmware.frame_of_axis(stored(recorded), "roll", loop_of("roll", recorded)).error > firmware.NEAR
+    found = frame_of(stored(recorded))
+    assert max(a.error for a in found.axes.values()) < 0.02
+
+
 def test_the_loop_of_4_7_reads_its_own_names():
     assert loop_of("roll", {"ATC_ACC_R_MAX": 900.0}) == loop_of("roll", {"ATC_ACCEL_R_MAX": 90000.0})
 
