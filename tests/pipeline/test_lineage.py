@@ -233,7 +233,9 @@ def test_export_takes_a_folder_and_finds_the_model_in_use(call, tmp_path):
         "format: other/1\n",
         "format: lineage/1\nvehicle: heron\nmodels: [{number: 1}]\n",
         "[",
+        "format: lineage/1\nvehicle: heron\n",
         "format: lineage/1\nvehicle: heron\nmodels: [{number: 1, file: ../x.yaml, accepted: x}]\n",
+        "format: lineage/1\nvehicle: heron\nmodels: [{number: 1, file: .inf, accepted: x}]\n",
     ],
 )
 def test_a_damaged_lineage_is_one_clear_error(call, tmp_path, text):
@@ -243,6 +245,7 @@ def test_a_damaged_lineage_is_one_clear_error(call, tmp_path, text):
     code, _, err = call("models", tmp_path)
     assert code == 2
     assert "lineage.yaml" in err
+    assert lineage.LINEAGE_REPAIR in " ".join(err.split())
 
 
 @pytest.mark.parametrize("name", ["a b", "..", "a/b", "ü"])

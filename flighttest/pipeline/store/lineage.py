@@ -97,12 +97,15 @@ def _read(path: Path) -> Lineage:
     if not isinstance(data, dict) or data.get("format") != FORMAT or not isinstance(data.get("vehicle"), str):
         raise ModelError(f"{path} is not a {FORMAT} file", LINEAGE_REPAIR)
     made = []
-    for row in data.get("models") or ():
+    rows = data.get("models")
+    if not isinstance(rows, list):
+        raise ModelError(f"{path}: it has no list of models", LINEAGE_REPAIR)
+    for row in rows:
         try:
             made.append(_generation(row))
         except (TypeError, KeyError, ValueError, AttributeError) as error:
             raise ModelError(f"{path}: an entry in its list of models is incomplete", LINEAGE_REPAIR) from error
-        if Path(made[-1].file).name != made[-1].file:
+        if not isinstance(row["file"], str) or Path(made[-1].file).name != made[-1].file:
             raise ModelError(f"{path}: {made[-1].file!r} is not a file name in its folder", LINEAGE_REPAIR)
     return Lineage(data["vehicle"], path.parent, tuple(made))
 
