@@ -8,8 +8,10 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, NotRequired, Required, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 import yaml
 
@@ -94,6 +96,41 @@ def _children(value: Any) -> Iterable[Any]:
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
+
+
+def misfit(data: Any, kind: Any, place: str = "") -> str:
+    """Where the data of a file is not of the type that its writer states, in one clause; '' where it is. A number may be null (not known).
+
+    kind: of TypedDict, dict, list, str, int, float, bool and None. place: of the data in its file.
+    """
+    origin, parts = get_origin(kind), get_args(kind)
+    if is_typeddict(kind) and isinstance(data, dict):
+        fields = _fields(kind)
+        missing = next((name for name, (_, required) in fields.items() if required and name not in data), "")
+        inside = (misfit(data[n], of, f"{place}.{n}".lstrip(".")) for n, (of, _) in fields.items() if n in data)
+        return f"{place}.{missing} is missing".lstrip(".") if missing else next(filter(None, inside), "")
+    if origin is dict and isinstance(data, dict):
+        return next(filter(None, (misfit(v, parts[1], f"{place}.{k}".lstrip(".")) for k, v in data.items())), "")
+    if origin is list and isinstance(data, list):
+        return next(filter(None, (misfit(v, parts[0], f"{place}[{i}]") for i, v in enumerate(data))), "")
+    if origin in (Union, UnionType):
+        fits = any(not misfit(data, one) for one in parts)
+    elif kind in (int, float):
+        fits = data is None or (isinstance(data, int | float) and not isinstance(data, bool))
+    else:
+        fits = kind is Any or (isinstance(kind, type) and not is_typeddict(kind) and isinstance(data, kind))
+    return "" if fits else f"{place} is {str(data)[:30]!r}"
+
+
+@cache
+def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
+    """The keys of a TypedDict: the type of each, and whether it must be there."""
+    found = {}
+    for name, stated in get_type_hints(kind, include_extras=True).items():
+        marked = get_origin(stated) in (Required, NotRequired)
+        required = get_origin(stated) is Required if marked else bool(kind.__total__)
+        found[name] = (get_args(stated)[0] if marked else stated, required)
+    return found
 
 
 def _look_through(events: Iterable[Any]) -> None:

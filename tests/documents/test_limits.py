@@ -6,9 +6,11 @@ import gzip
 import json
 import lzma
 import os
+import re
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pyarrow as pa
@@ -16,9 +18,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from flighttest.cli import main as cli_main
-from flighttest.datafiles import DATA_BYTES, parse_json, read_yaml
+from flighttest.datafiles import DATA_BYTES, misfit, parse_json, read_yaml
+from flighttest.diagnose.records import DiagnosisData
 from flighttest.documents import YamlDocument
 from flighttest.errors import RecordingError
+from flighttest.pipeline.identification.reporting import read_diagnosis
 from flighttest.recording import Provenance, Recording, Series
 from flighttest.recording.store import EVENTS_NAME, MANIFEST_NAME, read_events, read_manifest, write_recording
 
@@ -180,6 +184,30 @@ def test_a_number_that_no_float_holds_is_refused_by_every_reader(tmp_path: Path,
 def test_an_event_with_such_a_number_is_a_loss(run_dir: Path) -> None:
     (run_dir / EVENTS_NAME).write_text(f'{{"t_s": 1{"0" * 350}, "kind": "note", "label": "x"}}\n')
     assert read_events(run_dir) == ((), (f"{EVENTS_NAME}:1: not an event (cut off?)",))
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"candidates": [-1.0]}, "candidates[0] is '-1.0'"),
+        ({"regimes": 3}, "regimes is '3'"),
+        ({"regimes": [{"channel": "roll"}]}, "regimes[0].maneuver is missing"),
+        ({"before": {"K": {"value": "x", "std": 1, "unit": "", "interval_95": [], "scatter": 1}}}, "before.K.value is 'x'"),
+        ({"heldout": {"K": {"roll": {"rmse_after": 1}}}}, "heldout.K.roll.rmse_before is missing"),
+        ({"next_flight": 5}, "next_flight is '5'"),
+        ({"complete": "yes"}, "complete is 'yes'"),
+        ({"format": "diagnosis/1", "smallest_detectable": {"a": None, "b": 1}, "next_flight": None, "terms": []}, ""),
+    ],
+)  # fmt: skip
+def test_a_diagnosis_is_of_the_types_that_its_writer_states(tmp_path: Path, data: object, words: str) -> None:
+    assert misfit(data, DiagnosisData) == words
+    path = tmp_path / "diagnosis.json"
+    path.write_text(json.dumps({"format": "diagnosis/1", **cast(dict[str, object], data)}))
+    if words:
+        with pytest.raises(RecordingError, match=re.escape(words)):
+            read_diagnosis(path)
+    else:
+        assert read_diagnosis(path) == data
 
 
 def test_what_is_no_yaml_is_named_with_its_line(tmp_path: Path) -> None:
