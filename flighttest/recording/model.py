@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 
+LARGEST = 1e100  # of a value in any unit: sums of squares of greater ones overflow a float64, and nothing measures them
+
+
+def _measured(values: Any) -> FloatArray:
+    array = np.asarray(values, dtype=float)
+    return np.where(np.abs(array) <= LARGEST, array, np.nan)
+
+
 def _frozen(values: Any) -> FloatArray:
     array = np.array(values, dtype=float)
     array.setflags(write=False)
@@ -32,7 +40,7 @@ class Series:
     """Channels sampled together.
 
     t_s: (n,) s on the vehicle's clock, strictly increasing. columns: channel name to (n,) values in the unit of
-    `channels.CHANNELS`; NaN marks a sample that is missing. Both are read-only.
+    `channels.CHANNELS`; NaN marks a sample that is missing, as does one beyond `LARGEST`. Both are read-only.
     """
 
     t_s: FloatArray
@@ -40,13 +48,13 @@ class Series:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_s", _frozen(self.t_s))
-        object.__setattr__(self, "columns", {name: _frozen(values) for name, values in self.columns.items()})
+        object.__setattr__(self, "columns", {name: _frozen(_measured(v)) for name, v in self.columns.items()})
         for name, values in self.columns.items():
             if name not in CHANNELS:
                 raise RecordingError(f"unknown channel {name!r}", "see the channel table in docs/formats.md")
             if values.shape != self.t_s.shape:
                 raise RecordingError(f"channel {name} has {values.size} samples, its time base {self.t_s.size}")
-        if self.t_s.size > 1 and not bool(np.all(np.diff(self.t_s) > 0)):
+        if not bool(np.all(np.isfinite(self.t_s))) or bool(np.any(np.diff(self.t_s) <= 0)):
             raise RecordingError("time does not increase", "sort the samples and drop repeated time stamps first")
 
     def __len__(self) -> int:

@@ -238,7 +238,7 @@ def _read_series(file: Path, group: str) -> Series:
         raise RecordingError(f"{file} cannot be read: {_first_line(error)}", _REBUILD) from error
     try:
         columns = {name: table.column(name).to_numpy().astype(float) for name in mine}
-        return Series(columns.pop("t_s"), {n: np.where(np.isinf(v), np.nan, v) for n, v in columns.items()})
+        return Series(columns.pop("t_s"), columns)
     except (ValueError, TypeError) as error:
         raise RecordingError(f"{file} holds a value that is not a number: {_first_line(error)}", _REBUILD) from error
     except RecordingError as error:

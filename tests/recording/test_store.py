@@ -172,3 +172,15 @@ def test_channels_that_are_no_series_are_refused_by_file(
     with pytest.raises(RecordingError, match=words) as error:
         open_run(tmp_path)
     assert "attitude.parquet" in error.value.message
+
+
+def test_a_value_that_nothing_measures_is_a_missing_sample():
+    """The square of 1e200 is no float64: the error of a velocity was printed as infinite."""
+    series = Series(np.array([0.0, 0.1, 0.2]), {"v_x_m_s": np.array([1e200, 1e30, -np.inf])})
+    assert np.isnan(series.columns["v_x_m_s"]).tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("t_s", [[0.0, np.inf], [-np.inf, 0.0], [np.nan]])
+def test_times_are_finite(t_s):
+    with pytest.raises(RecordingError, match="time does not increase"):
+        Series(np.array(t_s), {"v_x_m_s": np.zeros(len(t_s))})
