@@ -1,5 +1,7 @@
 """What is said of recordings before anything is computed of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,11 @@ def test_recordings_of_two_vehicles_are_called_so():
     a, b = recorded("a", "P1"), recorded("b", "P2")
     assert "a and b are not of one vehicle: propellers P1, here P2" in conflicts([a, recorded("c", "P1"), b])
     assert conflicts([a, recorded("c", "P1")]) == ""
+    heron, stork = (
+        replace(a, name=n, provenance=replace(a.provenance, vehicle={"name": n})) for n in ("heron", "stork")
+    )
+    assert "heron and stork are not of one vehicle: heron and stork;" in conflicts([heron, stork])
+    assert conflicts([heron, a]) == "", "a name that is not stated is none of another vehicle"
     assert conflicts([a, Recording("table", {}, (), Provenance("", "table"))]) == "", "not declared is not changed"
     assert differences({"components": {"propellers": {"id": "P1"}}}, [b]) == "propellers P1, here P2"
 

@@ -17,7 +17,9 @@ def inconsistencies(recordings: Sequence[Recording]) -> tuple[str, ...]:
 def conflicts(recordings: Sequence[Recording]) -> str:
     """Signs that recordings are not of one vehicle in one state, in one sentence; empty where nothing does."""
     for recording in recordings[1:]:
-        different = differences(of_recordings(recordings[:1], None), [recording])
+        names = [str(r.provenance.vehicle.get("name") or "") for r in (recordings[0], recording)]
+        named = f"{names[0]} and {names[1]}" if all(names) and names[0] != names[1] else ""
+        different = named or differences(of_recordings(recordings[:1], None), [recording])
         if different:
             return f"{recordings[0].name} and {recording.name} are not of one vehicle: {different}; one model of both is a compromise"
     return ""
