@@ -1,9 +1,11 @@
 """Recordings with random defects through the commands: no traceback, one clear error at most.
 
 python -m benchmarks.fuzz [COUNT] [FIRST_SEED] [--verbs segment,fit,diagnose] [RECORDING.csv COLUMNS.yaml]
+python -m benchmarks.fuzz [COUNT] [FIRST_SEED] --verbs status,validate,compare,export,twin,accept,models,report,runs,show,import_raw
 
 Defects: gaps, stuck channels, swapped axes, constant inputs, jumps, five samples, a clock that runs back, values that are not numbers, of a
-simulated flight or of a table that is given. Prints one line per recording that ended in anything but an answer or one of our errors.
+simulated flight or of a table that is given. Prints one line per recording: how it ended, and in how many seconds. The second form damages
+the files of run folders and models (see `fuzz_files`).
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from benchmarks import fuzz_files
 from flighttest.errors import FlighttestError
 from flighttest.logs.tables.columns import load_columns
 from flighttest.pipeline.diagnosis import diagnose as diagnosis
@@ -137,8 +140,12 @@ def main(arguments: list[str]) -> int:
         at = arguments.index("--verbs")
         verbs = tuple(arguments[at + 1].split(","))
         arguments = arguments[:at] + arguments[at + 2 :]
+    numbers = [int(a) for a in arguments if a.isdigit()]
+    count, first = (*numbers, *(20, 0)[len(numbers) :])[:2]
+    if set(verbs) <= set(fuzz_files.VERBS):
+        with tempfile.TemporaryDirectory() as name:
+            return int(fuzz_files.main(verbs, count, first, Path(name)) > 0)
     files = [Path(a) for a in arguments if not a.isdigit()]
-    count, first = ([int(a) for a in arguments if a.isdigit()] + [20, 0])[:2] if arguments else (20, 0)
     columns = files[1] if len(files) > 1 else None
     given = pd.read_csv(files[0]) if files else None
     if given is not None:
@@ -154,16 +161,15 @@ def main(arguments: list[str]) -> int:
             path = Path(name) / "flight.csv"
             table.to_csv(path, index=False)
             try:
-                ends[run(path, columns, verbs, Path(name))] += 1
+                end = run(path, columns, verbs, Path(name))
+                ends[end] += 1
             except Exception:  # noqa: BLE001  what is looked for
                 failed += 1
                 last = traceback.format_exc().strip().splitlines()
-                print(
-                    f"seed {seed} {', '.join(reported)}: {last[-1]}  {last[-3].strip() if len(last) > 2 else ''}",
-                    flush=True,
-                )
-        if time.process_time() - begun > 60.0:
-            print(f"seed {seed} {', '.join(reported)}: {time.process_time() - begun:.0f} s", flush=True)
+                end = f"TRACEBACK {last[-1]}  {last[-3].strip() if len(last) > 2 else ''}"
+        seconds = time.process_time() - begun
+        slow = "SLOW " if seconds > fuzz_files.SLOW_S else ""
+        print(f"seed {seed} {', '.join(reported)}: {end}, {slow}{seconds:.0f} s", flush=True)
     print(
         f"{failed} of {count} ended in a traceback; " + ", ".join(f"{n} x {e}" for e, n in ends.most_common()),
         flush=True,

@@ -110,6 +110,7 @@ def test_gains_are_compared_at_one_voltage(found, written):
         ("noise: {channels: {roll_rad: loud}}", "noise.channels.roll_rad"),
         ("noise: [1, 2]", "expected a block of keys"),
         ("runs: 5", "expected a list"),
+        ("runs: [a, .inf]", "expected text, found a number"),
         ("fingerprint: {components: {propellers: -1}}", "fingerprint.components.propellers"),
         ("fingerprint: {shaping_parameters: [[1]]}", "fingerprint.shaping_parameters"),
         ("fingerprint: {shaping_parameters: {MOT_SPIN_MIN: low}}", "expected a number"),

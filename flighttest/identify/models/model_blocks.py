@@ -222,7 +222,9 @@ def check_plain(document: YamlDocument, root: Mapping[str, Node]) -> None:
     _check_diagnosed(document, root.get("diagnosed"))
     children_of(document, root.get("vehicle"))
     for key in ("runs", "notes"):
-        elements_of(document, root.get(key))
+        for element in elements_of(document, root.get(key)):
+            if not isinstance(element.value, str):
+                document.wrong(element, f"expected text, found {kind_of(element.value)}", "put it into quotes")
     for key in ("attitude_loops", "channel_delays"):
         if key in root and not isinstance(root[key].value, bool):
             document.wrong(root[key], "expected true or false")
