@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 from types import UnionType
 from typing import Any, NotRequired, Required, Union, get_args, get_origin, get_type_hints, is_typeddict
@@ -98,7 +97,7 @@ def _children(value: Any) -> Iterable[Any]:
     return value if isinstance(value, list) else ()
 
 
-def misfit(data: Any, kind: Any, place: str = "") -> str:
+def type_mismatch(data: Any, kind: Any, place: str = "") -> str:
     """Where the data of a file is not of the type that its writer states, in one clause; '' where it is. A number may be null (not known).
 
     kind: of TypedDict, dict, list, str, int, float, bool and None. place: of the data in its file.
@@ -107,14 +106,14 @@ def misfit(data: Any, kind: Any, place: str = "") -> str:
     if is_typeddict(kind) and isinstance(data, dict):
         fields = _fields(kind)
         missing = next((name for name, (_, required) in fields.items() if required and name not in data), "")
-        inside = (misfit(data[n], of, f"{place}.{n}".lstrip(".")) for n, (of, _) in fields.items() if n in data)
+        inside = (type_mismatch(data[n], of, f"{place}.{n}".lstrip(".")) for n, (of, _) in fields.items() if n in data)
         return f"{place}.{missing} is missing".lstrip(".") if missing else next(filter(None, inside), "")
     if origin is dict and isinstance(data, dict):
-        return next(filter(None, (misfit(v, parts[1], f"{place}.{k}".lstrip(".")) for k, v in data.items())), "")
+        return next(filter(None, (type_mismatch(v, parts[1], f"{place}.{k}".lstrip(".")) for k, v in data.items())), "")
     if origin is list and isinstance(data, list):
-        return next(filter(None, (misfit(v, parts[0], f"{place}[{i}]") for i, v in enumerate(data))), "")
+        return next(filter(None, (type_mismatch(v, parts[0], f"{place}[{i}]") for i, v in enumerate(data))), "")
     if origin in (Union, UnionType):
-        fits = any(not misfit(data, one) for one in parts)
+        fits = any(not type_mismatch(data, one) for one in parts)
     elif kind in (int, float):
         fits = data is None or (isinstance(data, int | float) and not isinstance(data, bool))
     else:
@@ -122,7 +121,6 @@ def misfit(data: Any, kind: Any, place: str = "") -> str:
     return "" if fits else f"{place} is {str(data)[:30]!r}"
 
 
-@cache
 def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
     """The keys of a TypedDict: the type of each, and whether it must be there."""
     found = {}

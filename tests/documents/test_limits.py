@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flighttest.cli import main as cli_main
-from flighttest.datafiles import DATA_BYTES, misfit, parse_json, read_yaml
+from flighttest.datafiles import DATA_BYTES, parse_json, read_yaml, type_mismatch
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.documents import YamlDocument
 from flighttest.errors import RecordingError
@@ -200,7 +200,7 @@ def test_an_event_with_such_a_number_is_a_loss(run_dir: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_diagnosis_is_of_the_types_that_its_writer_states(tmp_path: Path, data: object, words: str) -> None:
-    assert misfit(data, DiagnosisData) == words
+    assert type_mismatch(data, DiagnosisData) == words
     path = tmp_path / "diagnosis.json"
     path.write_text(json.dumps({"format": "diagnosis/1", **cast(dict[str, object], data)}))
     if words:

@@ -10,7 +10,7 @@ from typing import cast
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from flighttest.datafiles import misfit, read_json, read_text
+from flighttest.datafiles import read_json, read_text, type_mismatch
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.errors import FitError, InputError, RecordingError, ScriptError
 from flighttest.identify.fit import Fit
@@ -196,7 +196,7 @@ def read_diagnosis(path: Path) -> DiagnosisData | None:
     data = read_json(path, RecordingError, "diagnosis", "run `flighttest diagnose` again")
     if not isinstance(data, dict) or data.get("format") != "diagnosis/1":
         raise RecordingError(f"{path} is not a diagnosis/1 file", "run `flighttest diagnose` again")
-    wrong = misfit(data, DiagnosisData)
+    wrong = type_mismatch(data, DiagnosisData)
     if wrong:
         raise RecordingError(f"{path}: {wrong}", "run `flighttest diagnose` again")
     return cast(DiagnosisData, data)
