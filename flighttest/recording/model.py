@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,7 +64,7 @@ class Series:
     def __repr__(self) -> str:
         return f"<Series: {len(self)} samples at {self.rate_hz:.0f} Hz of {', '.join(self.columns)}>"
 
-    @property
+    @cached_property  # of each series asked for with each segment: an hour has a thousand
     def rate_hz(self) -> float:
         """Median sample rate, Hz; 0 for fewer than two samples."""
         return float(1.0 / np.median(np.diff(self.t_s))) if self.t_s.size > 1 else 0.0

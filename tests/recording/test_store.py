@@ -184,3 +184,11 @@ def test_a_value_that_nothing_measures_is_a_missing_sample():
 def test_times_are_finite(t_s):
     with pytest.raises(RecordingError, match="time does not increase"):
         Series(np.array(t_s), {"v_x_m_s": np.zeros(len(t_s))})
+
+
+def test_the_sample_rate_of_a_series_is_computed_once(monkeypatch):
+    """It is asked for with each of an hour's thousand segments: three hours were not imported in 100 s of processor time."""
+    series = Series(np.arange(5) * 0.1, {"v_x_m_s": np.zeros(5)})
+    assert series.rate_hz == pytest.approx(10.0)
+    monkeypatch.setattr(np, "median", None)
+    assert series.rate_hz == pytest.approx(10.0)
