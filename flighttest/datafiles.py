@@ -1,4 +1,5 @@
-"""Files that a program wrote: read only up to a size, without anchors and to a depth: they may come from anywhere.
+"""Files that a program wrote: written whole or not at all; read only up to a size, without anchors and to a depth: they may come from
+anywhere.
 
 For files that people write see `documents`, which keeps the line of every value.
 """
@@ -6,6 +7,7 @@ For files that people write see `documents`, which keeps the line of every value
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -26,6 +28,13 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's own re
 
 class _Refused(ValueError):
     """The text is not a file that this program writes; why."""
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file in UTF-8 such that a program killed in between leaves what was there before. OSError as of `Path.write_text`."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
 
 
 def read_bytes(path: Path, error: type[InputError], what: str, most: int = DATA_BYTES, remedy: str = "") -> bytes:

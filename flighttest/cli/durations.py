@@ -8,6 +8,8 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
+from flighttest.datafiles import write_whole
+
 MOST_STAGES = 200
 _COUNT = re.compile(r"\b(\d+)\b")
 
@@ -43,9 +45,7 @@ class Durations:
             self._seconds.pop(next(iter(self._seconds)))
         with suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            part = self._path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(json.dumps(self._seconds), encoding="utf-8")
-            os.replace(part, self._path)
+            write_whole(self._path, json.dumps(self._seconds))
 
 
 def _key(stage: str) -> tuple[str, float]:

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import yaml
 
 from flighttest.channels import CHANNELS, GROUPS
-from flighttest.datafiles import MOST_VALUES, parse_json, read_bytes, read_yaml
+from flighttest.datafiles import MOST_VALUES, parse_json, read_bytes, read_yaml, write_whole
 from flighttest.errors import RecordingError
 from flighttest.recording.manifest import EventData, Manifest
 from flighttest.recording.model import Marker, Provenance, Recording, Series
@@ -52,9 +52,7 @@ def write_manifest(run_dir: Path, manifest: Manifest) -> None:
     """Write manifest.yaml whole or not at all: a killed program leaves the last good one."""
     data = {"format": FORMAT, **_plain(dict(manifest))}
     text = yaml.dump(data, Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
-    part = run_dir / (MANIFEST_NAME + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, run_dir / MANIFEST_NAME)
+    write_whole(run_dir / MANIFEST_NAME, text)
 
 
 def read_manifest(run_dir: Path) -> Manifest:

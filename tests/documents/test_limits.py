@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flighttest.cli import main as cli_main
-from flighttest.datafiles import DATA_BYTES, parse_json, read_yaml, type_mismatch
+from flighttest.datafiles import DATA_BYTES, parse_json, read_yaml, type_mismatch, write_whole
 from flighttest.diagnose.records import DiagnosisData
 from flighttest.documents import YamlDocument
 from flighttest.errors import RecordingError
@@ -225,3 +225,21 @@ def test_what_is_sound_is_read(tmp_path: Path) -> None:
     assert data["b"] == {"c": None}
     assert parse_json('{"a": [[1]]}') == {"a": [[1]]}
     assert DATA_BYTES > 1e6
+
+
+def test_a_write_that_is_cut_short_leaves_the_file_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tmp_path / "model.yaml"
+    write_whole(kept, "first")
+    write_whole(kept, "second")
+    assert kept.read_text(encoding="utf-8") == "second"
+
+    def full(self: Path, text: str, encoding: str = "") -> int:
+        self.write_bytes(text.encode()[:3])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space"):
+        write_whole(kept, "third")
+    assert kept.read_bytes() == b"second"

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from flighttest.datafiles import read_text
+from flighttest.datafiles import read_text, write_whole
 from flighttest.documents import Form, Node, PlainData, YamlDocument, kind_of, read_form, require
 from flighttest.errors import ModelError
 from flighttest.frames import G_M_S2
@@ -186,8 +186,7 @@ def covariance_with_mean_delay(found: Fit) -> tuple[tuple[str, ...], FloatArray]
 def write(path: Path, data: ModelData) -> None:
     """Write model.yaml from `as_data`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = yaml.dump(dict(data), Dumper=ModelDumper, sort_keys=False, allow_unicode=True, width=120)
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, yaml.dump(dict(data), Dumper=ModelDumper, sort_keys=False, allow_unicode=True, width=120))
 
 
 def held_by(path: Path) -> Path:

@@ -8,7 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import cast
 
-from flighttest.datafiles import check_writable
+from flighttest.datafiles import check_writable, write_whole
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose.against import Against, Difference, Kind, compare_sides, step_by_step
 from flighttest.errors import InputError
@@ -77,7 +77,7 @@ def against(
     document = Document("simulator against reality", sentence(data), tone(found), against_sections(data), facts)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        (output / AGAINST_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
+        write_whole(output / AGAINST_NAME, json.dumps(plain(data), indent=1) + "\n")
         model_file.write(output / "model.yaml", model_data(found.real, sides[0], declared))
         html.write_html(document, output / REPORT_NAME)
         document.facts["written to"] = str(output)  # type: ignore[index]

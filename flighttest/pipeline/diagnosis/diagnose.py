@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flighttest.datafiles import check_writable
+from flighttest.datafiles import check_writable, write_whole
 from flighttest.diagnose import Diagnosis, Verdict
 from flighttest.diagnose import diagnose as search
 from flighttest.diagnose.free_flight import diagnose_free_flight, is_free_flight
@@ -168,9 +168,9 @@ def write_diagnosis(
     script = ""
     if found.next_script:
         script = write_text(found.next_script)
-        (folder / NEXT_NAME).write_text(script, encoding="utf-8")
+        write_whole(folder / NEXT_NAME, script)
         data["next_flight"] = NEXT_NAME
-    (folder / DIAGNOSIS_NAME).write_text(json.dumps(plain(data), indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / DIAGNOSIS_NAME, json.dumps(plain(data), indent=1) + "\n")
     fitted, kept = refit(found, segments, base)
     model = model_data(fitted, recordings, vehicle) | {"diagnosed": looked_for(found)}
     if base is not None and kept:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flighttest.datafiles import read_yaml
+from flighttest.datafiles import read_yaml, write_whole
 from flighttest.documents import write_text
 from flighttest.errors import RecordingError
 from flighttest.pipeline.store.history import DEFAULT_RUNS
@@ -47,7 +47,7 @@ def keep(run_dir: Path, flown: FlownWith) -> None:
         shutil.copyfile(flown.vehicle, run_dir / VEHICLE_NAME)
         data["vehicle"] = str(flown.vehicle.absolute())
     data |= {"airframe": flown.airframe, "hide": list(flown.hide)}
-    (run_dir / COMMAND_NAME).write_text(write_text(data), encoding="utf-8")
+    write_whole(run_dir / COMMAND_NAME, write_text(data))
 
 
 def flown_with(run_dir: Path) -> FlownWith | None:

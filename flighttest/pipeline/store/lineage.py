@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import hashlib
-import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -12,7 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from flighttest.datafiles import read_yaml
+from flighttest.datafiles import read_yaml, write_whole
 from flighttest.documents import write_text
 from flighttest.errors import FlighttestError, InputError, ModelError
 from flighttest.identify.models import model_file
@@ -247,11 +246,9 @@ def _write(whole: Lineage, stored: ModelFile, made: Generation) -> None:
     data["vehicle"] = {**(data.get("vehicle") or {}), "name": whole.vehicle}
     model_file.write(whole.folder / made.file, data)
     rows = [{k: list(v) if isinstance(v, tuple) else v for k, v in asdict(one).items()} for one in whole.generations]
-    part = whole.folder / f"{LINEAGE_NAME}.part"
     known = {k: v for k, v in data["vehicle"].items() if k != "name"}
     text = write_text({"format": FORMAT, "vehicle": whole.vehicle, "identity": known, "models": rows})
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, whole.folder / LINEAGE_NAME)
+    write_whole(whole.folder / LINEAGE_NAME, text)
 
 
 def stale_since(one: Lineage, out: Path) -> tuple[str, ...]:
