@@ -288,27 +288,37 @@ class ArduPilot:
             self.session.send_at(at_s, message)
 
 
-class LaggedYaw:
-    """The heading that goes into the quaternion during a yaw rate step: where the vehicle will be, not the integral of the rate alone.
+UNSHAPED_LAG_S = 0.2  # of the heading sent, where the firmware shapes no target: about that of the vehicle
 
-    The vehicle advances the quaternion by the rate itself, and starts late; with the integral of the rate alone it makes up for the
-    difference by turning half again as fast as asked. So the rate is followed at accel_max_rad_s2 (ATC_ACC_Y_MAX; 0 is unlimited) and
-    with a lag.
+
+class SentHeading:
+    """The heading in the quaternion of a yaw rate step: that of the vehicle's own target, not the integral of the commanded rate.
+
+    The firmware turns its target towards the quaternion, by the rate that came with it and with a limited acceleration
+    (AC_AttitudeControl::input_quaternion). A quaternion ahead of the target is caught up with by turning half again as fast as asked, one
+    behind it slows the target down. So the heading is of the same acceleration. Where the firmware shapes no target, the vehicle itself
+    follows the quaternion, later, and the heading gets a lag.
     """
 
-    def __init__(self, yaw_rad: float, accel_max_rad_s2: float, lag_s: float = 0.2) -> None:
+    def __init__(self, yaw_rad: float, accel_max_rad_s2: float, lag_s: float = 0.0) -> None:
+        """accel_max_rad_s2: ATC_ACC_Y_MAX, 0 is unlimited; lag_s: of the heading's rate, 0 for none."""
         self.yaw_rad = yaw_rad
-        self._rate = 0.0
+        self._commanded = self._rate = 0.0
         self._accel_max = accel_max_rad_s2 if accel_max_rad_s2 > 0 else math.inf
         self._lag_s = lag_s
 
-    def advance(self, yaw_rate_rad_s: float, dt_s: float) -> float:
-        """The heading after dt_s at this commanded rate, rad."""
-        wanted = (yaw_rate_rad_s - self._rate) * (1.0 - math.exp(-dt_s / self._lag_s))
-        bound = self._accel_max * dt_s
-        before = self._rate
-        self._rate += min(max(wanted, -bound), bound)
-        self.yaw_rad = float(frames.wrap_angle(self.yaw_rad + 0.5 * (before + self._rate) * dt_s))
+    def next(self, yaw_rate_rad_s: float, dt_s: float) -> float:
+        """The heading to send with this rate, rad; dt_s: since the one before, whose rate was commanded in between."""
+        share = 1.0 - math.exp(-dt_s / self._lag_s) if self._lag_s > 0.0 else 1.0
+        wanted = (self._commanded - self._rate) * share
+        bound = self._accel_max * dt_s if dt_s > 0.0 else 0.0
+        change = min(max(wanted, -bound), bound)
+        self._rate += change
+        changing = (
+            1.0 if self._lag_s > 0.0 or not bound else abs(change) / bound
+        )  # share of dt_s in which the rate changes
+        self.yaw_rad = float(frames.wrap_angle(self.yaw_rad + (self._rate - 0.5 * changing * change) * dt_s))
+        self._commanded = yaw_rate_rad_s
         return self.yaw_rad
 
 

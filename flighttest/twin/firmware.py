@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from flighttest.identify.models.model_file import ModelFile
-from flighttest.link.ardupilot import LaggedYaw
+from flighttest.link.ardupilot import UNSHAPED_LAG_S, SentHeading
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.compose import block_of
 from flighttest.physics.simulate import simulate
@@ -309,7 +309,7 @@ def _answers(
     for w in wanted:
         count = round((float(w.t_s[-1]) - DELAY_S[0]) / LOOP_S) + 1
         if axis == "yaw":
-            angle, rate = _demanded(w.step, loop, count)
+            angle, rate = demanded(w.step, loop, count)
             found.append(firmware_loops.simulate_loop(loop, gain * w.gain, lag_s, angle, rate, most)[1])
         else:
             found.append(
@@ -320,13 +320,14 @@ def _answers(
     return found
 
 
-def _demanded(rate: float, loop: Loop, count: int) -> tuple[FloatArray, FloatArray]:
-    """What `LaggedYaw` sends in a yaw rate step: the heading anew with each target, moved on by the rate in between."""
-    lagged = LaggedYaw(0.0, loop.accel)
+def demanded(rate: float, loop: Loop, count: int) -> tuple[FloatArray, FloatArray]:
+    """Heading rad and rate rad/s (count,) that reach the firmware's loops in a yaw rate step: the heading of `SentHeading` anew with each
+    target, moved on by the rate in between."""
+    sent = SentHeading(0.0, loop.accel if loop.feedforward else 0.0, 0.0 if loop.feedforward else UNSHAPED_LAG_S)
     every = round(_COMMAND_S / LOOP_S)
     angle, heading = np.empty(count), 0.0
     for k in range(count):
         if k % every == 0:
-            heading = lagged.advance(rate, _COMMAND_S)
+            heading = sent.next(rate, _COMMAND_S)
         angle[k] = heading + rate * LOOP_S * (k % every)
     return angle, np.full(count, rate)

@@ -8,7 +8,8 @@ import pytest
 
 from flighttest.errors import LinkError, PreflightError
 from flighttest.flight import FlightOutcome, FlightProgress, FlightState, LegOutcome, legs_flown
-from flighttest.link.ardupilot import ArduPilot
+from flighttest.flight.execution.legs import AutopilotSettings
+from flighttest.link.ardupilot import UNSHAPED_LAG_S, ArduPilot
 from flighttest.mavlink import CopterMode
 from flighttest.pipeline.diagnosis.next_flight import flown_vehicle
 from flighttest.plan import AttitudeTarget
@@ -364,3 +365,21 @@ def test_no_vehicle_there(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(LinkError, match="no HEARTBEAT"):
         fly(make_plan(), "udpin:127.0.0.1:1", run_dir, transport=Silence())
     assert read_manifest(run_dir)["outcome"].startswith("no HEARTBEAT")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "accel_rad_s2", "lag_s"),
+    [
+        ({"ATC_ACC_Y_MAX": 270.0}, 4.712, 0.0),
+        ({"ATC_ACCEL_Y_MAX": 27000.0, "ATC_RATE_FF_ENAB": 1.0}, 4.712, 0.0),
+        ({"ATC_ACC_Y_MAX": 0.0}, 0.0, 0.0),
+        ({"ATC_ACC_Y_MAX": 270.0, "ATC_RATE_FF_ENAB": 0.0}, 0.0, UNSHAPED_LAG_S),
+        ({}, 0.0, UNSHAPED_LAG_S),
+    ],
+)
+def test_the_heading_sent_is_of_the_target_s_shaping_and_trails_where_none_is_known(
+    parameters: dict[str, float], accel_rad_s2: float, lag_s: float
+) -> None:
+    found = AutopilotSettings.of(parameters)
+    assert found.yaw_accel_max_rad_s2 == pytest.approx(accel_rad_s2, abs=1e-3)
+    assert found.yaw_lag_s == lag_s

@@ -5,11 +5,12 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from flighttest.errors import LinkError
 from flighttest.link import parameters
-from flighttest.link.ardupilot import ArduPilot, LaggedYaw
+from flighttest.link.ardupilot import ArduPilot, SentHeading
 from flighttest.link.clock import FollowedClock, TimeSync
 from flighttest.link.port import MavlinkPort
 from flighttest.link.session import Session
@@ -200,13 +201,21 @@ def test_noise_is_counted_and_lost_frames_are_too() -> None:
     assert port.bad_bytes == 5
 
 
-def test_the_lagged_heading_trails_a_bare_integral_and_ends_beside_it() -> None:
-    lagged = LaggedYaw(0.0, 0.0, lag_s=0.2)
-    headings = [lagged.advance(1.0, 0.02) for _ in range(100)]
-    assert headings[4] < 0.05
+def test_the_heading_sent_is_that_of_the_firmware_s_target() -> None:
+    sent = SentHeading(0.1, 4.7)
+    headings = np.array([sent.next(1.0, 0.02) for _ in range(51)]) - 0.1
+    t = 0.02 * np.arange(51)
+    np.testing.assert_allclose(headings, np.where(t < 1 / 4.7, 0.5 * 4.7 * t**2, t - 0.5 / 4.7), atol=1e-12)
+    unlimited = SentHeading(0.0, 0.0)
+    assert [unlimited.next(1.0, dt) for dt in (0.0, 0.02, 0.02)] == pytest.approx([0.0, 0.02, 0.04])
+    assert unlimited.next(0.0, 0.02) == unlimited.next(0.0, 0.02) == pytest.approx(0.06)
+
+
+def test_where_no_target_is_shaped_the_heading_trails_the_integral_of_the_rate() -> None:
+    lagged = SentHeading(0.0, 0.0, lag_s=0.2)
+    headings = [lagged.next(1.0, 0.02) for _ in range(101)]
+    assert headings[5] < 0.05
     assert headings[-1] == pytest.approx(2.0 - 0.2, abs=0.02)
-    bounded = LaggedYaw(0.0, 1.0, lag_s=0.01)
-    assert bounded.advance(5.0, 0.5) == pytest.approx(0.5 * 0.5 * 0.5)
 
 
 def beat_of(vehicle: ScriptedVehicle, mode: int, sequence: int) -> None:

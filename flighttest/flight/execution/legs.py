@@ -15,7 +15,7 @@ from flighttest.flight.gate import LINK, Refusal
 from flighttest.flight.outcome import LegOutcome, LegResult
 from flighttest.flight.recorder import mark_id
 from flighttest.link import parameters as params
-from flighttest.link.ardupilot import LaggedYaw
+from flighttest.link.ardupilot import UNSHAPED_LAG_S, SentHeading
 from flighttest.plan import AttitudeTarget, Leg
 from flighttest.plan.outer_loop import along
 
@@ -24,19 +24,23 @@ _PHASES = 4  # of the target period: 5 ms at 50 Hz, the tick of the built-in veh
 
 @dataclass(frozen=True)
 class AutopilotSettings:
-    """The autopilot's settings that flying needs. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX; 0 is unlimited."""
+    """The autopilot's settings that flying needs. yaw_accel_max_rad_s2: ATC_ACC_Y_MAX, 0 is unlimited; yaw_lag_s: of the heading sent."""
 
     angle_boost: bool = False
     yaw_accel_max_rad_s2: float = 0.0
+    yaw_lag_s: float = 0.0
 
     @classmethod
     def of(cls, parameters: dict[str, float]) -> AutopilotSettings:
         """By the vehicle's parameters."""
-        accel_deg = params.by_either_name(parameters, "ATC_ACC_Y_MAX")
-        shaped = parameters.get("ATC_RATE_FF_ENAB", 1.0) != 0.0
+        # None: the target is not shaped, or nothing is known of it; a heading that trails is never ahead of the target.
+        accel_deg = (
+            params.by_either_name(parameters, "ATC_ACC_Y_MAX") if parameters.get("ATC_RATE_FF_ENAB", 1.0) else None
+        )
         return cls(
             angle_boost=parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0,
-            yaw_accel_max_rad_s2=math.radians(accel_deg) if accel_deg and shaped else 0.0,
+            yaw_accel_max_rad_s2=math.radians(accel_deg or 0.0),
+            yaw_lag_s=UNSHAPED_LAG_S if accel_deg is None else 0.0,
         )
 
 
@@ -178,7 +182,7 @@ class _Profile:
         self._profile = leg.profile
         # Always from the present heading: a quaternion of "no rotation" points North.
         self._yaw0 = control.state.attitude_rad[2] if control.state.attitude_rad else leg.heading_rad
-        self._lagged = LaggedYaw(self._yaw0, airframe.yaw_accel_max_rad_s2)
+        self._heading = SentHeading(self._yaw0, airframe.yaw_accel_max_rad_s2, airframe.yaw_lag_s)
         self._turning = False
         self._last_s = 0.0
 
@@ -189,7 +193,7 @@ class _Profile:
         if not self._turning:
             self._last_s = t_s
             return target, self._yaw0, False
-        yaw = self._lagged.advance(target.yaw_rate_rad_s, t_s - self._last_s)
+        yaw = self._heading.next(target.yaw_rate_rad_s, t_s - self._last_s)
         self._last_s = t_s
         return target, yaw, True
 
