@@ -9,7 +9,9 @@ import pytest
 
 from flighttest.errors import ModelError
 from flighttest.identify.models.model_file import ModelFile
+from flighttest.link.ardupilot import SentHeading
 from flighttest.physics.model import Model
+from flighttest.physics.simulate import simulate
 from flighttest.sim.options import SimOptions
 from flighttest.sim.plant_frame import FramePlant
 from flighttest.sim.sitl.physics import build_motor_plant, firmware_parameters
@@ -18,6 +20,7 @@ from flighttest.twin.firmware import firmware_options, frame_of
 from flighttest.twin.firmware_loops import DEFAULTS, LOOP_S, loop_of, simulate_loop
 
 COUNT = round(firmware.SECONDS / LOOP_S)
+YAW_GAINS = {"ATC_ANG_YAW_P": 2.0, "ATC_RAT_YAW_P": 0.15, "ATC_RAT_YAW_I": 0.015, "ATC_RAT_YAW_FLTE": 20.0}
 
 
 def stored(parameters=None, terms=("linear_drag",), **values):
@@ -148,3 +151,32 @@ def test_a_saturated_mixer_turns_no_faster():
     assert np.abs(held).max() <= 0.02 * 400.0 * 80 * LOOP_S + 1e-9
     assert np.abs(free).max() > np.abs(held).max()
     assert math.isfinite(free[-1])
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0])
+def test_the_firmware_s_own_parameters_are_those_of_yaw_rate_shaping(rate, monkeypatch):
+    loop, model = loop_of("yaw", YAW_GAINS), Model(("yaw_rate_shaping",))
+    values = model.start(
+        {
+            "shaping_yaw_accel": loop.accel,
+            "shaping_yaw_hold": loop.angle_p,
+            # gyro filter 9 ms, error filter 8, motors 5, output 2.5
+            "shaping_yaw_lag": 0.025,
+            "sigma_r": 80.0 * loop.rate_p,
+        }
+        | dict.fromkeys(("T_d", "T_d_attitude", "T_d_yaw_rate", "T_d_thrust"), 0.0)
+    )
+    t, rest = LOOP_S * np.arange(COUNT), (np.array([-1.0]), np.array([0.0]))
+    u = dict.fromkeys(("roll_ref_rad", "pitch_ref_rad", "throttle"), rest)
+    u["yaw_rate_ref_rad_s"] = np.array([-1.0, 0.0]), np.array([0.0, rate])
+    volts = {"voltage_v": (t, np.full(COUNT, model.nominal_voltage_v))}
+    said = np.asarray(simulate(model, values, t, {"p_z_m": 50.0}, u, volts)["r_rad_s"])
+
+    def off():
+        made = simulate_loop(loop, 80.0, 0.005, *firmware.demanded(rate, loop, COUNT))[1]
+        return np.sqrt(np.mean((said - made) ** 2)) / rate
+
+    assert off() < 0.012
+    # A heading that trails the firmware's target slows it down.
+    monkeypatch.setattr(firmware, "SentHeading", lambda yaw, accel, _lag: SentHeading(yaw, accel, 0.2))
+    assert off() > 0.03

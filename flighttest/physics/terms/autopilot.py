@@ -158,12 +158,17 @@ reference_shaping = Term(
 
 
 def _yaw_shaping(s: Signals, p: Values, x: Values) -> Contribution:
-    ahead, acceleration = x["yaw_rate_target_ahead_rad_s"], p["shaping_yaw_accel"]
+    ahead, gap, error = x["yaw_rate_target_ahead_rad_s"], x["yaw_target_ahead_rad"], x["yaw_rate_error_rad_s"]
     target = s.yaw_rate + ahead
-    target_dot = _within((s.yaw_rate_ref - target) / _CATCH_UP_S, acceleration)
-    # The rate loop then answers the shaped target: yaw_rate_dot = sigma_r ahead.
+    target_dot = _within((s.yaw_rate_ref - target) / _CATCH_UP_S, p["shaping_yaw_accel"])
+    asked = ahead + p["shaping_yaw_hold"] * gap
     return Contribution(
-        {"yaw_rate_ref": target}, {"yaw_rate_target_ahead_rad_s": target_dot - s.base["sigma_r"] * ahead}
+        {"yaw_rate_ref": s.yaw_rate + error},  # yaw_rate_dot = sigma_r error
+        {
+            "yaw_rate_target_ahead_rad_s": target_dot - s.base["sigma_r"] * error,
+            "yaw_target_ahead_rad": ahead,
+            "yaw_rate_error_rad_s": (asked - error) / p["shaping_yaw_lag"],
+        },
     )
 
 
@@ -177,17 +182,32 @@ yaw_rate_shaping = Term(
             "shaping_yaw_accel", "a_r", "rad/s^2", 4.7, 0.2, 200.0, 2.0, "greatest acceleration of the yaw rate target",
             "ATC_ACC_Y_MAX, 270 deg/s^2 by default", "shape", None, (2.0, 4.7, 10.0, 20.0),
         ),
+        Param(
+            "shaping_yaw_hold", "k_r", "1/s", 4.5, -1.0, 12.0, 1.0, "yaw rate asked for per heading behind that of the target",
+            "ATC_ANG_YAW_P, 4.5 by default; 0: no heading is held", "shape", None, (0.0, 4.5),
+        ),
+        Param(
+            "shaping_yaw_lag", "τ_r", "s", 0.02, 0.012, 0.2, 0.01, "time constant of filters and motors in the rate loop",
+            "ATC_RAT_YAW_FLTE and INS_GYRO_FILTER at 20 Hz: 0.008 each", "shape", None, (0.02,),
+        ),
     ),
     build=_yaw_shaping,
-    equation="|d/dt yaw rate target| <= a_r; the loop follows the target",
-    plain="the autopilot ramps the yaw rate instead of stepping it; this is no physics of the vehicle",
-    source="ArduPilot AC_AttitudeControl::input_shaping_ang_vel",
-    doubt="the heading error that the ramp leaves, and its catching up, are not in it",
+    equation="|d/dt r_t| <= a_r; e_dot = r_t - r; tau_r x_dot = r_t + k_r e - r - x; r_dot = sigma_r x",
+    plain="the autopilot ramps the yaw rate instead of stepping it, and catches up with the heading of the ramp; this is no physics of the "
+    "vehicle",
+    source="ArduPilot AC_AttitudeControl::input_quaternion, input_shaping_angle, update_ang_vel_target_from_att_error",
+    doubt="the heading sent with the command is taken as that of the ramp, as `flighttest run` sends it: one behind it slows the target "
+    "down, one ahead makes it faster; a large heading error is linear here, where the autopilot takes a square root; the target starts "
+    "where the vehicle is",
     hides_in=("sigma_r", "T_d"),
     told_apart_by="two amplitudes",
     reveals="yaw_rate",
     needs=("yaw_rate_ref_rad_s", "r_rad_s"),
-    states=(State("yaw_rate_target_ahead_rad_s", "rad/s", "shaped yaw rate target ahead of the yaw rate"),),
+    states=(
+        State("yaw_rate_target_ahead_rad_s", "rad/s", "shaped yaw rate target ahead of the yaw rate"),
+        State("yaw_target_ahead_rad", "rad", "heading of the shaped target ahead of the heading"),
+        State("yaw_rate_error_rad_s", "rad/s", "what the rate loop answers"),
+    ),
 )  # fmt: skip
 
 
@@ -257,7 +277,7 @@ heading_hold = Term(
     plain="the autopilot integrates the commanded yaw rate into a heading and catches up with it, so that the yaw rate overshoots after "
     "it lagged; this is no physics of the vehicle",
     source="ArduPilot AC_AttitudeControl::attitude_controller_run_quat, update_ang_vel_target_from_att_error",
-    doubt="linear, where the autopilot takes a square root of large errors; with yaw rate shaping, the error is that of the shaped target",
+    doubt="linear, where the autopilot takes a square root of large errors; yaw rate shaping holds the heading of its own target",
     hides_in=("sigma_r", "T_d"),
     told_apart_by="shape after the step",
     reveals="yaw_rate",
