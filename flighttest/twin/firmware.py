@@ -27,7 +27,7 @@ from flighttest.physics.simulate import simulate
 from flighttest.sim import SimOptions
 from flighttest.sim.plants.plant import IdentifiedVehicle
 from flighttest.twin import firmware_loops
-from flighttest.twin.firmware_loops import AXES, LOOP_S, Loop, loop_of
+from flighttest.twin.firmware_loops import AXES, LOOP_S, THRUST_DELAY_S, Loop, loop_of
 from flighttest.twin.vehicle import simulator_options
 
 FloatArray = NDArray[np.float64]
@@ -128,7 +128,7 @@ def firmware_options(
         "frame": {
             **{f"gain_{n}": a.gain for n, a in frame.axes.items()},
             **{f"lag_{n}": a.lag_s for n, a in frame.axes.items()},
-            "thrust_delay": max(stored.delays_s["thrust"] - frame.link_delay_s, 0.0),
+            "thrust_delay": max(stored.delays_s["thrust"] - frame.link_delay_s - THRUST_DELAY_S, 0.0),
         },
     }
     described["constants"] = {**described["constants"], "attitude_loops": False}
