@@ -168,17 +168,18 @@ def _fitted(segments: Sequence[Segment], model: Model, start: Mapping[str, float
 
 
 def errors_of(found: Fit) -> dict[str, tuple[float, float]]:
-    """Standard error and degrees of freedom of every estimated parameter, those on a bound included.
+    """Standard error and degrees of freedom of every estimated parameter, those on a bound included unless nothing depends on them there.
 
     What the equations get wrong of a cell is alike on both sides of a comparison; what differs is a matter of single responses, of which
     there are more than cells. So clusters are responses here; of both standard errors the larger one counts. The delay of the thrust has
     the error of the specific force's time stamps as well, which is one for all responses of a recording.
     """
-    bound = [n for n in found.solution.at_bound if n in found.solution.normal.names]
-    known = found.covariance
+    normal, known = found.solution.normal, found.covariance
+    felt = {n for n, h in zip(normal.names, np.einsum("sii->i", normal.hessian), strict=True) if h > 0.0}
+    bound = [n for n in found.solution.at_bound if n in felt]
     names = (*known.names, *bound)
-    single = cluster_covariance(found.solution.normal, names)
-    cells = known if not bound else cluster_covariance(found.solution.normal.by(found.problem.cells), names)
+    single = cluster_covariance(normal, names)
+    cells = known if not bound else cluster_covariance(normal.by(found.problem.cells), names)
     by_cell = {n: float(cells.matrix[i, i]) for i, n in enumerate(cells.names)}
     by_cell |= {n: float(known.matrix[i, i]) for i, n in enumerate(known.names)}
     stamps = {"T_d_thrust": stamp_variance(found.problem.segments)}

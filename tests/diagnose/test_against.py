@@ -81,6 +81,15 @@ def test_the_error_of_a_side_is_by_its_responses_where_few_cells_tell_a_paramete
     assert dof == pytest.approx(5.0)
 
 
+def test_a_parameter_on_its_bound_that_nothing_depends_on_has_no_error():
+    # The share of the lean angle in a boost that ended at zero: its row of the Hessian is zero, and no eigenvalue was found.
+    hessian = np.tile(np.diag([1.0, 0.0]), (6, 1, 1))
+    normal = Normal(("boost", "boost_actual"), hessian, np.array([[1.0, 0.0], [-1.0, 0.0]] * 3))
+    solution = SimpleNamespace(at_bound=("boost_actual",), normal=normal)
+    known, problem = cluster_covariance(normal, ("boost",)), SimpleNamespace(cells=np.arange(6), segments=())
+    assert set(errors_of(SimpleNamespace(solution=solution, covariance=known, problem=problem))) == {"boost"}
+
+
 def test_a_delay_of_the_thrust_has_the_error_of_the_forces_time_stamps():
     # Two flights of one vehicle: their forces were moved by 4.4 +- 0.8 and 1.8 +- 1.2 ms, and with them the delays, 40.3 and 43.3 ms.
     def flown(run, kind, std_s, late_std_s=0.001):
