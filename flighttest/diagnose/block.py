@@ -126,9 +126,9 @@ def _tell(made: BlockAnswer, search: Search, asked: Asked) -> None:
     unchanged = now is base
     before_held = base.held_out(asked.groups)
     after_held = before_held if unchanged else now.held_out(asked.groups)
-    horizons_b = horizon_rmse(base.rows, before_held, segments)
-    horizons_a = horizons_b if unchanged else horizon_rmse(now.rows, after_held, segments)
-    for name, h in gains_held_out(base.rows, before_held, now.rows, after_held, asked.groups, floor, SEED).items():
+    horizons_b = horizon_rmse(before_held, segments)
+    horizons_a = horizons_b if unchanged else horizon_rmse(after_held, segments)
+    for name, h in gains_held_out(before_held, after_held, asked.groups, floor, SEED).items():
         steps_b, steps_a = horizons_b.get(name, {}), horizons_a.get(name, {})
         made.heldout[short(name)] = {
             "all": _held(h),

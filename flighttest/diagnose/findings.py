@@ -48,7 +48,7 @@ def finding(search: Search, term_id: str, table: Mapping[str, ParameterRow], gro
         short(name): HeldOutRow(
             rmse_before=h.rmse_before, rmse_after=h.rmse_after, floor=h.floor, gain_95=list(h.gain_95)
         )
-        for name, h in gains_held_out(without.rows, before, search.now.rows, after, groups, search.floor, seed).items()
+        for name, h in gains_held_out(before, after, groups, search.floor, seed).items()
     }
     parameters = {n: v for n, v in table.items() if search.now.model.term_of(n) == term_id}
     rivals = tuple(

@@ -364,7 +364,7 @@ def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(r
     x = rng.normal(size=1000)
     with_it, without = (fitted(2.0 * x + rng.normal(size=1000), c, ("p0",)) for c in (x[:, None], np.ones((1000, 1))))
     groups = np.arange(SEGMENTS) % 5
-    falls = held_out_falls(without.rows, without.held_out(groups), with_it.rows, with_it.held_out(groups), groups)
+    falls = held_out_falls(without.held_out(groups), with_it.held_out(groups), groups)
     assert falls == {"f_z_m_s2": pytest.approx(1.0 - 1.0 / np.sqrt(5.0), abs=0.05)}
 
 

@@ -17,7 +17,14 @@ from flighttest.diagnose.residuals.lack_of_fit import NoiseFloor, high_frequency
 from flighttest.diagnose.residuals.locate import explained_by
 from flighttest.diagnose.selection import detectability
 from flighttest.diagnose.selection.comparison import log_odds_asked
-from flighttest.diagnose.selection.held_out import Margins, gains_held_out, held_out, held_out_groups, places
+from flighttest.diagnose.selection.held_out import (
+    Margins,
+    PredictionErrors,
+    gains_held_out,
+    held_out,
+    held_out_groups,
+    places,
+)
 from flighttest.estimation.linearisation import orthonormal
 from flighttest.estimation.problem import Noise
 from flighttest.physics.catalogue import catalogue
@@ -290,7 +297,9 @@ def test_a_channel_that_is_masked_everywhere_is_not_compared():
     )
     floor = NoiseFloor({"f_z_m_s2": 0.1, "v_x_m_s": 0.1}, frozenset(), {})
     residual = np.linspace(-1.0, 1.0, 20)
-    found = gains_held_out(rows, residual, rows, 0.5 * residual, np.arange(4), floor)
+    found = gains_held_out(
+        PredictionErrors(rows, residual), PredictionErrors(rows, 0.5 * residual), np.arange(4), floor
+    )
     assert list(found) == ["f_z_m_s2"]
     assert found["f_z_m_s2"].rmse_after == pytest.approx(0.5 * found["f_z_m_s2"].rmse_before)
 

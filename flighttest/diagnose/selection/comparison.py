@@ -19,6 +19,7 @@ from flighttest.diagnose.selection.candidates import null_value, redundant, usua
 from flighttest.diagnose.selection.held_out import (
     CrossValidation,
     Margins,
+    PredictionErrors,
     cross_validated,
     held_out,
     held_out_falls,
@@ -64,9 +65,9 @@ class Fitted:
         """How far what is estimated may move from the optimum."""
         return Margins.of([self.model.param[n] for n in self.names], self.at.values)
 
-    def held_out(self, groups: IntArray) -> FloatArray:
+    def held_out(self, groups: IntArray) -> PredictionErrors:
         """As of `held_out`."""
-        return held_out(self.rows, self.names, groups, self.margins)
+        return PredictionErrors(self.rows, held_out(self.rows, self.names, groups, self.margins))
 
     @property
     def finite(self) -> bool:
@@ -191,7 +192,7 @@ def evidence_of(
     change = change_by_stratum(after.rows, before.rows)
     intervals = {name: interval for name, interval in stratum_gains(before, after, groups).items() if name not in aside}
     if not intervals:  # of too few groups: the falls themselves
-        falls = held_out_falls(without.rows, without.held_out(groups), fitted.rows, fitted.held_out(groups), groups)
+        falls = held_out_falls(without.held_out(groups), fitted.held_out(groups), groups)
         intervals = {name: (fall, fall) for name, fall in falls.items() if name not in aside}
     found = Evidence(
         term=term.id,

@@ -128,36 +128,36 @@ def cross_validated(
     return np.asarray(out**2)
 
 
-def mean_squares(
-    rows: Linearisation, residual: FloatArray, groups: IntArray
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Channel to (sum of squares, number of samples) per group."""
-    of_row = groups[rows.segment]
-    n = int(groups.max()) + 1
-    found = {}
-    for c, name in enumerate(rows.channels):
-        at = rows.channel == c
-        count = np.bincount(of_row[at], minlength=n).astype(float)
-        found[name] = (np.asarray(np.bincount(of_row[at], residual[at] ** 2, minlength=n), dtype=float), count)
-    return found
+@dataclass(frozen=True)
+class PredictionErrors:
+    """Errors of a model in groups that were not used (`held_out`), each response by its own initial state alone. residual: of each row of
+    the model (n,), in the channel's unit."""
+
+    rows: Linearisation
+    residual: FloatArray
+
+    def of(self, channel: str) -> tuple[IntArray, FloatArray]:
+        """Segment and error of the samples of one channel, (m,) each."""
+        at = self.rows.channel == self.rows.channels.index(channel)
+        return self.rows.segment[at], self.residual[at]
+
+    def squares(self, channel: str, groups: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Sum of squares and number of samples of one channel per group."""
+        (segment, error), n = self.of(channel), int(groups.max()) + 1
+        count = np.bincount(groups[segment], minlength=n).astype(float)
+        return np.asarray(np.bincount(groups[segment], error**2, minlength=n), dtype=float), count
 
 
 def groups_moved(
-    before: Linearisation,
-    before_residual: FloatArray,
-    after: Linearisation,
-    after_residual: FloatArray,
-    groups: IntArray,
-    floor: NoiseFloor,
-    least: float,
+    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, least: float
 ) -> int:
     """In how many groups two models predict differently: by `least` noise floors RMS in some channel."""
     moved = np.zeros(int(groups.max()) + 1, dtype=bool)
-    for c, name in enumerate(before.channels):
-        here, there = before.channel == c, after.channel == after.channels.index(name)
-        of_row, change = groups[before.segment[here]], before_residual[here] - after_residual[there]
-        square, count = np.bincount(of_row, change**2, moved.size), np.bincount(of_row, minlength=moved.size)
-        moved |= (count > 0) & (square >= (least * floor.of(name)) ** 2 * count)
+    for name in before.rows.channels:
+        (segment, one), (_, other) = before.of(name), after.of(name)
+        change = np.bincount(groups[segment], (one - other) ** 2, moved.size)
+        count = np.bincount(groups[segment], minlength=moved.size)
+        moved |= (count > 0) & (change >= (least * floor.of(name)) ** 2 * count)
     return int(moved.sum())
 
 
@@ -204,21 +204,14 @@ def stratum_gains(
     return found
 
 
-def held_out_falls(
-    before: Linearisation,
-    before_residual: FloatArray,
-    after: Linearisation,
-    after_residual: FloatArray,
-    groups: IntArray,
-) -> dict[str, float]:
-    """Channel to the relative fall of the root mean square of residuals of groups that were not used (`held_out`): what can be asked of
-    fewer groups than an interval takes."""
-    first, second = mean_squares(before, before_residual, groups), mean_squares(after, after_residual, groups)
-    return {
-        c: 1.0 - float(np.sqrt(second[c][0].sum() / max(square.sum(), 1e-300)))
-        for c, (square, count) in first.items()
-        if count.any()
-    }
+def held_out_falls(before: PredictionErrors, after: PredictionErrors, groups: IntArray) -> dict[str, float]:
+    """Channel to the relative fall of the root mean square error: what can be asked of fewer groups than an interval takes."""
+    found = {}
+    for name in before.rows.channels:
+        (first, count), (second, _) = before.squares(name, groups), after.squares(name, groups)
+        if count.any():
+            found[name] = 1.0 - float(np.sqrt(second.sum() / max(first.sum(), 1e-300)))
+    return found
 
 
 @dataclass(frozen=True)
@@ -232,24 +225,15 @@ class HeldOut:
 
 
 def gains_held_out(
-    before: Linearisation,
-    before_residual: FloatArray,
-    after: Linearisation,
-    after_residual: FloatArray,
-    groups: IntArray,
-    floor: NoiseFloor,
-    seed: int = 0,
+    before: PredictionErrors, after: PredictionErrors, groups: IntArray, floor: NoiseFloor, seed: int = 0
 ) -> dict[str, HeldOut]:
     """Both models on the same samples."""
     rng = np.random.default_rng(seed)
-    first, second = mean_squares(before, before_residual, groups), mean_squares(after, after_residual, groups)
     n = int(groups.max()) + 1
     draws = rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAPS).astype(float)
     found = {}
-    for name in first:
-        if name not in second:
-            continue
-        (ss_b, n_b), (ss_a, n_a) = first[name], second[name]
+    for name in (c for c in before.rows.channels if c in after.rows.channels):
+        (ss_b, n_b), (ss_a, n_a) = before.squares(name, groups), after.squares(name, groups)
         if not n_b.any():  # masked in every response, as horizontal channels are where no attitude was recorded
             continue
 
@@ -297,8 +281,9 @@ def size_in_floors(
     return best, where
 
 
-def horizon_rmse(rows: Linearisation, residual: FloatArray, segments: Sequence[Segment]) -> dict[str, dict[str, float]]:
+def horizon_rmse(errors: PredictionErrors, segments: Sequence[Segment]) -> dict[str, dict[str, float]]:
     """Channel to horizon (s since the response's first sample, as text) to RMSE of what lies within it."""
+    rows = errors.rows
     since = np.array(
         [segments[i].t_s[max(k, 0)] - segments[i].t_s[0] for i, k in zip(rows.segment, rows.sample, strict=True)]
     )
@@ -308,7 +293,7 @@ def horizon_rmse(rows: Linearisation, residual: FloatArray, segments: Sequence[S
         for horizon in HORIZONS_S:
             at = (rows.channel == c) & (since <= horizon)
             if at.any() and horizon <= longest + 0.5:
-                found.setdefault(name, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(residual[at] ** 2)))
+                found.setdefault(name, {})[f"{horizon:g}"] = float(np.sqrt(np.mean(errors.residual[at] ** 2)))
     return found
 
 

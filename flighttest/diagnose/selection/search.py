@@ -150,10 +150,10 @@ class Search:
         assert self.base is not None
         assert self.now is not None
         assert self.floor is not None
-        before, after = ((f.rows, f.held_out(self.groups)) for f in (self.base, self.now))
-        if 0 < groups_moved(*before, *after, self.groups, self.floor, LEAST_FLOORS) < FEWEST_GROUPS:
+        before, after = self.base.held_out(self.groups), self.now.held_out(self.groups)
+        if 0 < groups_moved(before, after, self.groups, self.floor, LEAST_FLOORS) < FEWEST_GROUPS:
             return  # an interval over fewer groups decides nothing, and each term was tested by itself
-        gains = gains_held_out(*before, *after, self.groups, self.floor).values()
+        gains = gains_held_out(before, after, self.groups, self.floor).values()
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
         if better > worse:
             return
