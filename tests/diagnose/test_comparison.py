@@ -354,6 +354,13 @@ def test_absence_is_excluded_by_the_likelihood_ratio_over_the_inflation_of_the_p
     assert ("may be nothing" in absent) is said
 
 
+def test_a_term_of_which_nothing_is_determined_may_be_absent():
+    nothing = Covariance((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
+    term = catalogue()["thrust_fade"]
+    at_bounds = Fitted(Model((term.id,)), (), Optimum({"fade_depth": 0.6, "fade_tau": 15.0}, {}, NOISE, 0.0), None)
+    assert may_be_absent(term, at_bounds, 1e6, SimpleNamespace(covariance=lambda *_: nothing))
+
+
 def test_of_few_groups_no_interval_is_asked_but_that_they_are_predicted_better(rng):
     """The sign test of n groups cannot reach 2.5 % below six."""
     rows = rows_of(np.zeros(1000), np.zeros((1000, 0)), 20)

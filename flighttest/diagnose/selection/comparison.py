@@ -245,7 +245,7 @@ def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator)
     known = estimator.covariance(fitted.model, fitted.at, fitted.names)
     own = [known.names.index(p.name) for p in term.params if p.name in known.names]
     if not own:
-        return ""
+        return "nothing here determines any of its parameters"
     scale = np.sqrt(np.diag(known.model)[own])
     of_noise, whole = (c[np.ix_(own, own)] / np.outer(scale, scale) for c in (known.model, known.whole))
     inflation = float(np.trace(np.linalg.pinv(of_noise, hermitian=True) @ whole))

@@ -144,7 +144,8 @@ class Search:
 
     def judge_as_a_whole(self) -> None:
         """Withdraw what was named unless the model with it predicts more channels of what was not used surely better than worse, each
-        response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight."""
+        response by its initial state alone: terms that are each needed beside the others may explain disturbances and not the flight. Not
+        where the two predict differently in fewer groups than such an interval takes."""
         if not self.evidence:
             return
         assert self.base is not None
@@ -152,7 +153,7 @@ class Search:
         assert self.floor is not None
         before, after = self.base.held_out(self.groups), self.now.held_out(self.groups)
         if 0 < groups_moved(before, after, self.groups, self.floor, LEAST_FLOORS) < FEWEST_GROUPS:
-            return  # an interval over fewer groups decides nothing, and each term was tested by itself
+            return  # each term was tested by itself
         gains = gains_held_out(before, after, self.groups, self.floor).values()
         better, worse = sum(g.gain_95[0] > 0.0 for g in gains), sum(g.gain_95[1] < 0.0 for g in gains)
         if better > worse:
