@@ -258,6 +258,7 @@ def test_a_share_may_be_nothing_and_all(share):
     nats, and with it quadratic drag and axial inflow, which only show beside it."""
     model = Model(("linear_drag", "angle_boost"))
     assert judged("angle_boost", model, {"boost": 1.0, "boost_actual": share}) == ""
+    assert (model.param["boost_actual"].lower, model.param["boost_actual"].upper) == (0.0, 1.0)
 
 
 def test_a_coefficient_at_its_bound_is_refused_where_data_tell_it_from_its_usual_value(rng):

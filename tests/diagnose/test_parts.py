@@ -162,12 +162,13 @@ def test_a_response_that_goes_astray_as_a_whole_is_one_observation(rng):
     assert independent_times(white, at_time) == pytest.approx(20, rel=0.2)
 
 
-@pytest.mark.parametrize(("amplitude", "ordered"), [(1e-3, False), (6e-3, True)])
-def test_what_a_slow_variable_orders_must_exceed_what_estimators_wander_by(amplitude, ordered):
+@pytest.mark.parametrize(("share", "ordered"), [(0.5, False), (3.0, True)])
+@pytest.mark.parametrize(("channel", "drift"), [("pitch_rad", 2e-3), ("r_rad_s", 5e-3), ("a_z_m_s2", 0.1)])
+def test_what_a_slow_variable_orders_must_exceed_what_estimators_wander_by(channel, drift, share, ordered):
     response = np.repeat(np.arange(20), 50)
     voltage = 24.0 - 0.1 * response
-    drift = amplitude * np.where(voltage > 23.0, 1.0, -1.0)
-    assert locate.ordered_by_a_variable("pitch_rad", drift, {"voltage": voltage}, response, 1e-4, 0) is ordered
+    slow = share * drift * np.where(voltage > 23.0, 1.0, -1.0)
+    assert locate.ordered_by_a_variable(channel, slow, {"voltage": voltage}, response, 1e-4, 0) is ordered
 
 
 def test_without_repeats_the_drift_of_estimates_is_no_mismatch():
