@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from flighttest.channels import CHANNELS, HELD_GROUPS
 from flighttest.estimation.voltage_interpolation import between_samples
-from flighttest.physics.blocks import Block
+from flighttest.physics.blocks import TRIMMED, Block
 from flighttest.segments.model import Segment
 
 FloatArray = NDArray[np.float64]
@@ -126,6 +126,8 @@ def _exogenous(segment: Segment, name: str, nominal_voltage_v: float, attitude_d
         return filled(t, y.get("height_m", y.get("p_z_m")), NO_GROUND_M)
     if name == "time_s":
         return segment.since_takeoff_s
+    if name in TRIMMED:
+        return np.full(t.shape, segment.context.trimmed_m_s[TRIMMED.index(name)])
     if name.startswith("target_"):
         axis = name.split("_")[1]
         shaped = y.get(f"{axis}_shaped_rad")

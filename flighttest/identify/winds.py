@@ -13,6 +13,7 @@ from enum import Enum
 import numpy as np
 
 from flighttest.estimation.uncertainty.distributions import chi2_beyond
+from flighttest.frames import rotation_from_euler
 from flighttest.identify.free_flight import FreeFlight, estimate, stretches
 from flighttest.identify.models.model_blocks import FlightWindRow
 from flighttest.physics.model import Model
@@ -157,7 +158,8 @@ def turned(flown: Sequence[Segment]) -> bool:
 
 
 def in_still_air(segments: Sequence[Segment], winds: Sequence[FlightWind]) -> tuple[Segment, ...]:
-    """Segments in the frame of their flight's air: velocity less the wind, position less its way since the segment's start."""
+    """Segments in the frame of their flight's air: velocity less the wind, position less its way since the segment's start; and how fast
+    each flight is in that frame on the average, which the autopilot has trimmed."""
     known = {w.flight: (w.north, w.west) for w in winds}
     made = []
     for s in segments:
@@ -169,4 +171,18 @@ def in_still_air(segments: Sequence[Segment], winds: Sequence[FlightWind]) -> tu
                 if f"p_{axis}_m" in y:
                     y[f"p_{axis}_m"] = y[f"p_{axis}_m"] - w * (s.t_s - s.t_s[0])
         made.append(replace(s, y=y))
-    return tuple(made)
+    trimmed = {run: _mean_body_velocity([s for s in made if s.run == run]) for run in {s.run for s in made}}
+    return tuple(replace(s, context=replace(s.context, trimmed_m_s=trimmed[s.run])) for s in made)
+
+
+def _mean_body_velocity(segments: Sequence[Segment]) -> tuple[float, float, float]:
+    """Of all samples with attitude and velocity, forward, left and up, m/s; zero where there are none."""
+    needed = ("roll_rad", "pitch_rad", "yaw_rad", "v_x_m_s", "v_y_m_s", "v_z_m_s")
+    every = [np.stack([s.y[n] for n in needed]) for s in segments if all(n in s.y for n in needed)]
+    known = np.concatenate(every, axis=1) if every else np.zeros((6, 0))
+    known = known[:, np.isfinite(known).all(axis=0)]
+    if not known.size:
+        return 0.0, 0.0, 0.0
+    body = np.einsum("nij,ni->nj", rotation_from_euler(known[:3].T), known[3:].T)
+    forward, left, up = body.mean(axis=0).tolist()
+    return forward, left, up

@@ -21,6 +21,7 @@ AXES = (("roll", ("roll_rad", "roll_rate_rad_s")), ("pitch", ("pitch_rad", "pitc
 _REFERENCES = ("roll_ref_rad", "pitch_ref_rad", "yaw_rate_ref_rad_s")
 FORCE = ("f_x_m_s2", "f_y_m_s2", "f_z_m_s2")
 VELOCITY = ("v_x_m_s", "v_y_m_s", "v_z_m_s")
+TRIMMED = ("trimmed_u_m_s", "trimmed_v_m_s", "trimmed_w_m_s")  # `SegmentContext.trimmed_m_s`
 ACCELERATION = ("a_x_m_s2", "a_y_m_s2", "a_z_m_s2")
 TRANSLATION_OUTPUTS = (*FORCE, *VELOCITY, *ACCELERATION)
 
@@ -198,12 +199,13 @@ def attitude_blocks(
     terms: Sequence[Term], params: Sequence[Param], constants: Mapping[str, float]
 ) -> tuple[Block, ...]:
     """Roll, pitch and yaw rate loops; axes that a term couples come as one block."""
-    p, e = _symbols([q.name for q in params]), _symbols(EXOGENOUS)
+    p, e = _symbols([q.name for q in params]), _symbols([*EXOGENOUS, *VELOCITY, *TRIMMED])
     own, initial, spread = _term_states(terms, "attitude")
     x = _symbols([n for _, names in AXES for n in names]) | own
     u = _symbols(_REFERENCES)
     d = _symbols(["roll_d_rad", "pitch_d_rad", "yaw_rate_d_rad_s"])
     s = measured_signals(e, p, constants)
+    s.v_world, s.v_trimmed = (ca.vertcat(*(e[name] for name in names)) for names in (VELOCITY, TRIMMED))
     s.roll_ref = u["roll_ref_rad"] + d["roll_d_rad"]
     s.pitch_ref = u["pitch_ref_rad"] + d["pitch_d_rad"]
     s.yaw_rate_ref = u["yaw_rate_ref_rad_s"] + d["yaw_rate_d_rad_s"]

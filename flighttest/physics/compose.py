@@ -26,7 +26,7 @@ def symbolic_signals() -> Signals:
     scalars = {name: sym(name) for name, default in vars(Signals()).items() if isinstance(default, float)}
     vectors = {
         name: sym(name, 3)
-        for name in ("rates", "angular_acceleration", "v_world", "v_dot_world", "v_air_body", "force")
+        for name in ("rates", "angular_acceleration", "v_world", "v_dot_world", "v_air_body", "v_trimmed", "force")
     }
     base = {p.name: sym(p.name) for p in (*body.ATTITUDE_PARAMS, *body.THRUST_PARAMS)}
     measured = {"f": sym("f", 3), "v": sym("v", 3), "roll": sym("m_roll"), "pitch": sym("m_pitch"), "r": sym("m_r")}

@@ -68,7 +68,7 @@ def build_system(
         nominal_voltage=constants["nominal_voltage_v"], rotor_height=constants["rotor_height_m"],
         g=constants["g"], base=p, sigma_t=p["sigma_t"],
     )  # fmt: skip
-    s.v_world = ca.vertcat(*(x[n] for n in VELOCITY))
+    s.v_world, s.v_trimmed = ca.vertcat(*(x[n] for n in VELOCITY)), ca.SX.zeros(3)
     term_states = {n.name: x[n.name] for n in own}
     rates: dict[str, Any] = {}
     if attitude_loops:

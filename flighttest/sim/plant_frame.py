@@ -1,15 +1,22 @@
 """An identified vehicle without its attitude loops, for an autopilot that brings its own: motor commands in, motion out.
 
-Rotation is a frame's: each moment is an angular acceleration with a first-order lag. Translation is the identified model's, driven by the
+Rotation is a frame's: each moment of the motors is an angular acceleration with a first-order lag; moments of the air are the identified
+model's. Translation is the identified model's, driven by the
 attitude that comes of it; the mean motor command is its throttle.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import cos, exp, sin
 
+import casadi as ca
+
+from flighttest.physics.body import rotation
+from flighttest.physics.core import Port, Signals
+from flighttest.physics.model import Model
 from flighttest.sim.plants.battery import Battery
 from flighttest.sim.plants.plant import IdentifiedVehicle
 from flighttest.sim.plants.plant_terms import TermsPlant, of_description
@@ -30,7 +37,9 @@ class FramePlant(TermsPlant):
     motors = 4
 
     def __init__(self, described: IdentifiedVehicle, battery: Battery | None = None, air: Air | None = None) -> None:
-        super().__init__(*of_description(described), battery, air)
+        model, values = of_description(described)
+        super().__init__(model, values, battery, air)
+        self._of_the_air = moments_of_the_air(model, values)
         frame = described["frame"]
         self._gains = [float(frame[f"gain_{n}"]) for n in AXES]
         self._lags = [float(frame[f"lag_{n}"]) for n in AXES]
@@ -68,8 +77,12 @@ class FramePlant(TermsPlant):
             for g, signs in zip(self._gains, (_ROLL, _PITCH, _YAW), strict=True)
         ]
         turning = [w + (a - w) * exp(-h / lag) for w, a, lag in zip(wanted, self._turning, self._lags, strict=True)]
-        p, q, r = (v + 0.5 * h * a for v, a in zip(self.rates_rad_s, turning, strict=True))
-        self._turning, self.rates_rad_s = turning, [v + h * a for v, a in zip(self.rates_rad_s, turning, strict=True)]
+        pushed = turning
+        if self._of_the_air is not None:
+            added = self._of_the_air(self._angles, self._through_the_air())
+            pushed = [a + b for a, b in zip(turning, added.full().ravel().tolist(), strict=True)]
+        p, q, r = (v + 0.5 * h * a for v, a in zip(self.rates_rad_s, pushed, strict=True))
+        self._turning, self.rates_rad_s = turning, [v + h * a for v, a in zip(self.rates_rad_s, pushed, strict=True)]
         roll, pitch, yaw = self._angles
         around = sin(roll) * q + cos(roll) * r
         self._angles = [
@@ -77,6 +90,12 @@ class FramePlant(TermsPlant):
             pitch + h * (cos(roll) * q - sin(roll) * r),
             yaw + h * around / cos(pitch),
         ]
+
+    def _through_the_air(self) -> list[float]:
+        """World velocity less that of a gust, m/s."""
+        gust = (self._air.x, self._air.y, self._air.z) if self._air is not None else (0.0, 0.0, 0.0)
+        flown = self._x[self._vz - 2 : self._vz + 1].tolist()
+        return [v - w for v, w in zip(flown, gust, strict=True)]
 
     def _delayed(self, throttle: float) -> float:
         given = self._given
@@ -92,3 +111,16 @@ class FramePlant(TermsPlant):
         super()._touch_down()
         self._angles = [self.motion.roll, self.motion.pitch, yaw]
         self.motion.yaw = yaw
+
+
+def moments_of_the_air(model: Model, values: Mapping[str, float]) -> ca.Function | None:
+    """(roll, pitch, yaw in rad, velocity through the air in m/s, world) to the angular acceleration (3,), rad/s^2, by the model's
+    aerodynamic moments; None where it has none."""
+    every = replace(model, attitude_loops=True).built_terms
+    terms = [t for t in every if t.port is Port.ANGULAR and t.family == "aerodynamics"]
+    if not terms:
+        return None
+    angles, velocity = ca.SX.sym("angles", 3), ca.SX.sym("v", 3)
+    s = Signals(v_world=velocity, v_trimmed=ca.SX.zeros(3), rotation=rotation(*ca.vertsplit(angles)))
+    total = sum((t.build(s, {p.name: values[p.name] for p in t.params}, {}).value for t in terms), ca.SX.zeros(3))
+    return ca.Function("moments", [angles, velocity], [total])

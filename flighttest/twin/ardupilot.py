@@ -115,7 +115,8 @@ def exported(stored: ModelFile) -> Exported:
 
 def not_in_frame(stored: ModelFile) -> tuple[str, ...]:
     """Terms that SIM_Frame has not."""
-    return tuple(t for t in stored.model.terms if t not in KNOWN and block_of(catalogue()[t]) != "attitude")
+    own = {t.id for t in catalogue().values() if block_of(t) == "attitude" and t.family == "autopilot"}
+    return tuple(t for t in stored.model.terms if t not in KNOWN and t not in own)
 
 
 def frame_model(stored: ModelFile, loops: FirmwareFrame) -> tuple[Model, dict[str, float]]:

@@ -172,7 +172,10 @@ def frame_of(stored: ModelFile, motor_lag: bool = True) -> FirmwareFrame:
 
 def _firmwares(term: str, lacking: tuple[str, ...]) -> bool:
     """Whether a term is the firmware's part, or none of a frame."""
-    return term in _IN_THE_FIRMWARE or term in lacking or block_of(catalogue()[term]) == "attitude"
+    known = catalogue()[term]
+    return (
+        term in _IN_THE_FIRMWARE or term in lacking or (block_of(known) == "attitude" and known.family == "autopilot")
+    )
 
 
 def _around(stored: ModelFile, axis: str) -> dict[str, float]:

@@ -68,6 +68,17 @@ def test_wind_bias_and_offset_are_not_mixed_up(hidden, term, expected):
         assert found.findings[0].parameters[name]["value"] == pytest.approx(value, rel=0.15)
 
 
+def test_moments_of_the_air_are_named_and_measured():
+    found = diagnose(
+        tilts(hubs=(1.2, 0.8, 0.0)), only=("airflow_moment", "roll_pitch_coupling", "attitude_extra_pole", "rate_limit")
+    )
+    assert names(found) == ["airflow_moment"]
+    for name, true in {"m_u": 1.2, "l_v": 0.8, "m_w": 0.0, "l_w": 0.0}.items():
+        low, high = found.findings[0].parameters[name]["interval_95"]
+        assert low < true < high
+        assert name[-1] == "w" or high - low < 1.0  # hardly anything climbs here
+
+
 def test_what_is_printed_is_the_optimum_that_was_judged():
     """From the search's parameters alone, without the initial states and disturbances of its responses, the last fit ended 3000 nats lower
     on a firmware's log, with a cable of 15 m for one of 5.8 m; here it takes 17 iterations to come back."""

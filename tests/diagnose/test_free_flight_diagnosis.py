@@ -1,5 +1,6 @@
 """Diagnosis of free flight alone, of vehicles made without our equations: in a wind, with a tilted thrust axis, or in neither."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from flighttest.diagnose.free_flight.equation_search import find_terms
 from flighttest.diagnose.free_flight.prediction import held_out_table
 from flighttest.identify.free_flight import stretches
 from flighttest.identify.models import model_file
-from flighttest.identify.winds import WindVerdict, in_still_air
+from flighttest.identify.winds import FlightWind, WindVerdict, in_still_air
 from flighttest.physics.catalogue import catalogue
 from flighttest.physics.model import Model
 from flighttest.pipeline.diagnosis.diagnose import looked_for
@@ -91,6 +92,19 @@ def test_the_model_in_still_air_holds_for_motion_relative_to_the_air():
     (wind,) = found.winds
     assert after.y["v_x_m_s"] == pytest.approx(before.y["v_x_m_s"] - wind.north)
     assert np.array_equal(after.y["pitch_rad"], before.y["pitch_rad"])
+
+
+def test_the_autopilot_has_trimmed_the_mean_velocity_through_the_air_in_body_axes():
+    (segment,) = flight(30.0, 5, run="one")[:1]
+    n = segment.t_s.size
+    held = {"roll_rad": 0.0, "pitch_rad": 0.3, "yaw_rad": np.pi / 2, "v_x_m_s": 0.0, "v_y_m_s": 2.0, "v_z_m_s": 1.0}
+    flown = replace(segment, y=segment.y | {name: np.full(n, value) for name, value in held.items()})
+    wind = FlightWind("one", 0.0, -3.0, 1.0, 1.0, 9.0, WindVerdict.WIND)  # from ahead: the nose points to the west
+    slower = replace(flown, y=flown.y | {"v_y_m_s": np.full(n, 0.0)})
+    found = in_still_air([flown, slower], [wind])
+    forward, up = 4.0 * np.cos(0.3) - np.sin(0.3), 4.0 * np.sin(0.3) + np.cos(0.3)
+    for one in found:
+        assert one.context.trimmed_m_s == pytest.approx((forward, 0.0, up))
 
 
 def test_what_is_written_and_shown_has_the_winds():

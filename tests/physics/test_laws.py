@@ -22,6 +22,7 @@ FIXED_IDS = (
     "vortex_ring",
     "ground_effect",
     "steady_wind",
+    "airflow_moment",
     "slung_payload",
     "throttle_curve",
     "throttle_offset",
@@ -43,7 +44,7 @@ FIXED_IDS = (
     "channel_delay",
 )
 
-VECTORS = ("rates", "angular_acceleration", "v_world", "v_dot_world", "v_air_body", "force")
+VECTORS = ("rates", "angular_acceleration", "v_world", "v_dot_world", "v_air_body", "v_trimmed", "force")
 
 
 def flight(**changes):
@@ -54,6 +55,7 @@ def flight(**changes):
         "yaw_rate": 0.5, "rates": [0.9, -0.6, 0.5], "angular_acceleration": [4.0, -3.0, 1.0], "v_world": [2.0, 1.0, 0.5],
         "v_dot_world": [1.0, -2.0, 0.5], "v_air_body": [3.0, -2.0, -1.5], "height_m": 0.6, "rotor_height": 0.2, "time_s": 60.0, "a_t": 8.0,
         "a_t_total": 8.0, "command": 14.0, "sigma_t": 20.0, "a_t_dot": 120.0, "force": [0.4, -0.3, 8.0], "g": 9.81,
+        "v_trimmed": [0.0, 0.0, 0.0],
     }  # fmt: skip
     return values | changes
 
@@ -211,6 +213,12 @@ def strayed():
     return np.array([-pitch_rate, roll_rate])
 
 
+def hub_moments():
+    """Of `flight`, a rotation of scipy's instead of the product's."""
+    forward, left, up = Rotation.from_euler("ZYX", [0.7, -0.1, 0.2]).inv().apply([2.0, 1.0, 0.5]) - [0.5, 0.2, -0.1]
+    return [0.8 * left + 0.3 * up, 2.0 * up - 0.5 * forward, 0.0]
+
+
 # Witnesses: the same physics in plain numbers. (term, what is set, changes to the flight, expected contribution).
 WITNESSES = {
     "linear_drag": ({"d_x": 0.4, "d_y": 0.4, "d_z": 0.5}, {}, [-1.2, 0.8, 0.75]),
@@ -240,6 +248,8 @@ WITNESSES = {
     "velocity_latency": ({"velocity_latency": 0.1}, {}, [1.99, 0.99, 0.49]),
     "attitude_offset": ({"offset_pitch": 0.1}, {}, [8 * np.sin(0.1), 0.0, 8 * (np.cos(0.1) - 1)]),
     "roll_pitch_coupling": ({"pitch_to_roll": 0.1, "roll_to_pitch": -0.2}, {}, [-0.26, 0.28]),
+    # v_world in body axes by the rotation matrix of the attitude, less what is trimmed
+    "airflow_moment": ({"m_u": 0.5, "l_v": 0.8, "m_w": 2.0, "l_w": 0.3}, {"v_trimmed": [0.5, 0.2, -0.1]}, hub_moments()),
     "channel_delay": ({"delay_attitude": 0.01, "delay_yaw_rate": 0.03}, {}, [0.01, 0.03]),
     # Far below the limit nothing; far above, the rate asked for is the limit: 2 zeta w (limit - wanted).
     "rate_limit": (

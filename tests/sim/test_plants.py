@@ -97,6 +97,19 @@ def test_edges_inside_a_tick_are_exact():
     assert coarse == pytest.approx(fine, abs=2e-6)
 
 
+def test_the_hubs_tilt_a_rotor_vehicle_against_its_speed():
+    """In steady flight the loop, without an integrator, yields by moment over stiffness: u M_u / omega^2 in pitch, v L_v / omega^2 in
+    roll."""
+    v = RotorVehicle()
+    plant = _plant("rotor", {"airflow_moment": {"m_u": 2.0, "l_v": 1.5}})
+    h = plant.hover_throttle
+    rows = _fly(plant, [(0.8, 0, 0, 0, 1.4 * h), (12.0, -0.1, 0.1, 0, 1.01 * h)])
+    vx, vy, _, roll, pitch = rows[-1, :5]
+    assert pitch - 0.1 == pytest.approx(-2.0 * vx / v.omega_pitch**2, rel=0.06)
+    assert roll + 0.1 == pytest.approx(1.5 * vy / v.omega_roll**2, rel=0.06)
+    assert pitch < 0.09
+
+
 def test_the_rotor_is_second_order_and_linear_enough():
     v = RotorVehicle()
     plant = _plant("rotor")

@@ -195,6 +195,10 @@ def test_ardupilots_frame_has_the_models_hover_drag_and_moments(tmp_path):
     assert 0.01 < made.velocity_m_s < 0.5
 
 
+def test_ardupilots_frame_lacks_the_moments_of_the_air_and_no_loop_of_the_firmware():
+    assert ardupilot.not_in_frame(stored("airflow_moment", "rate_limit")) == ("airflow_moment",)
+
+
 def test_what_ardupilots_frame_is_of_the_model_is_stated_with_what_it_differs_by():
     file = replace(stored("quadratic_drag", "ground_effect", **QUADRATIC), valid={"voltage_v": [21.0, 25.0]})
     made = ardupilot.exported(file)

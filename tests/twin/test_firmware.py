@@ -139,6 +139,18 @@ def test_what_the_firmware_does_itself_is_not_in_the_physics(frame):
     json.loads(options.to_json())
 
 
+def test_moments_of_the_air_are_in_the_physics(frame):
+    options, _ = firmware_options(stored(terms=("linear_drag", "airflow_moment"), m_u=0.0, l_v=0.0, m_w=0.4, l_w=0.0))
+    assert options.model["terms"] == ["body", "linear_drag", "airflow_moment"]
+    plant = build_motor_plant(SimOptions.from_json(options.to_json()))
+    climbed = 0.0
+    while plant.motion.on_ground or plant.motion.pz < 0.5:
+        plant.step([1.3 * plant.hover_throttle] * 4, 0.00125)
+        climbed += 0.00125 * plant.motion.vz
+    assert plant.rates_rad_s[1] == pytest.approx(0.4 * climbed, rel=0.02)
+    assert plant.rates_rad_s[0] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_model_without_attitude_loops_does_not_fly_under_the_firmware():
     blind = ModelFile(Model(attitude_loops=False), {}, stored().values, (), np.zeros((0, 0)), {}, path="m")
     with pytest.raises(ModelError, match="has no attitude loops"):

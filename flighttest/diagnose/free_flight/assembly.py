@@ -95,7 +95,8 @@ def diagnose_free_flight(
     start = {k: v[0] for k, v in (previous or {}).items()}
     alone = replace(model, attitude_loops=False)
     found = find_terms(flown, alone, translation, weather=weather, start=start, progress=progress)
-    answers, asked = _attitude(usable, model, pool, found, previous or {}, progress) if found.complete else ([], None)
+    air = in_still_air(usable, found.winds)
+    answers, asked = _attitude(air, model, pool, found, previous or {}, progress) if found.complete else ([], None)
     return _Assembly(usable, model, pool, found, answers, asked, progress).made(previous or {})
 
 

@@ -72,6 +72,7 @@ class RotorPlant:
         self._lift = on.get("translational_lift", {}).get("k_lift", 0.0)
         self._inflow = on.get("axial_inflow", {}).get("k_inflow", 0.0)
         self._ring = on.get("vortex_ring")
+        self._hubs = on.get("airflow_moment")
         self._aero = bool(self._ground or self._h_force or self._lift or self._inflow or self._ring)
         self._swirl = on.get("swirl", {}).get("rate_1_s", 0.0)
         self._tether, self._updraft, self._front = on.get("tether"), on.get("updraft"), on.get("gust_front")
@@ -190,6 +191,10 @@ class RotorPlant:
             my -= ox * lift
             mz += spin * arm * lift
         jx, jy, jz = v.inertia_x_kg_m2, v.inertia_y_kg_m2, v.inertia_z_kg_m2
+        if self._hubs:
+            hubs, load = self._hubs, sum(rotors) / (mass * G_M_S2)
+            mx += jx * load * (hubs["l_v"] * by + hubs["l_w"] * bz)
+            my += jy * load * (hubs["m_w"] * bz - hubs["m_u"] * bx)
         p, q, r = self._p, self._q, self._r
         dp, dq, dr = (mx - (jz - jy) * q * r) / jx, (my - (jx - jz) * p * r) / jy, (mz - (jy - jx) * p * q) / jz
         pm, qm, rm = p + 0.5 * h * dp, q + 0.5 * h * dq, r + 0.5 * h * dr

@@ -42,6 +42,10 @@ EFFECTS: dict[str, Effect] = {
     "axial_inflow": Effect(
         {"k_inflow": 0.035}, "thrust loss per climb speed at hover, s/m, with the root of the thrust"
     ),
+    "airflow_moment": Effect(
+        {"m_u": 1.3, "l_v": 1.3, "m_w": 0.0, "l_w": 0.0},
+        "moments of the hubs by forward, sideward and climb speed: rad/s^2 per m/s at hover thrust, in proportion to thrust",
+    ),
     "vortex_ring": Effect(
         {
             "vortex_depth": 0.25,

@@ -1,0 +1,45 @@
+"""Moments of the air on the vehicle, as stability derivatives: angular acceleration per velocity through the air."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from flighttest.physics.core import Contribution, Param, Port, Signals, Term, Values
+
+_UPRIGHT = "blade flapping, and drag off the centre of mass: 0.2 to 2"
+_SKEWED = "none by symmetry in still air; in wind 0.5 to 2"
+
+
+def _derivative(name: str, symbol: str, doc: str, source: str) -> Param:
+    return Param(name, symbol, "rad/(s m)", 0.5, -20.0, 20.0, 0.5, doc, source)
+
+
+def _moments(s: Signals, p: Values, _x: Values) -> Contribution:
+    u, v, w = ca.vertsplit(s.rotation.T @ s.v_world - s.v_trimmed)
+    return Contribution(ca.vertcat(p["l_v"] * v + p["l_w"] * w, -p["m_u"] * u + p["m_w"] * w, 0))
+
+
+airflow_moment = Term(
+    id="airflow_moment",
+    title="Moments of the air",
+    family="aerodynamics",
+    port=Port.ANGULAR,
+    params=(
+        _derivative("m_u", "M_u", "pitch acceleration, nose up, per forward speed", _UPRIGHT),
+        _derivative("l_v", "L_v", "roll acceleration, left side up, per speed to the left", _UPRIGHT),
+        _derivative("m_w", "M_w", "pitch acceleration, nose down, per climb speed", _SKEWED),
+        _derivative("l_w", "L_w", "roll acceleration, left side up, per climb speed", _SKEWED),
+    ),
+    build=_moments,
+    equation="(phi_dd, theta_dd) += (L_v v + L_w w, -M_u u + M_w w), (u, v, w) velocity through the air in body axes less its mean",
+    plain="speed through the air tilts the vehicle: the rotors flap back, drag acts off the centre of mass, front and rear rotors meet "
+    "another air",
+    source="Bramwell, Done and Balmford, Bramwell's Helicopter Dynamics, chapter 5 (M_u, L_v, M_w); Hoffmann et al., Quadrotor helicopter "
+    "flight dynamics and control, AIAA GNC 2007",
+    doubt="the autopilot is taken to trim the mean of a flight and nothing else, where its integrators take seconds; derivatives by climb "
+    "are those of the wind flown in",
+    hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta"),
+    told_apart_by="speed after the tilt has ended; climb and descent in wind",
+    reveals="speed_dash",
+    needs=("v_x_m_s", "roll_ref_rad", "roll_rad"),
+)  # fmt: skip
