@@ -79,6 +79,13 @@ def test_moments_of_the_air_are_named_and_measured():
         assert name[-1] == "w" or high - low < 1.0  # hardly anything climbs here
 
 
+def test_a_slow_rate_limit_is_named():
+    """15 deg/s of a pilot's log were refused at the bound of 0.3 rad/s (15 noise floors, 350 nats)."""
+    found = diagnose(tilts(rate_limit=0.2), only=("rate_limit", "attitude_extra_pole", "roll_pitch_coupling"))
+    assert names(found) == ["rate_limit"]
+    assert found.values["rate_max"] == pytest.approx(0.2, rel=0.1)
+
+
 def test_what_is_printed_is_the_optimum_that_was_judged():
     """From the search's parameters alone, without the initial states and disturbances of its responses, the last fit ended 3000 nats lower
     on a firmware's log, with a cable of 15 m for one of 5.8 m; here it takes 17 iterations to come back."""

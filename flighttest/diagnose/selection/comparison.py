@@ -250,7 +250,7 @@ def may_be_absent(term: Term, fitted: Fitted, gain: float, estimator: Estimator)
     of_noise, whole = (c[np.ix_(own, own)] / np.outer(scale, scale) for c in (known.model, known.whole))
     inflation = float(np.trace(np.linalg.pinv(of_noise, hermitian=True) @ whole))
     dof = min(known.of(np.eye(len(known.names))[k])[1] for k in own)
-    p_value = fisher_beyond(gain / inflation, len(own), dof)
+    p_value = fisher_beyond(max(gain, 0.0) / inflation, len(own), dof)
     if p_value < LEVEL:
         return ""
     words = []

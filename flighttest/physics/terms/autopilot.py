@@ -68,8 +68,8 @@ rate_limit = Term(
     port=Port.ANGULAR,
     params=(
         Param(
-            "rate_max", "ω_max", "rad/s", 4.0, 0.3, 20.0, 1.0, "greatest roll and pitch rate the autopilot asks for",
-            "ATC_RATE_R_MAX, ATC_RATE_P_MAX; 60 to 360 deg/s", "shape", None, (1.5, 3.0, 5.0, 8.0), limits="tilt_rate",
+            "rate_max", "ω_max", "rad/s", 4.0, 0.1, 20.0, 1.0, "greatest roll and pitch rate the autopilot asks for",
+            "ATC_RATE_R_MAX, ATC_RATE_P_MAX; 60 to 360 deg/s", "shape", None, (0.5, 1.5, 3.0, 5.0, 8.0), limits="tilt_rate",
         ),
     ),
     build=_rate_limit,
