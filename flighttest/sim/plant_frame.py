@@ -115,12 +115,14 @@ class FramePlant(TermsPlant):
 
 def moments_of_the_air(model: Model, values: Mapping[str, float]) -> ca.Function | None:
     """(roll, pitch, yaw in rad, velocity through the air in m/s, world) to the angular acceleration (3,), rad/s^2, by the model's
-    aerodynamic moments; None where it has none."""
+    aerodynamic moments, of which the autopilot has trimmed nothing: that is what flies it. None where it has none."""
     every = replace(model, attitude_loops=True).built_terms
     terms = [t for t in every if t.port is Port.ANGULAR and t.family == "aerodynamics"]
     if not terms:
         return None
     angles, velocity = ca.SX.sym("angles", 3), ca.SX.sym("v", 3)
     s = Signals(v_world=velocity, v_trimmed=ca.SX.zeros(3), rotation=rotation(*ca.vertsplit(angles)))
-    total = sum((t.build(s, {p.name: values[p.name] for p in t.params}, {}).value for t in terms), ca.SX.zeros(3))
+    total = ca.SX.zeros(3)
+    for t in terms:
+        total += t.build(s, {p.name: values[p.name] for p in t.params}, {x.name: 0.0 for x in t.states}).value
     return ca.Function("moments", [angles, velocity], [total])

@@ -68,15 +68,18 @@ def test_wind_bias_and_offset_are_not_mixed_up(hidden, term, expected):
         assert found.findings[0].parameters[name]["value"] == pytest.approx(value, rel=0.15)
 
 
-def test_moments_of_the_air_are_named_and_measured():
-    found = diagnose(
-        tilts(hubs=(1.2, 0.8, 0.0)), only=("airflow_moment", "roll_pitch_coupling", "attitude_extra_pole", "rate_limit")
-    )
+@pytest.mark.parametrize("trim", [0.0, 1.0])
+def test_moments_of_the_air_are_named_and_measured_with_the_rate_at_which_they_are_trimmed(trim):
+    others = ("roll_pitch_coupling", "attitude_extra_pole", "rate_limit")
+    found = diagnose(tilts(hubs=(4.0, 3.0, 0.0, trim)), only=("airflow_moment", *others))
     assert names(found) == ["airflow_moment"]
-    for name, true in {"m_u": 1.2, "l_v": 0.8, "m_w": 0.0, "l_w": 0.0}.items():
-        low, high = found.findings[0].parameters[name]["interval_95"]
-        assert low < true < high
-        assert name[-1] == "w" or high - low < 1.0  # hardly anything climbs here
+    intervals = {n: p["interval_95"] for n, p in found.findings[0].parameters.items()}
+    true = {"m_u": 4.0, "l_v": 3.0, "m_w": 0.0, "l_w": 0.0} | ({"moment_trim_1_s": trim} if trim else {})
+    for name, value in true.items():
+        assert intervals[name][0] < value < intervals[name][1]
+    for name in ("m_u", "l_v"):
+        assert intervals[name][1] - intervals[name][0] < 3.0
+    assert found.values["moment_trim_1_s"] == pytest.approx(trim, abs=0.2)
 
 
 def test_a_slow_rate_limit_is_named():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from flighttest.physics.core import Contribution, Param, Port, Signals, Term, Values
+from flighttest.physics.core import Contribution, Param, Port, Signals, State, Term, Values
 
 _UPRIGHT = "blade flapping, and drag off the centre of mass: 0.2 to 2"
 _SKEWED = "none by symmetry in still air; in wind 0.5 to 2"
@@ -14,9 +14,15 @@ def _derivative(name: str, symbol: str, doc: str, source: str) -> Param:
     return Param(name, symbol, "rad/(s m)", 0.5, -20.0, 20.0, 0.5, doc, source)
 
 
-def _moments(s: Signals, p: Values, _x: Values) -> Contribution:
-    u, v, w = ca.vertsplit(s.rotation.T @ s.v_world - s.v_trimmed)
-    return Contribution(ca.vertcat(p["l_v"] * v + p["l_w"] * w, -p["m_u"] * u + p["m_w"] * w, 0))
+def _moments(s: Signals, p: Values, x: Values) -> Contribution:
+    away = s.rotation.T @ s.v_world - s.v_trimmed - ca.vertcat(*x.values())
+    u, v, w = ca.vertsplit(away)
+    moments = ca.vertcat(p["l_v"] * v + p["l_w"] * w, -p["m_u"] * u + p["m_w"] * w, 0)
+    return Contribution(moments, dict(zip(x, ca.vertsplit(p["moment_trim_1_s"] * away), strict=True)))
+
+
+def _trimmed(axis: str, way: str) -> State:
+    return State(f"{axis}_trimmed_m_s", "m/s", f"speed {way} beyond the flight's mean at which the moments are trimmed")
 
 
 airflow_moment = Term(
@@ -29,17 +35,22 @@ airflow_moment = Term(
         _derivative("l_v", "L_v", "roll acceleration, left side up, per speed to the left", _UPRIGHT),
         _derivative("m_w", "M_w", "pitch acceleration, nose down, per climb speed", _SKEWED),
         _derivative("l_w", "L_w", "roll acceleration, left side up, per climb speed", _SKEWED),
+        Param(
+            "moment_trim_1_s", "k_m", "1/s", 1.0, 0.0, 10.0, 0.5, "rate at which the autopilot's integrators trim a moment; 0: none do",
+            "ArduPilot: I over P of the rate loop, 1", "shape", None, (0.0, 1.0),
+        ),
     ),
     build=_moments,
-    equation="(phi_dd, theta_dd) += (L_v v + L_w w, -M_u u + M_w w), (u, v, w) velocity through the air in body axes less its mean",
+    equation="(phi_dd, theta_dd) += (L_v v + L_w w, M_w w - M_u u), (u, v, w) = V - V_t, V_t_dot = k_m (V - V_t), "
+    "V: velocity through the air in body axes",
     plain="speed through the air tilts the vehicle: the rotors flap back, drag acts off the centre of mass, front and rear rotors meet "
     "another air",
     source="Bramwell, Done and Balmford, Bramwell's Helicopter Dynamics, chapter 5 (M_u, L_v, M_w); Hoffmann et al., Quadrotor helicopter "
     "flight dynamics and control, AIAA GNC 2007",
-    doubt="the autopilot is taken to trim the mean of a flight and nothing else, where its integrators take seconds; derivatives by climb "
-    "are those of the wind flown in",
+    doubt="when a response begins, the mean of its flight is taken to be trimmed; derivatives by climb are those of the wind flown in",
     hides_in=("omega_phi", "omega_theta", "zeta_phi", "zeta_theta"),
     told_apart_by="speed after the tilt has ended; climb and descent in wind",
     reveals="speed_dash",
     needs=("v_x_m_s", "roll_ref_rad", "roll_rad"),
+    states=(_trimmed("forward", "ahead"), _trimmed("left", "to the left"), _trimmed("up", "upwards")),
 )  # fmt: skip
