@@ -191,6 +191,11 @@ class Problem:
         """(n_segments,), as `cells_of`."""
         return cells_of(self.segments)
 
+    @cached_property
+    def alike(self) -> NDArray[np.intp]:
+        """(n_segments,) index of responses whose disturbances have the same mean: of the repeats of a cell, and of all free flight."""
+        return np.where([s.kind == "free" for s in self.segments], -1, self.cells)
+
     def placed(self, nuisance: Mapping[str, FloatArray]) -> list[FloatArray]:
         """Nuisance parameters by part, (m, n_nuisance), of name to (n_segments,); where they begin for those not given, or NaN."""
         found = []
